@@ -69,7 +69,7 @@ def drag_solver(
         drag.live.wait()
 
     def turn(seconds: float) -> Turn:
-        drag.live.forget()
+        drag.live.cancel()
         drag.move(0.0)
         drag.live.wait()
         for kept in (drag.shown, drag.late, *drag.costs.values()):

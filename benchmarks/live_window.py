@@ -84,7 +84,7 @@ class Window:
         self._seen: object = None
         self._composing = 0.0
         self.moves = 0
-        self._widget.seen.connect(self._on_seen)
+        self._widget.deformation_changed.connect(self._on_seen)
         self._native.frameSwapped.connect(self._on_swapped)
         self._native.aboutToCompose.connect(self._on_compose)
 
@@ -149,12 +149,12 @@ class Window:
         """The seconds from the first press to the first picture of what moved."""
         self._press()
         begun, seen = time.perf_counter(), []
-        self._widget.seen.connect(seen.append)
+        self._widget.deformation_changed.connect(seen.append)
         self._send(QEvent.Type.MouseMove, self._place(0.1), _LEFT)
         while not seen:
             QApplication.processEvents()
         took = time.perf_counter() - begun
-        self._widget.seen.disconnect(seen.append)
+        self._widget.deformation_changed.disconnect(seen.append)
         self._send(QEvent.Type.MouseButtonRelease, self._place(0.1), _LEFT)
         self.settle()
         self._widget.undo()
@@ -245,11 +245,11 @@ class Window:
         before = [(owner, name, getattr(owner, name)) for owner, name, _ in wrapped]
         for owner, name, stage in wrapped:
             setattr(owner, name, self._clocked(getattr(owner, name), stage))
-        solved = self._widget.seen.connect(self._on_solved)
+        solved = self._widget.deformation_changed.connect(self._on_solved)
         try:
             yield
         finally:
-            self._widget.seen.disconnect(solved)
+            self._widget.deformation_changed.disconnect(solved)
             for owner, name, method in before:
                 setattr(owner, name, method)
 

@@ -48,7 +48,7 @@ def is_one_of(value: object, choices: Iterable[str]) -> bool:
     return isinstance(value, str) and value in choices
 
 
-def refuse_unless(right: bool, name: str, value: object, what: str) -> None:
+def refuse_unless(right: bool, name: str, value: object, requirement: str) -> None:
     """Refuse an argument that does not meet its requirement.
 
     Parameters
@@ -59,7 +59,7 @@ def refuse_unless(right: bool, name: str, value: object, what: str) -> None:
         Name of the argument.
     value : object
         Value of the argument, which the message quotes.
-    what : str
+    requirement : str
         Requirement, as the sentence continues after "must be".
 
     Raises
@@ -68,7 +68,7 @@ def refuse_unless(right: bool, name: str, value: object, what: str) -> None:
         If `right` is False; the message is one sentence.
     """
     if not right:
-        raise ArgumentError(f"{name} must be {what}, not {shown(value)}")
+        raise ArgumentError(f"{name} must be {requirement}, not {shown(value)}")
 
 
 def require_kind(kind: type | UnionType, name: str, value: object, example: str) -> None:

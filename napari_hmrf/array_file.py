@@ -126,15 +126,15 @@ class Format(Generic[T]):
     schema : int
         Version number, increased when an older version could misread the file; older files stay
         valid.
-    what : str
-        Name of the kind of file in error messages: "<file>: not a valid <what>: <reason>".
+    kind_name : str
+        Name of the kind of file in error messages: "<file>: not a valid <kind>: <reason>".
     arrays : mapping of str to Kind
         All arrays that a file may contain.
     describe : callable
         Converts the object to a header of JSON types and arrays.
     parse : callable
         Creates the object from header and arrays; raises `Invalid` if they are inconsistent.
-    foresee : callable, optional
+    precheck : callable, optional
         Called before any array is expanded, with the header and arrays of zeros that have the
         claimed types and shapes and take no memory; raises the same errors as `parse`, and may be
         the same function.
@@ -142,11 +142,11 @@ class Format(Generic[T]):
 
     name: str
     schema: int
-    what: str
+    kind_name: str
     arrays: Mapping[str, Kind]
     describe: Callable[[T], tuple[Header, Arrays]]
     parse: Callable[[Header, Arrays], T]
-    foresee: Callable[[Header, Arrays], object] | None = None
+    precheck: Callable[[Header, Arrays], object] | None = None
 
 
 def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
@@ -209,7 +209,7 @@ def read(path: str | os.PathLike[str], form: Format[T]) -> T:
     path = checked_path(path)
 
     def refusal(reason: str) -> FileFormatError:
-        return FileFormatError(f"{Path(path).name}: not a valid {form.what}: {reason}")
+        return FileFormatError(f"{Path(path).name}: not a valid {form.kind_name}: {reason}")
 
     if os.path.isdir(path):
         raise refusal("it is a folder")
@@ -277,7 +277,7 @@ def _packed(form: Format[T], value: T) -> bytes:
     try:
         _unpacked(io.BytesIO(content), form)
     except Invalid as error:  # an unreadable file must not replace a readable one
-        raise ValueError(f"this {form.what} cannot be saved: {error}") from None
+        raise ValueError(f"this {form.kind_name} cannot be saved: {error}") from None
     return content
 
 
@@ -308,8 +308,8 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
         }
         if sum(claim.info.file_size for claim in claims.values()) > _MAX_TOTAL:
             raise Invalid("its arrays claim more bytes than such a file may hold")
-        if form.foresee is not None:
-            form.foresee(header, {name: claim.zeros() for name, claim in claims.items()})
+        if form.precheck is not None:
+            form.precheck(header, {name: claim.zeros() for name, claim in claims.items()})
         arrays = {name: claim.read(archive) for name, claim in claims.items()}
     return form.parse(header, arrays)
 
@@ -339,7 +339,7 @@ def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
     missing, odd = needed - set(names), set(names) - {f"{_HEADER}.npy", *known}
     if missing or odd or len(names) != len(set(names)):
         faults = [f"lacks {name!r}" for name in sorted(missing)]
-        faults += [f"holds {name!r}, which no {form.what} does" for name in sorted(odd)]
+        faults += [f"holds {name!r}, which no {form.kind_name} does" for name in sorted(odd)]
         raise Invalid(f"it {faults[0]}" if faults else "two of its members have the same name")
 
 

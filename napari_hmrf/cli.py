@@ -44,7 +44,7 @@ from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.preparation import loops_are_compiled, provide_loops
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solve import solve
-from napari_hmrf.study.models import chosen, family_of
+from napari_hmrf.study.models import family_of, parts_of
 from napari_hmrf.tissue.tissue_names import materials_by_name
 from napari_hmrf.wording import in_words_of
 
@@ -179,7 +179,7 @@ def _format_number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
-def _play(options: argparse.Namespace) -> int:
+def _show_result_in_napari(options: argparse.Namespace) -> int:
     solution, image = image_of(options.result, options.image)
     refuse_overwriting([options.out], overwrite=options.force)
     number, shape = options.slice, solution.tissue.shape
@@ -241,7 +241,7 @@ def _batch(options: argparse.Namespace) -> int:
         resume=options.resume,
         backend=options.backend,
         progress=lambda progress: line.write(progress.words),
-        tell=_note,
+        report=_note,
     )
     line.end()
     failed = [each for each in outcomes if each.state != "done"]
@@ -295,7 +295,7 @@ def _in_shell(solution: Solution) -> str:
 
 
 def _truth(options: argparse.Namespace) -> int:
-    def tell(truth: Truth) -> None:
+    def report(truth: Truth) -> None:
         progress.end()
         part = "" if truth.scale == 1 else f", scaled to {truth.scale:.0%}"
         print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
@@ -316,7 +316,7 @@ def _truth(options: argparse.Namespace) -> int:
         count=options.count,
         seed=options.seed,
         progress=lambda done, of: progress.write(f"solved: {done} of {of}", "solving"),
-        tell=tell,
+        on_written=report,
         **{name: value for name, value in given.items() if value is not None},
     )
     worst = max(each.inexact for each in written)
@@ -330,8 +330,8 @@ def _demo(options: argparse.Namespace) -> int:
     if options.volume:
         return _demo_volume(options)
     models = [_model(options)]
-    if models[0] != chosen("paper"):
-        models.append(chosen("paper"))
+    if models[0] != parts_of("paper"):
+        models.append(parts_of("paper"))
     _make_demo_folder(options)
     progress = _ProgressLine()
     demonstrations = [
@@ -457,7 +457,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "export": _export,
     "materials": _materials,
     "measure": _measure,
-    "play": _play,
+    "play": _show_result_in_napari,
     "replay": _replay,
     "selftest": _selftest,
     "solve": _solve,

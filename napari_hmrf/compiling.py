@@ -21,7 +21,7 @@ from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.strain import small_strain
 from napari_hmrf.field.warp import warp
-from napari_hmrf.solver.backends.compile_cache import compiler, kept, loader, loops, sets
+from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, loader, loops, sets
 from napari_hmrf.solver.backends.compile_cache.compiler import Stage
 from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -122,29 +122,29 @@ def _is_cached() -> bool:
     return folder is not None and any(Path(folder).glob("*.nbi"))
 
 
-def run(job: Job, tell: Callable[[Stage], object]) -> None:
+def run(job: Job, report: Callable[[Stage], object]) -> None:
     """Run a job on the compute thread and report its progress."""
-    with watched(job.name, tell):
+    with watched(job.name, report):
         job.run()
 
 
 def _due_jobs(todo: list[Job]) -> list[Job]:
     """Return the jobs to run: all except rarely used ones that no solve waits for."""
-    requested = compiler.wanted()
+    requested = compiler.requested_job()
     return [job for job in todo if job.name not in sets.ON_REQUEST or job.name == requested]
 
 
 def _run_next(todo: list[Job]) -> None:
     """Run the requested job, or else the first, and remove it from the list."""
     while True:
-        requested = compiler.wanted()
+        requested = compiler.requested_job()
         job = next((each for each in todo if each.name == requested), todo[0])
         if job.name != requested:
-            compiler.give_way()
+            compiler.lower_priority()
 
         def tell(stage: Stage, job: Job = job) -> None:
-            compiler.tell(stage)
-            newer = compiler.wanted()
+            compiler.publish_stage(stage)
+            newer = compiler.requested_job()
             if newer != job.name and any(each.name == newer for each in todo):
                 raise _Preempted
 
@@ -152,7 +152,7 @@ def _run_next(todo: list[Job]) -> None:
             compute_thread.submit(partial(run, job, tell)).result()
             todo.remove(job)
             if _is_cached():
-                kept.mark(job.name).touch()
+                disk_cache.mark(job.name).touch()
             return
 
 
@@ -163,7 +163,9 @@ def main() -> int:
     os.environ[loops.HERE] = "here"  # this process must not wait for itself
     compiled = False
     try:
-        todo = [job for job in jobs() if job.name in sets.ON_REQUEST or not kept.mark().exists()]
+        todo = [
+            job for job in jobs() if job.name in sets.ON_REQUEST or not disk_cache.mark().exists()
+        ]
         number = 0
         while rest := _due_jobs(todo):
             _run_next(todo)

@@ -17,7 +17,7 @@ from napari_hmrf.io.landmark_files import is_landmark_file, read_points
 from napari_hmrf.io.study_file import is_study_file
 from napari_hmrf.layers.field_layer import field_layer
 from napari_hmrf.layers.label_colours import boundary_colours
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, described
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, layer_metadata
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.phantoms import sample
@@ -77,7 +77,7 @@ def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
     return [
         (
             phantom.image.copy(),
-            {"name": phantom.title.split(maxsplit=1)[0], "metadata": described(IMAGE)},
+            {"name": phantom.title.split(maxsplit=1)[0], "metadata": layer_metadata(IMAGE)},
             "image",
         ),
         (
@@ -85,7 +85,7 @@ def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
             {
                 "name": "Tissue",
                 "opacity": 0.3,
-                "metadata": described(TISSUE, phantom.materials),
+                "metadata": layer_metadata(TISSUE, phantom.materials),
             },
             "labels",
         ),
@@ -95,7 +95,7 @@ def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
                 "name": "Boundary",
                 "opacity": 0.9,
                 "colormap": boundary_colours(),
-                "metadata": described(BOUNDARY, phantom.boundary),
+                "metadata": layer_metadata(BOUNDARY, phantom.boundary),
             },
             "labels",
         ),
@@ -140,7 +140,7 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
         attributes = {
             "name": Path(each).name.partition(".")[0],
             "rgb": image.colours,
-            "metadata": described(IMAGE),
+            "metadata": layer_metadata(IMAGE),
         }
         if image.place is not None:
             attributes |= image.place.frame().placement()

@@ -147,7 +147,7 @@ MUTATIONS = (
     # solver, study, ui: one queue for all background work
     Mutation(
         "solver/latest_queue.py",
-        "        elif not self._held:\n",
+        "        elif not self._is_held:\n",
         "        else:\n",
         "solver/test_latest_queue.py ui/test_grab_pace.py",
     ),
@@ -159,19 +159,19 @@ MUTATIONS = (
     ),
     Mutation(
         "solver/latest_queue.py",
-        "self._held = self._current is not None and not self._current.dropped",
-        "self._held = True",
+        "self._is_held = self._current is not None and not self._current.dropped",
+        "self._is_held = True",
         "solver/test_latest_queue.py",
     ),
     Mutation(
         "study/engine.py",
-        "return answer is self._newest and answer.generation > self._dropped",
-        "return answer is self._newest",
+        "return answer is self._latest_deformation and answer.generation > self._dropped",
+        "return answer is self._latest_deformation",
         "ui/test_grab_pace.py",
     ),
     Mutation(
         "ui/paced_engine.py",
-        "        if state.moved.error is None or not self._engine.waits:\n",
+        "        if state.moved.error is None or not self._engine.has_pending:\n",
         "        if state.moved.error is None:\n",
         "ui/test_grab_pace.py",
     ),
@@ -240,8 +240,8 @@ MUTATIONS = (
     Mutation("tissue/usual_lengths.py", "shorter / 16", "shorter / 8", "ui/motion/test_pull.py"),
     Mutation(
         "tissue/material_presets.py",
-        "stiffness_image(now, self.materials)[0] / np.float32(self.one)",
-        "stiffness_image(now, self.materials)[0] * np.float32(self.one)",
+        "stiffness_image(now, self.materials)[0] / np.float32(self.unit_stiffness)",
+        "stiffness_image(now, self.materials)[0] * np.float32(self.unit_stiffness)",
         "study/test_study.py",
     ),
     Mutation(
@@ -376,8 +376,8 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/motion/pointer.py",
-        "self.said.emit(self.tool.error_message or in_short(error))",
-        "self.said.emit(in_short(error))",
+        "self.message.emit(self.tool.error_message or in_short(error))",
+        "self.message.emit(in_short(error))",
         "ui/motion/test_grab_tools.py",
     ),
     Mutation(

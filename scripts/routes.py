@@ -195,7 +195,7 @@ def main() -> None:
     pointer.move((32.0, 33.0))
     until(lambda: not dock._controller.engine.busy)
     seen: list[object] = []
-    dock.seen.connect(seen.append)
+    dock.deformation_changed.connect(seen.append)
 
     def move() -> None:
         pointer.move((32.0, 34.0))

@@ -154,7 +154,7 @@ def busy_thread():
 @pytest.fixture
 def small_sample():
     """Add a small painted example to a viewer: a block of tissue, held left and pushed right."""
-    from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described
+    from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, layer_metadata
     from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
     def add(viewer, shape=(20, 24), **place):
@@ -168,13 +168,16 @@ def small_sample():
         rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 3.0)))
         return (
             viewer.add_image(
-                np.broadcast_to(image, shape).copy(), name="MR", metadata=described(IMAGE), **place
+                np.broadcast_to(image, shape).copy(),
+                name="MR",
+                metadata=layer_metadata(IMAGE),
+                **place,
             ),
             viewer.add_labels(
-                tissue, name="Tissue", metadata=described(TISSUE, materials, "kPa"), **place
+                tissue, name="Tissue", metadata=layer_metadata(TISSUE, materials, "kPa"), **place
             ),
             viewer.add_labels(
-                boundary, name="Boundary", metadata=described(BOUNDARY, rules), **place
+                boundary, name="Boundary", metadata=layer_metadata(BOUNDARY, rules), **place
             ),
         )
 

@@ -29,7 +29,7 @@ from napari_hmrf.fields import write_field
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.study.models import chosen
+from napari_hmrf.study.models import parts_of
 
 SHAPE = (20, 24)
 
@@ -229,10 +229,10 @@ def test_a_painted_label_that_the_rules_do_not_name_is_refused(files, capsys):
 
 
 def test_a_model_is_called_alike_in_python_and_in_the_shell(files, capsys):
-    assert chosen("large-motion") == chosen("large motion")
+    assert parts_of("large-motion") == parts_of("large motion")
     assert Study(Grid(SHAPE, (1.0, 1.0)), model="large-motion").model_name == "large motion"
     with pytest.raises(HmrfError, match=r"there is no model 'soft'\. Use one of .elastic"):
-        chosen("soft")
+        parts_of("soft")
     code, out, _ = run(f"{SOLVE} -o out --model large_motion", capsys)
     assert code == 0
     assert ", large-motion, moved up to" in out

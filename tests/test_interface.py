@@ -28,7 +28,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.fields import Picture, Warper, equivalent_strain, fold_mask, green_lagrange_strain
 from napari_hmrf.solver.model_names import ModelName, model_name
-from napari_hmrf.study.models import chosen
+from napari_hmrf.study.models import parts_of
 from napari_hmrf.tissue import StiffnessCurve, boundary_images, poisson_image, stiffness_image
 from tests.support.public_names import PACKAGES, public_names
 
@@ -188,7 +188,7 @@ def test_tissue_is_elastic_unless_a_script_asks_for_the_papers_and_a_result_says
 
 @pytest.mark.parametrize("name", get_args(ModelName))
 def test_a_name_chooses_the_model_that_has_it(name):
-    prior, optimizer = chosen(name)
+    prior, optimizer = parts_of(name)
     parameters = {"prior": prior.parameters, "optimizer": optimizer.parameters}
     assert model_name(parameters) == name
     assert Provenance("cpu", "a device", parameters=parameters).model == name, "older files"

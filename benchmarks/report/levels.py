@@ -39,7 +39,7 @@ class _Shallow:
     @property
     def levels(self) -> Any:
         every = self._inner.levels[: self._count]
-        return [_Alone(level) if level.takes_rest else level for level in every]
+        return [_Alone(level) if level.finishes_cycle else level for level in every]
 
 
 class _Alone:

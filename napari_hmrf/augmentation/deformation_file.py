@@ -82,7 +82,7 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
 DEFORMATION_FORMAT: array_file.Format[UnitSolutions] = array_file.Format(
     name="napari-hmrf random deformation",
     schema=1,
-    what="napari-hmrf random deformation",
+    kind_name="napari-hmrf random deformation",
     arrays={
         "labels": Kind(LABEL_TYPES, (2, 3)),
         "patches": Kind(("<i4",), (2, 3)),
@@ -92,5 +92,5 @@ DEFORMATION_FORMAT: array_file.Format[UnitSolutions] = array_file.Format(
     },
     describe=_describe,
     parse=_parse,
-    foresee=_check_shapes,
+    precheck=_check_shapes,
 )

@@ -68,7 +68,7 @@ def write_truth(
     count: int = 1,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-    tell: Callable[[Truth], None] = lambda _: None,
+    on_written: Callable[[Truth], None] = lambda _: None,
     **options: Any,
 ) -> list[Truth]:
     """Deform an image at random, and write the results and their ground truth.
@@ -95,7 +95,7 @@ def write_truth(
         Seed of the random numbers. The seed of each pair is (seed, index of the pair).
     progress : callable, optional
         As for `RandomDeformation`.
-    tell : callable, optional
+    on_written : callable, optional
         Called with the `Truth` of each pair after it is written.
     **options
         Options of `RandomDeformation`, such as `amplitude`.
@@ -147,7 +147,7 @@ def write_truth(
         write_study(within / "truth.study", _whole(study, sample), solution)
         farthest = float(np.linalg.norm(sample.displacement, axis=-1).max())
         written.append(Truth(within, farthest, sample.scale, inexact))
-        tell(written[-1])
+        on_written(written[-1])
     return written
 
 

@@ -336,9 +336,9 @@ class RandomDeformation:
             float(weight),
             float(least_jacobian),
         )
-        self._take(solve_units(case, backend=backend, memory=memory, progress=progress))
+        self._set_solutions(solve_units(case, backend=backend, memory=memory, progress=progress))
 
-    def _take(self, solutions: UnitSolutions) -> None:
+    def _set_solutions(self, solutions: UnitSolutions) -> None:
         """Set the unit solutions of all samples."""
         self._solutions, self._case, self._has_warned = solutions, solutions.case, False
         self._factor = _factor(self._case.centres, self._case.smoothness)
@@ -400,7 +400,7 @@ class RandomDeformation:
             If the file cannot be opened.
         """
         deformation = cls.__new__(cls)
-        deformation._take(array_file.read(path, DEFORMATION_FORMAT))
+        deformation._set_solutions(array_file.read(path, DEFORMATION_FORMAT))
         return deformation
 
     def __repr__(self) -> str:

@@ -99,23 +99,23 @@ class Motion:
         if self.overlay is not None and self.overlay.dtype == bool:
             parts["overlay"] = moved_marks(solution, self.overlay, fraction)
         moment = Moment(**parts, grid=moved_grid(solution, fraction) if self.grid else None)
-        while self._kept and (len(self._kept) + 1) * moment.nbytes > _KEPT:
-            del self._kept[next(iter(self._kept))]
-        self._kept[fraction] = moment
+        while self._cache and (len(self._cache) + 1) * moment.nbytes > _KEPT:
+            del self._cache[next(iter(self._cache))]
+        self._cache[fraction] = moment
         return moment
 
-    def known(self, fraction: float) -> Moment | None:
+    def cached(self, fraction: float) -> Moment | None:
         """Return a moment cached by `at`, or None; any thread may call this."""
-        return self._kept.get(fraction)
+        return self._cache.get(fraction)
 
     @property
     def finest(self) -> float:
         """Smallest step of the fraction at which the cache holds all moments; 0 if it is empty."""
-        sizes = [moment.nbytes for moment in [*self._kept.values()]]
+        sizes = [moment.nbytes for moment in [*self._cache.values()]]
         return max(sizes, default=0) / _KEPT
 
     @cached_property
-    def _kept(self) -> dict[float, Moment]:
+    def _cache(self) -> dict[float, Moment]:
         return {}
 
     @cached_property

@@ -308,7 +308,7 @@ def arrows_in_slices(
     row, col = np.ogrid[tuple(map(slice, mask.shape[1:]))]
     chosen = np.empty_like(mask)
     for plane in range(len(mask)):
-        compute_thread.look()
+        compute_thread.check_cancelled()
         chosen[plane] = mask[plane] & ((col + shift * row + shift**2 * plane) % sites == 0)
     starts = np.argwhere(chosen)
     steps = moved[tuple(starts.T)] - starts

@@ -100,7 +100,7 @@ class Directions(NamedTuple):
         turn = as_tuples(rotation_of(seen * forward[:, None]))
         return cls(rows, cols, turn, deep, order)
 
-    def seen(self, by: tuple[float, ...]) -> tuple[float, ...]:
+    def to_display(self, by: tuple[float, ...]) -> tuple[float, ...]:
         """Return the components of a displacement along the named directions.
 
         Parameters
@@ -117,10 +117,10 @@ class Directions(NamedTuple):
         seen = tuple(padded[axis] for axis in self.order)
         return as_tuples(np.array(self.turn) @ seen) if self.turn else seen
 
-    def along(self, seen: tuple[float, ...]) -> tuple[float, ...]:
+    def from_display(self, seen: tuple[float, ...]) -> tuple[float, ...]:
         """Return a displacement, in the order of the axes, from its components along directions.
 
-        This is the inverse of `seen`. A missing component across the slices counts as 0.
+        This is the inverse of `to_display`. A missing component across the slices counts as 0.
         """
         back = (*(0.0,) * (len(self.order) - len(seen)), *seen)
         if self.turn:
@@ -134,7 +134,7 @@ class Directions(NamedTuple):
         for number, way in enumerate((self.deep, self.rows, self.cols)[-size:]):
             for sign, word in ((1.0, way), (-1.0, _OPPOSITE[way])):
                 step = tuple(sign * (axis == number) + 0.0 for axis in range(size))
-                along = tuple(round(part, 9) + 0.0 for part in self.along(step))
+                along = tuple(round(part, 9) + 0.0 for part in self.from_display(step))
                 found.append((_to(word) if word else f"{step}", along))
         return found
 
@@ -147,7 +147,7 @@ class Directions(NamedTuple):
         """Return `steps`, followed by the given step if it is neither among them nor empty."""
         steps = self.steps
         if step and step not in [each for _, each in steps]:
-            steps.append((self.step(tuple(round(part, 2) for part in self.seen(step))), step))
+            steps.append((self.step(tuple(round(part, 2) for part in self.to_display(step))), step))
         return steps
 
     def about(self, axis: int) -> str:

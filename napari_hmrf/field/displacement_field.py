@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.field.inverse_field import Inverse, inverse_displacement, origins_at
-from napari_hmrf.field.moved_points import looked_up
+from napari_hmrf.field.moved_points import interpolate_linearly
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class DisplacementField:
             In the unit of `spacing`.
         """
         if not self.back or self.vectors.shape[-1] != 3:
-            return looked_up(self.displacement, points)
+            return interpolate_linearly(self.displacement, points)
         origins = origins_at(self.to_pixels().vectors, points)
         return (origins - points) * self.spacing
 

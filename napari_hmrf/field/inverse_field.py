@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.field.moved_points import looked_up, looked_up_with_slopes
+from napari_hmrf.field.moved_points import interpolate_linearly, interpolate_with_slopes
 from napari_hmrf.field.warp import as_field, inverse_map
 from napari_hmrf.solver.problem import as_numbers
 
@@ -138,7 +138,9 @@ def _refined(
     refined = origins_at(_extended(pixels, tissue), points, origins)
     near = (np.abs(refined - origins) < 1).all(axis=-1)
     # At the rim of the tissue the motion is defined on tetrahedra only, so it is not refined.
-    within = near & (looked_up(tissue[..., np.newaxis].astype(float), refined)[:, 0] > 1 - _NEAR)
+    within = near & (
+        interpolate_linearly(tissue[..., np.newaxis].astype(float), refined)[:, 0] > 1 - _NEAR
+    )
     return np.where(within[:, np.newaxis], refined, origins), within
 
 
@@ -158,7 +160,7 @@ def _inverse_of_volume(pixels: Float64Array, spacing: Sequence[float]) -> Invers
 
 def _residual(pixels: Float64Array, origins: Float64Array, sites: Float64Array) -> float:
     """Return the largest distance, in pixels, between a site and the image of its origin."""
-    away = looked_up(pixels, origins) + origins - sites
+    away = interpolate_linearly(pixels, origins) + origins - sites
     return float(np.linalg.norm(away, axis=-1).max())
 
 
@@ -166,11 +168,11 @@ def _by_newton(
     pixels: npt.NDArray[np.floating], targets: Float64Array, near: Float64Array | None = None
 ) -> Float64Array:
     """Find the origins of all points together by Newton's method."""
-    origins = targets - looked_up(pixels, targets) if near is None else near.copy()
+    origins = targets - interpolate_linearly(pixels, targets) if near is None else near.copy()
     active = np.arange(len(targets))
     for _ in range(_STEPS):
         at = origins[active]
-        values, slopes = looked_up_with_slopes(pixels, at)
+        values, slopes = interpolate_with_slopes(pixels, at)
         slope = slopes + np.eye(3)
         # Singular slopes, which occur at folds, are replaced by the identity.
         slope[np.abs(np.linalg.det(slope)) < 1e-3] = np.eye(3)

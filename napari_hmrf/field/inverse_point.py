@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.moved_points import looked_up_with_slopes
+from napari_hmrf.field.moved_points import interpolate_with_slopes
 
 Point = TypeVar("Point", bound=tuple[float, ...])
 #: Largest distance, in pixels, between a point and the nearest moved site; beyond it is a gap.
@@ -121,7 +121,7 @@ def _in_cells(
         if not (inside and tissue[tuple(slice(at, at + 2) for at in low)].all()):
             return start
         # On a face between two cells, the slopes are those of one of them.
-        values, slopes = looked_up_with_slopes(moved, np.clip(origin, 0, last)[np.newaxis])
+        values, slopes = interpolate_with_slopes(moved, np.clip(origin, 0, last)[np.newaxis])
         away = values[0] - point
         if np.abs(away).max() < _EXACT:
             return origin

@@ -102,7 +102,7 @@ class Warper:
         given = _as_pictures(pictures)
         n = 3 if length_hint(spacing) == 3 else 2
         grid = as_numbers("image", given[0].image).shape[:n]
-        self._looks = [_Look(picture, grid) for picture in given]
+        self._looks = [_PreparedPicture(picture, grid) for picture in given]
         self._spacing = tuple(checked_sizes(spacing, n).tolist())
         self.shape = grid
         self._everything = np.ones(grid, dtype=bool)
@@ -236,7 +236,7 @@ class Warper:
 
     def replace(self, number: int, picture: Picture) -> None:
         """Replace a picture by another on the same grid."""
-        self._looks[number] = _Look(picture, self.shape)
+        self._looks[number] = _PreparedPicture(picture, self.shape)
 
     def _without_loops(
         self, d: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], fraction: float
@@ -247,7 +247,7 @@ class Warper:
         return [look.by_splines(source, state, mask) for look in self._looks]
 
 
-class _Look:
+class _PreparedPicture:
     """Checked picture, prepared for interpolation."""
 
     def __init__(self, picture: Picture, grid: tuple[int, ...]) -> None:
@@ -261,7 +261,7 @@ class _Look:
         self._as_bits = self._order == 0 and image.dtype.name in ("int64", "uint64")
         known_loop = bool(self._kind or self._as_bits) and image.dtype.isnative
         self._slow = len(grid) == 3 or not known_loop
-        self._values = self._taken(image).reshape(*grid, -1)
+        self._values = self._as_loop_dtype(image).reshape(*grid, -1)
         self._smooth, self._gaps = self._values, False
         if self._order == 1 and not self._slow and image.dtype.kind == "f":
             channels = [filled_in(channel) for channel in np.moveaxis(self._values, -1, 0)]
@@ -269,7 +269,7 @@ class _Look:
             if self._gaps:
                 self._smooth = np.stack([smooth for smooth, _ in channels], axis=-1)
 
-    def _taken(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def _as_loop_dtype(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return values in the dtype of the loops."""
         if self._slow:
             return values
@@ -295,7 +295,7 @@ class _Look:
             loops.only_read(tissue),
             self._order == 0,
             self._image.dtype.kind != "f",
-            self._taken(self._fill)[()],
+            self._as_loop_dtype(self._fill)[()],
             moved,
         )
         kind = self._image.dtype

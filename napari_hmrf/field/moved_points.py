@@ -45,10 +45,10 @@ def moved_points(
     n = d.shape[-1]
     if at.ndim != 2 or at.shape[1] != n:
         raise ProblemError("points", f"have shape {at.shape}. Give (N, {n}), a row for each point.")
-    return at + looked_up(d, at) / spacing
+    return at + interpolate_linearly(d, at) / spacing
 
 
-def looked_up(
+def interpolate_linearly(
     field: npt.NDArray[np.floating], points: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
     """Interpolate a field linearly at some points; it is constant beyond its edge.
@@ -70,7 +70,7 @@ def looked_up(
     return np.stack(parts, axis=-1)
 
 
-def looked_up_with_slopes(
+def interpolate_with_slopes(
     field: npt.NDArray[np.floating], points: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Interpolate a field and its derivatives linearly at some points.
@@ -78,12 +78,12 @@ def looked_up_with_slopes(
     Parameters
     ----------
     field, points
-        As for `looked_up`.
+        As for `interpolate_linearly`.
 
     Returns
     -------
     values : ndarray, shape (N, k)
-        As from `looked_up`.
+        As from `interpolate_linearly`.
     slopes : ndarray, shape (N, k, n)
         Derivatives along each axis, per pixel, in the cell that contains the point; 0 beyond the
         edge.

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.moved_points import looked_up
+from napari_hmrf.field.moved_points import interpolate_linearly
 from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.field.warp import inverse_map
@@ -93,7 +93,7 @@ class OtherGrid:
     def moved_points(self, points: Array) -> Array:
         """Move points with the tissue; positions are in pixels of the grid, shape (N, n)."""
         at, inside = self._at(points)
-        steps = looked_up(self.solution.displacement / self.solution.spacing, at[inside])
+        steps = interpolate_linearly(self.solution.displacement / self.solution.spacing, at[inside])
         moved = points.astype(float)
         moved[np.ix_(np.flatnonzero(inside), np.array(self.plane))] += steps @ self._back.T
         return moved
@@ -149,7 +149,7 @@ class OtherGrid:
         if shape == covered.shape and np.abs(at - sites).max() < _SAME:
             return origins, covered
         sources, visible = sites.astype(float), np.ones(len(sites), dtype=bool)
-        sources[inside] += looked_up(self._inverse, at[inside]) @ self._back.T
+        sources[inside] += interpolate_linearly(self._inverse, at[inside]) @ self._back.T
         nearest = np.clip(np.rint(at[inside]).astype(int), 0, np.array(covered.shape) - 1)
         visible[inside] = covered[tuple(nearest.T)]
         visible &= ((sources > -_ON) & (sources < np.array(shape) - 1 + _ON)).all(axis=1)

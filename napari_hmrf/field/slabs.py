@@ -31,11 +31,11 @@ def slabs(shape: tuple[int, ...], cores: int = 1) -> Iterator[slice]:
     Raises
     ------
     Cancelled
-        If the job was cancelled, as by `ComputeThread.look`.
+        If the job was cancelled, as by `ComputeThread.check_cancelled`.
     """
     planes = cores * max(_PLANES, VOXELS // max(1, math.prod(shape[1:])))
     for begin in range(0, shape[0], planes):
-        compute_thread.look()
+        compute_thread.check_cancelled()
         yield slice(begin, min(begin + planes, shape[0]))
 
 

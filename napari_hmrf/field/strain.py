@@ -227,7 +227,7 @@ def values_by_parts(
         through = np.asarray(across)[inside] if np.ndim(across) else across
         parts = [np.zeros(0, np.float32)]
         for at in range(0, len(strain), _AT_ONCE):
-            compute_thread.look()
+            compute_thread.check_cancelled()
             span = slice(at, at + _AT_ONCE)
             beyond = np.asarray(through)[span] if np.ndim(through) else through
             parts.append(np.asarray(value(strain[span], beyond), np.float32))

@@ -149,7 +149,7 @@ def at_point(
     -------
     str
     """
-    step = tuple(rounded(part) for part in ways.seen(probe.displacement))
+    step = tuple(rounded(part) for part in ways.to_display(probe.displacement))
     length = rounded(probe.length)
     parts = [
         f"moves {length:g} {unit}" + (f" ({ways.step(step)})" if length else ""),

@@ -204,7 +204,7 @@ def _volume_raster(
     cores, mask = get_num_threads(), loops.only_read(tissue)
     source = np.zeros((planes, *moved.shape[1:]))
     state = np.zeros(source.shape[:-1], np.uint8)
-    compute_thread.look()
+    compute_thread.check_cancelled()
     outer, reach = tetrahedron_raster.surface(moved, mask)
     longest = float(sum(shape))
     for slab in slabs(state.shape, cores):
@@ -267,7 +267,7 @@ def moved_sites(
 
 
 def _is_finite(plane: Float64Array) -> bool:
-    compute_thread.look()
+    compute_thread.check_cancelled()
     return bool(np.isfinite(plane).all())
 
 
@@ -283,7 +283,7 @@ def _added(
     own = np.zeros((height, width, n))
     own[..., n - 2], own[..., n - 1] = np.ogrid[:height, :width]
     for plane in np.ndindex(mask.shape[:-2]):
-        compute_thread.look()
+        compute_thread.check_cancelled()
         own[..., : n - 2] = plane
         inside = np.repeat(mask[plane], n, axis=-1)
         line = moved[plane].reshape(inside.shape)

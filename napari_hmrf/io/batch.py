@@ -74,7 +74,7 @@ class BatchProgress:
         Number of finished cases, of failed cases, and of all cases.
     seconds_left : float, optional
         Estimated remaining time; None until enough cases are finished.
-    newest : CaseOutcome, optional
+    latest_outcome : CaseOutcome, optional
         Outcome of the latest finished case.
     """
 
@@ -82,7 +82,7 @@ class BatchProgress:
     failed: int
     of: int
     seconds_left: float | None = None
-    newest: CaseOutcome | None = None
+    latest_outcome: CaseOutcome | None = None
 
     @property
     def words(self) -> str:
@@ -102,7 +102,7 @@ def solve_cases(
     resume: bool = False,
     backend: str = "cpu",
     progress: Callable[[BatchProgress], object] | None = None,
-    tell: Callable[[str], object] | None = None,
+    report: Callable[[str], object] | None = None,
 ) -> tuple[CaseOutcome, ...]:
     """Solve many cases, each into its own folder; a failed case does not stop the others.
 
@@ -127,7 +127,7 @@ def solve_cases(
         As for `solve`; with "cpu" the field does not depend on the machine's GPU.
     progress : callable, optional
         Called with a `BatchProgress` after each case.
-    tell : callable, optional
+    report : callable, optional
         Called with a sentence about folders that are not counted and cases that are solved again;
         by default these sentences are logged as warnings of "napari_hmrf".
 
@@ -159,7 +159,7 @@ def solve_cases(
             )
         finished, repeated = finished_cases(cases, target)
         for sentence in (*leftovers(cases, target), *repeated):
-            (tell or _log.warning)(sentence)
+            (report or _log.warning)(sentence)
         shutil.rmtree(target / UNFINISHED, ignore_errors=True)
         todo = [case for case in cases if case.name not in finished]
         solve_one = partial(solve_into, folder=target, backend=backend)
@@ -170,7 +170,7 @@ def solve_cases(
             outcomes = _solve_on_cluster(todo, solve_one, scheduler)
         try:
             for outcome in outcomes:
-                state = batch.take(outcome)
+                state = batch.record(outcome)
                 if progress is not None:
                     progress(state)
         finally:
@@ -269,7 +269,7 @@ class _Batch:
     def outcomes(self) -> tuple[CaseOutcome, ...]:
         return tuple(self._outcomes.values())
 
-    def take(self, outcome: CaseOutcome) -> BatchProgress:
+    def record(self, outcome: CaseOutcome) -> BatchProgress:
         """Record an outcome, and write the summary from time to time."""
         self._outcomes[outcome.case] = outcome
         now = time.monotonic()

@@ -12,7 +12,7 @@ from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.priors.elastic import Plane
-from napari_hmrf.study.models import chosen
+from napari_hmrf.study.models import parts_of
 from napari_hmrf.study.study import Grid, Tissue
 from napari_hmrf.tissue.boundary_rules import (
     USUAL_POISSON,
@@ -107,7 +107,7 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
         If the value of a parameter is invalid.
     """
     name = MODELS[as_word(case.model or "elastic")]
-    prior, optimizer = chosen(name)
+    prior, optimizer = parts_of(name)
     elastic = name in ELASTIC
     for given, option, is_valid, why in (
         (

@@ -26,7 +26,7 @@ def new_file(folder: Path) -> Path:
     return folder / f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"
 
 
-def left_behind(folder: Path) -> tuple[Path, ...]:
+def abandoned_files(folder: Path) -> tuple[Path, ...]:
     """Return the files of ended processes of this machine, newest first.
 
     Files of other machines are left out, because their processes cannot be checked.
@@ -35,7 +35,7 @@ def left_behind(folder: Path) -> tuple[Path, ...]:
     return tuple(sorted(files, key=_modified, reverse=True))
 
 
-def take_over(file: Path) -> Path:
+def claim(file: Path) -> Path:
     """Rename a file of an ended process to a file of this process; return the new path."""
     new_path = new_file(file.parent)
     os.utime(file)

@@ -408,7 +408,7 @@ def materials_of(rows: Any) -> tuple[Material, ...]:
 STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
     name="napari-hmrf study",
     schema=1,
-    what="napari-hmrf study",
+    kind_name="napari-hmrf study",
     arrays={
         "tissue_labels": Kind(LABEL_TYPES, (2, 3), optional=True),
         "stiffness": Kind(_NUMBERS, (2, 3), optional=True),
@@ -425,5 +425,5 @@ STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
     },
     describe=_describe,
     parse=_parse,
-    foresee=_parse,
+    precheck=_parse,
 )

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.solver.priors import Elastic
-from napari_hmrf.study.models import chosen
+from napari_hmrf.study.models import parts_of
 from napari_hmrf.study.study import Study, Tissue
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
@@ -59,7 +59,7 @@ def changed(study: Study, changes: Iterable[Change]) -> Study:
 
 def _changed(study: Study, change: Change) -> Study:
     if change.what == "model":
-        prior, optimizer = chosen(change.value)
+        prior, optimizer = parts_of(change.value)
         return replace(study, prior=prior, optimizer=optimizer)
     if change.what == "poisson" and not isinstance(study.prior, Elastic):
         raise HmrfError("poisson is for elastic tissue: the paper's model has no Poisson's ratio")

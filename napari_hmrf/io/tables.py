@@ -377,7 +377,7 @@ def forces_in_words(
     cells = []
     for row in rows:
         size = math.hypot(*row.force)
-        parts = (part if abs(part) > _NOISE * size else 0.0 for part in ways.seen(row.force))
+        parts = (part if abs(part) > _NOISE * size else 0.0 for part in ways.to_display(row.force))
         seen = tuple(float(f"{part:.3g}") for part in parts)
         where = ", ".join(f"{round(along)}" for along in row.centre)
         what = "moved" if row.moves else "held"

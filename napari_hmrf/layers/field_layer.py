@@ -21,8 +21,8 @@ from napari_hmrf.field.moved_points import bendable
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.other_grid import OtherGrid
 from napari_hmrf.layers.label_colours import OBSERVED
-from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
-from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
+from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, metadata_of, role_of, rows_of
+from napari_hmrf.layers.result_layers import ARROWS, LayerData, PlacedSolution
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, full_resolution, layer_extents
 
 Array = npt.NDArray[Any]
@@ -30,15 +30,15 @@ Array = npt.NDArray[Any]
 MOVED = "moved"
 
 
-def result_of(layer: Any) -> Answer | None:
+def result_of(layer: Any) -> PlacedSolution | None:
     """Return the result that a layer of arrows holds; None if it holds none."""
-    answer = known_of(layer).get("answer")
-    return answer if isinstance(answer, Answer) else None
+    answer = metadata_of(layer).get("answer")
+    return answer if isinstance(answer, PlacedSolution) else None
 
 
 def holds_field(layer: Any) -> bool:
     """Return whether a layer holds a field, from a file or of a result."""
-    return layer is not None and ("field" in known_of(layer) or result_of(layer) is not None)
+    return layer is not None and ("field" in metadata_of(layer) or result_of(layer) is not None)
 
 
 def field_of(layer: Any) -> PixelField | None:
@@ -47,7 +47,7 @@ def field_of(layer: Any) -> PixelField | None:
         return None
     answer, frame = result_of(layer), frame_of(layer)
     if answer is None:
-        return PixelField(known_of(layer)["field"], frame)
+        return PixelField(metadata_of(layer)["field"], frame)
     slice_frame = replace(frame, plane=answer.frame.plane, index=answer.frame.index)
     return PixelField.of(answer.solution, slice_frame)
 
@@ -75,7 +75,7 @@ def field_layer(
     )
 
 
-def source_of(layers: Iterable[Any], result: Answer) -> Any:
+def source_of(layers: Iterable[Any], result: PlacedSolution) -> Any:
     """Find the image that a result deforms: by its name, else any image on the same pixels."""
     images = (layer for layer in layers if can_be_source(layer, result))
 
@@ -85,19 +85,19 @@ def source_of(layers: Iterable[Any], result: Answer) -> Any:
     return max(images, key=likeness, default=None)
 
 
-def can_be_source(layer: Any, result: Answer) -> bool:
+def can_be_source(layer: Any, result: PlacedSolution) -> bool:
     """Return whether a layer is an image on the pixels of a result, and not itself a result."""
-    is_plain_image = isinstance(layer, Image) and "kind" not in known_of(layer)
+    is_plain_image = isinstance(layer, Image) and "kind" not in metadata_of(layer)
     return is_plain_image and frame_in(layer, result) is not None
 
 
-def tissue_labels(layers: Iterable[Any], result: Answer) -> Any:
+def tissue_labels(layers: Iterable[Any], result: PlacedSolution) -> Any:
     """Find the topmost Labels layer of tissue on the pixels of a result, or None."""
     tissues = [layer for layer in layers if isinstance(layer, Labels) and rows_of(layer, TISSUE)]
     return next((each for each in reversed(tissues) if frame_in(each, result)), None)
 
 
-def frame_in(layer: Any, result: Answer) -> Frame | None:
+def frame_in(layer: Any, result: PlacedSolution) -> Frame | None:
     """Return the frame of a layer's slice on the pixels of a result; None if there is none."""
     try:
         return result.frame.slice_in(frame_of(layer), layer_extents(layer), result.shape)
@@ -105,7 +105,7 @@ def frame_in(layer: Any, result: Answer) -> Frame | None:
         return None
 
 
-def picture_of(layer: Any, result: Answer) -> npt.NDArray[Any] | None:
+def picture_of(layer: Any, result: PlacedSolution) -> npt.NDArray[Any] | None:
     """Copy the slice of a layer on the pixels of a result; None if the layer lies elsewhere.
 
     Raises
@@ -117,14 +117,16 @@ def picture_of(layer: Any, result: Answer) -> npt.NDArray[Any] | None:
     return None if slice_frame is None else copy_slice(layer, slice_frame)
 
 
-def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[float, ...] | None:
+def place_at(
+    layer: Any, result: PlacedSolution, position: Any, view: View
+) -> tuple[float, ...] | None:
     """Convert a point of the world to the pixels of a result.
 
     Parameters
     ----------
     layer : napari.layers.Layer
         Layer that holds the result.
-    result : Answer
+    result : PlacedSolution
     position : sequence of float
         World coordinates, such as those of a viewer's cursor.
     view : View
@@ -143,10 +145,10 @@ def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[flo
 
 def can_move(layer: Any) -> bool:
     """Return whether a layer can be moved with a result, and is not itself a result."""
-    return isinstance(layer, Image | Labels | Points | Shapes) and "kind" not in known_of(layer)
+    return isinstance(layer, Image | Labels | Points | Shapes) and "kind" not in metadata_of(layer)
 
 
-def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
+def prepare_move(layer: Any, answer: PlacedSolution) -> Callable[[], LayerData]:
     """Return a function that moves a layer with a result; it can be called on any thread.
 
     The layer may have other pixels than the result, and more axes, as described in `OtherGrid.of`.
@@ -160,7 +162,7 @@ def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
     with naming(observed=layer):
         grid = OtherGrid.of(answer.solution, answer.frame, frame_of(layer))
     data, attributes, kind = layer.as_layer_data_tuple()
-    known = {key: value for key, value in known_of(layer).items() if key != "role"}
+    known = {key: value for key, value in metadata_of(layer).items() if key != "role"}
     attributes["metadata"] = {METADATA: {**known, "kind": MOVED}}
     attributes["name"], attributes["visible"] = f"{layer.name}, moved", True
     if kind in ("image", "labels"):

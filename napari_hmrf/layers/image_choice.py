@@ -10,7 +10,7 @@ import numpy as np
 from napari.layers import Image
 
 from napari_hmrf.layers.compat import camera_of
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, metadata_of, role_of
 from napari_hmrf.layers.slice_view import View, fits, full_resolution
 
 #: Blending modes in which an image hides the layers below it.
@@ -105,7 +105,7 @@ def _sample_places(viewer: Any, image: Any) -> list[tuple[float, ...]]:
 
 
 def _is_opaque(layer: Any) -> bool:
-    is_image = isinstance(layer, Image) and "kind" not in known_of(layer)  # not a result
+    is_image = isinstance(layer, Image) and "kind" not in metadata_of(layer)  # not a result
     hides = is_image and layer.visible and layer.blending in _OPAQUE
     # A fourth colour channel is an opacity.
     return hides and layer.opacity == 1 and not (layer.rgb and layer.data.shape[-1] == 4)

@@ -14,7 +14,14 @@ from psygnal import Signal
 from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.compat import show_name
-from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, add_known, known_of, role_of
+from napari_hmrf.layers.metadata import (
+    BOUNDARY,
+    METADATA,
+    TISSUE,
+    add_metadata,
+    metadata_of,
+    role_of,
+)
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
@@ -39,11 +46,11 @@ class _PartState:
     #: Name of the layer as set by napari; it differs from the layer's name if the user renamed it.
     name: str
     #: True if the user wants to see the layer.
-    wanted: bool = True
+    is_wanted: bool = True
     #: True if the layer belongs to the newest result, rather than waiting for a later one.
     current: bool = True
     #: Visibility that was set last; if the layer's differs, the user has changed it.
-    seen: bool = True
+    is_shown: bool = True
     #: Data of the layer if no other object uses the array, so that it can be written to.
     writable: Any = None
     #: Data of the layer while it shows a part of the deformation.
@@ -100,13 +107,13 @@ class Result:
         """Return the part of a layer, which may have been removed; None for other layers."""
         return next((part for part, state in self._states.items() if state.layer() is layer), None)
 
-    def wants(self, part: Part) -> bool:
+    def is_wanted(self, part: Part) -> bool:
         """Return whether the user wants to see a part; it may be hidden at present."""
         layer = self.layer(part)
         if layer is None:
             return False
         state = self._states[part]
-        return bool(layer.visible if layer.visible != state.seen else state.wanted)
+        return bool(layer.visible if layer.visible != state.is_shown else state.is_wanted)
 
     def holds(self, part: Part) -> bool:
         """Return whether the newest result has a part; undeformed tissue has no arrows."""
@@ -127,10 +134,10 @@ class Result:
 
     # Display
 
-    def take(self, part: Part, layer: Any) -> None:
+    def adopt(self, part: Part, layer: Any) -> None:
         """Use an existing layer for a part."""
         seen = layer.visible
-        self._states[part] = _PartState(weakref.ref(layer), layer.name, seen, seen=seen)
+        self._states[part] = _PartState(weakref.ref(layer), layer.name, seen, is_shown=seen)
         self._update_visibility()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
@@ -152,7 +159,7 @@ class Result:
             for each in self._viewer.layers:
                 each.visible = each.visible and role_of(each) not in (TISSUE, BOUNDARY)
         self._states[part].current = True
-        self.want(part, show or self.wants(part))
+        self.set_wanted(part, show or self.is_wanted(part))
 
     def show(self, frame: Frame, layers: Mapping[Part, LayerData], moving: bool = False) -> None:
         """Show another state of the result; see `ResultLayers.show`."""
@@ -165,7 +172,7 @@ class Result:
             state.current = part in layers
         arrows = self.layer("arrows")
         if arrows is not None and not (moving or self.holds("arrows")):
-            add_known(arrows, answer=None, solution=None)  # the tissue is undeformed again
+            add_metadata(arrows, answer=None, solution=None)  # the tissue is undeformed again
         self._update_visibility()
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
@@ -191,7 +198,7 @@ class Result:
             layer.data = state.part = data
             state.writable = None
             # A layer that is saved now states which part of the deformation it shows.
-            add_known(layer, percent=percent)
+            add_metadata(layer, percent=percent)
         self._update_visibility()
 
     def show_whole(self) -> None:
@@ -201,20 +208,20 @@ class Result:
             if state.part is not None and layer.data is state.part:
                 if state.complete is not None:
                     layer.data = state.complete
-                    add_known(layer, percent=_WHOLE)
+                    add_metadata(layer, percent=_WHOLE)
                 elif _percent_of(layer) != _WHOLE:
-                    self.want(part, False)
+                    self.set_wanted(part, False)
             state.part = state.complete = None
         self._update_visibility()
 
     # Visibility
 
-    def want(self, part: Part, wanted: bool) -> None:
+    def set_wanted(self, part: Part, is_wanted: bool) -> None:
         """Show or hide a part; a hidden part stays hidden in later results."""
         if (layer := self.layer(part)) is not None:
             state = self._states[part]
-            state.wanted, state.seen = wanted, layer.visible
-            state.current = state.current or wanted
+            state.is_wanted, state.is_shown = is_wanted, layer.visible
+            state.current = state.current or is_wanted
             self._update_visibility()
 
     def drop(self, part: Part) -> None:
@@ -234,9 +241,9 @@ class Result:
 
     def leave(self) -> None:
         """Hide the overlay, because another result is selected."""
-        self.want("overlay", False)
+        self.set_wanted("overlay", False)
         if self.anchor() is self.layer("arrows"):  # from a file; its image was made separately
-            self.want("image", False)
+            self.set_wanted("image", False)
 
     def show_before(self, before: bool) -> None:
         """Hide the result, so that the image is visible before its motion; or show it again."""
@@ -245,7 +252,7 @@ class Result:
             self.is_before = before
             self._update_visibility()
 
-    def make_way(self, place: Frame) -> None:
+    def update_extent(self, place: Frame) -> None:
         """Hide the result if the user works on another extent of the image; else show it again."""
         self.is_away = self._frame is not None and self._frame.plane != place.plane
         self._update_visibility()
@@ -267,12 +274,12 @@ class Result:
     def _update_visibility(self) -> None:
         """Update the visibility of each layer."""
         for part, layer, state in self._present_layers():
-            state.wanted = self.wants(part)
+            state.is_wanted = self.is_wanted(part)
             partly = not self._is_whole and part in (PAINTED, CONFIDENCE)
             hidden = self.is_before or self.is_away or partly
-            state.seen = state.wanted and state.current and not hidden
-            if layer.visible != state.seen:
-                layer.visible = state.seen
+            state.is_shown = state.is_wanted and state.current and not hidden
+            if layer.visible != state.is_shown:
+                layer.visible = state.is_shown
 
     def _overwrite(self, part: Part, made: LayerData) -> bool:
         """Write new pixels into a layer if nothing else has changed; return whether this worked."""
@@ -292,7 +299,7 @@ class Result:
         is_overlaid = part == "overlay" and made.kind != "vectors"
         with same_selection(self._viewer):
             if state is None or layer is None or not _fits(layer, made):
-                wanted = layer is None or self.wants(part)
+                wanted = layer is None or self.is_wanted(part)
                 self.drop(part)
                 layer = Layer.create(*made)
                 # Registered before it is inserted, so that callbacks of the insertion find it.
@@ -344,7 +351,7 @@ class Result:
 
 
 def _percent_of(layer: Any) -> int:
-    return int(known_of(layer).get("percent", _WHOLE))
+    return int(metadata_of(layer).get("percent", _WHOLE))
 
 
 def _kind_of(made: LayerData) -> Any:
@@ -354,25 +361,25 @@ def _kind_of(made: LayerData) -> Any:
 def _fits(layer: Any, made: LayerData) -> bool:
     """Return whether a layer can show new data: its type, axes and kind must be the same."""
     axes, rgb = len(made.attributes["scale"]), made.attributes.get("rgb", False)
-    same = made.kind == "image" or known_of(layer).get("kind") == _kind_of(made)
+    same = made.kind == "image" or metadata_of(layer).get("kind") == _kind_of(made)
     same = same and made.kind == type(layer).__name__.lower()
     return bool(same and layer.ndim == axes and getattr(layer, "rgb", False) == rgb)
 
 
 def _is_drawn(layer: Any) -> bool:
     """Return whether a layer shows lines or paint."""
-    return isinstance(layer, Vectors) or known_of(layer).get("kind") == PAINTED
+    return isinstance(layer, Vectors) or metadata_of(layer).get("kind") == PAINTED
 
 
 def _is_paint(layer: Any) -> bool:
     """Return whether a layer shows paint, or holds tissue or boundaries."""
-    painted = known_of(layer).get("kind") in (CONFIDENCE, PAINTED)
+    painted = metadata_of(layer).get("kind") in (CONFIDENCE, PAINTED)
     return painted or role_of(layer) in (TISSUE, BOUNDARY)
 
 
 def _is_moved(layer: Any, where: str) -> bool:
     """Return whether a layer shows the deformed image of a slice."""
-    known = known_of(layer)
+    known = metadata_of(layer)
     return known.get("kind") == "image" and known.get("slice") == where
 
 
@@ -421,14 +428,14 @@ class ResultLayers:
         for result in self._results:
             if result.part_of(arrows) is not None:
                 return result
-        result = self.at(arrows, str(known_of(arrows).get("slice", "")))
-        result.take("arrows", arrows)
+        result = self.at(arrows, str(metadata_of(arrows).get("slice", "")))
+        result.adopt("arrows", arrows)
         return result
 
-    def stand_on(self, source: Any, place: Frame) -> None:
+    def show_extent(self, source: Any, place: Frame) -> None:
         """Show the result of the slice or volume that the user works on, and hide other extents."""
         for result in [each for each in self._results if each.anchor() is source]:
-            result.make_way(place)
+            result.update_extent(place)
             if result.is_away or result.where == place.slice_name:
                 self.changed.emit(result)
 

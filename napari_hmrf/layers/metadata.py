@@ -24,23 +24,23 @@ _TABLES: dict[Role, tuple[str, Callable[..., Material | BoundaryRule]]] = {
 }
 
 
-def known_of(layer: Any) -> Mapping[str, Any]:
+def metadata_of(layer: Any) -> Mapping[str, Any]:
     """Return the package's entry in a layer's metadata; empty if there is none."""
     known = layer.metadata.get(METADATA)
     return known if isinstance(known, Mapping) else {}
 
 
-def add_known(layer: Any, **facts: Any) -> None:
+def add_metadata(layer: Any, **facts: Any) -> None:
     """Add values to the package's entry in a layer's metadata."""
-    layer.metadata = {**layer.metadata, METADATA: {**known_of(layer), **facts}}
+    layer.metadata = {**layer.metadata, METADATA: {**metadata_of(layer), **facts}}
 
 
-def described(
+def layer_metadata(
     role: Role,
     rows: Iterable[Material | BoundaryRule] = (),
     unit: str = "",
     preset: str = "",
-    whose: str = "",
+    source: str = "",
 ) -> dict[str, Any]:
     """Return metadata with a layer's role, and its table in JSON types.
 
@@ -52,7 +52,7 @@ def described(
         Unit of stiffness.
     preset : str
         Name of the preset.
-    whose : str
+    source : str
         Source of the values of the preset.
     """
     known: dict[str, Any] = {"role": role}
@@ -60,7 +60,7 @@ def described(
         known[_TABLES[role][0]] = [
             row.as_row() if isinstance(row, Material) else asdict(row) for row in rows
         ]
-    texts = {"unit": unit, "preset": preset, "whose": whose}
+    texts = {"unit": unit, "preset": preset, "whose": source}
     return {METADATA: {**known, **{name: words for name, words in texts.items() if words}}}
 
 
@@ -78,7 +78,7 @@ def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
     dict
         The layer's name and, if there are any, the unit of stiffness and the table of materials.
     """
-    known = known_of(layer)
+    known = metadata_of(layer)
     record = {"layer": str(layer.name), **({"unit": known["unit"]} if "unit" in known else {})}
     rows = [material.as_row() for material in materials]
     return {**record, "materials": rows} if rows else record
@@ -90,7 +90,7 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
     The materials are None, and the unit is "", if the layer has no readable record of them.
     """
     try:
-        record = known_of(layer)["solution"].provenance.parameters["tissue"]
+        record = metadata_of(layer)["solution"].provenance.parameters["tissue"]
         return materials_of(record["materials"]), str(record.get("unit", ""))
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError):
         return None, ""
@@ -98,7 +98,7 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
 
 def role_of(layer: Any) -> Role | None:
     """Return the role of a layer from its metadata; None if it has no role."""
-    role = known_of(layer).get("role")
+    role = metadata_of(layer).get("role")
     return role if role in (IMAGE, TISSUE, BOUNDARY) else None
 
 
@@ -114,7 +114,7 @@ def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
     try:
         return tuple(
             row_type(**{name: tuple(v) if isinstance(v, list) else v for name, v in row.items()})
-            for row in known_of(layer)[key]
+            for row in metadata_of(layer)[key]
         )
     except (KeyError, TypeError, AttributeError):
         return ()
@@ -128,10 +128,10 @@ def table_of(layer: Any, role: Literal["boundary"]) -> RowTable[BoundaryRule]: .
 def table_of(layer: Any, role: Role) -> RowTable[Any]: ...
 def table_of(layer: Any, role: Role) -> RowTable[Any]:
     """Return the table in a layer's metadata; an empty table if there is none."""
-    texts = (str(known_of(layer).get(name, "")) for name in RowTable._fields[1:])
+    texts = (str(metadata_of(layer).get(name, "")) for name in RowTable._fields[1:])
     return RowTable(rows_of(layer, role), *texts)
 
 
 def store_table(table: RowTable[Row], layer: Any, role: Role) -> None:
     """Store a table in a layer's metadata."""
-    layer.metadata.update(described(role, *table))
+    layer.metadata.update(layer_metadata(role, *table))

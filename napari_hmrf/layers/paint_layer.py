@@ -101,7 +101,9 @@ def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Colour]:
 
     The colours are those of the layer if it holds the table of the palette.
     """
-    if palette.own and isinstance(layer, Labels):  # the user may have chosen an Image layer since
+    if palette.is_table and isinstance(
+        layer, Labels
+    ):  # the user may have chosen an Image layer since
         colours = {row.label: layer.get_color(row.label) for row in palette.materials}
         return {
             label: (0.5, 0.5, 0.5) if colour is None else _colour(colour)

@@ -76,7 +76,7 @@ class PaintedOverlay:
             show_painted(canvas, ground.base, window, *(np.asarray(each.image) for each in over))
         return over
 
-    def on(self, moved: Deformation) -> ShownDeformation:
+    def with_marks(self, moved: Deformation) -> ShownDeformation:
         """Return a deformation with the marks of the newest paint."""
         if self._canvas is None or not moved.overlay or not moved.overlay[0].any():
             return ShownDeformation(moved)

@@ -34,7 +34,7 @@ class LayerCopies:
     """
 
     def __init__(self, viewer: Any = None) -> None:
-        self._known: weakref.WeakKeyDictionary[Any, _Copies] = weakref.WeakKeyDictionary()
+        self._copies: weakref.WeakKeyDictionary[Any, _Copies] = weakref.WeakKeyDictionary()
 
     def of(self, layer: Any, own: Frame | None = None) -> npt.NDArray[Any]:
         """Return a copy of a slice of a layer, or of all of it.
@@ -55,12 +55,12 @@ class LayerCopies:
         ProblemError
             If the layer cannot be read.
         """
-        known = self._known.get(layer)
+        known = self._copies.get(layer)
         if known is None:
-            known = self._known[layer] = _Copies(layer)
+            known = self._copies[layer] = _Copies(layer)
         return known.slice(layer, own)
 
-    def made(self, layer: Any, of: tuple[Any, ...], make: Callable[[], T]) -> T:
+    def derive(self, layer: Any, of: tuple[Any, ...], make: Callable[[], T]) -> T:
         """Return a value derived from a copy of a layer, cached until one of its inputs changes.
 
         Parameters
@@ -72,15 +72,15 @@ class LayerCopies:
         make : callable
             Computes the value.
         """
-        known = self._known[layer]
+        known = self._copies[layer]
         if known.derived is None or not all(map(is_same, known.derived[0], of)):
             known.derived = (of, make())
         value: T = known.derived[1]
         return value
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Mark all copies as stale, as arrays may have been changed in place without an event."""
-        for known in self._known.values():
+        for known in self._copies.values():
             known.mark_stale()
 
 
@@ -88,7 +88,7 @@ class _Copies:
     """Copies of one layer."""
 
     def __init__(self, layer: Any) -> None:
-        self._known: deque[tuple[Any, npt.NDArray[Any]]] = deque(maxlen=_MOST_COPIES)
+        self._slices: deque[tuple[Any, npt.NDArray[Any]]] = deque(maxlen=_MOST_COPIES)
         self._fresh: set[Any] = set()
         self.derived: tuple[tuple[Any, ...], Any] | None = None
         for name in CHANGES:
@@ -97,14 +97,14 @@ class _Copies:
 
     def slice(self, layer: Any, own: Frame | None) -> npt.NDArray[Any]:
         key = None if own is None else (own.plane, own.index)
-        known = [copy for at, copy in self._known if at == key]
+        known = [copy for at, copy in self._slices if at == key]
         if known and key in self._fresh:
             return known[-1]
         copy = np.array(layer.data) if own is None else copy_slice(layer, own)
         copy.setflags(write=False)
         kept = next((each for each in known if _is_equal(each, copy)), copy)
-        others = [each for each in self._known if each[1] is not kept]
-        self._known = deque([*others, (key, kept)], maxlen=_MOST_COPIES)
+        others = [each for each in self._slices if each[1] is not kept]
+        self._slices = deque([*others, (key, kept)], maxlen=_MOST_COPIES)
         self._fresh.add(key)
         return kept
 

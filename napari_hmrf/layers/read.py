@@ -23,8 +23,8 @@ from napari_hmrf.layers.metadata import (
     IMAGE,
     METADATA,
     TISSUE,
-    described,
-    known_of,
+    layer_metadata,
+    metadata_of,
     rows_of,
     tissue_record,
 )
@@ -225,7 +225,7 @@ class _Reader:
             return Tissue(curve=curve, preset=request.preset, unit=curve.unit, record=record)
         if layer is None:
             return Tissue(preset=request.preset)
-        unit = str(known_of(layer).get("unit", ""))
+        unit = str(metadata_of(layer).get("unit", ""))
         if isinstance(layer, Labels):
             rows = request.materials
             rows = rows_of(layer, TISSUE) if rows is None else tuple(rows)
@@ -296,7 +296,7 @@ class _Reader:
             return y, np.repeat(c[..., None], len(shape), axis=-1), out, note
 
         of = (data, confidence, own, frame.spacing, shape, *(field or ()))
-        y, c, out, note = self._copies.made(layer, of, observe)
+        y, c, out, note = self._copies.derive(layer, of, observe)
         if note:
             self._notes.append(f"'{layer.name}' {note}")
         if out > (0 if field is None else _NEGLIGIBLE * max(frame.spacing)):
@@ -311,7 +311,7 @@ class _Reader:
         if isinstance(chosen, Layer):
             pixels = self._slice(chosen)
             if isinstance(chosen, Labels):
-                return self._copies.made(chosen, (pixels,), lambda: pixels > 0)
+                return self._copies.derive(chosen, (pixels,), lambda: pixels > 0)
             if pixels.ndim != len(self._shape):
                 raise LayerError(
                     chosen, "is a colour image. Choose a grey image with values from 0 to 1."
@@ -320,7 +320,7 @@ class _Reader:
         if image is None:
             raise LayerError(self._reference, "is no image with edges. Choose an image.")
         pixels = self._slice(image)
-        return self._copies.made(
+        return self._copies.derive(
             image, (pixels,), lambda: edge_confidence(pixels, axes=len(self._shape))
         )
 
@@ -361,7 +361,7 @@ def study_layers(study: Study) -> dict[str, Any]:
     ) -> None:
         """Make a layer, with the name that it had in the study."""
         name = study.names.get(part, name)
-        known = described(**what)[METADATA] if what else {}
+        known = layer_metadata(**what)[METADATA] if what else {}
         layers[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
 
     if pictures.image is not None:

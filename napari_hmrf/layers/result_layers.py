@@ -83,7 +83,7 @@ Forces = Callable[[], tuple[HeldForce, ...]]
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class PlacedSolution:
     """Solution with its position and the pictures that move with it; held by a layer of arrows.
 
     Attributes
@@ -198,7 +198,7 @@ def result_layers(
     checkpoint : callable
         Called between the steps; raises an exception to stop the work.
     problem, forces
-        As in `Answer`.
+        As in `PlacedSolution`.
 
     Returns
     -------
@@ -220,7 +220,7 @@ def result_layers(
     for name in digests:
         checkpoint()
         digests[name]  # computed on first access
-    answer = Answer(solution, frame, replace(shown, image=None, look={}), problem, forces)
+    answer = PlacedSolution(solution, frame, replace(shown, image=None, look={}), problem, forces)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
     if pictures is not None:  # without pictures, as for a file, no compiled loops are needed
@@ -237,7 +237,7 @@ def result_layers(
     return Outputs(solution, layers, int(folded.sum()), overlaps, fullest)
 
 
-def _arrow_layer(answer: Answer) -> LayerData:
+def _arrow_layer(answer: PlacedSolution) -> LayerData:
     """Make the arrows of the displacement; the layer holds the answer, in memory only."""
     solution = answer.solution
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
@@ -330,7 +330,9 @@ class Overlay(NamedTuple):
         return "" if limits is None or self.picture is None else beyond(self.picture, limits)
 
 
-def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -> Overlay | None:
+def overlay_of(
+    answer: PlacedSolution, name: Name, compared: Comparison | None = None
+) -> Overlay | None:
     """Make an overlay on the image of a result; on the compute thread only.
 
     Every overlay moves with the tissue, including the difference from the `compared` result, except
@@ -359,8 +361,10 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
     return Overlay(name, answer.layer(name, moved, *shown), picture)
 
 
-def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple[Any, ...] | None:
-    """Return the pixels before they move and the other arguments of `Answer.layer`, or None."""
+def _pixels_of(
+    answer: PlacedSolution, name: Name, compared: Comparison | None
+) -> tuple[Any, ...] | None:
+    """Return the unmoved pixels and the other arguments of `PlacedSolution.layer`, or None."""
     pictures, problem = answer.pictures, answer.problem
     if name in QUANTITIES:
         title, unit = title_and_unit(name, answer.solution)
@@ -388,7 +392,7 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
     return None
 
 
-def stiffness_unit(answer: Answer) -> str:
+def stiffness_unit(answer: PlacedSolution) -> str:
     """Return the unit of the stiffness in a result; "" if the stiffness is relative."""
     tissue = answer.solution.provenance.parameters.get("tissue", {})
     return str(tissue.get("unit") or tissue.get("curve", {}).get("unit") or "")
@@ -400,7 +404,7 @@ def _colours(shown: Coloured) -> dict[str, Any]:
     return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
 
 
-def _motion_layer(answer: Answer) -> LayerData | None:
+def _motion_layer(answer: PlacedSolution) -> LayerData | None:
     """Make arrows of the given motion of the tissue (y); return None without a problem."""
     if (problem := answer.problem) is None:
         return None

@@ -9,7 +9,7 @@ from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.layers.compat import camera_of
 
 
-def ways_of(frame: Frame, viewer: Any) -> Directions:
+def directions_of(frame: Frame, viewer: Any) -> Directions:
     """Return the directions of a slice in a viewer, including flips by the camera.
 
     Parameters

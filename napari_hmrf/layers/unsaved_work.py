@@ -20,7 +20,7 @@ class UnsavedWork:
     ----------
     paths : dict of Part to Path
         File from which each slice was opened, or to which it was saved.
-    kept : dict of Part to Path
+    saved_files : dict of Part to Path
         Recovery file of each slice.
     """
 
@@ -28,7 +28,7 @@ class UnsavedWork:
         self._model = undo_of(viewer).model
         self._before: dict[Part, dict[Part, object]] = {}
         self.paths: dict[Part, Path] = {}
-        self.kept: dict[Part, Path] = {}
+        self.saved_files: dict[Part, Path] = {}
 
     @property
     def slices(self) -> tuple[Part, ...]:

@@ -34,12 +34,12 @@ class ViewerUndo:
     Attributes
     ----------
     model : StudyModel
-    said : Signal(str, object)
+    message : Signal(str, object)
         Emitted after undo or redo, with a sentence about the step, and the `Step` itself or None if
         there was none.
     """
 
-    said = Signal(str, object)
+    message = Signal(str, object)
 
     def __init__(self, viewer: Any) -> None:
         self.model = StudyModel()
@@ -135,7 +135,7 @@ class ViewerUndo:
                 getattr(part.layer, name)()
             self.go_to(part)
             what += self._of_image(part)
-        self.said.emit(nothing if step is None else f"{what}: {step.word}.", step)
+        self.message.emit(nothing if step is None else f"{what}: {step.word}.", step)
 
     def _of_image(self, part: Part) -> str:
         """Return a clause that names the image, if several were edited."""

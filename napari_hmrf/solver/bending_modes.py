@@ -23,7 +23,7 @@ _FREE_SHARE = 1e-9
 _DIRECTIONS = ("along rows", "along columns")
 
 
-def check_bent(problem: Problem) -> None:
+def check_bending(problem: Problem) -> None:
     """Refuse a problem with a piece of tissue that could still move without energy.
 
     Raises

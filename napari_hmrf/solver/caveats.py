@@ -67,7 +67,7 @@ def shortfall(reach: Reach | None, unit: str) -> str:
     return "; ".join(clauses)
 
 
-def lack(problem: Problem) -> str:
+def missing_constraint(problem: Problem) -> str:
     """Return a clause if no tissue moves, or if nothing holds the tissue; else "".
 
     Parameters

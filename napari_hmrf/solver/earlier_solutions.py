@@ -13,7 +13,7 @@ from napari_hmrf.solver.solution import Solution
 KEPT = 4
 
 
-class Earlier:
+class EarlierSolutions:
     """Latest solutions on one grid, for different observations and loads.
 
     Displacements are proportional to observations and loads, so that a linear combination of these
@@ -30,7 +30,7 @@ class Earlier:
         self._latest_problem: Problem | None = None
         self._key: tuple[object, ...] = ()
 
-    def look_at(self, problem: Problem, series: object) -> None:
+    def keep_for(self, problem: Problem, series: object) -> None:
         """Discard all solutions if the grid or the series has changed."""
         key = (problem.shape, problem.spacing, series)
         if key != self._key:

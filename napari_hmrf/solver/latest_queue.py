@@ -87,7 +87,7 @@ class LatestQueue:
         self._scheduled: Future[None] | None = None
         # True until the last job has ended or was dropped.
         self._owed = False
-        self._held = self._closed = False
+        self._is_held = self._closed = False
 
     def submit(self, job: Job, patience: float = math.inf) -> Turn:
         """Submit a job, which replaces the one that waits.
@@ -119,19 +119,19 @@ class LatestQueue:
         Called by the running job; without effect if that job was dropped.
         """
         with self._changed:
-            self._held = self._current is not None and not self._current.dropped
+            self._is_held = self._current is not None and not self._current.dropped
 
     def resume(self) -> None:
         """Start the job that waits, after `hold`."""
         with self._changed:
-            self._held = False
+            self._is_held = False
             self._go_on()
 
     def drop(self) -> None:
         """Drop all jobs so far; the one that runs stops at its next checkpoint."""
         with self._changed:
             self.series += 1
-            self._waiting, self._owed, self._held = None, False, False
+            self._waiting, self._owed, self._is_held = None, False, False
             self._changed.notify_all()
 
     def close(self) -> None:
@@ -154,19 +154,19 @@ class LatestQueue:
             return self._owed
 
     @property
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         """True between `hold` and `resume`."""
-        return self._held
+        return self._is_held
 
     @property
-    def waits(self) -> bool:
+    def has_pending(self) -> bool:
         """True if a job waits that is newer than the one that runs."""
         return self._waiting is not None
 
     @property
     def can_go_on(self) -> bool:
         """True if the job that waits would start if the one that runs stopped."""
-        return self._waiting is not None and not self._held
+        return self._waiting is not None and not self._is_held
 
     @property
     def delay(self) -> str:
@@ -181,7 +181,7 @@ class LatestQueue:
         if self._waiting is None:
             self._owed = False
             self._changed.notify_all()
-        elif not self._held:
+        elif not self._is_held:
             self._scheduled = compute_thread.submit(self._run, self._described)
 
     def _described(self) -> str:

@@ -15,7 +15,7 @@ from functools import partial
 from typing import NamedTuple
 
 from napari_hmrf.errors import Cancelled, HmrfError
-from napari_hmrf.solver.earlier_solutions import Earlier
+from napari_hmrf.solver.earlier_solutions import EarlierSolutions
 from napari_hmrf.solver.latest_queue import LatestQueue, Turn
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
@@ -136,7 +136,7 @@ class LiveSolver:
         self._progress = progress
         self._queue = LatestQueue(doing)
         # Used on the compute thread only.
-        self._earlier = Earlier()
+        self._earlier = EarlierSolutions()
 
     def submit(
         self,
@@ -155,7 +155,7 @@ class LiveSolver:
             as long as a solve, and with a callable a replaced edit does not take this time.
         preview : bool
             True if a preview may be delivered when the solution takes long. Without a preview, the
-            solution of the first edit after `forget` is bitwise equal to that of `solve`.
+            solution of the first edit after `cancel` is bitwise equal to that of `solve`.
         patience : float, optional
             Time, in seconds, for which the solve of this edit continues while a newer edit waits;
             by default to its end.
@@ -174,7 +174,7 @@ class LiveSolver:
         patience = math.inf if patience is None else patience
         return self._queue.submit(partial(self._answer, edit), patience).generation
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Drop the waiting and the running edit; the next solve is a cold start.
 
         Results of the edits submitted so far are no longer delivered, unless a delivery has already
@@ -213,14 +213,14 @@ class LiveSolver:
         return self._queue.busy
 
     @property
-    def waits(self) -> bool:
+    def has_pending(self) -> bool:
         """True if an edit waits that is newer than the one that is being solved."""
-        return self._queue.waits
+        return self._queue.has_pending
 
     @property
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         """True between `hold` and `resume`."""
-        return self._queue.held
+        return self._queue.is_held
 
     @property
     def delay(self) -> str:
@@ -240,7 +240,7 @@ class LiveSolver:
             unchecked, prior = given if isinstance(given, tuple) else (given, edit.prior)
             check_arguments(problem=unchecked, prior=prior)
             problem = unchecked
-            self._earlier.look_at(problem, turn.series)
+            self._earlier.keep_for(problem, turn.series)
             solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
             optimizer = edit.optimizer
             if edit.preview and self._takes_long(problem) and _has_preview(optimizer):
@@ -285,7 +285,7 @@ class LiveSolver:
         final: bool = True,
     ) -> None:
         # The newer edit either corrects the error of a replaced edit, or raises it again.
-        if turn.dropped or (error is not None and self._queue.waits):
+        if turn.dropped or (error is not None and self._queue.has_pending):
             return
         seconds = time.perf_counter() - turn.submitted
         try:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.solver.backends import Backend, SolveJob, host
-from napari_hmrf.solver.backends.compile_cache import compiler, kept, loops, sets
+from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, loops, sets
 from napari_hmrf.solver.backends.compile_cache.compiler import Stage
 from napari_hmrf.solver.backends.compile_cache.watch import watched
-from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.problem import Problem
 
@@ -24,7 +24,7 @@ _prepared: set[tuple[str | bool, ...]] = set()
 
 def loops_are_compiled(job: str) -> bool:
     """Return whether the loops of a job are compiled on this machine."""
-    return loops.compile_here() or kept.compiled(job)
+    return loops.compile_here() or disk_cache.compiled(job)
 
 
 def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
@@ -86,7 +86,7 @@ def prepare(
         host.settle(displacement, small.tissue, small.unit)
         if isinstance(rehearsal, Multigrid):
             # Three solutions need both kernels that combine them: for two at once and for one.
-            start = Beginning((displacement,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
+            start = WarmStart((displacement,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
             rehearsal.run(small, tissue, device, report_preparing, start)
     _prepared.add(key)
 

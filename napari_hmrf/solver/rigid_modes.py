@@ -36,7 +36,7 @@ Ways = dict[int, Motions]
 _Ways = tuple[npt.NDArray[np.int64], Motions, Motions, Motions]
 
 
-class Firm(NamedTuple):
+class HeldTissue(NamedTuple):
     """Tissue that was found to be held; kept because the check takes as long as a few cycles.
 
     Attributes
@@ -45,13 +45,13 @@ class Firm(NamedTuple):
         Mask of tissue, all of which is held.
     held : ndarray of bool, shape (H, W, 2) or (D, H, W, 3)
         Mask of the held components.
-    grip : float
-        Result of `grip`.
+    strength : float
+        Result of `holding_strength`.
     """
 
     tissue: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_]
-    grip: float = 0.0
+    strength: float = 0.0
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
         """Return whether other constraints hold the tissue, too: more of them never free tissue.
@@ -65,7 +65,7 @@ class Firm(NamedTuple):
 
 
 # Result of the last check.
-_firm: list[Firm] = []
+_firm: list[HeldTissue] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +76,14 @@ class FreeMotion:
     ----------
     piece : ndarray of bool, shape (H, W)
         The tissue that moves most.
-    how : str
+    description : str
         Description of the motion, as a clause.
     motion : ndarray, shape (H, W, 2)
         Displacement of all tissue, in pixels; its scale is arbitrary.
     """
 
     piece: npt.NDArray[np.bool_]
-    how: str
+    description: str
     motion: npt.NDArray[np.float64]
 
     @property
@@ -100,10 +100,10 @@ def check_held(problem: Problem) -> None:
     ProblemError
         Naming the piece by its size and centre, and its possible motion.
     """
-    grip(problem)
+    holding_strength(problem)
 
 
-def grip(problem: Problem) -> float:
+def holding_strength(problem: Problem) -> float:
     """Return how firmly the observations hold tissue against its rigid motions.
 
     The value is that of the least constrained rigid motion, scaled so that the far end of the
@@ -118,7 +118,7 @@ def grip(problem: Problem) -> float:
     held = problem.known
     for firm in _firm:  # first, because every image of a drag needs the result
         if firm.covers(problem.tissue, held):
-            return firm.grip
+            return firm.strength
     if held[problem.tissue].all():
         return 1.0  # no site is free to move
     pieces, count = _some_pieces(problem)
@@ -128,7 +128,7 @@ def grip(problem: Problem) -> float:
         raise refusal(free)
     sizes, share = np.bincount(pieces.ravel(), minlength=count + 1)[1:], 1 - 1 / pieces.ndim
     value = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
-    _firm[:] = [Firm(problem.tissue, held, value)]
+    _firm[:] = [HeldTissue(problem.tissue, held, value)]
     return value
 
 
@@ -137,7 +137,7 @@ def refusal(free: FreeMotion) -> ProblemError:
     return ProblemError(
         "confidence",
         f"leaves a piece of tissue free: the piece of {int(free.piece.sum())} pixels around "
-        f"{free.centre} {free.how}. Fix some of it in place, or give it no stiffness.",
+        f"{free.centre} {free.description}. Fix some of it in place, or give it no stiffness.",
     )
 
 
@@ -250,9 +250,9 @@ def free_pieces(
 def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
     """Label the connected pieces of elements, from 1, at the first site of each element."""
     elements = in_elements(m)
-    compute_thread.look()
+    compute_thread.check_cancelled()
     pieces, count = scipy.ndimage.label(elements)
-    compute_thread.look()
+    compute_thread.check_cancelled()
     return pieces, int(count)
 
 
@@ -278,7 +278,7 @@ def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[
     of_sites = _sites(pieces)
     holds = []
     for along in range(axes):
-        compute_thread.look()
+        compute_thread.check_cancelled()
         holds.append(np.nonzero(held[..., along] & (of_sites > 0)))
     held_of = [of_sites[sites] - 1 for sites in holds]
     hinged = _hinges(pieces) if count > 1 else np.zeros((0, axes + 2), dtype=int)

@@ -510,7 +510,7 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
 SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
     name="napari-hmrf solution",
     schema=1,
-    what="napari-hmrf result",
+    kind_name="napari-hmrf result",
     arrays={
         "displacement": array_file.Kind(("<f4", "<f8"), (3, 4)),
         "energy": array_file.Kind(("<f8",), (1,)),
@@ -521,5 +521,5 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
     },
     describe=_describe,
     parse=_parse,
-    foresee=_parse,
+    precheck=_parse,
 )

@@ -35,7 +35,7 @@ from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, Seil
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.solver.volume_memory import check_memory
-from napari_hmrf.solver.warm_start import Initial, beginning
+from napari_hmrf.solver.warm_start import Initial, combine_solutions
 
 Progress = Callable[[Monitor], None]
 _log = logging.getLogger("napari_hmrf")
@@ -269,12 +269,12 @@ def _solution_of(
     given = prior or ElasticPrior()
     prior = given.resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
-    begin = beginning(initial, problem) if initial else None
+    begin = combine_solutions(initial, problem) if initial else None
     resolving = time.perf_counter() - begun
 
     def report(monitor: Monitor) -> None:
         compute_thread.stage = monitor.message
-        compute_thread.look()
+        compute_thread.check_cancelled()
         if progress is not None:
             progress(monitor)
 
@@ -282,7 +282,7 @@ def _solution_of(
     started = time.perf_counter()
     job = SolveJob.of(problem, prior, optimizer)
     choice = open_backend(
-        job, backend, compute_thread.look, lambda: provide_loops(job.loops, report)
+        job, backend, compute_thread.check_cancelled, lambda: provide_loops(job.loops, report)
     )
     device = choice.backend
     try:

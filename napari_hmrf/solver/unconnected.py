@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.solver.rigid_modes import Firm, free_pieces
+from napari_hmrf.solver.rigid_modes import HeldTissue, free_pieces
 
 #: Size from which an observed piece is kept, as a fraction of all tissue.
 _LARGE_PIECE = 0.01
@@ -24,7 +24,7 @@ _ROUNDS = 4
 class _Search(NamedTuple):
     """Search for loose pieces: its constraints, the pieces, and whether all others are held."""
 
-    constraints: Firm
+    constraints: HeldTissue
     pieces: npt.NDArray[np.bool_]
     is_rest_held: bool
 
@@ -66,7 +66,7 @@ def scraps(tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> npt.ND
             return search.pieces
     pieces, is_rest_held = _scraps(tissue, held)
     pieces.setflags(write=False)
-    _last_search[:] = [_Search(Firm(tissue.copy(), held.copy()), pieces, is_rest_held)]
+    _last_search[:] = [_Search(HeldTissue(tissue.copy(), held.copy()), pieces, is_rest_held)]
     return pieces
 
 

@@ -7,7 +7,7 @@ import math
 import psutil
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.backends import kept_volumes
+from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.problem import Problem, grid_in_words
 
 #: Bytes per voxel that a solve needs in addition to the problem.
@@ -32,7 +32,7 @@ def check_memory(problem: Problem) -> None:
     bytes_per_voxel = ORDINARY if problem.loads is None else ORDINARY + LOADED
     if not problem.is_volume or fits(problem.shape, bytes_per_voxel):
         return
-    kept_volumes.forget()
+    volume_caches.clear_all()
     if fits(problem.shape, bytes_per_voxel):
         return
     needed, free = (

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ArgumentError
-from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.loads import is_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import FloatArray
@@ -27,7 +27,7 @@ _TINY = 1e-300
 _BLOCK_SIZE = 1 << 20
 
 
-def beginning(initial: Initial, problem: Problem) -> Beginning:
+def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
     """Return the combination of earlier solutions that is closest to the observations and loads.
 
     Displacements are proportional to observations and loads. The shares of the solutions add up to
@@ -40,7 +40,7 @@ def beginning(initial: Initial, problem: Problem) -> Beginning:
 
     Returns
     -------
-    Beginning
+    WarmStart
         Displacements, their shares, and the largest deviation from the observations and loads.
 
     Raises
@@ -75,7 +75,7 @@ def beginning(initial: Initial, problem: Problem) -> Beginning:
             difference -= np.einsum("a,an->n", weights, np.stack(others) - first)
         deviation = max(deviation, float(np.abs(difference).max(initial=0.0)))
     shares = (1.0 - float(weights.sum()), *map(float, weights))
-    return Beginning(displacements, shares, problem.unit, deviation / problem.unit)
+    return WarmStart(displacements, shares, problem.unit, deviation / problem.unit)
 
 
 class _Blocks:

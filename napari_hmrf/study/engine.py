@@ -76,7 +76,7 @@ class Engine:
         self.closed = threading.Event()
         # Generations of the last study, and of the last study that was dropped.
         self._generation = self._dropped = 0
-        self._newest: Deformation | None = None
+        self._latest_deformation: Deformation | None = None
         #: Latest answer with a result. Only the compute thread uses this and the attributes below.
         self.latest: Deformation | None = None
         self._request: Deformation | None = None
@@ -91,12 +91,12 @@ class Engine:
     @property
     def busy(self) -> bool:
         """True while a study is pending or being solved, and between `hold` and `resume`."""
-        return self._live.busy or self._live.held
+        return self._live.busy or self._live.is_held
 
     @property
-    def waits(self) -> bool:
+    def has_pending(self) -> bool:
         """True if a study is pending that is newer than the study being solved."""
-        return self._live.waits
+        return self._live.has_pending
 
     @property
     def monitor(self) -> Monitor:
@@ -108,7 +108,7 @@ class Engine:
         self,
         study: Study,
         backend: str = "auto",
-        settle: bool = False,
+        cold_start: bool = False,
         preview: Preview | None = None,
     ) -> int:
         """Submit a study, which replaces the pending study.
@@ -118,7 +118,7 @@ class Engine:
         study : Study
         backend : str
             As for `solve`.
-        settle : bool
+        cold_start : bool
             If True, solve from a cold start, with a result equal to `solve_study` bit by bit. A
             study without boundary conditions or loads is then an error.
         preview : Preview, optional
@@ -129,19 +129,19 @@ class Engine:
         int
             Generation number of the study, greater than that of all earlier studies.
         """
-        if settle:
-            self.forget()
+        if cold_start:
+            self.cancel()
             self._reached = Monitor("reading the layers", 0.0)
         self._live.optimizer, self._live.backend = study.optimizer, backend
-        state = partial(self._state, study, settle, preview)
-        patience = None if settle else patience_for(study, preview)
+        state = partial(self._state, study, cold_start, preview)
+        patience = None if cold_start else patience_for(study, preview)
         # Without patience, a preview would cost more time than it saves.
         self._generation = self._live.submit(state, preview=bool(patience), patience=patience)
         return self._generation
 
     def is_current(self, answer: Deformation) -> bool:
         """Return whether an answer is the newest and its study has not been dropped."""
-        return answer is self._newest and answer.generation > self._dropped
+        return answer is self._latest_deformation and answer.generation > self._dropped
 
     def hold(self) -> None:
         """Postpone the pending study until `resume`, for instance until the answer is painted.
@@ -154,15 +154,15 @@ class Engine:
         """Solve the pending study, after `hold`."""
         self._live.resume()
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Cancel the pending and the running solve; the next solve is a cold start."""
         self._dropped = self._generation
-        self._live.forget()
+        self._live.cancel()
 
     def close(self) -> None:
         """Cancel all solves, and stop the engine."""
         self.closed.set()
-        self.forget()
+        self.cancel()
         self._live.close()
 
     def report(self, monitor: Monitor) -> None:
@@ -171,9 +171,11 @@ class Engine:
 
     # Methods for the compute thread
 
-    def _state(self, study: Study, settle: bool, preview: Preview | None) -> tuple[Problem, Prior]:
+    def _state(
+        self, study: Study, cold_start: bool, preview: Preview | None
+    ) -> tuple[Problem, Prior]:
         """Build the problem of a study; recompute only parts that have changed."""
-        self._request = Deformation(study, settled=settle, preview=preview)
+        self._request = Deformation(study, settled=cold_start, preview=preview)
         grid = self._request.grid
         fine = self._ground_of(study, CoarseGrid())
         ground = fine if grid.step == 1 else self._ground_of(study, grid)
@@ -185,7 +187,7 @@ class Engine:
         if self._overlay is not None and grid.step == 1:
             self._over = self._overlay(ground, drawing, canvas, window, self._over)
         moves = drawing.marks or study.bears_loads or canvas.observed.any()
-        if not (settle or moves):
+        if not (cold_start or moves):
             raise _StillError
         stated = replace(ground.statement(canvas), optimizer=study.optimizer)
         self._request = replace(self._request, stated=stated)
@@ -194,8 +196,11 @@ class Engine:
     def _ground_of(self, study: Study, grid: CoarseGrid) -> Ground:
         """Return the ground of a study; reuse the last ground if only the drawing differs."""
         known = self._grounds.get(grid)
-        if known is None or not known[0].lies_as(study):
-            known = self._grounds[grid] = study, Ground.of(grid.study(study), compute_thread.look)
+        if known is None or not known[0].has_same_ground(study):
+            known = self._grounds[grid] = (
+                study,
+                Ground.of(grid.study(study), compute_thread.check_cancelled),
+            )
         return known[1]
 
     def _deliver(self, update: Update) -> None:
@@ -217,7 +222,7 @@ class Engine:
         self._answer(replace(request, error=error, overlay=over))
 
     def _answer(self, answer: Deformation) -> None:
-        self._newest = answer
+        self._latest_deformation = answer
         self._forward(answer)
 
     def _try_to_move(
@@ -312,7 +317,7 @@ class Deformation:
         drawn = bool(self.study.motion.drawing.marks)
         return drawn or (self.solution is not None and bool(self.solution.displacement.any()))
 
-    def came_from(self, point: Point) -> Point | None:
+    def origin_of(self, point: Point) -> Point | None:
         """Return the origin of the tissue at a point, in pixels; None if there is no tissue."""
         if self.solution is not None:
             site = self.grid.down(point)
@@ -325,7 +330,7 @@ class Deformation:
         is_tissue = self.ground is not None and holds(self.ground.body, _pixel(point))
         return point if is_tissue else None
 
-    def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def moved_positions(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the moved positions of points of the tissue, (N, n) in pixels."""
         if self.solution is None or not len(points):
             return points

@@ -16,7 +16,7 @@ from napari_hmrf.arguments import require_kind
 from napari_hmrf.errors import ArgumentError, LayerError, ProblemError
 from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.solver.body_forces import weight
-from napari_hmrf.solver.caveats import caveats, lack
+from napari_hmrf.solver.caveats import caveats, missing_constraint
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
@@ -185,7 +185,7 @@ class Ground:
         """
         canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
         m, prior = self.palette.painted(canvas.labels, self.base.labels, self.stiffness, self.prior)
-        painted = self.palette.own and m is not self.stiffness
+        painted = self.palette.is_table and m is not self.stiffness
         labels = canvas.labels.copy() if painted else None
         at_rest = np.zeros(m.shape, dtype=bool)
         if isinstance(prior, Elastic):
@@ -252,7 +252,7 @@ class Ground:
             over = (still & problem.known & (problem.observed != 0))[motion.labels != 0].any()
             notes.append(_OVER if over else "")
         if motion.labels is not None or problem.observed.any():
-            notes.append(lack(problem))
+            notes.append(missing_constraint(problem))
         pulled = problem.loads is not None and problem.loads.force is not None
         notes.append(_NO_UNIT if pulled and not self.study.tissue.unit else "")
         if (image := self.study.pictures.image) is not None:
@@ -432,7 +432,7 @@ def _tissue_of(study: Study) -> Ground:
             f"label {row.label} of '{name}' is not in the table and got stiffness {row.stiffness:g}"
             for row in new
         ]
-        palette = Palette((*known, *new), tissue.unit, own=True)
+        palette = Palette((*known, *new), tissue.unit, is_table=True)
         labels, rows = tissue.labels.astype(np.int32), palette.materials
         m = stiffness_image(tissue.labels, rows)
         if tissue.without_border and image is not None:
@@ -456,7 +456,7 @@ def _tissue_of(study: Study) -> Ground:
         around = around if image is None else dark_border(image, len(shape))
         m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
         palette = Palette.of_preset(tissue.preset)
-        labels = np.where(around, OTHER, palette.usual).astype(np.int32)
+        labels = np.where(around, OTHER, palette.unpainted_label).astype(np.int32)
     base = Canvas.blank(shape, study.grid.spacing, labels)
     return Ground(study, base, m, prior, (m > 0) & ~around, palette, tuple(notes))
 

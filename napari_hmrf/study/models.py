@@ -30,8 +30,8 @@ def _form_field(usual: Any, label: str, tooltip: str, **options: Any) -> Any:
 class SolverDetails:
     """Optional settings of a solve.
 
-    A form is generated from these fields; `asked` lists the fields that apply to a model. Zeros
-    stand for None in the priors and optimizers.
+    A form is generated from these fields; `detail_names` lists the fields that apply to a
+    model. Zeros stand for None in the priors and optimizers.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class SolverDetails:
 _USUAL = SolverDetails()
 
 
-def asked(model: ModelName) -> tuple[str, ...]:
+def detail_names(model: ModelName) -> tuple[str, ...]:
     """List the details that apply to a model, in the order of the form."""
     if model in ELASTIC:
         return "grip", "accuracy", "device"
@@ -159,7 +159,7 @@ _BY_NAME: dict[ModelName, tuple[Prior, Optimizer]] = {
 }
 
 
-def chosen(name: str) -> tuple[Prior, Optimizer]:
+def parts_of(name: str) -> tuple[Prior, Optimizer]:
     """Return the prior and the optimizer of a model.
 
     Parameters
@@ -180,7 +180,7 @@ def chosen(name: str) -> tuple[Prior, Optimizer]:
 
 
 def is_by_name(part: Prior | Optimizer) -> bool:
-    """Return whether a prior or an optimizer is the usual one, or comes from `chosen`."""
+    """Return whether a prior or an optimizer is the usual one, or comes from `parts_of`."""
     known = [(USUAL_PRIOR, USUAL_OPTIMIZER), *_BY_NAME.values()]
     return any(part is each for pair in known for each in pair)
 

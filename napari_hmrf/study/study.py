@@ -23,7 +23,7 @@ from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import checked_spacing, grid_in_words
-from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, chosen, is_by_name
+from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, is_by_name, parts_of
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
@@ -521,7 +521,7 @@ class Study:
 
     def _take_model(self, model: str) -> None:
         """Set the prior and the optimizer of a model, where none of the model is given."""
-        for name, usual in zip(("prior", "optimizer"), chosen(model), strict=True):
+        for name, usual in zip(("prior", "optimizer"), parts_of(model), strict=True):
             given = getattr(self, name)
             if is_by_name(given):
                 object.__setattr__(self, name, usual)
@@ -579,7 +579,7 @@ class Study:
             and _same_parts(self.motion, other.motion)
         )
 
-    def lies_as(self, other: Study) -> bool:
+    def has_same_ground(self, other: Study) -> bool:
         """Return whether another study differs at most in its drawing and its optimizer."""
         motion = replace(self.motion, drawing=other.motion.drawing)
         return replace(self, motion=motion, optimizer=other.optimizer).same_as(other)

@@ -50,7 +50,7 @@ class Preset:
     def __repr__(self) -> str:
         return f"Preset({self.name!r}, {len(self.materials)} materials)"
 
-    def take_over(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
+    def replace_materials(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
         """Replace the materials of a table by those of the preset.
 
         A row is replaced by the material of its name, or else by the material of its label if that
@@ -120,16 +120,16 @@ class Palette:
         A material for each label.
     unit : str
         Unit of stiffness; may be "".
-    one : float
+    unit_stiffness : float
         Stiffness of the palette that equals a stiffness of 1 in the painted image.
-    own : bool
+    is_table : bool
         True if the palette is the table of the tissue layer, False if it is a preset.
     """
 
     materials: tuple[Material, ...]
     unit: str = ""
-    one: float = 1.0
-    own: bool = False
+    unit_stiffness: float = 1.0
+    is_table: bool = False
 
     @classmethod
     def of_preset(cls, preset: Preset | None = None, relative: bool = True) -> Palette:
@@ -155,7 +155,7 @@ class Palette:
         return cls((*rows, rigid), preset.unit, first if relative else 1.0)
 
     @property
-    def usual(self) -> int:
+    def unpainted_label(self) -> int:
         """Label of unpainted tissue if there is no table: the first deformable material."""
         return next(row.label for row in self.materials if row.is_deformable)
 
@@ -183,7 +183,7 @@ class Palette:
             return m, prior
         now = labels[changed][None]
         m = m.copy()
-        m[changed] = stiffness_image(now, self.materials)[0] / np.float32(self.one)
+        m[changed] = stiffness_image(now, self.materials)[0] / np.float32(self.unit_stiffness)
         if isinstance(prior, Elastic):
             ratios = np.broadcast_to(np.asarray(prior.poisson, dtype=np.float32), m.shape).copy()
             ratios[changed] = np.broadcast_to(poisson_image(now, self.materials), now.shape)[0]

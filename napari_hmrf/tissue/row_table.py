@@ -23,19 +23,19 @@ class RowTable(NamedTuple, Generic[Row]):
         Unit of stiffness.
     preset : str
         Name of the preset; "" if there is none.
-    whose : str
+    source : str
         Source of the values; "" if it is unknown.
     """
 
     rows: tuple[Row, ...]
     unit: str = ""
     preset: str = ""
-    whose: str = ""
+    source: str = ""
 
     def edited(self, rows: Iterable[Row]) -> RowTable[Row]:
         """Return the table with rows edited by the user, and mark its source as changed."""
-        changed = self.whose and not self.whose.startswith(_CHANGED)
-        return self._replace(rows=tuple(rows), whose=(_CHANGED if changed else "") + self.whose)
+        changed = self.source and not self.source.startswith(_CHANGED)
+        return self._replace(rows=tuple(rows), source=(_CHANGED if changed else "") + self.source)
 
 
 def change(before: RowTable[Row], after: RowTable[Row], name: str) -> str:

@@ -104,7 +104,7 @@ class NamedMaterials:
         used = dict.fromkeys(self.tissues.values())
         return "; ".join(f"{tissue.name}: {tissue.source}" for tissue in used)
 
-    def take_over(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
+    def replace_materials(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
         """Replace the materials of a table, label by label.
 
         Rows of unknown labels stay void or rigid; if they are deformable, they get the stiffness of

@@ -8,7 +8,7 @@ An edit passes through six steps:
    its drawing there (`motion.pointer` passes mouse and keys to the current tool). The model records
    one undo step, and emits `changed`.
 2. *Read.* Once napari is idle, the `controller` reads the chosen layers as a `Study` through the
-   `study_reader` (`look`). After an edit of the drawing, only the drawing is replaced.
+   `study_reader` (`refresh`). After an edit of the drawing, only the drawing is replaced.
 3. *Submit.* The controller submits the study to the `paced_engine`. The newest submitted study is
    solved next, as soon as the last picture is painted.
 4. *Answer.* The compute thread solves the study and deforms its image (`study.engine`). If the

@@ -69,7 +69,7 @@ class BackgroundJobs:
         """Return whether a job of a kind, or any job, is unfinished."""
         return bool(self._pending) if kind is None else kind in self._pending
 
-    def forget(self, kind: str | None = None) -> None:
+    def cancel(self, kind: str | None = None) -> None:
         """Drop the jobs of a kind, or all; a running job stops at its next checkpoint."""
         for each in [*self._pending] if kind is None else [kind]:
             if each in self._pending:
@@ -77,7 +77,7 @@ class BackgroundJobs:
 
     def release(self) -> None:
         """Drop all jobs permanently."""
-        self.forget()
+        self.cancel()
         self._gui.release()
 
     def _finish(self, kind: str, turn: Turn, call: Callable[[], object]) -> None:

@@ -18,7 +18,7 @@ from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.painted_overlay import ShownDeformation
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.ground import refuse_unknown
@@ -43,7 +43,7 @@ _REST = 200
 class Controller:
     """Controller of the dock: solves the study after each edit and shows the results.
 
-    After an edit of a form or a layer, `look` reads the whole study again; after an edit of the
+    After an edit of a form or a layer, `refresh` reads the whole study again; after an edit of the
     drawing, only the drawing is replaced. The study is then submitted to the engine. Each answer is
     shown at once. After a pause in the edits, all layers of the complete result are drawn.
 
@@ -72,17 +72,17 @@ class Controller:
     """
 
     #: The visible state of the tissue has changed: a `Deformation`.
-    seen = Signal(object)
+    deformation_changed = Signal(object)
     #: All layers of the complete result are drawn: `Outputs`.
-    followed = Signal(object)
+    result_drawn = Signal(object)
     #: A cold-start solve has ended: `Outputs`, or None if it was cancelled or failed.
     finished = Signal(object)
     #: Status message; "" clears the earlier one.
-    said = Signal(str)
+    message = Signal(str)
     #: Reason why a request cannot be carried out.
-    refused = Signal(str)
+    refusal = Signal(str)
     #: The current slice or image has changed.
-    moved_on = Signal(Study)
+    slice_changed = Signal(Study)
 
     def __init__(
         self,
@@ -107,14 +107,14 @@ class Controller:
         self._submitted: Study | None = None
         # Reason why the tissue cannot follow, report of the last result, and last message of both.
         self._failure = self._report = self._last_message = ""
-        self._look_timer = single_shot(native, 0, self.look)
+        self._refresh_timer = single_shot(native, 0, self.refresh)
         self._complete_timer = single_shot(native, _REST, self.complete)
         self.progress = SolveProgress(native, form.footer, self.engine)
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
-        form.footer.live.changed.connect(self.touch)
+        form.footer.live.changed.connect(self.schedule_refresh)
         pointer.drawn.connect(self._on_drawn)
         self.chip = WarningChip(viewer, form, lambda: self._latest_here)
-        self.chip.said.connect(lambda sentence: self.said.emit(sentence))
+        self.chip.message.connect(lambda sentence: self.message.emit(sentence))
 
     # State
 
@@ -139,16 +139,16 @@ class Controller:
         return latest if here else None
 
     @property
-    def loose(self) -> str:
+    def unheld_warning(self) -> str:
         """Warning that nothing holds the tissue of the latest result; "" if it is held."""
-        return "" if (done := self._latest_here) is None else messages.loose(done.notes)
+        return "" if (done := self._latest_here) is None else messages.unheld_warning(done.notes)
 
     @property
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
         # During a drag, the layers of a complete result are not drawn.
         resting = self._complete_timer.isActive() and not self.pointer.tool.is_dragging
-        looking, shown = self._look_timer.isActive(), self.progress.active
+        looking, shown = self._refresh_timer.isActive(), self.progress.active
         return looking or resting or shown or self.engine.at_work
 
     @property
@@ -159,16 +159,16 @@ class Controller:
 
     # Actions
 
-    def touch(self, *_: Any) -> None:
+    def schedule_refresh(self, *_: Any) -> None:
         """Schedule a refresh on the next idle event."""
         if not self._is_released:
-            self._look_timer.start()
+            self._refresh_timer.start()
 
-    def look(self) -> bool:
+    def refresh(self) -> bool:
         """Read the current choices and update the tissue; return whether they could be read."""
         if self._is_released:
             return False
-        self._look_timer.stop()
+        self._refresh_timer.stop()
         try:
             study = self._read_chosen()
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
@@ -185,11 +185,11 @@ class Controller:
             self._emit_message()
         return True
 
-    def settle(self) -> None:
+    def solve_cold(self) -> None:
         """Solve from a cold start; `finished` is emitted at the end."""
-        self._look_timer.stop()
+        self._refresh_timer.stop()
         self.form.footer.show_work(True)
-        self.reader.forget()  # a script may have changed an array in place
+        self.reader.invalidate()  # a script may have changed an array in place
         try:
             study = self._read_chosen(unpainted=False)
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
@@ -198,19 +198,19 @@ class Controller:
             self._refuse(error)
             return
         self.settling, self._submitted = True, study
-        self.engine.submit(study, self._model.model.details.device, settle=True)
+        self.engine.submit(study, self._model.model.details.device, cold_start=True)
         self.progress.start("Deforming", at_once=True)
 
     def cancel(self) -> None:
         """Cancel the work; the dock is idle at once, even if the thread still runs."""
         settling, going_on = self.settling, self.engine.busy
-        self.engine.forget()
+        self.engine.cancel()
         self._submitted = None
         if settling or going_on:
             edited = self.latest is not None or (self.study is not None and self.study.moves)
             self._stop()
             self._show_latest()
-            self.said.emit(messages.BEHIND if edited and not self.fresh else messages.CANCELLED)
+            self.message.emit(messages.BEHIND if edited and not self.fresh else messages.CANCELLED)
         if settling:
             self.finished.emit(None)
 
@@ -237,18 +237,18 @@ class Controller:
         if result is not None:
             result.show_before(before)
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Clear the current study."""
-        self._look_timer.stop()
+        self._refresh_timer.stop()
         self._complete_timer.stop()
-        self.engine.forget()
-        self.reader.forget()  # later changes of layers are not tracked
+        self.engine.cancel()
+        self.reader.invalidate()  # later changes of layers are not tracked
         self.progress.release()
         self.curve_layer.show(None)
         self._read = self.source = self._submitted = None
         self._failure = self._report = ""
-        self.pointer.stand_on(None)
-        self.chip.look()
+        self.pointer.select_slice(None)
+        self.chip.refresh()
 
     def release(self) -> None:
         """Stop responding to edits permanently."""
@@ -268,10 +268,10 @@ class Controller:
             request = replace(request, drawing=None)  # gives a specific error message
         study = self.reader.read(request)
         refuse_unknown(study)
-        self._stand_on(study, request.layers[0])
+        self._select_slice(study, request.layers[0])
         return replace(study, motion=replace(study.motion, drawing=self._model.drawing))
 
-    def _stand_on(self, study: Study, source: Any) -> None:
+    def _select_slice(self, study: Study, source: Any) -> None:
         """Make a study the current one, and select the drawing of its slice."""
         before, place = self._read, study.grid
         is_other = before is None or source is not self.source or before.grid != place
@@ -283,12 +283,12 @@ class Controller:
             if source is not self.source:
                 self.source, self._report = source, ""
             self._submitted = None
-            self.pointer.stand_on(study, source)
-            self.chip.look()
+            self.pointer.select_slice(study, source)
+            self.chip.refresh()
             self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self.engine.rehearse(study)
-            self.moved_on.emit(study)
-        ways = ways_of(place.known_place, self._viewer)
+            self.slice_changed.emit(study)
+        ways = directions_of(place.known_place, self._viewer)
         self.curve_layer.show(study, source)
         self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
 
@@ -326,7 +326,7 @@ class Controller:
                 self._report_failure(moved.error)
             self._end_settling()
             return
-        self.seen.emit(moved)
+        self.deformation_changed.emit(moved)
         if moved.solution is None:
             self._clear_result()
             self._end_settling()
@@ -334,7 +334,7 @@ class Controller:
 
     def _on_complete(self, done: CompleteResult) -> None:
         # Read pending edits first: they may lead to another slice or image.
-        if not self._look_timer.isActive() or self.look():
+        if not self._refresh_timer.isActive() or self.refresh():
             self._failure = ""
         study = self.study
         if study is None or done.moved.study.grid != study.grid:
@@ -342,14 +342,14 @@ class Controller:
         self._results[self.source] = done
         self._report = messages.report(done)
         self._show(done)
-        self.chip.look()
+        self.chip.refresh()
         settled = self.settling
         if settled:
             self._stop()
         self._emit_message(always=not self.pointer.active)
         if settled and self.pointer.active:
-            self.said.emit(self._report)
-        self.followed.emit(done.outputs)
+            self.message.emit(self._report)
+        self.result_drawn.emit(done.outputs)
         if settled:
             self.finished.emit(done.outputs)
 
@@ -390,26 +390,26 @@ class Controller:
         """Emit the message about the study if it has changed; with `always` in any case."""
         before, self._last_message = self._last_message, self._state
         if always or self._last_message != before:
-            self.said.emit(self._last_message)
+            self.message.emit(self._last_message)
 
     def _report_failure(self, error: Exception) -> None:
         """Report why the tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
         # Without a chosen image, no tissue could follow.
         self._failure = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
-        self.chip.look()
+        self.chip.refresh()
         self._emit_message(always=sentence == messages.WELCOME)
 
     def _clear_result(self) -> None:
         """Reset to the undeformed state, without a result or its report."""
         before, self._failure = self._results.pop(self.source, None), ""
         self._report = self._report if before is None else messages.STILL
-        self.chip.look()
+        self.chip.refresh()
         self._emit_message()
 
     def _refuse(self, error: Exception) -> None:
         self._stop()
-        self.refused.emit(messages.in_short(error))
+        self.refusal.emit(messages.in_short(error))
         # A warning disappears by itself; an error would stay beside the next good result.
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
         show(messages.in_short(error))

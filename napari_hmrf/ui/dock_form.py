@@ -102,7 +102,7 @@ class DockForm:
     def choices(self) -> tuple[LayerChoice, ...]:
         """Menus of layers."""
         boundary, result = self.motion.boundary, self.result
-        marks = (boundary.landmarks.where, boundary.landmarks.should)
+        marks = (boundary.landmarks.sources, boundary.landmarks.targets)
         compared = (result.reference, result.second)
         tissue = self.tissue.choice
         return (self.image, tissue, boundary.choice, boundary.confidence, *marks, *compared)

@@ -17,7 +17,7 @@ from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.patient_sides import PatientSides
 from napari_hmrf.ui.result.result_view import ResultView
-from napari_hmrf.ui.unsaved import Ask, Unsaved
+from napari_hmrf.ui.unsaved import Prompt, Unsaved
 from napari_hmrf.ui.viewer_dock import Dock
 
 
@@ -254,17 +254,17 @@ class DockValues(Dock):
         self._form.footer.live.value = value
 
     @property
-    def ask(self) -> Ask:
+    def prompt(self) -> Prompt:
         """Callback for the prompt about unsaved work before the window closes.
 
         The callback takes a question, and returns "save", "discard" or "cancel". The default one
         shows a dialog.
         """
-        return self._unsaved.ask
+        return self._unsaved.prompt
 
-    @ask.setter
-    def ask(self, value: Ask) -> None:
-        self._unsaved.ask = value
+    @prompt.setter
+    def prompt(self, value: Prompt) -> None:
+        self._unsaved.prompt = value
 
     # State that the dock shows
 

@@ -92,9 +92,9 @@ class Footer(QWidget):
         self.undo.enabled = undo.model.next_undo is not None
         self.redo.enabled = undo.model.next_redo is not None
 
-    def say(self, status: str) -> None:
+    def show_status(self, status: str) -> None:
         """Show a status text; its tooltip has the whole text, which may not fit."""
-        self._status.say(status)
+        self._status.show_text(status)
         self._status.tooltip = status
 
     def _show_help(self, *_: object) -> None:

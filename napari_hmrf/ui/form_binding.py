@@ -46,7 +46,7 @@ class FormBinding:
     """
 
     #: Message about a choice that was made automatically as a consequence of another one.
-    said = Signal(str)
+    message = Signal(str)
 
     def __init__(self, viewer: Any, form: DockForm) -> None:
         self._viewer, self._form = viewer, form
@@ -80,7 +80,7 @@ class FormBinding:
             table.changed.connect(self._write_tables)
         for field in (form.image, *self.fields.values(), form.model, form.model.in_detail):
             field.changed.connect(self.write, max_args=0)
-        form.tissue.editor.plot.edited.connect(self._take_curve)
+        form.tissue.editor.plot.edited.connect(self._use_curve)
         form.tissue.editor.plot.settled.connect(model.end)
         form.footer.undo.changed.connect(lambda _: undo.undo())
         form.footer.redo.changed.connect(lambda _: undo.redo())
@@ -133,13 +133,13 @@ class FormBinding:
 
     # Automatic choice of layers
 
-    def look(self, *_: Any) -> None:
+    def refresh(self, *_: Any) -> None:
         """Update the menus of layers; if the image was removed, choose another one."""
         form, before = self._form, self._form.image.value
         with self.automatically():
             for choice in form.choices:
                 choice.reset_choices()
-            form.motion.boundary.landmarks.look()
+            form.motion.boundary.landmarks.refresh()
             if before is not None and form.image.value is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]
@@ -153,19 +153,19 @@ class FormBinding:
 
     def choose_first(self) -> None:
         """Choose the image in front, or one that was edited, and the layers painted on it."""
-        self.look()
+        self.refresh()
         viewer, offered = self._viewer, self._form.image.offered
         edited = self._drawn_on or shared(viewer, ResultLayers).sources
         with self.automatically():
             self._form.image.value = image = image_in_front(viewer, offered, edited)
             for layer in reversed(viewer.layers) if image is None else ():
-                self._take_painted(layer)
+                self._use_painted(layer)
 
     def begin(self) -> None:
         """Keep the chosen image when new layers are added."""
         self._image_is_fixed = True
 
-    def take(self, layer: Any) -> None:
+    def use_layer(self, layer: Any) -> None:
         """Choose a new layer as the image, unless work on another has begun, or as paint."""
         image = self._form.image
         begun = self._image_is_fixed or (
@@ -176,13 +176,13 @@ class FormBinding:
                 image.value = layer
             layers = self._viewer.layers
             if image.value is None or layer in painted_on(image.value, layers, self._form.view()):
-                self._take_painted(layer)
+                self._use_painted(layer)
         if layer in image.offered and begun and not self.automatic:
             covers = image.value and image_covering(self._viewer, image.value) is layer
             # A covered image is reported anyway.
-            self.said.emit("" if covers else NOT_CHOSEN.format(layer.name))
+            self.message.emit("" if covers else NOT_CHOSEN.format(layer.name))
 
-    def _take_painted(self, layer: Any) -> None:
+    def _use_painted(self, layer: Any) -> None:
         """Choose a painted layer by its role, if none is chosen yet."""
         choice = self.fields.get(role_of(layer) or "")
         if choice is None or choice.value is not None or layer not in choice.offered:
@@ -215,7 +215,7 @@ class FormBinding:
         """Release the edge if a field prescribes its motion; hold it if there is no boundary."""
         if holds_field(layer):
             if self._form.motion.edge.value:
-                self.said.emit(EDGE_GOES.format(layer.name))
+                self.message.emit(EDGE_GOES.format(layer.name))
             self._release_edge()
         elif layer is None:
             self._form.motion.edge.value = True
@@ -234,7 +234,7 @@ class FormBinding:
         with self.automatically():
             if not keep_choices:
                 self._show(ImageChoice())
-            self._form.extent.look_at(image)
+            self._form.extent.show_for(image)
             self._form.tissue.offer(self._model.curve)
             if known:
                 self._show(choice)
@@ -256,7 +256,7 @@ class FormBinding:
                 field.value = None
         for layer in reversed(painted_on(image, self._viewer.layers, view)):
             if layer not in used_by_others:
-                self._take_painted(layer)
+                self._use_painted(layer)
 
     def _show(self, choice: ImageChoice) -> None:
         """Show choices in the form, without layers that were removed."""
@@ -304,12 +304,12 @@ class FormBinding:
     @curve.setter
     def curve(self, curve: StiffnessCurve | None) -> None:
         if curve is not None:
-            self._take_curve(curve)
+            self._use_curve(curve)
             self._model.end()
         elif self.curve is not None:
             self._form.tissue.choice.value = None
 
-    def _take_curve(self, curve: StiffnessCurve) -> None:
+    def _use_curve(self, curve: StiffnessCurve) -> None:
         """Use a curve for the image: its first one, or the next state during an edit."""
         image = self._form.image.value
         if image is None:

@@ -99,7 +99,7 @@ class Prose(Label):
         self._fit = _FitHeight(words, lines)
         words.installEventFilter(self._fit)
 
-    def say(self, sentence: str) -> None:
+    def show_text(self, sentence: str) -> None:
         """Show a text."""
         self.value = sentence
         self._fit.fit()

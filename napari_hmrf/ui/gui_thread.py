@@ -65,7 +65,7 @@ class Repainted(QObject):
         super().__init__()
         self._timer = single_shot(self, 0, callback)
 
-    def ask(self) -> None:
+    def schedule(self) -> None:
         """Schedule the callback after the next painting."""
         QCoreApplication.postEvent(self, QEvent(self._KIND), self._PRIORITY)
 

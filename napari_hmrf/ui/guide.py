@@ -36,25 +36,25 @@ class Guide:
     def __init__(self, viewer: Any, controller: Controller, undo: ViewerUndo) -> None:
         self._viewer, self._controller = viewer, controller
         form, pointer = self._form, self._pointer = controller.form, controller.pointer
-        self._said = self._doing = self._read = ""
+        self._message = self._doing = self._read = ""
         self._why: Why = "news"
         for table in form.tables:
-            table.found.connect(partial(self.say, why="step"))
-            table.refused.connect(self.refuse)
+            table.message.connect(partial(self.show_message, why="step"))
+            table.refusal.connect(self.refuse)
         for source in (form.tissue.menu, controller.binding):
-            source.said.connect(partial(self.say, why="step"))
-        form.tissue.editor.refused.connect(self.refuse)
-        pointer.said.connect(self._on_pointer)
-        pointer.refused.connect(self.refuse)
+            source.message.connect(partial(self.show_message, why="step"))
+        form.tissue.editor.refusal.connect(self.refuse)
+        pointer.message.connect(self._on_pointer)
+        pointer.refusal.connect(self.refuse)
         pressed = (form.footer.deform.changed, form.motion.picked, form.image.changed)
-        for begun in (form.edited, pointer.drawn, pointer.begun, *pressed):
+        for begun in (form.edited, pointer.drawn, pointer.action_started, *pressed):
             begun.connect(self._on_begun)
-        controller.refused.connect(self.refuse)
-        controller.said.connect(self._on_study)
+        controller.refusal.connect(self.refuse)
+        controller.message.connect(self._on_study)
         controller.progress.doing.connect(self._on_doing)
-        controller.moved_on.connect(self.show)
-        controller.followed.connect(self._on_followed)
-        self._connections = EventConnections((undo.said, self._on_step))
+        controller.slice_changed.connect(self.show)
+        controller.result_drawn.connect(self._on_followed)
+        self._connections = EventConnections((undo.message, self._on_step))
 
     def release(self) -> None:
         """Stop listening to the undo of the viewer."""
@@ -64,7 +64,7 @@ class Guide:
     def shown(self) -> str:
         """Status text."""
         doing = "" if self._why == "refused" else self._doing
-        return doing or self._said or self.invitation
+        return doing or self._message or self.invitation
 
     @property
     def invitation(self) -> str:
@@ -77,26 +77,26 @@ class Guide:
         begun = boundary.choice.value is not None
         hint = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
-            hint = self._pointer.tool.how
-        return f"{self._controller.loose} {self._paused or hint}".lstrip()
+            hint = self._pointer.tool.hint
+        return f"{self._controller.unheld_warning} {self._paused or hint}".lstrip()
 
-    def say(self, sentence: str, why: Why = "news") -> None:
+    def show_message(self, sentence: str, why: Why = "news") -> None:
         """Show a sentence in place of the earlier ones."""
-        self._said, self._why, self._read = sentence, why, ""
+        self._message, self._why, self._read = sentence, why, ""
         self.show()
 
     def invite(self) -> None:
         """Show the hint at the next step, unless the message of a step or a refusal must stay."""
         if self._why == "news":
-            self.say("")
+            self.show_message("")
 
     def refuse(self, sentence: str) -> None:
         """Show why an action was refused, until a new action begins."""
-        self.say(sentence, "refused")
+        self.show_message(sentence, "refused")
 
     def show(self, *_: object) -> None:
         """Write the status text to the footer."""
-        self._form.footer.say(self.shown)
+        self._form.footer.show_status(self.shown)
 
     @property
     def _covered(self) -> str:
@@ -115,16 +115,16 @@ class Guide:
 
     def _on_begun(self, *_: object) -> None:
         """Allow other messages to replace the current one, as a new action has begun."""
-        self._why, self._read = "news", self._said
+        self._why, self._read = "news", self._message
 
     def _on_followed(self, *_: object) -> None:
         """Clear a message that is older than the last action, as the result is newer."""
-        self.say("" if self._read else self._said, self._why)
+        self.show_message("" if self._read else self._message, self._why)
 
     def _on_step(self, sentence: str, step: Step | None) -> None:
         """Report an undo or redo; for a drawing, also whether drawing has stopped."""
         drawn = step is not None and isinstance(step.value, Drawing)
-        self.say(f"{sentence} {self._paused if drawn else ''}".rstrip(), "step")
+        self.show_message(f"{sentence} {self._paused if drawn else ''}".rstrip(), "step")
 
     def _on_doing(self, sentence: str) -> None:
         if sentence != self._doing:
@@ -133,7 +133,7 @@ class Guide:
 
     def _on_pointer(self, sentence: str) -> None:
         if sentence:
-            self.say(sentence)
+            self.show_message(sentence)
         else:
             self.invite()
 
@@ -142,4 +142,6 @@ class Guide:
         if not sentence:
             self.invite()
         elif self._why != "refused":
-            self.say(f"{self._said} {sentence}".lstrip() if self._why == "step" else sentence)
+            self.show_message(
+                f"{self._message} {sentence}".lstrip() if self._why == "step" else sentence
+            )

@@ -80,16 +80,16 @@ class LabelTable(QTableWidget, Generic[Row]):
     -------
     changed : bool, True if the paint or the layer changed, False if the rows were edited
     picked : layer of which a label was selected for painting
-    found : str, message about newly painted labels
-    refused : str, reason why typed text was refused
+    message : str, message about newly painted labels
+    refusal : str, reason why typed text was refused
     """
 
     role: Role
     title: str
     changed = Signal(bool)
     picked = Signal(object)
-    found = Signal(str)
-    refused = Signal(str)
+    message = Signal(str)
+    refusal = Signal(str)
 
     def __init__(self, view: Callable[[], View]) -> None:
         super().__init__()
@@ -97,7 +97,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._contents: RowTable[Row] = RowTable(())
         self._layer: Any = None
         self._connections = EventConnections()
-        self._timer = single_shot(self, _PAUSE, self.look)
+        self._timer = single_shot(self, _PAUSE, self.refresh)
         self._fill()
         self.verticalHeader().hide()
         self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
@@ -197,7 +197,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._connections.release()
         self._layer = None
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Add rows for new labels and update the colours, without waiting for a pause."""
         if self._layer is None:
             return
@@ -207,7 +207,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._store(automatic=True)
         if new:
             names = " and ".join(f"label {row.label}" for row in new[:3])
-            self.found.emit(f"New in '{self._layer.name}': {names}. Change it in the table.")
+            self.message.emit(f"New in '{self._layer.name}': {names}. Change it in the table.")
 
     def pick(self, label: int) -> None:
         """Select a label for painting."""
@@ -339,7 +339,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         try:
             after = column.typed(row, item.text().strip())
         except ValueError as error:
-            self.refused.emit(f"{error}; kept {column.shown(row)}.")
+            self.refusal.emit(f"{error}; kept {column.shown(row)}.")
             after = row
         if after == row:
             self._fill()

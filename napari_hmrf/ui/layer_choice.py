@@ -8,14 +8,14 @@ from typing import Any
 from magicgui.widgets import ComboBox, Container, PushButton
 from napari.layers import Image, Points, Shapes
 
-from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import TISSUE, metadata_of, role_of
 from napari_hmrf.layers.slice_view import layer_extents
 from napari_hmrf.ui.forms import align_labels, narrow
 
 
 def is_picture(layer: Any) -> bool:
     """Return whether a layer is an image other than a result or an image of stiffness."""
-    own = isinstance(layer, Image) and "kind" not in known_of(layer)
+    own = isinstance(layer, Image) and "kind" not in metadata_of(layer)
     return own and role_of(layer) != TISSUE
 
 
@@ -83,52 +83,52 @@ class LandmarkChoice(Container):
 
     Attributes
     ----------
-    where, should : LayerChoice
+    sources, targets : LayerChoice
         Two Points layers of equal length; or a Shapes layer of lines, and None.
-    take : PushButton
+    take_button : PushButton
         Button that adds the landmarks to the drawing.
     """
 
     def __init__(self, layers: Callable[[], list[Any]]) -> None:
-        self.where = LayerChoice(
+        self.sources = LayerChoice(
             layers,
             lambda layer: isinstance(layer, Points | Shapes),
             "landmarks at",
             "Points: where things are; or Shapes: lines from there to where they should be",
         )
-        self.should = LayerChoice(
+        self.targets = LayerChoice(
             layers,
-            lambda layer: isinstance(layer, Points) and layer is not self.where.value,
+            lambda layer: isinstance(layer, Points) and layer is not self.sources.value,
             "should be at",
             "Points: where these should be, in the same order; where both agree, tissue is held",
         )
-        self.take = PushButton(
+        self.take_button = PushButton(
             text="Take as landmarks",
             tooltip="Adds them to what is drawn, in place of those that were taken before",
         )
-        super().__init__(widgets=[self.where, self.should, self.take])
-        self.where.changed.connect(self._on_where)
-        self.look()
+        super().__init__(widgets=[self.sources, self.targets, self.take_button])
+        self.sources.changed.connect(self._on_sources)
+        self.refresh()
 
     @property
     def pair(self) -> tuple[Any, Any]:
         """Chosen layers of landmarks and of their targets; each may be None."""
-        return self.where.value, self.should.value
+        return self.sources.value, self.targets.value
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Update the visible and enabled widgets for the current layers."""
-        self.visible = bool(self.where.offered)
-        self.should.visible = not isinstance(self.where.value, Shapes)
-        self.take.enabled = self.where.value is not None
+        self.visible = bool(self.sources.offered)
+        self.targets.visible = not isinstance(self.sources.value, Shapes)
+        self.take_button.enabled = self.sources.value is not None
         align_labels(self)
 
-    def _on_where(self, layer: Any) -> None:
+    def _on_sources(self, layer: Any) -> None:
         # No layer can be both: of two Points layers, the other becomes the target.
-        self.should.reset_choices()
-        others = self.should.offered
-        if isinstance(layer, Points) and self.should.value is None and len(others) == 1:
-            self.should.value = others[0]
-        self.look()
+        self.targets.reset_choices()
+        others = self.targets.offered
+        if isinstance(layer, Points) and self.targets.value is None and len(others) == 1:
+            self.targets.value = others[0]
+        self.refresh()
 
 
 class ExtentChoice(ComboBox):
@@ -150,8 +150,8 @@ class ExtentChoice(ComboBox):
         """True if a whole volume is deformed."""
         return bool(self.value == "volume")
 
-    def look_at(self, image: Any) -> None:
+    def show_for(self, image: Any) -> None:
         """Show the menu if an image has slices, and select the extent that its metadata records."""
         self.has_slices = image is not None and layer_extents(image)[-3:-2] > (1,)
         self.visible = self.has_slices
-        self.value = known_of(image).get("extent", "slice") if self.has_slices else "slice"
+        self.value = metadata_of(image).get("extent", "slice") if self.has_slices else "slice"

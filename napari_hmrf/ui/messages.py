@@ -101,7 +101,7 @@ def marks_of(outputs: Outputs) -> dict[Mark, int]:
     return {mark: number for mark in MARKS if (number := getattr(outputs, mark)) > HANDFUL}
 
 
-def loose(notes: Sequence[str]) -> str:
+def unheld_warning(notes: Sequence[str]) -> str:
     """Return the note that nothing holds the tissue, as a sentence; "" if there is none."""
     return next((_sentence(note) for note in notes if note.startswith(LOOSE)), "")
 
@@ -134,7 +134,7 @@ def progress(monitor: Monitor, work: str = "Deforming") -> str:
     return f"{work}: {percent} %" if 0 < percent < 100 else f"{work} ..."
 
 
-def chosen(image: Any, hidden: Sequence[Any]) -> str:
+def describe_image_choice(image: Any, hidden: Sequence[Any]) -> str:
     """Report the layers hidden for the chosen image, or a missing choice; "" if none is hidden."""
     names = ", ".join(f"'{layer.name}'" for layer in hidden)
     return _NO_IMAGE if image is None else names and _HIDDEN.format(image.name, names)

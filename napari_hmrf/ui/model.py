@@ -15,7 +15,7 @@ from qtpy.QtWidgets import QRadioButton
 from napari_hmrf.solver.model_advice import ABOUT_POISSON, when_to_take
 from napari_hmrf.solver.model_names import ELASTIC
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.study.models import SolverDetails, asked
+from napari_hmrf.study.models import SolverDetails, detail_names
 from napari_hmrf.study.study_model import ModelChoice
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
@@ -162,8 +162,8 @@ class ModelForm(Container):
     def _show(self, *_: Any) -> None:
         """Show the fields that apply."""
         model = self.model.value
-        self._when.say(when_to_take(model, None if self._volume else self.plane.value))
+        self._when.show_text(when_to_take(model, None if self._volume else self.plane.value))
         self.plane.visible = self.is_elastic and not self._volume
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
         for field in self.in_detail:
-            field.visible = field.name in asked(model)
+            field.visible = field.name in detail_names(model)

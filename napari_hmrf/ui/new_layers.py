@@ -10,7 +10,7 @@ import numpy as np
 from napari.layers import Labels
 
 from napari_hmrf.layers.label_colours import boundary_colours
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.layers.slice_view import View, fits, frame_of, layer_extents, plane_shape
 from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
@@ -51,7 +51,7 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
     if not has_tissue:
         paper = PRESETS[0]
         materials = (Material(0, UNPAINTED, paper.materials[0].stiffness), *paper.materials)
-        tissue = blank("Tissue", described(TISSUE, materials, paper.unit), opacity=0.4)
+        tissue = blank("Tissue", layer_metadata(TISSUE, materials, paper.unit), opacity=0.4)
         # Insert below the boundary, which must stay visible.
         layers.insert(layers.index(boundary) if has_boundary else len(layers), tissue)
     if not has_boundary:
@@ -59,7 +59,7 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
         push = usual_step(plane_shape(image, frame), frame.spacing)
         holds = BoundaryRule(1, "fixed", name="holds")
         grows = BoundaryRule(2, "expand", amount=push, name="grows")
-        description = described(BOUNDARY, (holds, grows))
+        description = layer_metadata(BOUNDARY, (holds, grows))
         boundary = blank("Boundary", description, colormap=boundary_colours())
         layers.append(boundary)
     paints_boundary = not isinstance(tissue, Labels) or (has_tissue and not has_boundary)

@@ -53,22 +53,22 @@ class PacedEngine:
         self,
         study: Study,
         backend: str = "auto",
-        settle: bool = False,
+        cold_start: bool = False,
         preview: Preview | None = None,
     ) -> None:
-        """Submit a study, as `Engine.submit`; with `settle`, drop earlier work first."""
-        if settle:
-            self.forget()
-        self._engine.submit(study, backend, settle, preview)
+        """Submit a study, as `Engine.submit`; with `cold_start`, drop earlier work first."""
+        if cold_start:
+            self.cancel()
+        self._engine.submit(study, backend, cold_start, preview)
 
     def complete(self) -> None:
         """Make the layers of the latest answer in the background, unless a newer study waits."""
         self._jobs.submit("layers", self._completed, self._on_completed)
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Drop all pending work; its results are not shown."""
-        self._engine.forget()
-        self._jobs.forget("layers")
+        self._engine.cancel()
+        self._jobs.cancel("layers")
 
     @property
     def busy(self) -> bool:
@@ -96,7 +96,7 @@ class PacedEngine:
 
     def release(self) -> None:
         """Drop all work and stop the engine permanently."""
-        self.forget()
+        self.cancel()
         self._engine.close()
         self._gui.release()
         self._jobs.release()
@@ -105,7 +105,7 @@ class PacedEngine:
     # On the compute thread
 
     def _deliver(self, answer: Deformation) -> None:
-        state = self._overlay.on(answer)
+        state = self._overlay.with_marks(answer)
         self._engine.hold()
         self._gui.submit(partial(self._on_answer, state))
 
@@ -116,7 +116,7 @@ class PacedEngine:
             return None
         try:
             with compute_thread.unless(lambda: self._engine.busy):
-                return complete_result(latest, compute_thread.look)
+                return complete_result(latest, compute_thread.check_cancelled)
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001 - every error is reported to the user
@@ -130,10 +130,10 @@ class PacedEngine:
             return
         # A newer study has corrected the error, or will report it again.
         try:
-            if state.moved.error is None or not self._engine.waits:
+            if state.moved.error is None or not self._engine.has_pending:
                 self._show(state)
         finally:
-            self._repainted.ask()
+            self._repainted.schedule()
 
     def _on_completed(self, completed: CompleteResult | ShownDeformation | None) -> None:
         if isinstance(completed, ShownDeformation):

@@ -42,10 +42,10 @@ class PatientSides:
         self._labels: list[QLabel] = []
         dims = viewer.dims.events
         self._connections = EventConnections(
-            (dims.order, self.look),
-            (dims.ndisplay, self.look),
-            (camera_of(viewer).events.orientation, self.look),
-            (image.changed, self.look),
+            (dims.order, self.refresh),
+            (dims.ndisplay, self.refresh),
+            (camera_of(viewer).events.orientation, self.refresh),
+            (image.changed, self.refresh),
             (viewer.layers.events, self._on_layers),
         )
 
@@ -70,9 +70,9 @@ class PatientSides:
             label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
             layout.addWidget(label, *edge, Qt.AlignmentFlag.AlignCenter)
             self._labels.append(label)
-        self.look()
+        self.refresh()
 
-    def look(self, *_: Any) -> None:
+    def refresh(self, *_: Any) -> None:
         """Update the letters for the visible slice."""
         letters = Sides.of(self._image.value, self._viewer)
         for label, letter in zip(self._labels, letters, strict=False):
@@ -81,7 +81,7 @@ class PatientSides:
 
     def _on_layers(self, event: Any) -> None:
         if event.type in _EVENTS:
-            self.look()
+            self.refresh()
 
     def release(self) -> None:
         """Remove the letters."""

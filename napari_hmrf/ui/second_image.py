@@ -13,7 +13,7 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import landmark_pairs
-from napari_hmrf.layers.result_layers import Answer
+from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Landmark
@@ -48,10 +48,11 @@ class SecondImage:
         # Settings of the compared layers, and index of the second image, before the comparison.
         self._before: dict[Any, dict[str, Any]] = {}
         self._place = 0
-        choices = (self._image, self._form.second, self._pair.where, self._pair.should)
-        changes = (view.looked, *(choice.changed for choice in choices))
+        choices = (self._image, self._form.second, self._pair.sources, self._pair.targets)
+        changes = (view.view_changed, *(choice.changed for choice in choices))
         self._connections = EventConnections(
-            (viewer.layers.events.inserted, self.look), *((change, self.look) for change in changes)
+            (viewer.layers.events.inserted, self.refresh),
+            *((change, self.refresh) for change in changes),
         )
         self._points = EventConnections()
         # Layer with the residuals, and the name of their feature column.
@@ -63,7 +64,7 @@ class SecondImage:
         self._points.release()
         self._draw(None, [])
 
-    def look(self, *_: Any) -> None:
+    def refresh(self, *_: Any) -> None:
         """Show the second image over the first, and measure the landmarks."""
         image = self._image.value
         moved = [] if image is None else [image, *self._results.pictures_of(image)]
@@ -104,11 +105,11 @@ class SecondImage:
         earlier, self._residuals = self._residuals, None
         if earlier is not None and earlier[1] in earlier[0].features:
             earlier[0].features = earlier[0].features.drop(columns=earlier[1])
-        self._form.landmarks.say(self._describe_residuals())
+        self._form.landmarks.show_text(self._describe_residuals())
 
     def _describe_residuals(self) -> str:
         """Describe the residuals, and store each as a feature of its landmark."""
-        shown, where = self._view.shown, self._pair.where.value
+        shown, where = self._view.shown, self._pair.sources.value
         pairs = None if shown is None else self._pairs(shown.answer)
         if shown is None or pairs is None:
             return ""
@@ -127,7 +128,7 @@ class SecondImage:
         before, after = (as_seen(length, spacing) for length in both)
         return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
 
-    def _pairs(self, answer: Answer) -> LandmarkPairs | None:
+    def _pairs(self, answer: PlacedSolution) -> LandmarkPairs | None:
         """Return the landmarks of the chosen layers, or else those of the drawing."""
         where, should = self._pair.pair
         if where is not None:

@@ -57,7 +57,7 @@ class SoftTissue(DockValues):
         Settings of the tools.
     more : ResultMenu
         Menu that measures the result, saves its field and a film, and moves other layers along.
-    seen, followed : Signal(Deformation), Signal(Outputs)
+    deformation_changed, result_drawn : Signal(Deformation), Signal(Outputs)
         Emitted with every new state of the tissue, and when all layers of a result are drawn.
     finished, saved : Signal(object)
         Emitted when `deform` ends: `Outputs`, or None if it was cancelled or failed; and when
@@ -76,13 +76,13 @@ class SoftTissue(DockValues):
         `napari_hmrf.write_study`; and the table of tissues, as `material_tables.write_preset`.
         Both return the `Path` of the file.
     take_materials : callable
-        Fill the table of the Labels layer chosen as tissue, as `MaterialMenu.take`: given a
-        `Preset`, another Labels layer, or a file's path.
+        Fill the table of the Labels layer chosen as tissue, as `MaterialMenu.copy_materials`:
+        given a `Preset`, another Labels layer, or a file's path.
     cancel : callable
         Cancel the work; the dock is idle at once, even if the thread still runs.
-    touch : callable
+    schedule_refresh : callable
         Update the tissue after an edit that emits no event.
-    say : callable
+    show_message : callable
         Show a sentence in the status text of the dock.
     """
 
@@ -90,7 +90,7 @@ class SoftTissue(DockValues):
         super().__init__(napari_viewer)
         viewer, undo = self._viewer, undo_of(self._viewer)
         self.study_model: StudyModel = undo.model
-        self._taken: tuple[Landmark, ...] = ()
+        self._added_landmarks: tuple[Landmark, ...] = ()
         # True if a tool was activated automatically and has not been used yet.
         self._unused = False
         self._form = form = DockForm(self, viewer)
@@ -101,16 +101,16 @@ class SoftTissue(DockValues):
         self._controller = controller = Controller(self.native, viewer, *inputs)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
-        form.image.changed.connect(self._view.stand_on)
+        form.image.changed.connect(self._view.select_image)
         self._guide = Guide(viewer, controller, undo)
         self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
         self._second = SecondImage(viewer, self._view, controller)
         self._sides = PatientSides(viewer, form.image)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
         self.fields, self.more = form.motion.fields, self._view.more
-        self.seen, self.followed, self.finished = (
-            controller.seen,
-            controller.followed,
+        self.deformation_changed, self.result_drawn, self.finished = (
+            controller.deformation_changed,
+            controller.result_drawn,
             controller.finished,
         )
         self.saved = self._view.more.saved
@@ -119,8 +119,15 @@ class SoftTissue(DockValues):
         self.play, self.pause = self._view.play, self._view.player.stop
         self.at = self._view.cursor.at
         self.save_study = self._unsaved.save
-        self.take_materials, self.save_materials = form.tissue.menu.take, form.tissue.menu.save
-        self.cancel, self.touch, self.say = controller.cancel, controller.touch, self._guide.say
+        self.take_materials, self.save_materials = (
+            form.tissue.menu.copy_materials,
+            form.tissue.menu.save,
+        )
+        self.cancel, self.schedule_refresh, self.show_message = (
+            controller.cancel,
+            controller.schedule_refresh,
+            self._guide.show_message,
+        )
         self._connect()
         self._binding.choose_first()
 
@@ -171,7 +178,7 @@ class SoftTissue(DockValues):
 
     @tool.setter
     def tool(self, name: str) -> None:
-        self._pointer.take_up(name)
+        self._pointer.select_tool(name)
 
     @property
     def drawing(self) -> Drawing:
@@ -180,7 +187,7 @@ class SoftTissue(DockValues):
 
     @drawing.setter
     def drawing(self, drawing: Drawing) -> None:
-        self._controller.look()
+        self._controller.refresh()
         word = "" if self._binding.automatic else "took over a drawing"
         self._pointer.set_drawing(drawing, word)
 
@@ -190,11 +197,11 @@ class SoftTissue(DockValues):
         """Start drawing with the current tool; return whether the mouse draws now."""
         if self._viewer.dims.ndisplay != 2 or self.image is None:
             self._guide.invite()
-        elif self._controller.look():
-            self._pointer.take()
+        elif self._controller.refresh():
+            self._pointer.start_drawing()
             self._watch.hide_paint()
-            self.touch()  # the tissue follows its drawing even if `live` is False
-        self._watch.look_at_mouse()
+            self.schedule_refresh()  # the tissue follows its drawing even if `live` is False
+        self._watch.update_mouse_mode()
         return self.active
 
     def stop(self) -> None:
@@ -204,7 +211,7 @@ class SoftTissue(DockValues):
 
     def save_pictures(self, folder: str | Path) -> None:
         """Write pictures into an existing folder; `saved` is emitted when they are written."""
-        attempt(partial(self.more.save_pictures, folder), self.say)
+        attempt(partial(self.more.save_pictures, folder), self.show_message)
 
     def open_study(self, path: str | Path) -> None:
         """Add the layers of a saved study, and restore its settings; errors as in `read_study`."""
@@ -216,9 +223,9 @@ class SoftTissue(DockValues):
         """Solve from a cold start. Layers are copied now; `finished` is emitted at the end."""
         if self.idle and not self.away:
             for table in self._form.tables:
-                table.look()
+                table.refresh()
             self._binding.begin()
-            self._controller.settle()
+            self._controller.solve_cold()
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixels of the image, and choose them.
@@ -238,7 +245,7 @@ class SoftTissue(DockValues):
         with self._binding.automatically():  # undo would not remove the layers
             self.tissue, self.boundary = BRIGHTNESS if by_brightness else made[0], made[1]
         painted = (f"'{layer.name}'" for layer in made if isinstance(layer, Labels))
-        self.say(messages.PAINT.format(" and ".join(painted)))
+        self.show_message(messages.PAINT.format(" and ".join(painted)))
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
         """Define the stiffness of tissue by the image's intensity; return the curve.
@@ -259,12 +266,12 @@ class SoftTissue(DockValues):
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
-        curve = curve or self._form.tissue.known or self._controller.reader.first_curve()
+        curve = curve or self._form.tissue.brightness_curve or self._controller.reader.first_curve()
         self.curve = curve
-        self._controller.look()
+        self._controller.refresh()
         if (layer := self._controller.curve_layer.layer) is not None:
             self._viewer.layers.selection.active = layer
-        self.say(messages.CURVE)
+        self.show_message(messages.CURVE)
         return curve
 
     def take_landmarks(self, where: Any, should: Any = None, **how: float) -> None:
@@ -286,11 +293,11 @@ class SoftTissue(DockValues):
         HmrfError
             If no image is chosen, or the layers cannot be read, as for `read_landmarks`.
         """
-        if self.image is None or not self._controller.look():
+        if self.image is None or not self._controller.refresh():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
         grid, view = self.study.grid, self._form.view()
-        others = [mark for mark in self.drawing.marks if mark not in self._taken]
-        self._taken = marks = read_landmarks(
+        others = [mark for mark in self.drawing.marks if mark not in self._added_landmarks]
+        self._added_landmarks = marks = read_landmarks(
             where, should, grid.known_place, grid.shape, view, **how
         )
         self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
@@ -302,7 +309,7 @@ class SoftTissue(DockValues):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self.say(messages.MEANWHILE if self.before else "")
+            self.show_message(messages.MEANWHILE if self.before else "")
 
     def _connect(self) -> None:
         form, pointer, controller = self._form, self._pointer, self._controller
@@ -312,7 +319,9 @@ class SoftTissue(DockValues):
             lambda: self._try(lambda: self.tissue_from_intensity(controller.reader.first_curve()))
         )
         points = form.motion.boundary.landmarks
-        points.take.changed.connect(lambda _: self._try(lambda: self.take_landmarks(*points.pair)))
+        points.take_button.changed.connect(
+            lambda _: self._try(lambda: self.take_landmarks(*points.pair))
+        )
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())
@@ -326,10 +335,10 @@ class SoftTissue(DockValues):
                 lambda automatic: None if automatic else controller.show_before(False)
             )
         pointer.changed.connect(self._show_tool)
-        pointer.begun.connect(partial(setattr, self, "_unused", False))
+        pointer.action_started.connect(partial(setattr, self, "_unused", False))
         controller.finished.connect(self._on_finished)
-        self._view.said.connect(self.say)
-        self._watch.first_came.connect(self._on_first)
+        self._view.message.connect(self.show_message)
+        self._watch.first_image_ready.connect(self._on_first)
 
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer
@@ -337,7 +346,7 @@ class SoftTissue(DockValues):
             motion.show_tool(pointer.tool.name if pointer.active else "")
             motion.remove.enabled = pointer.tool.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
-            pointer.say_tool()
+            pointer.report_tool()
 
     def _try(self, action: Callable[[], object]) -> None:
         attempt(action, self._refuse)
@@ -376,7 +385,7 @@ class SoftTissue(DockValues):
         """Release all parts, as the dock was closed or its window was deleted."""
         if closed:
             self._controller.cancel()
-            self._controller.forget()
+            self._controller.clear()
             self._pointer.leave()
             self._view.rest()
         parts = (self._second, self._sides, self._view, self._unsaved, self._watch, self._guide)

@@ -76,6 +76,6 @@ class StudyReader:
         assert study.intensities is not None
         return first_curve(study.intensities)
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Discard all copies of layers; a script may have changed an array in place."""
-        self._copies.forget()
+        self._copies.invalidate()

@@ -11,7 +11,7 @@ from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from napari_hmrf.layers.image_result import CONFIDENCE
-from napari_hmrf.layers.metadata import known_of
+from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.read import EDGES
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.study_model import BRIGHTNESS
@@ -67,22 +67,22 @@ class TissueSection(_PaintedSection[MaterialTable]):
     menu : MaterialMenu
     border : CheckBox
         Check box that excludes dark, unpainted surroundings from the tissue.
-    known : StiffnessCurve or None
+    brightness_curve : StiffnessCurve or None
         Curve of the image, if the menu offers it.
     editor : CurveEditor
         Editor of that curve.
     """
 
-    known: StiffnessCurve | None = None
+    brightness_curve: StiffnessCurve | None = None
 
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
             layers,
             # Layers of results, which have a "kind", cannot define the tissue.
-            lambda layer: isinstance(layer, Labels | Image) and "kind" not in known_of(layer),
+            lambda layer: isinstance(layer, Labels | Image) and "kind" not in metadata_of(layer),
             "tissue",
             "A Labels layer in which tissues are painted, an image of stiffness, or a curve",
-            lambda: [("brightness of the image", BRIGHTNESS)] if self.known else [],
+            lambda: [("brightness of the image", BRIGHTNESS)] if self.brightness_curve else [],
         )
         self.border = CheckBox(
             value=True,
@@ -105,11 +105,11 @@ class TissueSection(_PaintedSection[MaterialTable]):
     @property
     def curve(self) -> StiffnessCurve | None:
         """Curve of the image, if brightness defines the tissue; else None."""
-        return self.known if self.choice.value == BRIGHTNESS else None
+        return self.brightness_curve if self.choice.value == BRIGHTNESS else None
 
     def offer(self, curve: StiffnessCurve | None) -> None:
         """Offer the curve of the image in the menu; None removes it."""
-        self.known = curve
+        self.brightness_curve = curve
         if curve is not None:
             self.editor.curve = curve
         self.choice.reset_choices()
@@ -142,7 +142,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
             layers,
-            lambda layer: isinstance(layer, Labels | Vectors) and "kind" not in known_of(layer),
+            lambda layer: isinstance(layer, Labels | Vectors) and "kind" not in metadata_of(layer),
             "boundary",
             "Labels: what is painted holds or moves; or Vectors: observed displacements, such as "
             "a field by File > Open. Landmarks are chosen below once there are Points or Shapes",
@@ -168,4 +168,4 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
 def _may_be_confidence(layer: Any) -> bool:
     """Return whether a layer is grey or a mask, and not the display of painted confidence."""
     grey = isinstance(layer, Labels) or (isinstance(layer, Image) and not layer.rgb)
-    return grey and known_of(layer).get("kind") != CONFIDENCE
+    return grey and metadata_of(layer).get("kind") != CONFIDENCE

@@ -181,12 +181,12 @@ def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[Bou
     """Return the column of a motion or a pull along the rows or the columns."""
 
     def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
-        *deep, down, along = ways.seen(rule.vector)
+        *deep, down, along = ways.to_display(rule.vector)
         seen = (*deep, down, amount) if axis else (*deep, amount, along)
-        return replace(rule, vector=ways.along(seen))
+        return replace(rule, vector=ways.from_display(seen))
 
     def seen(rule: BoundaryRule) -> float | None:
-        return ways.seen(rule.vector)[axis - 2] if rule.action == action else None
+        return ways.to_display(rule.vector)[axis - 2] if rule.action == action else None
 
     title = ways.label(axis) if action == "move" else f"pull {ways.label(axis)}"
     return _distance(title, ways.about(axis), unit, seen, typed)
@@ -250,11 +250,11 @@ class MaterialMenu(QPushButton):
 
     Attributes
     ----------
-    said : Signal(str)
+    message : Signal(str)
         Message about a change of the table, and its effect on existing rows; or an error.
     """
 
-    said = Signal(str)
+    message = Signal(str)
 
     def __init__(self, table: MaterialTable, layers: Callable[[], list[Any]]) -> None:
         super().__init__("Materials")
@@ -281,7 +281,7 @@ class MaterialMenu(QPushButton):
         add_entry(menu, "Load from file ...", about, self._load)
         add_entry(menu, "Save to file ...", "For other images, and for other people", self._save)
 
-    def take(self, materials: Preset | Layer | str | Path) -> None:
+    def copy_materials(self, materials: Preset | Layer | str | Path) -> None:
         """Copy materials into the table: a preset, or those of a layer or a file.
 
         Raises
@@ -300,28 +300,28 @@ class MaterialMenu(QPushButton):
             preset = materials_of(materials)
         if preset is None:
             raise LayerError(materials, "has no table of materials. Choose another layer.")
-        rows, words = preset.take_over(self._table.rows)
+        rows, words = preset.replace_materials(self._table.rows)
         self._table.contents = RowTable(rows, preset.unit, preset.name, preset.source)
-        self.said.emit(f"Materials: {preset.name}. {words}".rstrip())
+        self.message.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
         """Save the table to a file, as `write_preset`; return its path."""
         table = self._table.contents
-        file = write_preset(path, Preset(table.preset, table.unit, table.whose, table.rows))
-        self.said.emit(f"Saved {file.name}.")
+        file = write_preset(path, Preset(table.preset, table.unit, table.source, table.rows))
+        self.message.emit(f"Saved {file.name}.")
         return file
 
     def _offer(self, menu: QMenu, preset: Preset) -> None:
         about = f"<p>{escape(preset.source, quote=False)}</p>"  # Qt wraps rich text only
         title = f"{preset.name} {preset.unit if preset in PRESETS else ''}".strip()
-        add_entry(menu, title, about, lambda: self.take(preset))
+        add_entry(menu, title, about, lambda: self.copy_materials(preset))
 
     def _load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Load materials", "", _TABLES)
         if path:
-            attempt(partial(self.take, path), self.said.emit)
+            attempt(partial(self.copy_materials, path), self.message.emit)
 
     def _save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save materials", f"materials{ENDING}", _FILES)
         if path:
-            attempt(partial(self.save, path), self.said.emit)
+            attempt(partial(self.save, path), self.message.emit)

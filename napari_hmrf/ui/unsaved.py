@@ -38,7 +38,7 @@ from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
 
 Answer = Literal["save", "discard", "cancel"]
-Ask = Callable[[str], Answer]
+Prompt = Callable[[str], Answer]
 Attempt = Callable[[Callable[[], object]], None]
 _log = logging.getLogger("napari_hmrf")
 #: Characters that some systems do not allow in file names.
@@ -85,7 +85,7 @@ class Dock(Protocol):
     def insert(self, key: int, widget: Container) -> None:
         """Insert a part of the dock."""
 
-    def say(self, message: str) -> None:
+    def show_message(self, message: str) -> None:
         """Show a message."""
 
 
@@ -104,13 +104,13 @@ class Unsaved(QObject):
 
     Attributes
     ----------
-    ask : callable
+    prompt : callable
         Given a question, returns "save", "discard" or "cancel"; by default from a dialog.
     """
 
     def __init__(self, dock: Dock, viewer: Any, controller: Controller, attempt: Attempt) -> None:
         super().__init__(dock.native)
-        self.ask: Ask = self._show_prompt
+        self.prompt: Prompt = self._show_prompt
         self._try = attempt
         self._dock, self._viewer, self._controller = dock, viewer, controller
         self._binding, self._undo = controller.binding, undo_of(viewer)
@@ -118,7 +118,7 @@ class Unsaved(QObject):
         self._writer = threading.Thread()
         self._keep_timer = single_shot(dock.native, _REST, self._keep)
         self._connections = EventConnections((self._model.changed, self._on_edited))
-        dock.insert(0, LeftBehind(lambda file: attempt(partial(self._take_up, file))))
+        dock.insert(0, RecoveryNotice(lambda file: attempt(partial(self._open_recovered, file))))
         _all.add(self)
 
     @property
@@ -133,7 +133,7 @@ class Unsaved(QObject):
         solution, study = self._dock.solution if self._controller.fresh else None, self._dock.study
         written = write_study(path, study, solution)
         apart = self._landmarks_apart(study)
-        self._dock.say(messages.saved_study(written.name, solution is not None, apart))
+        self._dock.show_message(messages.saved_study(written.name, solution is not None, apart))
         self._drop_recovery(self._model.slice, written)
         return written
 
@@ -151,7 +151,7 @@ class Unsaved(QObject):
         return where.name if any((mark.target, mark.source) not in taken for mark in chosen) else ""
 
     def save_as(self) -> None:
-        """Ask where to save the study, and save it."""
+        """Prompt where to save the study, and save it."""
         slice_part = self._model.slice
         name = "study" if slice_part.layer is None else _NO_FILE_NAME.sub("-", _name(slice_part))
         known = self._work.paths.get(slice_part, Path(name + SUFFIX))
@@ -178,7 +178,7 @@ class Unsaved(QObject):
                 place = SlicePlace(frame.plane, (0,) * first.ndim)
                 self._undo.go_to(Part("drawing", first, place), turn=True)
             self._model.restore(study, layers)
-            if study.motion.drawing.marks and not self._controller.look():
+            if study.motion.drawing.marks and not self._controller.refresh():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
@@ -204,7 +204,7 @@ class Unsaved(QObject):
             self._work.paths[slice_part] = path
         if self._writer.is_alive():
             self._writer.join()
-        if (kept := self._work.kept.pop(slice_part, None)) is not None:
+        if (kept := self._work.saved_files.pop(slice_part, None)) is not None:
             kept.unlink(missing_ok=True)
 
     # Before the window closes
@@ -235,7 +235,7 @@ class Unsaved(QObject):
         slices, paths = self._work.slices, self._work.paths
         names = [f"'{_name(part)}'" for part in slices]
         replaced = [f"'{paths[part].name}'" for part in slices if part in paths]
-        answer = self.ask(
+        answer = self.prompt(
             f"What was done on {' and '.join(names)} is in no file yet. Save it before closing?"
             + (f" Saving replaces {' and '.join(replaced)}." if replaced else "")
         )
@@ -250,7 +250,7 @@ class Unsaved(QObject):
         """Go to a slice, and save it to its known path, or else to a path the user chooses."""
         self._dock.image = part.layer
         self._undo.go_to(part, turn=True)
-        self._controller.look()
+        self._controller.refresh()
         known = self._work.paths.get(part)
         if self._model.slice == part:  # False if another slice is still visible
             self._try(self.save_as if known is None else partial(self.save, known))
@@ -265,7 +265,7 @@ class Unsaved(QObject):
         return answers.get(answer, "cancel")
 
     def _discard(self) -> None:
-        for part in {*self._work.slices, *self._work.kept}:
+        for part in {*self._work.slices, *self._work.saved_files}:
             self._drop_recovery(part)
 
     # Crash recovery
@@ -281,19 +281,19 @@ class Unsaved(QObject):
         else:
             try:
                 study = self._dock.study
-                file = self._work.kept.get(slice_part) or recovery.new_file(folder())
+                file = self._work.saved_files.get(slice_part) or recovery.new_file(folder())
             except (HmrfError, ValueError, OSError):
                 return  # the current state cannot be saved: keep the earlier file
-            self._work.kept[slice_part] = file
+            self._work.saved_files[slice_part] = file
             self._writer = threading.Thread(target=_write, args=(file, study), daemon=True)
             self._writer.start()
 
-    def _take_up(self, file: Path) -> None:
+    def _open_recovered(self, file: Path) -> None:
         """Open a recovery file of an ended process, and keep it until the work is saved."""
         self._add(file)
         slice_part = self._model.slice
         self._work.note(slice_part)
-        self._work.kept[slice_part] = recovery.take_over(file)
+        self._work.saved_files[slice_part] = recovery.claim(file)
 
     def release(self) -> None:
         """Disconnect from edits, as the dock was closed or its window was deleted."""
@@ -302,39 +302,39 @@ class Unsaved(QObject):
         self._keep_timer.stop()
 
 
-class LeftBehind(Container):
+class RecoveryNotice(Container):
     """Notice of work that was not saved when napari ended, with buttons to open or discard it.
 
     Parameters
     ----------
-    take_up : callable
+    open_recovered : callable
         Opens a recovery file, and removes it from the files that the notice offers.
     """
 
-    def __init__(self, take_up: Callable[[Path], None]) -> None:
+    def __init__(self, open_recovered: Callable[[Path], None]) -> None:
         self._file = Path()
-        self._said = Prose()
+        self._text = Prose()
         opened, discarded = PushButton(text="Open it"), PushButton(text="Discard")
-        super().__init__(widgets=[self._said, row(opened, discarded)], labels=False)
-        opened.changed.connect(partial(self._on_pressed, take_up))
+        super().__init__(widgets=[self._text, row(opened, discarded)], labels=False)
+        opened.changed.connect(partial(self._on_pressed, open_recovered))
         discarded.changed.connect(partial(self._on_pressed, _discard))
-        self.look()
+        self.refresh()
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Show the newest recovery file of an ended process, or hide the notice."""
-        files, text = recovery.left_behind(folder()), ""
+        files, text = recovery.abandoned_files(folder()), ""
         if files:
             self._file = files[0]
             when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
             more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
             of = f" on '{name}'" if (name := image_named_in(files[0])) else ""
             text = f"Work of {when}{of} was not saved when napari ended{more}."
-        self._said.say(text)
+        self._text.show_text(text)
         self.visible = bool(files)
 
     def _on_pressed(self, answer: Callable[[Path], None], _: bool) -> None:
         answer(self._file)
-        self.look()
+        self.refresh()
 
 
 def _discard(file: Path) -> None:

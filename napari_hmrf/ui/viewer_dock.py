@@ -45,7 +45,7 @@ class Dock(Container):
     @property
     def away(self) -> bool:
         """True if the window was deleted or the dock was closed."""
-        return self._lifetime.over
+        return self._lifetime.has_ended
 
     @property
     def docked(self) -> bool:
@@ -80,7 +80,7 @@ class _Lifetime:
 
     # Qt would call a closure over the owner even while Python deletes both.
     def __init__(self, owner: Dock) -> None:
-        self.over = self._docked = False
+        self.has_ended = self._docked = False
         self._owner = weakref.ref(owner)
         _lifetimes.add(self)
         owner.native.destroyed.connect(self._on_destroyed)
@@ -92,7 +92,9 @@ class _Lifetime:
     def _on_parent(self, *_: Any) -> None:
         """Detect docking and closing: napari removes the widget from a dock to close it."""
         owner, docked = self._owner(), self._docked
-        self._docked = not self.over and owner is not None and owner.native.parent() is not None
+        self._docked = (
+            not self.has_ended and owner is not None and owner.native.parent() is not None
+        )
         if owner is not None and self._docked and not docked:
             owner.on_docked()
         elif docked and not self._docked:
@@ -100,7 +102,7 @@ class _Lifetime:
 
     def end(self, closed: bool) -> None:
         """End the dock, as it was closed or its window was deleted."""
-        over, self.over = self.over, True
+        over, self.has_ended = self.has_ended, True
         _lifetimes.discard(self)
         if not over and (owner := self._owner()) is not None:
             owner.on_over(closed)

@@ -43,7 +43,7 @@ class ViewerWatch:
     """
 
     #: The first image is ready to be pulled, and no other layer is active.
-    first_came = Signal()
+    first_image_ready = Signal()
 
     def __init__(self, native: Any, viewer: Any, controller: Controller, guide: Guide) -> None:
         self._viewer, self._controller, self._guide = viewer, controller, guide
@@ -61,14 +61,14 @@ class ViewerWatch:
         self._has_started = self._was_active = False
         # Message about a removed layer, until it is shown.
         self._removal_message = ""
-        controller.moved_on.connect(self._on_moved)
+        controller.slice_changed.connect(self._on_moved)
         self._slice = self._slice_shown
         self._form.edited.connect(self._on_choice)
         self._form.image.changed.connect(self._on_image)
         self._callbacks: dict[str, Any] = {
             "inserted": self._on_inserted,
             "removed": self._on_removed,
-            "renamed": self._binding.look,
+            "renamed": self._binding.refresh,
             "reordered": guide.show,
             "visible": guide.show,
             "mode": self._on_mode,
@@ -89,7 +89,7 @@ class ViewerWatch:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
     def _on_moved(self, study: Study) -> None:
-        """Set tool sizes that suit the first image, and schedule `first_came`, only once."""
+        """Set tool sizes that suit the first image, and schedule `first_image_ready`, only once."""
         if not self._has_started:
             self._has_started = True
             size = study.grid.shape, study.grid.spacing
@@ -97,11 +97,11 @@ class ViewerWatch:
             self._first_timer.start()
 
     def _on_first(self) -> None:
-        """Emit `first_came`, unless a painted layer is chosen or another layer is active."""
+        """Emit `first_image_ready`, unless a painted layer is chosen or another layer is active."""
         has_paint = any(layer is not None for layer in self._painted)
         is_active = self._viewer.layers.selection.active in (None, self._form.image.value)
         if is_active and not has_paint:
-            self.first_came.emit()
+            self.first_image_ready.emit()
 
     def hide_paint(self) -> None:
         """Hide painted layers, which show the undeformed tissue and would tint the image."""
@@ -111,8 +111,8 @@ class ViewerWatch:
         for layer in shown:
             layer.visible = False
         if shown:
-            hidden = messages.chosen(self._form.image.value, shown)
-            self._guide.say(f"{self._guide.invitation} {hidden}", "step")
+            hidden = messages.describe_image_choice(self._form.image.value, shown)
+            self._guide.show_message(f"{self._guide.invitation} {hidden}", "step")
 
     @property
     def _painted(self) -> tuple[Any, Any]:
@@ -125,7 +125,7 @@ class ViewerWatch:
         form, has_image = self._form, self._form.image.value is not None
         form.make.enabled = has_image and None in self._painted
         form.intensity.enabled = form.result.keep.enabled = has_image
-        self._controller.touch()
+        self._controller.schedule_refresh()
         self._guide.show()
 
     def _on_image(self, image: Any) -> None:
@@ -137,14 +137,14 @@ class ViewerWatch:
             hidden = () if image is None else uncover(self._viewer, image)
             if image is not None and not in_middle(self._viewer, image):
                 self._viewer.reset_view()
-            self._guide.say(messages.chosen(image, hidden), why="step")
+            self._guide.show_message(messages.describe_image_choice(image, hidden), why="step")
         self._on_choice()
 
     def _rest(self) -> None:
         """Clear the current study."""
         self._controller.cancel()
-        self._controller.forget()
-        self._guide.say("")
+        self._controller.clear()
+        self._guide.show_message("")
         self._removal_timer.start()
 
     # Visible slice, and layers
@@ -154,8 +154,8 @@ class ViewerWatch:
         before, self._slice = self._slice, self._slice_shown
         if self._slice != before:
             self._pointer.turn()
-            self.look_at_mouse()
-            self._controller.touch()
+            self.update_mouse_mode()
+            self._controller.schedule_refresh()
 
     @property
     def _slice_shown(self) -> tuple[tuple[int, ...], list[float]]:
@@ -171,24 +171,24 @@ class ViewerWatch:
     def _on_pixels(self, event: Any) -> None:
         """Schedule a refresh, as the pixels of a layer or their position may have changed."""
         if self._reads(event.sources[0]):
-            self._controller.touch()
+            self._controller.schedule_refresh()
 
     def _reads(self, layer: Any) -> bool:
         """Return whether the study is read from a layer."""
         return layer in (self._form.image.value, *self._model.choice.layers)
 
     def _on_inserted(self, event: Any) -> None:
-        self._binding.look()
-        self._binding.take(event.value)
+        self._binding.refresh()
+        self._binding.use_layer(event.value)
         self._on_choice()
 
     def _on_removed(self, event: Any) -> None:
         layer, controller, display = event.value, self._controller, self._pointer.display
         was_read = self._reads(layer)
         self._removal_message = self._removal_message_for(layer) or self._removal_message
-        self._binding.look()
+        self._binding.refresh()
         if layer is display.arrows.former and not display.quiet:
-            self._guide.say(ARROWS_GONE, why="step")
+            self._guide.show_message(ARROWS_GONE, why="step")
         if layer is controller.source:
             self._rest()
         elif was_read and controller.settling:
@@ -213,27 +213,27 @@ class ViewerWatch:
         self._results.remove_orphans()
         if self._form.image.value is None and self._controller.study is None:
             self._pointer.leave()
-            self.look_at_mouse()
+            self.update_mouse_mode()
         if self._removal_message:
-            self._guide.say(self._removal_message, why="step")
+            self._guide.show_message(self._removal_message, why="step")
             self._removal_message = ""
 
     # Mouse
 
-    def look_at_mouse(self) -> None:
+    def update_mouse_mode(self) -> None:
         """Update status and tool after the mouse may have started or stopped drawing."""
         pointer = self._pointer
         if not pointer.display.quiet:
             stopped, self._was_active = self._was_active and not pointer.active, pointer.active
             if stopped:
                 pointer.release()
-                self._guide.say("")
+                self._guide.show_message("")
             self._guide.show()
             pointer.changed.emit()
 
     def _on_active(self, *_: Any) -> None:
         before, self._active = self._active, self._viewer.layers.selection.active
-        self.look_at_mouse()
+        self.update_mouse_mode()
         if self._active is not before:  # unchanged if the dock only added a layer
             self._on_mode()
 

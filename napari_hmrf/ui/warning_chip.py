@@ -28,7 +28,7 @@ class WarningChip:
     """
 
     #: Message for the user.
-    said = Signal(str)
+    message = Signal(str)
 
     def __init__(
         self, viewer: Any, form: DockForm, latest: Callable[[], CompleteResult | None]
@@ -37,9 +37,9 @@ class WarningChip:
         form.footer.chip.clicked.connect(self._on_chip)
         form.footer.other.clicked.connect(self._take_other)
         for signal in (form.result.overlay.changed, form.model.model.changed):
-            signal.connect(self.look)
+            signal.connect(self.refresh)
 
-    def look(self, *_: Any) -> None:
+    def refresh(self, *_: Any) -> None:
         """Update the warnings of the latest result, and the offer of another model."""
         done, overlay, other = self._latest(), self._form.result.overlay.value, self._other
         self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, overlay)))
@@ -65,7 +65,7 @@ class WarningChip:
             slice_message = self._go_to_most(latest, mark)
         elif overlay.value in MARKS:
             overlay.value = NOTHING
-        self.said.emit(f"{self._form.footer.warning} {slice_message}".rstrip())
+        self.message.emit(f"{self._form.footer.warning} {slice_message}".rstrip())
 
     def _go_to_most(self, latest: CompleteResult, mark: Mark) -> str:
         """Go to the slice of a volume with most marked sites; return a message that names it."""

@@ -7,8 +7,8 @@ from napari.layers import Image
 
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.metadata import BOUNDARY, described
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.metadata import BOUNDARY, layer_metadata
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -40,12 +40,12 @@ def test_rows_and_columns_run_as_they_are_seen(place, seen):
     ways = Directions.of(frame_of(image))
     assert ways[:2] == seen
     # Whatever the angle: a step along the way named is seen to go there, and nowhere else.
-    pixels = np.divide(ways.along((3.0, 0.0)), frame_of(image).spacing)
+    pixels = np.divide(ways.from_display((3.0, 0.0)), frame_of(image).spacing)
     goes = np.subtract(image.data_to_world(pixels), image.data_to_world((0, 0)))
     if all(seen):
         towards = {"down": (3, 0), "up": (-3, 0), "right": (0, 3), "left": (0, -3)}[seen[0]]
         np.testing.assert_allclose(goes, towards, atol=1e-6)
-        np.testing.assert_allclose(ways.seen(ways.along((3.0, -2.0))), (3, -2))
+        np.testing.assert_allclose(ways.to_display(ways.from_display((3.0, -2.0))), (3, -2))
 
 
 def test_a_view_with_its_axes_exchanged_or_turned_over_counts_too():
@@ -53,10 +53,12 @@ def test_a_view_with_its_axes_exchanged_or_turned_over_counts_too():
     image = viewer.add_image(np.zeros((20, 30)), scale=(1, -1))
     viewer.dims.order = (1, 0)
     frame = frame_of(image, View.of(viewer.dims))
-    assert ways_of(frame, viewer)[:2] == ("up", "right"), "the image's columns are the rows now"
+    assert directions_of(frame, viewer)[:2] == ("up", "right"), (
+        "the image's columns are the rows now"
+    )
     camera = getattr(viewer, "scene", viewer).camera
     camera.orientation2d = ("up", "right")
-    assert ways_of(frame, viewer) == Directions("down", "right"), "and nothing is turned"
+    assert directions_of(frame, viewer) == Directions("down", "right"), "and nothing is turned"
 
 
 def test_words_name_the_opposite_way_below_zero_and_none_at_an_angle():
@@ -81,7 +83,7 @@ def test_the_table_says_which_way_its_arrows_will_point(widget, run):
     boundary[10, 10] = 1
     rule = BoundaryRule(1, "move", vector=(0.0, 10.0))
     layer = viewer.add_labels(
-        boundary, name="Boundary", metadata=described(BOUNDARY, (rule,)), **place
+        boundary, name="Boundary", metadata=layer_metadata(BOUNDARY, (rule,)), **place
     )
     widget.boundary = layer
     run(widget)
@@ -90,7 +92,9 @@ def test_the_table_says_which_way_its_arrows_will_point(widget, run):
     start, step = arrows.data[np.abs(arrows.data[:, 1]).max(axis=1).argmax()]
     seen = np.subtract(arrows.data_to_world(start + step), arrows.data_to_world(start))
     assert seen[1] < -0.5, "to the left on the screen"
-    assert layer.metadata == {**layer.metadata, **described(BOUNDARY, (rule,))}, "saved as it was"
+    assert layer.metadata == {**layer.metadata, **layer_metadata(BOUNDARY, (rule,))}, (
+        "saved as it was"
+    )
 
 
 def test_the_brush_that_moves_tissue_says_which_way_that_is_seen(open_beside, settle):

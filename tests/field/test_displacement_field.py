@@ -11,7 +11,7 @@ from napari_hmrf.contributions import open_scan
 from napari_hmrf.field import inverse_field
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.inverse_field import inverse_displacement, origins_at
-from napari_hmrf.field.moved_points import looked_up, looked_up_with_slopes
+from napari_hmrf.field.moved_points import interpolate_linearly, interpolate_with_slopes
 from napari_hmrf.fields import read_field
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.layers.field_layer import field_of
@@ -69,7 +69,7 @@ def test_between_its_sites_a_field_that_leads_back_is_inverted_exactly(volume):
     back = read_field(path).field
     assert back.back
     steps = back.at(points) / case.spacing
-    returned = looked_up(back.vectors, points + steps) / case.spacing
+    returned = interpolate_linearly(back.vectors, points + steps) / case.spacing
     assert np.abs(steps + returned).max() < 1e-6
     forth = DisplacementField(case.displacement, case.spacing)
     inside = ((points > 4) & (points < np.array(case.shape) - 5)).all(axis=1)
@@ -115,10 +115,12 @@ def test_the_inverse_of_a_volume_is_that_of_its_points_some_at_once(inverted, mo
 def test_slopes_are_those_between_the_corners_of_a_cell_and_none_beyond_the_edge():
     dice = np.random.default_rng(0)
     field, points = dice.normal(size=(5, 1, 7, 3)), dice.uniform(-2, 9, (500, 3))
-    values, slopes = looked_up_with_slopes(field, points)
-    np.testing.assert_allclose(values, looked_up(field, points), atol=1e-12)
+    values, slopes = interpolate_with_slopes(field, points)
+    np.testing.assert_allclose(values, interpolate_linearly(field, points), atol=1e-12)
     for axis, along in enumerate(1e-6 * np.eye(3)):
-        ends = looked_up(field, points + along) - looked_up(field, points - along)
+        ends = interpolate_linearly(field, points + along) - interpolate_linearly(
+            field, points - along
+        )
         np.testing.assert_allclose(slopes[..., axis], ends / 2e-6, atol=1e-6)
     np.testing.assert_array_equal(slopes[..., 1], 0)
     np.testing.assert_array_equal(slopes[points[:, 0] > 4][..., 0], 0)

@@ -81,16 +81,16 @@ def test_at_rest_a_motion_is_the_image_itself(solution):
 
 def test_moments_are_kept_as_far_as_there_is_room_for_them(solution, monkeypatch):
     motion = Motion(solution, np.zeros((30, 40), np.float32))
-    assert motion.known(0.5) is None
+    assert motion.cached(0.5) is None
     assert motion.finest == 0
 
     def moment(fraction):
         return compute_thread.submit(partial(motion.at, fraction)).result()
 
     half = moment(0.5)
-    assert motion.known(0.5) is half
+    assert motion.cached(0.5) is half
     monkeypatch.setattr("napari_hmrf.field.animation._KEPT", 2 * half.nbytes)
     assert motion.finest == 0.5, "there is room for two"
     moment(0.6)
     moment(0.7)
-    assert [motion.known(part) is None for part in (0.5, 0.6, 0.7)] == [True, False, False]
+    assert [motion.cached(part) is None for part in (0.5, 0.6, 0.7)] == [True, False, False]

@@ -10,7 +10,7 @@ import pytest
 
 from napari_hmrf import ProblemError, warp
 from napari_hmrf.field.deformation import arrows, deformation_grid, magnitude
-from napari_hmrf.field.moved_points import looked_up, moved_points
+from napari_hmrf.field.moved_points import interpolate_linearly, moved_points
 from napari_hmrf.field.strain import (
     deformation_gradient,
     equivalent_strain,
@@ -78,7 +78,7 @@ def test_what_is_seen_came_from_where_the_inverse_says():
     assert covered.all()
     ends = moved_points(origin.reshape(-1, 3), d, spacing=(1, 1, 1)).reshape(origin.shape)
     np.testing.assert_allclose(ends, places(), atol=1e-6)
-    values = looked_up(image[..., None], origin.reshape(-1, 3)).reshape(SHAPE)
+    values = interpolate_linearly(image[..., None], origin.reshape(-1, 3)).reshape(SHAPE)
     np.testing.assert_allclose(warp(image, d, spacing=1), values)
 
 

@@ -274,7 +274,7 @@ def test_a_case_whose_files_changed_is_solved_again(files, caplog):
     write_image("b.tif", ImageFile(np.full(SHAPE, 7, np.uint8)))
     (files / "c.tif").unlink()
     told = []
-    again = solve_cases(cases, files / "out", jobs=1, resume=True, tell=told.append)
+    again = solve_cases(cases, files / "out", jobs=1, resume=True, report=told.append)
     assert told == ["solved again, as input files have changed: b, c"]
     assert again[0] == first[0]
     assert [each.state for each in again] == ["done", "done", "failed"]
@@ -292,7 +292,7 @@ def test_a_finished_case_with_a_damaged_result_is_solved_again(files, caplog):
         if is_old:  # an earlier version recorded no digests of the result
             record.write_text(json.dumps(json.loads(record.read_text()) | {"outputs": {}}))
         saved.write_bytes(saved.read_bytes()[:-100])
-        again = solve_cases(cases, files / "out", jobs=1, resume=True, tell=told.append)
+        again = solve_cases(cases, files / "out", jobs=1, resume=True, report=told.append)
         assert told.pop() == "solved again, as files of the result are damaged or missing: a"
         assert not told
         assert again[1] == first[1]
@@ -367,7 +367,7 @@ ENDLESS = """
 import sys
 from napari_hmrf.cases import read_cases, solve_cases
 if __name__ == "__main__":
-    said = lambda progress: print(progress.newest.case, flush=True)
+    said = lambda progress: print(progress.latest_outcome.case, flush=True)
     solve_cases(read_cases("cases.csv"), "out", jobs=1, progress=said)
 """
 

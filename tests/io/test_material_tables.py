@@ -13,8 +13,8 @@ from napari_hmrf.io.material_tables import read_preset, write_preset
 from napari_hmrf.layers.metadata import (
     METADATA,
     TISSUE,
-    described,
-    known_of,
+    layer_metadata,
+    metadata_of,
     rows_of,
     tissue_record,
     tissue_recorded,
@@ -115,9 +115,9 @@ def test_rigid_may_be_written_by_hand_in_a_file_of_any_version(tmp_path):
 
 def test_what_a_layer_and_a_saved_result_keep_of_rigid_tissue_is_json():
     labels = Labels(np.zeros((4, 4), np.uint8), name="Tissue")
-    labels.metadata.update(described(TISSUE, SKULL.materials, "kPa"))
+    labels.metadata.update(layer_metadata(TISSUE, SKULL.materials, "kPa"))
     record = tissue_record(labels, SKULL.materials)
-    json.dumps([known_of(labels), record], allow_nan=False)
+    json.dumps([metadata_of(labels), record], allow_nan=False)
     assert rows_of(labels, TISSUE) == SKULL.materials
     run = Provenance("cpu", "here", "1", 0.0, parameters={"tissue": record})
     made = Image(
@@ -149,13 +149,13 @@ def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have()
         Material(2, "soft tissue", 10.0),
         Material(3, "tumour", 40.0),
     )
-    found, words = brain.take_over(table)
+    found, words = brain.replace_materials(table)
     assert [(row.label, row.stiffness) for row in found] == [(0, 0), (1, 0.1), (2, 0.1), (3, 8)]
     assert words == "'normal tissue' is fluid now, 'soft tissue' is as stiff as fluid now."
-    found, words = PRESETS[0].take_over(table)
+    found, words = PRESETS[0].replace_materials(table)
     assert (found[1:], words) == (PRESETS[0].materials, ""), "they are called the same"
     liver = next(preset for preset in PRESETS if preset.name.startswith("Liver"))
-    words = liver.take_over((Material(0, "unpainted", 20.0), *table[1:]))[1]
+    words = liver.replace_materials((Material(0, "unpainted", 20.0), *table[1:]))[1]
     assert words == (
         "'unpainted' is as stiff as liver now, 'normal tissue' is liver now, "
         "'soft tissue' is hepatocellular carcinoma now, 'tumour' is as stiff as liver now."
@@ -164,15 +164,15 @@ def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have()
 
 def test_a_preset_leaves_rigid_tissue_rigid_and_makes_nothing_else_so():
     table = (Material(0, "air", 0.0), Material(1, "gel", 20.0), Material(9, "implant", RIGID))
-    found, words = LIVER.take_over(table)
+    found, words = LIVER.replace_materials(table)
     assert found[-1].is_rigid
     assert "implant" not in words
     bone_first = Preset("", "kPa", "", (Material(1, "bone", RIGID), Material(2, "brain", 3.0)))
-    found, words = bone_first.take_over((*table, Material(4, "fat", 2.0)))
+    found, words = bone_first.replace_materials((*table, Material(4, "fat", 2.0)))
     assert [row.stiffness for row in found] == [0, RIGID, 3, 3, RIGID]
     assert words.endswith("'fat' is as stiff as brain now.")
     only_bone = replace(bone_first, materials=bone_first.materials[:1])
-    assert only_bone.take_over((*table, Material(4, "fat", 2.0)))[0][2].stiffness == 2.0
+    assert only_bone.replace_materials((*table, Material(4, "fat", 2.0)))[0][2].stiffness == 2.0
 
 
 def test_a_new_label_is_never_rigid_by_itself():
@@ -183,6 +183,6 @@ def test_a_new_label_is_never_rigid_by_itself():
 
 def test_a_material_whose_number_is_taken_by_a_name_gets_another():
     brain = Preset("", "kPa", "", (Material(1, "fluid", 0.1), Material(2, "tumour", 8.0)))
-    found, words = brain.take_over((Material(1, "tumour", 40.0),))
+    found, words = brain.replace_materials((Material(1, "tumour", 40.0),))
     assert found == (Material(1, "tumour", 8.0), Material(3, "fluid", 0.1))
     assert not words

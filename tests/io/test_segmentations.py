@@ -341,8 +341,8 @@ def test_the_dock_s_menu_takes_the_names_of_a_segmentation(files, qtbot):
     table, said = SimpleNamespace(rows=rows, layer=None, contents=None), []
     menu = MaterialMenu(table, list)
     qtbot.addWidget(menu)
-    menu.said.connect(said.append)
-    menu.take("classes.json")
+    menu.message.connect(said.append)
+    menu.copy_materials("classes.json")
     assert table.contents.unit == "kPa"
     assert table.contents.rows == (
         Material(0, "", 0.0),
@@ -355,14 +355,14 @@ def test_the_dock_s_menu_takes_the_names_of_a_segmentation(files, qtbot):
             "for 91 (skull). No stiffness is known for 20 (colon), now as stiff as liver."
         )
     ]
-    menu.take("classes.json")
+    menu.copy_materials("classes.json")
     (files / "own.csv").write_text("label,name,stiffness\n91,skull,rigid\n20,colon,9\n")
     before = table.contents
     (files / "young.csv").write_text("label,name,young\n91,skull,3\n20,colon,9\n")
     with pytest.raises(FileFormatError, match=r"no column 'young'\. Did you mean 'stiffness'"):
-        menu.take("young.csv")
+        menu.copy_materials("young.csv")
     assert table.contents is before
-    menu.take("own.csv")
+    menu.copy_materials("own.csv")
     assert {row.label: row.stiffness for row in table.contents.rows} == {
         0: 0.0,
         20: 9.0,

@@ -14,7 +14,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.fields import write_field
 from napari_hmrf.layers.field_layer import field_layer, field_of
-from napari_hmrf.layers.metadata import described
+from napari_hmrf.layers.metadata import layer_metadata
 from napari_hmrf.tissue import edge_confidence
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.screen import Screen
@@ -123,7 +123,7 @@ def test_a_field_counts_where_a_mask_an_image_or_edges_say(tmp_path, dock_beside
         Layer.create(mask, {"name": "mask", **place}, "labels"),
         Layer.create(sure, {"name": "sure", **place}, "image"),
     )
-    layers[0].metadata = described("image")
+    layers[0].metadata = layer_metadata("image")
     dock, viewer = dock_beside(opened(tmp_path / "warp.mha"), *layers)
     dock.image, dock.boundary = viewer.layers["photo"], viewer.layers["warp"]
     held = field_of(viewer.layers["warp"]).field.displacement

@@ -149,13 +149,13 @@ def menus(widget):
 def test_the_menus_appear_with_points_and_know_the_other_layer(chosen):
     widget, where, should = chosen
     found = menus(widget)
-    assert [layer.name for layer in found.where.offered] == ["is", "ought"]
+    assert [layer.name for layer in found.sources.offered] == ["is", "ought"]
     assert not widget.drawing.marks, "points may be of something else"
-    found.where.value = where
-    assert found.should.value is should
+    found.sources.value = where
+    assert found.targets.value is should
     widget._viewer.layers.remove(should)
-    assert found.should.value is None
-    found.take.changed.emit(True)
+    assert found.targets.value is None
+    found.take_button.changed.emit(True)
     assert "'is' holds positions without targets. Choose another Points layer" in widget.status
 
 
@@ -163,7 +163,7 @@ def test_without_points_there_are_no_menus_for_them(widget):
     assert not menus(widget).native.isVisibleTo(widget.native)
     widget._viewer.add_points([[1.0, 2.0]])
     assert menus(widget).native.isVisibleTo(widget.native)
-    assert not menus(widget).take.enabled, "nothing is chosen yet"
+    assert not menus(widget).take_button.enabled, "nothing is chosen yet"
 
 
 def test_points_alone_are_boundary_enough(chosen, run):
@@ -215,7 +215,7 @@ def test_landmarks_are_taken_in_a_window_and_dragged_there(
     viewer.add_points([[8.0, 8.0]], name="is", size=1)
     viewer.add_points([[10.0, 8.0]], name="ought", size=1)
     widget.model = "elastic"
-    menus(widget).where.value = viewer.layers["is"]
+    menus(widget).sources.value = viewer.layers["is"]
     screen = Screen(widget)
     screen.press("Take as landmarks")
     screen.press("Landmark")
@@ -276,8 +276,8 @@ def test_lines_are_taken_alone(widget, small_sample, run):
     small_sample(viewer)
     drawn = viewer.add_layer(lines(("line", [(8, 8), (10, 8)])))
     widget.model = "elastic"
-    menus(widget).where.value = drawn
-    assert not menus(widget).should.visible
-    menus(widget).take.changed.emit(True)
+    menus(widget).sources.value = drawn
+    assert not menus(widget).targets.visible
+    menus(widget).take_button.changed.emit(True)
     assert run(widget) is not None, widget.status
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.1)

@@ -97,7 +97,7 @@ def test_reading_again_tells_whether_anything_that_matters_changed():
     assert not first.same_as(second)
     assert second.motion.labels is first.motion.labels, "what did not change is not copied again"
     wanted.boundary.data[6, 6] = 2
-    copies.forget()
+    copies.invalidate()
     assert not second.same_as(study_from_layers(wanted, copies=copies)), "nobody told of this one"
 
 

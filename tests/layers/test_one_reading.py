@@ -11,7 +11,7 @@ from napari.layers import Image, Labels, Points, Vectors
 
 from napari_hmrf import ElasticPrior, Multigrid, SeilerPrior, solve
 from napari_hmrf.layers.landmarks import read_landmarks
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.study.ground import Ground, build_problem
@@ -89,8 +89,8 @@ def test_layers_and_arrays_are_one_problem(seed, table, rules, drawing, hold_edg
     picture = np.full(SHAPE, 7, np.uint8)
     layers = {
         "image": Image(picture, name="MR", **PLACE),
-        "tissue": Labels(tissue, metadata=described(TISSUE, table), **PLACE),
-        "boundary": Labels(boundary, metadata=described(BOUNDARY, rules), **PLACE),
+        "tissue": Labels(tissue, metadata=layer_metadata(TISSUE, table), **PLACE),
+        "boundary": Labels(boundary, metadata=layer_metadata(BOUNDARY, rules), **PLACE),
     }
     by_layers = study_from_layers(Request(**layers, hold_edge=hold_edge, drawing=drawing))
     by_arrays = Study(
@@ -108,8 +108,8 @@ def test_a_drawing_is_one_problem_however_one_came_to_it(seed, table, rules, dra
     tissue, boundary = painted(seed)
     ground = read_ground(
         Image(np.full(SHAPE, 7, np.uint8), **PLACE),
-        Labels(tissue, metadata=described(TISSUE, table), **PLACE),
-        Labels(boundary, metadata=described(BOUNDARY, rules), **PLACE),
+        Labels(tissue, metadata=layer_metadata(TISSUE, table), **PLACE),
+        Labels(boundary, metadata=layer_metadata(BOUNDARY, rules), **PLACE),
     )
     rendering = Rendering(ground.base)
     for drawing in drawings:
@@ -169,8 +169,8 @@ def tumour(qtbot):
         BoundaryRule(3, "fixed", confidence=(0.3, 0.3)),
     )
     viewer.add_image(np.full(SHAPE, 7, np.uint8), name="MR", **PLACE)
-    viewer.add_labels(tissue, name="Tissue", metadata=described(TISSUE, table, "kPa"), **PLACE)
-    viewer.add_labels(boundary, name="Boundary", metadata=described(BOUNDARY, said), **PLACE)
+    viewer.add_labels(tissue, name="Tissue", metadata=layer_metadata(TISSUE, table, "kPa"), **PLACE)
+    viewer.add_labels(boundary, name="Boundary", metadata=layer_metadata(BOUNDARY, said), **PLACE)
     dock = SoftTissue(viewer)
     dock.settings = replace(dock.settings, device="cpu")
     qtbot.addWidget(dock.native)
@@ -217,7 +217,7 @@ def test_what_is_seen_while_tissue_is_pulled_is_the_field_of_python(tumour, qtbo
     grab = tumour
     assert grab.start()
     seen = []
-    grab.seen.connect(seen.append)
+    grab.deformation_changed.connect(seen.append)
     for by in (1.0, 1.5, 2.0):
         grab.drawing = Drawing((Arrow((9.0, 6.0), (0.0, by), 1.5),))
     qtbot.waitUntil(lambda: not grab.busy, timeout=240_000)

@@ -12,7 +12,7 @@ from napari_hmrf.field.deformation import arrows_in_slices
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.result_layers import layer_on, overlay_of, result_layers
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View, frame_of, plane_shown
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import solve_study
@@ -91,14 +91,14 @@ def test_the_slice_that_is_looked_at(viewer, order, point, expected):
 
 def test_steps_of_a_volume_are_said_as_they_are_seen(viewer):
     frame = frame_of(viewer.layers[0], whole(viewer))
-    ways = ways_of(frame, viewer)
-    assert ways.step(ways.seen((1.0, 2.0, -3.0))) == "1 deeper, 2 down, 3 left"
+    ways = directions_of(frame, viewer)
+    assert ways.step(ways.to_display((1.0, 2.0, -3.0))) == "1 deeper, 2 down, 3 left"
     viewer.dims.order = (1, 0, 2)
-    ways = ways_of(frame, viewer)
-    assert ways.step(ways.seen((1.0, 2.0, -3.0))) == "2 deeper, 1 down, 3 left"
-    assert ways.along((4.0, 5.0)) == (4.0, 0.0, 5.0)
-    assert ways.along(ways.seen((1.0, 2.0, -3.0))) == (1.0, 2.0, -3.0)
-    assert ways.seen((2.0, -3.0)) == (2.0, 0.0, -3.0)
+    ways = directions_of(frame, viewer)
+    assert ways.step(ways.to_display((1.0, 2.0, -3.0))) == "2 deeper, 1 down, 3 left"
+    assert ways.from_display((4.0, 5.0)) == (4.0, 0.0, 5.0)
+    assert ways.from_display(ways.to_display((1.0, 2.0, -3.0))) == (1.0, 2.0, -3.0)
+    assert ways.to_display((2.0, -3.0)) == (2.0, 0.0, -3.0)
 
 
 def test_steps_in_a_patient_have_the_letters_of_its_sides():
@@ -106,8 +106,8 @@ def test_steps_in_a_patient_have_the_letters_of_its_sides():
     labels = ("superior", "posterior", "left")
     image = viewer.add_image(np.zeros(SHAPE), axis_labels=labels, units=UNITS)
     frame = frame_of(image, whole(viewer))
-    ways = ways_of(frame, viewer)
-    assert ways.step(ways.seen((1.0, -2.0, 3.0))) == "1 S, 2 A, 3 L"
+    ways = directions_of(frame, viewer)
+    assert ways.step(ways.to_display((1.0, -2.0, 3.0))) == "1 S, 2 A, 3 L"
 
 
 def test_a_study_of_a_volume_becomes_the_layers_it_was_read_from(viewer):

@@ -6,7 +6,7 @@ from fem import rmsd
 
 from napari_hmrf import ICM, ElasticPrior, SeilerPrior, solve
 from napari_hmrf.data import PHANTOM_NAMES, phantom, reference_displacement, sample
-from napari_hmrf.study.models import chosen
+from napari_hmrf.study.models import parts_of
 from napari_hmrf.tissue.boundary_rules import boundary_images, stiffness_image
 
 BRAINS = ("expansion", "mass-effect")
@@ -151,7 +151,7 @@ def test_the_solver_comes_as_close_to_finite_elements_as_the_paper_says(name, sc
 def test_the_papers_table_1_of_our_phantoms(name, model, pixels, levels, sweeps):
     """As the README has it: RMSD to finite elements, on 300 x 300 pixels in 10 levels of 70."""
     problem = phantom(name).problem
-    prior, optimizer = chosen(model)
+    prior, optimizer = parts_of(model)
     solution = solve(problem, prior, optimizer=optimizer, backend="cpu")
     found = rmsd(solution.displacement, reference_displacement(name), problem.tissue)
     assert found == pytest.approx(pixels, abs=0.006)

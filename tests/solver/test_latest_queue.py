@@ -86,7 +86,7 @@ def test_a_job_that_was_dropped_cannot_hold_the_queue(queue):
 
     queue.submit(dropped)
     assert queue.wait(LONG)
-    assert not queue.held
+    assert not queue.is_held
 
 
 def test_dropped_jobs_do_not_run_and_the_next_belong_to_another_series(queue, occupied):

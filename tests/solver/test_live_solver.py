@@ -69,7 +69,7 @@ def let_pass(turns):
 
 edits = st.lists(
     st.tuples(
-        st.sampled_from(["move", "move", "move", "elsewhere", "stiffen", "grid", "bad", "forget"]),
+        st.sampled_from(["move", "move", "move", "elsewhere", "stiffen", "grid", "bad", "cancel"]),
         st.tuples(st.floats(-4, 4), st.floats(-4, 4)),
         st.booleans(),
         turns,
@@ -96,8 +96,8 @@ def test_the_last_edit_is_shown_in_the_end_as_if_nothing_had_come_before(edits, 
                     state["stiff"] = 10.0 * 2 ** vector[0]
                 elif kind == "grid":
                     state["size"] = 16 if state.get("size", SIZE) == SIZE else SIZE
-                elif kind == "forget":
-                    live.forget()
+                elif kind == "cancel":
+                    live.cancel()
                 if kind == "bad":
                     live.submit(unreadable)
                 else:
@@ -171,7 +171,7 @@ def test_without_a_preview_what_follows_oblivion_is_a_solve_bit_by_bit(monkeypat
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
     live.submit(pulled_problem((3.0, 0.0)))
     assert live.wait(LONG)
-    live.forget()
+    live.cancel()
     updates.clear()
     live.submit(pulled_problem(), preview=False)
     assert live.wait(LONG)
@@ -232,7 +232,7 @@ def test_an_error_that_has_been_put_right_is_not_shown(live, updates):
     assert [update.error for update in updates] == [None]
 
 
-@pytest.mark.parametrize("end", ["forget", "close"])
+@pytest.mark.parametrize("end", ["cancel", "close"])
 def test_what_is_dropped_is_never_shown(updates, pause, end):
     live = LiveSolver(updates.append, backend="cpu")
     live.submit(pulled_problem())
@@ -246,7 +246,7 @@ def test_what_is_dropped_is_never_shown(updates, pause, end):
 
 def test_what_is_being_solved_when_all_is_forgotten_is_not_shown(live, updates):
     def interrupted():
-        live.forget()
+        live.cancel()
         return pulled_problem()
 
     live.submit(interrupted)

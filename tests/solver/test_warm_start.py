@@ -8,7 +8,7 @@ import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.warm_start import beginning
+from napari_hmrf.solver.warm_start import combine_solutions
 
 WITHIN = Multigrid(0.01)
 PRIOR = ElasticPrior()
@@ -141,7 +141,7 @@ def test_what_nobody_has_any_more_is_forgotten():
     del known
     gc.collect()
     found = solve(pushed(7), PRIOR, optimizer=WITHIN, backend="cpu")
-    assert [known() is found.displacement for known, _ in model.found._known] == [True]
+    assert [known() is found.displacement for known, _ in model.earlier._qualities] == [True]
 
 
 def models_last():
@@ -158,11 +158,11 @@ def test_a_result_without_a_cycle_can_be_saved_and_read(tmp_path):
 
 def test_shares_add_up_to_one_and_bring_the_patch_where_it_is_to_be():
     solutions = [*well_known(), solve(pushed(0, 1), PRIOR, optimizer=WITHIN, backend="cpu")]
-    begin = beginning(solutions, pushed(3, -2))
+    begin = combine_solutions(solutions, pushed(3, -2))
     assert sum(begin.shares) == pytest.approx(1)
     assert begin.shares[1:] == pytest.approx((3, -2), abs=1e-3)
     assert begin.missing < 1e-4
-    assert beginning(solutions[0], pushed(3)).missing == pytest.approx(3, rel=1e-5)
+    assert combine_solutions(solutions[0], pushed(3)).missing == pytest.approx(3, rel=1e-5)
 
 
 @pytest.mark.parametrize("prior", [PRIOR, NeoHookeanPrior()])

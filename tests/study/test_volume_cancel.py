@@ -148,8 +148,8 @@ def test_a_study_that_is_dropped_while_its_image_moves_is_not_answered(thin, cou
     found = []
     engine = Engine(found.append, "a test")
     try:
-        done = counted("rasterise", engine.forget)
-        engine.submit(a_study(), settle=True)
+        done = counted("rasterise", engine.cancel)
+        engine.submit(a_study(), cold_start=True)
         compute_thread.submit(lambda: None).result(LONG)
         assert (len(done), found) == (1, [])
     finally:
@@ -168,7 +168,7 @@ def test_a_background_job_that_is_dropped_stops(thin, counted, qtbot):
     done = counted("rasterise", wait)
     jobs.submit("a warp", answers, found.append)
     assert begun.wait(LONG)
-    jobs.forget("a warp")
+    jobs.cancel("a warp")
     forgotten.set()
     compute_thread.submit(lambda: None).result(LONG)
     assert len(done) == 1
@@ -183,7 +183,7 @@ def test_a_background_job_that_is_dropped_on_its_way_to_the_window_is_not_shown(
     jobs.submit("a warp", lambda: 1, shown.append)
     compute_thread.submit(lambda: None).result(LONG)
     assert jobs.busy("a warp")
-    jobs.forget()
+    jobs.cancel()
     assert not jobs.busy()
     jobs.submit("a warp", lambda: 2, shown.append)
     at_rest.until(lambda: not jobs.busy())

@@ -102,8 +102,10 @@ def test_what_follows_a_hand_is_nearly_what_comes_after(axis):
     assert preview.image.shape == tuple(np.delete(SHAPE, axis))
     # The point that is held goes where it is pulled in both.
     for moved in (preview, whole):
-        assert moved.goes_to(np.array([PULL.at]))[0] == pytest.approx((10, 14, 12), abs=0.05)
-        assert moved.came_from((10, 14, 12)) == pytest.approx(PULL.at, abs=0.1)
+        assert moved.moved_positions(np.array([PULL.at]))[0] == pytest.approx(
+            (10, 14, 12), abs=0.05
+        )
+        assert moved.origin_of((10, 14, 12)) == pytest.approx(PULL.at, abs=0.1)
 
 
 def test_a_slice_on_the_grid_itself_is_that_of_the_whole():
@@ -149,4 +151,4 @@ def test_an_image_in_large_motion_follows_a_hand_on_a_coarse_grid():
         np.abs(each.astype(int) - whole.image).mean() for each in (preview.image, smooth)
     )
     assert apart < 0.15 * moved
-    assert preview.goes_to(np.array([(30.0, 40.0)]))[0] == pytest.approx((30, 48), abs=0.1)
+    assert preview.moved_positions(np.array([(30.0, 40.0)]))[0] == pytest.approx((30, 48), abs=0.1)

@@ -65,11 +65,11 @@ def pulled(wait_for):
 
     def draw(dock, *marks):
         seen = []
-        dock.seen.connect(seen.append)
+        dock.deformation_changed.connect(seen.append)
         if marks:
             dock.drawing = Drawing(marks)
         wait_for(lambda: bool(seen) and not dock.busy)
-        dock.seen.disconnect(seen.append)
+        dock.deformation_changed.disconnect(seen.append)
         return seen[-1].solution.displacement
 
     return draw

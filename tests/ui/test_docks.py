@@ -83,16 +83,16 @@ def test_words_take_no_more_room_than_they_need_and_move_no_button(
     wait_for(lambda: not found.busy)
     at_rest()
     footer = found._form.footer
-    found.say("One line.")
+    found.show_message("One line.")
     wait_for(lambda: footer.height() == footer.sizeHint().height())
     deform, least = footer.deform.native, footer.height()
     place = deform.mapTo(styled_window._qt_window, deform.rect().topLeft())
-    found.say("So much has to be said that it takes many lines. " * 20)
+    found.show_message("So much has to be said that it takes many lines. " * 20)
     footer.warn("It folds.", "Folds at 300 pixels")
     wait_for(lambda: footer.height() == footer.sizeHint().height() > least)
     assert deform.mapTo(styled_window._qt_window, deform.rect().topLeft()) == place
     assert footer.height() < 250, "however much there is to say"
-    found.say("One line.")
+    found.show_message("One line.")
     footer.warn("")
     wait_for(lambda: footer.height() == least)
 
@@ -187,7 +187,7 @@ def test_each_tool_has_a_picture_a_word_and_a_key_and_the_one_in_the_hand_is_see
     for tool in TOOLS:
         button = screen.button(tool.title)
         pictures.add(button.icon().pixmap(20).toImage().constBits().asstring(1600))
-        assert button.toolTip().startswith(tool.how)
+        assert button.toolTip().startswith(tool.hint)
         assert button.toolTip().endswith(f"({tool.key})")
         assert button.isChecked() == (tool.name == "pin")
     assert len(pictures) == len(TOOLS)

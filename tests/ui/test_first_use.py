@@ -291,7 +291,7 @@ def test_landmarks_that_are_taken_are_seen_at_once(pulling_beside, settle, click
     settle(widget)
     person.viewer.add_points([[20, 20]], name="is")
     person.viewer.add_points([[20, 24]], name="ought")
-    widget._form.motion.boundary.landmarks.where.value = person.viewer.layers["is"]
+    widget._form.motion.boundary.landmarks.sources.value = person.viewer.layers["is"]
     click(widget, "Take as landmarks")
     settle(widget)
     assert len(person.viewer.layers["Motion"].data)

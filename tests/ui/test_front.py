@@ -118,7 +118,7 @@ def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
     viewer, lower, upper = two
     dock = opened(viewer)
     dock.image = lower
-    dock.say("")
+    dock.show_message("")
     for shown in (False, True):
         upper.visible = shown
         assert dock.status.startswith("The image is covered") == shown

@@ -171,7 +171,7 @@ def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, rest, 
 def test_an_answer_that_was_dropped_on_its_way_to_the_window_is_not_shown(follower, rest):
     follower.follow(pulled(1))
     compute_thread.submit(lambda: None).result(LONG)
-    follower.engine.forget()
+    follower.engine.cancel()
     assert not follower.engine.busy
     rest(follower)
     assert not follower.shown
@@ -233,7 +233,7 @@ def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, se
     qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)
     picture.events.data.connect(lambda event: told.append(event.value))
     picture.events.thumbnail.connect(lambda event: thumbnails.append(event))
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     for step in range(1, 4):
         person.move(32 + step, 32)
         qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
@@ -281,7 +281,7 @@ def test_nothing_is_computed_when_nothing_is_done(pulling_beside, settle, at_res
     person.drag((30, 30), (32, 32), (34, 34))
     settle(widget)
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     at_rest()
     assert not seen
 

@@ -7,7 +7,7 @@ from qtpy.QtWidgets import QPushButton, QTableWidget
 
 from napari_hmrf import NeoHookeanPrior
 from napari_hmrf.fields import count_folds
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.screen import Screen
@@ -23,7 +23,7 @@ def viewer():
     """A brain with a tumour, and its tissues."""
     viewer = ViewerModel()
     viewer.add_image(np.where(DISC, 0.9, 0.5), name="Brain")
-    table = described(TISSUE, (BRAIN, TUMOUR))
+    table = layer_metadata(TISSUE, (BRAIN, TUMOUR))
     viewer.add_labels(np.where(DISC, 2, 1), name="Tissue", metadata=table)
     return viewer
 
@@ -101,7 +101,7 @@ def test_a_volume_is_not_offered_what_it_cannot_have(qtbot, wait_for):
     viewer = ViewerModel()
     ball = np.linalg.norm(np.indices((12, 12, 12)) - 5.5, axis=0) < 3
     viewer.add_image(np.where(ball, 0.9, 0.5), name="Head")
-    table = described(TISSUE, (BRAIN, Material(2, "tumour", 10.0, growth=3.0)))
+    table = layer_metadata(TISSUE, (BRAIN, Material(2, "tumour", 10.0, growth=3.0)))
     viewer.add_labels(np.where(ball, 2, 1), name="Tissue", metadata=table)
     dock = SoftTissue(viewer)
     qtbot.addWidget(dock.native)
@@ -155,7 +155,7 @@ def test_forces_are_painted_like_all_else_in_columns_of_their_own(dock, viewer, 
         BoundaryRule(1, "fixed", name="table"),
         BoundaryRule(2, "expand", amount=9, name="lid"),
     )
-    layer = viewer.add_labels(paint, name="Lid", metadata=described(BOUNDARY, rules))
+    layer = viewer.add_labels(paint, name="Lid", metadata=layer_metadata(BOUNDARY, rules))
     dock.boundary, dock.hold_edge = layer, False
     screen = Screen(dock)
     at_rest(screen.cell("lid", "Action").choose, "pressed")
@@ -197,9 +197,9 @@ def test_forces_are_told_in_a_table(dock, at_rest, qtbot):
 def test_what_large_motion_could_not_do_is_said_in_the_dock(dock, viewer, at_rest):
     ring = np.where(DISC, 1, 0)
     rules = (BoundaryRule(1, "expand", amount=14.0, name="rim"),)
-    layer = viewer.add_labels(ring, name="Rim", metadata=described(BOUNDARY, rules))
+    layer = viewer.add_labels(ring, name="Rim", metadata=layer_metadata(BOUNDARY, rules))
     dock.model, dock.boundary, dock.hold_edge = "large motion", layer, True
-    solution = at_rest(dock.touch)
+    solution = at_rest(dock.schedule_refresh)
     assert isinstance(dock.study.prior, NeoHookeanPrior)
     assert solution.reach.missing > 0.1
     assert "stay short" in dock.warning

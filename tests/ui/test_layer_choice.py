@@ -140,9 +140,9 @@ def test_a_layer_that_breaks_while_painting_is_named_and_nothing_is_raised(
     data = broken_labels(widget, small_sample)
     widget.live = True
     data.broken = True
-    widget.touch()
+    widget.schedule_refresh()
     before = widget.rules
-    widget._form.motion.boundary.table.look()
+    widget._form.motion.boundary.table.refresh()
     assert widget.rules == before
     widget.boundary.events.data()
     wait_for(lambda: "could not be read: block 7 is corrupt. Check" in widget.status)
@@ -191,10 +191,10 @@ def test_whatever_goes_wrong_in_looking_again_is_told_and_the_result_stays(
 
     with monkeypatch.context() as broken:
         broken.setattr("napari_hmrf.ui.study_reader.study_from_layers", fail)
-        widget.touch()
+        widget.schedule_refresh()
         wait_for(lambda: "no such slice The last result stays." in widget.status)
     assert widget.solution is outputs.solution
-    widget.touch()
+    widget.schedule_refresh()
     wait_for(lambda: widget.status.startswith("Tissue moved up to"))
 
 

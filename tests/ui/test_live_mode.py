@@ -8,7 +8,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
 from napari_hmrf import Multigrid, solve
-from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -39,7 +39,7 @@ def assert_newest(widget):
     found, expected = widget.solution, cold(widget)
     assert found.displacement == pytest.approx(expected.displacement, abs=0.02)
     for layer in viewer_of(widget).layers:
-        known = known_of(layer)
+        known = metadata_of(layer)
         here = known.get("slice") == widget.shown.grid.place.slice_name
         if known.get("kind") == "arrows" and here:
             assert known["solution"].displacement is found.displacement
@@ -120,7 +120,7 @@ def test_a_stiffness_image_that_is_replaced_is_followed(living, settle):
 def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, at_rest):
     widget, (_, _, boundary) = living
     seen = []
-    widget.followed.connect(seen.append)
+    widget.result_drawn.connect(seen.append)
     for col in range(5, 20):
         boundary.data[...] = np.where(boundary.data == 3, 0, boundary.data)
         paint(boundary, [(row, col) for row in range(8, 12)], 3)
@@ -146,7 +146,7 @@ def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkey
         if amount == 1:
             assert widget.status.startswith(why)
             assert widget.status.endswith("The last result stays.")
-        widget.say("Heard.")
+        widget.show_message("Heard.")
     assert widget.solution is before
     assert np.array_equal(by_name(widget, "MR deformed, elastic").data, picture)
     assert not popups, "nobody asked for anything"
@@ -215,7 +215,7 @@ def test_an_undo_that_is_cancelled_stays_and_all_say_so_until_deform(pulling_bes
     picture = touch.viewer.layers["MR deformed, elastic"]
     assert not widget.drawing.marks
     assert widget.solution.displacement.any()
-    assert known_of(picture)["inputs_changed"]
+    assert metadata_of(picture)["inputs_changed"]
     assert "picture and warnings lack what was edited since" in widget.status
     assert "nothing was changed" not in widget.status
     Screen(widget).press("Deform")
@@ -408,7 +408,7 @@ def test_a_closed_dock_follows_nothing(frame, small_sample, run, settle, at_rest
     dock.live = True
     settle(dock)
     seen = []
-    dock.seen.connect(seen.append)
+    dock.deformation_changed.connect(seen.append)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     frame.close(dock)
     paint(boundary, [(row, 15) for row in range(6, 14)], 1)
@@ -443,7 +443,7 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
     deformed = viewer.layers["MR deformed, elastic"]
     assert not deformed.visible, "paint lies where tissue was before it moved"
     found = []
-    dock.seen.connect(found.append)
+    dock.deformation_changed.connect(found.append)
     places = [(row, 32) for row in range(14, 34, 2)]
     during, shown = [], []
 
@@ -501,7 +501,7 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
     widget, (_, tissue, _) = living
     paint(tissue, [(8, 8)], 5)
     settle(widget)
-    widget._form.tissue.table.look()
+    widget._form.tissue.table.refresh()
     assert 5 in [row.label for row in widget.materials]
     assert not widget._form.footer.undo.enabled
     widget._form.tissue.table.add()

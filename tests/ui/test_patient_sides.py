@@ -16,7 +16,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, write_image
-from napari_hmrf.layers.screen_directions import Sides, ways_of
+from napari_hmrf.layers.screen_directions import Sides, directions_of
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -181,7 +181,7 @@ def test_of_a_turned_or_mirrored_scan_the_letters_are_the_patient_s(angle, mirro
     towards = {"P": (1, 0), "A": (-1, 0), "L": (0, 1), "R": (0, -1)}
     for axis, typed in enumerate(((3.0, 0.0), (0.0, 3.0))):
         goes = np.subtract(
-            image.data_to_world((0, *ways.along(typed))), image.data_to_world((0, 0, 0))
+            image.data_to_world((0, *ways.from_display(typed))), image.data_to_world((0, 0, 0))
         )
         letter = ways.label(axis).removeprefix("to ")
         np.testing.assert_allclose(goes[1:], np.multiply(3, towards[letter]), atol=1e-6)
@@ -196,13 +196,13 @@ def test_letters_do_not_depend_on_the_camera_or_on_how_a_file_is_stored(tmp_path
     ((data, attributes, _),) = open_scan(path)(path)
     image = viewer.add_image(data, **attributes)
     frame = frame_of(image, View.of(viewer.dims))
-    ways = ways_of(frame, viewer)
+    ways = directions_of(frame, viewer)
     camera = getattr(viewer, "scene", viewer).camera
     camera.orientation2d = ("up", "left")
-    assert ways_of(frame, viewer) == ways
+    assert directions_of(frame, viewer) == ways
     (at,) = np.argwhere(np.asarray(data) == 200)  # to the left, the front and the top
     centre = np.array(data.shape) // 2
-    said = ways.step(ways.seen(tuple(np.sign(at - centre)[list(frame.plane)].astype(float))))
+    said = ways.step(ways.to_display(tuple(np.sign(at - centre)[list(frame.plane)].astype(float))))
     assert {part.split()[1] for part in said.split(", ")} == {"A", "L"}
     assert Directions.of(frame_of(Image(np.zeros((4, 4))))).step((1.0, 1.0)) == "1 down, 1 right"
 

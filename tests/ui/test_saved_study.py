@@ -27,7 +27,7 @@ from napari_hmrf import (
 from napari_hmrf.cli import main
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.fields import place_of
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.tissue import StiffnessCurve
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import dock_in
@@ -69,14 +69,14 @@ def stack():
     labels = np.ones((3, *SHAPE), np.uint8)
     labels[:, 10:20, 10:20] = 4
     rows = (Material(1, "liver", 5.0, 0.49), Material(4, "lump", 50.0, 0.3))
-    viewer.add_labels(labels, name="Organs", metadata=described(TISSUE, rows, "kPa"), **place)
+    viewer.add_labels(labels, name="Organs", metadata=layer_metadata(TISSUE, rows, "kPa"), **place)
     rim = np.zeros((3, *SHAPE), np.uint8)
     rim[:, 0], rim[:, -1] = 1, 2
     rules = (
         BoundaryRule(1, "fixed", name="wall"),
         BoundaryRule(2, "move", vector=(-0.5, 0.25), confidence=(1.0, 0.5), name="probe"),
     )
-    viewer.add_labels(rim, name="Probe", metadata=described(BOUNDARY, rules), **place)
+    viewer.add_labels(rim, name="Probe", metadata=layer_metadata(BOUNDARY, rules), **place)
     viewer.dims.set_current_step(0, 1)
     return viewer
 

@@ -133,14 +133,14 @@ def test_a_layer_that_is_chosen_for_both_ends_of_landmarks_changes_places(compar
     viewer, dock, *_ = compared
     pair = dock._form.motion.boundary.landmarks
     there, ought = viewer.layers["is"], viewer.layers["ought"]
-    pair.where.value = there
-    assert pair.should.value is ought, "the only other one"
-    pair.where.value = ought
-    assert (pair.where.value, pair.should.value) == (ought, there)
+    pair.sources.value = there
+    assert pair.targets.value is ought, "the only other one"
+    pair.sources.value = ought
+    assert (pair.sources.value, pair.targets.value) == (ought, there)
     third = viewer.add_points(WHERE, name="third")
-    assert pair.should.offered == [there, third], "the same one is not offered"
-    pair.where.value = there
-    assert pair.should.value is None, "of two others nobody knows which"
+    assert pair.targets.offered == [there, third], "the same one is not offered"
+    pair.sources.value = there
+    assert pair.targets.value is None, "of two others nobody knows which"
 
 
 def test_landmarks_that_were_clicked_are_measured_where_no_layer_is_chosen(compared, wait_for):

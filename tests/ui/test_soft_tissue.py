@@ -23,7 +23,7 @@ from napari_hmrf import (
     ProblemError,
     SeilerPrior,
 )
-from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import build_problem
@@ -52,7 +52,7 @@ def by_name(widget, name):
 
 def results_of(widget):
     """Layers that hold a result, lowest first."""
-    return [layer for layer in viewer_of(widget).layers if "provenance" in known_of(layer)]
+    return [layer for layer in viewer_of(widget).layers if "provenance" in metadata_of(layer)]
 
 
 @pytest.fixture
@@ -738,7 +738,7 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
     busy_thread.set()
     wait_for(lambda: docked.idle)
     assert places() == before
-    docked.say("word " * 300)
+    docked.show_message("word " * 300)
     assert places() == before
 
 

@@ -6,7 +6,7 @@ from napari.components import ViewerModel
 from napari.layers import Image
 
 from napari_hmrf.field.frame import PATIENT_AXES
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View, frame_of, plane_shown
 from tests.support.person import only
 from tests.support.screen import Screen
@@ -88,13 +88,13 @@ def test_components_are_along_the_patient_s_own_ways(order):
     viewer = ViewerModel()
     image = viewer.add_image(numbered(), **PLACE)
     viewer.dims.order = order
-    ways = ways_of(frame_of(image, View.of(viewer.dims, volume=True)), viewer)
+    ways = directions_of(frame_of(image, View.of(viewer.dims, volume=True)), viewer)
     by = TURNED.T @ (0, -3.1, 6.35)  # along the axes of the image
-    said = ways.step(tuple(round(part, 2) + 0.0 for part in ways.seen(tuple(by))))
+    said = ways.step(tuple(round(part, 2) + 0.0 for part in ways.to_display(tuple(by))))
     assert set(said.split(", ")) == {"3.1 A", "6.35 L"}
-    goes = TURNED @ ways.along((0.0, 2.0, -1.0))
+    goes = TURNED @ ways.from_display((0.0, 2.0, -1.0))
     np.testing.assert_allclose(goes[list(order)], (0, 2, -1), atol=1e-6)
-    np.testing.assert_allclose(goes, TURNED @ ways.along((2.0, -1.0)), atol=1e-6)
+    np.testing.assert_allclose(goes, TURNED @ ways.from_display((2.0, -1.0)), atol=1e-6)
 
 
 def test_that_its_places_are_said_as_if_it_were_not_is_said(tilted, settle):

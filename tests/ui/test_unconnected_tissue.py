@@ -8,7 +8,7 @@ from napari.components import ViewerModel
 from napari.layers import Image
 
 from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
-from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, described
+from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, layer_metadata
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -127,7 +127,7 @@ def painted(qtbot, wall=True, moves=True):
     if moves:
         labels[9:12, 12:15] = 2
     rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 1.0)))
-    viewer.add_labels(labels, name="Boundary", metadata=described(BOUNDARY, rules))
+    viewer.add_labels(labels, name="Boundary", metadata=layer_metadata(BOUNDARY, rules))
     widget = quick(SoftTissue(viewer))
     qtbot.addWidget(widget.native)
     return widget
@@ -177,7 +177,7 @@ def test_that_a_pull_moves_all_of_the_tissue_as_nothing_holds_it_is_read(pulling
     said = "Nothing holds the tissue, so that all of it moves as one: hold its edge, or paint what"
     assert widget.active
     assert widget.status.startswith(said)
-    assert widget.status.endswith(BY_NAME["pull"].how), "and what can be done next"
+    assert widget.status.endswith(BY_NAME["pull"].hint), "and what can be done next"
     assert widget.warning.startswith(said)
     field = widget.solution.displacement
     np.testing.assert_allclose(field, np.broadcast_to((0, 4), field.shape), atol=0.02)

@@ -31,7 +31,7 @@ class Asked:
 
     def __init__(self, dock, *answers):
         self.questions, self._answers = [], list(answers)
-        dock.ask = self
+        dock.prompt = self
 
     def __call__(self, question):
         self.questions.append(question)

@@ -8,7 +8,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QFileDialog, QPushButton, QTableWidget
 
 from napari_hmrf.fields import count_folds
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
+from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.messages import MEANWHILE
@@ -78,7 +78,7 @@ def test_an_image_without_slices_offers_no_volume(open_beside):
 def test_a_pull_in_a_slice_moves_the_slices_beside_it(volume, settle, qtbot):
     person, widget = volume
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     person.press(16, 16)
     person.move(18, 19)
     qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
@@ -108,7 +108,7 @@ def test_a_pull_in_a_slice_moves_the_slices_beside_it(volume, settle, qtbot):
 def test_while_a_hand_pulls_the_slice_that_is_seen_follows(volume, settle, qtbot):
     person, widget = volume
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     person.press(16, 16)
     for step in range(1, 4):
         before = len(seen)
@@ -196,7 +196,9 @@ def test_tissue_painted_in_a_volume_says_how_stiff_it_is(volume_beside, settle):
     labels = np.ones(SHAPE, int)
     labels[10:15, 12:20, 20:28] = 2
     rows = (Material(1, "soft", 1.0), Material(2, "stiff", 1000.0))
-    person.viewer.add_labels(labels, name="Tissue", scale=SCALE, metadata=described(TISSUE, rows))
+    person.viewer.add_labels(
+        labels, name="Tissue", scale=SCALE, metadata=layer_metadata(TISSUE, rows)
+    )
     settle(widget)
     assert widget.tissue is by_name(person.viewer, "Tissue")
     person.viewer.layers.selection = {by_name(person.viewer, "MR")}
@@ -320,7 +322,7 @@ def test_a_hand_that_pulls_again_waits_for_no_volume(volume_beside, settle, qtbo
     settle(widget)
     widget.deform()
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     person.press(8, 8)
     person.move(9, 9)
     qtbot.waitUntil(lambda: any(each.preview is not None for each in seen), timeout=LONG_MS)
@@ -349,13 +351,15 @@ def both_extents(volume_beside, settle):
 
 def seen_of(viewer):
     """The slices of the results of which anything is seen, "" for the volume."""
-    made = [layer for layer in viewer.layers if layer.visible and "source" in known_of(layer)]
-    return {known_of(layer)["slice"] for layer in made}
+    made = [layer for layer in viewer.layers if layer.visible and "source" in metadata_of(layer)]
+    return {metadata_of(layer)["slice"] for layer in made}
 
 
 def kinds_seen(viewer):
     """What is seen of results."""
-    return {known_of(layer).get("kind") for layer in viewer.layers if layer.visible} & {*EVERYTHING}
+    return {metadata_of(layer).get("kind") for layer in viewer.layers if layer.visible} & {
+        *EVERYTHING
+    }
 
 
 def test_of_a_volume_and_its_slice_the_result_that_is_worked_on_is_seen(both_extents, settle):
@@ -366,7 +370,7 @@ def test_of_a_volume_and_its_slice_the_result_that_is_worked_on_is_seen(both_ext
         settle(widget)
         assert seen_of(viewer) == {where}
         assert kinds_seen(viewer) == EVERYTHING
-        assert known_of(widget.result)["slice"] == where
+        assert metadata_of(widget.result)["slice"] == where
         widget.before = True
         assert seen_of(viewer) == set()
         widget.before = False
@@ -382,10 +386,12 @@ def test_of_a_volume_and_its_slice_the_result_that_is_worked_on_is_seen(both_ext
 def test_a_result_that_is_not_worked_on_is_not_shown_by_its_arrows(both_extents, settle):
     person, widget = both_extents
     viewer = person.viewer
-    held = {known_of(each)["slice"]: each for each in viewer.layers if "answer" in known_of(each)}
+    held = {
+        metadata_of(each)["slice"]: each for each in viewer.layers if "answer" in metadata_of(each)
+    }
     viewer.layers.selection.active = held[""]
     settle(widget)
-    assert known_of(widget.result)["slice"] == "slice 12"
+    assert metadata_of(widget.result)["slice"] == "slice 12"
     assert seen_of(viewer) == {"slice 12"}
 
 
@@ -406,7 +412,7 @@ def cancelled(volume_beside, settle, qtbot):
 
     def cancel():
         seen, go_on = [], threading.Event()
-        widget.seen.connect(seen.append)
+        widget.deformation_changed.connect(seen.append)
         person.press(16, 16)
         person.move(19, 19)
         qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
@@ -432,14 +438,14 @@ def test_a_volume_that_is_cancelled_is_seen_as_it_came_to_rest_last(cancelled, s
     cancel()
     assert np.array_equal(picture.data, before)
     assert kinds_seen(person.viewer) == EVERYTHING
-    assert known_of(picture)["inputs_changed"]
+    assert metadata_of(picture)["inputs_changed"]
     assert len(widget.drawing.marks) == 2
     assert widget.status.startswith("Cancelled")
     assert "lack what was edited since" in widget.status
     person.drag((20, 20), (21, 21))
     settle(widget)
     assert len(widget.drawing.marks) == 3
-    assert not known_of(picture)["inputs_changed"]
+    assert not metadata_of(picture)["inputs_changed"]
     assert not np.array_equal(picture.data, before)
 
 
@@ -463,7 +469,7 @@ def test_while_a_volume_is_dragged_nothing_is_said_of_an_earlier_result(
     viewer.mouse_over_canvas = True
     viewer.status = "Here"
     assert "moves" in viewer.status
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     person.press(8, 8)
     person.move(11, 11)
     qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import kept_volumes
+from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.arrays import exact as plain
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.compile_cache import loops
-from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.planes import field as field
 from napari_hmrf.solver.backends.planes import inside as inside
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _TINY = 1e-300
 _spare: list[tuple[Planes, HeldPlanes]] = []
 in_child_of_fork(_spare.clear)
-kept_volumes.forgotten_by(_spare.clear)
+volume_caches.register(_spare.clear)
 
 
 def _exact(axes: int = 2) -> Any:
@@ -44,7 +44,7 @@ def _exact(axes: int = 2) -> Any:
     return plain
 
 
-def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes, HeldPlanes]:
+def prescribed(problem: Problem, start: WarmStart | None = None) -> tuple[Planes, HeldPlanes]:
     """Return the first displacement of a solve, and the mask of its held components, as planes.
 
     Observed components have the observed displacement, in pixels, and are held. The others have
@@ -53,7 +53,7 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
     Parameters
     ----------
     problem : Problem
-    start : Beginning, optional
+    start : WarmStart, optional
         Warm start.
     """
     exact, axes = _exact(len(problem.shape)), len(problem.shape)
@@ -94,7 +94,7 @@ def slices(grid: tuple[int, ...]) -> Iterator[Slice]:
         yield Slice(..., ...)
         return
     for number in range(grid[0]):
-        compute_thread.look()
+        compute_thread.check_cancelled()
         yield Slice(number, np.s_[:, number + 2])
 
 
@@ -126,14 +126,14 @@ def noise(shape: tuple[int, ...]) -> Planes:
     rough = np.zeros((shape[0], *(1 for _ in axes)), dtype=np.float32)
     while any(rough.shape[axis] < shape[axis] - 4 for axis in axes):
         for axis in axes:
-            compute_thread.look()
+            compute_thread.check_cancelled()
             rough = rough.repeat(2, axis=axis)
-        compute_thread.look()
+        compute_thread.check_cancelled()
         rough += random.random(rough.shape, dtype=np.float32) - np.float32(0.5)
         rough = rough[(slice(None), *(slice(shape[axis] - 4) for axis in axes))]
-    compute_thread.look()
+    compute_thread.check_cancelled()
     inside(made)[...] = rough
-    compute_thread.look()
+    compute_thread.check_cancelled()
     made /= max(float(made.max()), -float(made.min()), _TINY)
     return made
 
@@ -163,7 +163,7 @@ def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float)
     return bool(finite.all())
 
 
-def combined(start: Beginning) -> Planes:
+def combined(start: WarmStart) -> Planes:
     """Return the weighted sum of a start as planes, in pixels."""
     return planes(np.sum([weight * each for each, weight in start.weighted], axis=0))
 

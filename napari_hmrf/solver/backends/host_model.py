@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.found import Found
+from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
-from napari_hmrf.solver.backends.rigid.entrained import Entrained
+from napari_hmrf.solver.backends.rigid.deflation import Deflation
 from napari_hmrf.solver.backends.thread import compute_thread
 
 # Squares of values between these bounds neither overflow nor underflow in single precision.
@@ -30,17 +30,17 @@ class HostModel:
         Rigid bodies with the present held components; None without rigid tissue.
     iterates : bool
         True if cycles can be used with such tissue.
-    found : Found
+    earlier : EarlierResults
         Results of earlier solves with the present held components.
     """
 
     levels: Sequence[Any]
     material: Any
-    found: Found
+    earlier: EarlierResults
     bodies: Bodies | None = None
     iterates: bool = True
     #: Finest level for an iteration in double precision; only volumes have one.
-    exactly: Any = None
+    double_level: Any = None
     #: True if direct factors are faster than cycles; a cycle takes a hundredth of their time.
     slow = False
     _held: HeldPlanes | None
@@ -68,12 +68,12 @@ class HostModel:
         if self._held is not None and np.array_equal(held, self._held):
             return
         self._held = None  # set last, because a cancellation may interrupt the update
-        self.found = Found()
+        self.earlier = EarlierResults()
         self._rest.fill(0)
-        compute_thread.look()
+        compute_thread.check_cancelled()
         self.levels[0].hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-            compute_thread.look()
+            compute_thread.check_cancelled()
             coarse.hold_as(fine)
         self._begin()
         self._held = held.copy() if len(held) == 2 else held  # the mask of a volume never changes
@@ -83,20 +83,20 @@ class HostModel:
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
         """Return the residual of a load for a displacement."""
-        compute_thread.look()
+        compute_thread.check_cancelled()
         most, norm = self._balance(d, load, unit)
         if most > 0 and not _SMALL < most < _GREAT:
             unit *= most
-            compute_thread.look()
+            compute_thread.check_cancelled()
             most, norm = self._balance(d, load, unit)
-        compute_thread.look()
+        compute_thread.check_cancelled()
         if self.bodies is not None:
             self.bodies.project(self._rest)
             most, square = self.levels[0].weigh(self._rest, self._rest)
             norm = math.sqrt(square)
         return Balance(self._rest, unit, unit * most, unit * norm)
 
-    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+    def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
         """Return None; models of rigid tissue override this method."""
         return None
 

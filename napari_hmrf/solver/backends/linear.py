@@ -17,11 +17,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.found import Found
+from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.planes import HeldPlanes as HeldPlanes
 from napari_hmrf.solver.backends.planes import Planes as Planes
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
-from napari_hmrf.solver.backends.rigid.entrained import Entrained
+from napari_hmrf.solver.backends.rigid.deflation import Deflation
 
 #: (scale, momentum) of each Chebyshev step of a smoother.
 Steps = tuple[tuple[float, float], ...]
@@ -55,7 +55,7 @@ class LinearLevel(Protocol):
     correction: Any
 
     @property
-    def worth_again(self) -> bool:
+    def is_revisited(self) -> bool:
         """True if a second visit within a cycle is worth its cost."""
         ...
 
@@ -76,13 +76,13 @@ class LinearLevel(Protocol):
         ...
 
     #: True if `finish` visits all coarser levels, too.
-    takes_rest: bool
+    finishes_cycle: bool
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
         """Compute a correction for the load from zero.
 
-        If `takes_rest`, all coarser levels are visited: with `steps`, and `coarsest` on the last
-        level. Otherwise this level is smoothed with `coarsest` steps.
+        If `finishes_cycle`, all coarser levels are visited: with `steps`, and `coarsest` on the
+        last level. Otherwise this level is smoothed with `coarsest` steps.
         """
         ...
 
@@ -94,7 +94,7 @@ class LinearLevel(Protocol):
         """Return a new vector, of zeros or of the values in planes, which may be overwritten."""
         ...
 
-    def passing(self) -> Any:
+    def scratch_vector(self) -> Any:
         """Return an uninitialised vector that is valid until the next cycle."""
         ...
 
@@ -201,7 +201,7 @@ class LinearModel(Protocol):
         ...
 
     @property
-    def exactly(self) -> Any:
+    def double_level(self) -> Any:
         """Finest level for an iteration in double precision; None if the model has none."""
         ...
 
@@ -226,7 +226,7 @@ class LinearModel(Protocol):
         ...
 
     @property
-    def found(self) -> Found:
+    def earlier(self) -> EarlierResults:
         """Results of earlier solves with the present held components."""
         ...
 
@@ -239,7 +239,7 @@ class LinearModel(Protocol):
         """Set the held components of the finest level, and update the coarser levels."""
         ...
 
-    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+    def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
         """Return the fields of rigid bodies' motions for deflation; None if there are none.
 
         Parameters
@@ -291,7 +291,7 @@ class LinearModel(Protocol):
         """Set all corrections to zero, because they may not be finite."""
         ...
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Remove the model from the cache, after an overflow."""
         ...
 

@@ -88,7 +88,7 @@ class ComputeThread:
         """Run a job like `submit`, and wait for its result.
 
         On the compute thread itself the job runs at once. If the wait is interrupted, as by Ctrl-C,
-        the job stops at its next `look`.
+        the job stops at its next `check_cancelled`.
         """
         if self.is_current():
             return job()
@@ -112,7 +112,7 @@ class ComputeThread:
 
     @contextmanager
     def unless(self, stop: Callable[[], bool]) -> Iterator[None]:
-        """Let the running job stop at its next `look` once `stop` returns True.
+        """Let the running job stop at its next `check_cancelled` once `stop` returns True.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class ComputeThread:
         finally:
             self._stops.pop()
 
-    def look(self) -> None:
+    def check_cancelled(self) -> None:
         """Raise `Cancelled` if the running job has been cancelled.
 
         Long work calls this several times a second. On other threads it does nothing.

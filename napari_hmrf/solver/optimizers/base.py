@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.base import Backend
-from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem
 
@@ -143,7 +143,7 @@ class Optimizer(Protocol):
         prior: Prior,
         backend: Backend[Any],
         report: Report,
-        start: Beginning | None = None,
+        start: WarmStart | None = None,
     ) -> Outcome:
         """Run the schedule; on the compute thread only.
 
@@ -154,7 +154,7 @@ class Optimizer(Protocol):
         backend : Backend
         report : callable
             Called with a `Monitor`; raises to cancel.
-        start : Beginning, optional
+        start : WarmStart, optional
             Initial displacement; by default a cold start.
 
         Returns

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
-from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.optimizers.base import (
     Convergence,
@@ -66,7 +66,7 @@ def converge(
     prior: SeilerPrior,
     backend: Backend[Any],
     report: Report,
-    start: Beginning | None,
+    start: WarmStart | None,
 ) -> Outcome:
     """Solve the centred reading of the paper's prior; lengths are in pixels from here on.
 
@@ -80,7 +80,7 @@ def converge(
     prior : SeilerPrior
     backend : Backend
     report : callable
-    start : Beginning or None
+    start : WarmStart or None
 
     Raises
     ------
@@ -90,14 +90,14 @@ def converge(
     model = backend.seiler_model(prior.material(problem))
     refinement = _Refinement(tolerance, max_iterations, model, report)
     try:
-        d, states = _beginning(problem, prior, model, start)
+        d, states = _start_field(problem, prior, model, start)
         for _ in range(_MOST_EXCHANGES):
             states.place(d)
             model.hold(states.held)
             reach = refinement.run(d, states.load if states.any_slip else None, states.exact)
             pull = model.pull(d)
             if not states.exchange(d, pull, _CONTRADICTION * refinement.within / max(reach, 1.0)):
-                if states.exact or model.mild or states.firm(d, pull):
+                if states.exact or model.mild or states.is_firm(d, pull):
                     break
                 states.be_exact()
         else:
@@ -110,9 +110,9 @@ def converge(
         if reach * refinement.most > refinement.within:
             refinement.fail()
         energy, forces = model.work(d)
-        way = "cycles" if model.found.factors is None else "factors"
+        way = "cycles" if model.earlier.factors is None else "factors"
     except ConvergenceError:
-        model.forget()
+        model.clear_cache()
         raise
     finally:
         model.close()
@@ -129,8 +129,8 @@ def converge(
     )
 
 
-def _beginning(
-    problem: Problem, prior: SeilerPrior, model: LinearModel, start: Beginning | None
+def _start_field(
+    problem: Problem, prior: SeilerPrior, model: LinearModel, start: WarmStart | None
 ) -> tuple[Planes, _CentredStates]:
     """Return the initial displacement and the states of the observations."""
     d, observed = host.prescribed(problem)
@@ -204,7 +204,7 @@ class _CentredStates(States):
         """Require exact solutions from now on."""
         self._patience = 0
 
-    def firm(self, d: Planes, pull: Planes) -> bool:
+    def is_firm(self, d: Planes, pull: Planes) -> bool:
         """Return whether all components are held with much less than their limits."""
         # If stiff tissue slips that could also be held, a small residual proves nothing: with other
         # states the field may be quite different.
@@ -243,7 +243,7 @@ class _Refinement:
         self._begun = 0
         self._first: float | None = None
 
-    def run(self, d: Planes, load: Planes | None, exactly: bool) -> float:
+    def run(self, d: Planes, load: Planes | None, in_double: bool) -> float:
         """Solve d = q(d) + load in place, to the tolerance or exactly."""
         # Returns the largest error of a site per unit of the largest residual.
         self._begun = self.cycles
@@ -256,7 +256,7 @@ class _Refinement:
             return scale * step.rest <= target
 
         most = target = self.within / reach if reach > 0 else math.inf
-        if exactly:
+        if in_double:
             target = min(most, _EXACT)
         self.most, self.residual = self._solve(d, load, most, enough, target)
         return reach
@@ -283,7 +283,7 @@ class _Refinement:
         balance = self._model.balance(d, load)
         least, last = math.inf, self.cycles + _CYCLES
         while balance.most > target:
-            unit, cycles = balance.unit, self._model.found.factors is None
+            unit, cycles = balance.unit, self._model.earlier.factors is None
             if cycles and balance.most < 0.9 * least and self.cycles < last:
                 least = balance.most
 

@@ -82,7 +82,7 @@ class Cycle:
 
     def __init__(self, model: Hierarchy, smoothing: Smoothing = STRETCHING) -> None:
         self.levels = model.levels
-        rest = (number for number, level in enumerate(self.levels) if level.takes_rest)
+        rest = (number for number, level in enumerate(self.levels) if level.finishes_cycle)
         self._visited = self.levels[: next(rest, len(self.levels)) + 1]
         self._smoothing = smoothing
         #: Number of changes to `Smoothing.careful`.
@@ -90,7 +90,7 @@ class Cycle:
         usual, self._worst = model.bounds
         self._smooth_up_to(usual)
 
-    def be_careful(self) -> bool:
+    def use_safe_bound(self) -> bool:
         """Smooth for any mixture of materials from now on; return False if that is done already.
 
         A smoother amplifies motions with eigenvalues above its bound. The preconditioner is then
@@ -105,7 +105,7 @@ class Cycle:
 
     def smooth_more(self) -> bool:
         """Change to `Smoothing.careful`; return False if there is no such change left."""
-        return self._smoothing.careful is not None and self.be_careful()
+        return self._smoothing.careful is not None and self.use_safe_bound()
 
     def _smooth_up_to(self, bound: float) -> None:
         self._bound = bound
@@ -130,7 +130,7 @@ class Cycle:
         if not rest:
             level.finish(self._steps, self._coarsest)
             return
-        again = number == 1 and level.worth_again
+        again = number == 1 and level.is_revisited
         for visit in range(self._smoothing.visits if again else 1):
             level.descend(self._steps, rest[0], again=visit > 0)
             self._visit(number + 1)

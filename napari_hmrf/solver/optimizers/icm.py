@@ -12,7 +12,7 @@ import numpy as np
 from napari_hmrf.arguments import is_whole, real, reals, refuse_unless
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends.base import Backend, FloatArray, SiteRule
-from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.optimizers.base import LevelRun, Monitor, Outcome, Report
 from napari_hmrf.solver.priors import Prior, SeilerPrior, line_weights
 from napari_hmrf.solver.problem import Problem
@@ -88,7 +88,7 @@ class ICM:
         prior: Prior,
         backend: Backend[Any],
         report: Report,
-        start: Beginning | None = None,
+        start: WarmStart | None = None,
     ) -> Outcome:
         """Run the schedule on a backend; lengths are in pixels from here on."""
         if start is not None:

@@ -13,7 +13,7 @@ import scipy
 
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import Balance, Planes, Steps, UnsymmetricLevel
-from napari_hmrf.solver.backends.rigid.entrained import Entrained
+from napari_hmrf.solver.backends.rigid.deflation import Deflation
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
@@ -74,19 +74,19 @@ class ConjugateGradients:
     Parameters
     ----------
     cycle : Cycle
-    exactly : callable, optional
+    double_level_of : callable, optional
         Returns the finest level in double precision, or None if there is none.
     """
 
-    def __init__(self, cycle: Cycle, exactly: Callable[[], Any] = lambda: None) -> None:
-        self._cycle, self._exactly = cycle, exactly
+    def __init__(self, cycle: Cycle, double_level_of: Callable[[], Any] = lambda: None) -> None:
+        self._cycle, self._exactly = cycle, double_level_of
         self._spectrum, self._expected = _Spectrum(), 1.0
         #: Number of steps in all runs.
-        self._taken = 0
+        self._step_count = 0
         #: Finest level in double precision, if the iteration runs in it.
         self._double: Any = None
         #: Motions induced by rigid bodies, which cycles miss, if there are any bodies.
-        self.entrained: Entrained | None = None
+        self.deflation: Deflation | None = None
 
     @property
     def steps(self) -> tuple[Steps, Steps]:
@@ -131,9 +131,9 @@ class ConjugateGradients:
         self._spectrum.least = value
 
     @property
-    def met(self) -> float:
+    def run_least(self) -> float:
         """Least eigenvalue met in the present run."""
-        return self._spectrum.met
+        return self._spectrum.run_least
 
     def expect(self, least: float) -> None:
         """Set the expected least eigenvalue.
@@ -172,30 +172,30 @@ class ConjugateGradients:
         rest = level.vector(balance.rest)
         at_once = getattr(level, "sums_up", False) and level.bodies is None
         found = None if at_once else level.vector()
-        direction, image = level.vector(), level.passing()
+        direction, image = level.vector(), level.scratch_vector()
         square = first = norm**2
         before: Any = None
-        settled, entrained = 0.0, self.entrained
-        if entrained is not None:
-            settled = entrained.settle(level.planes(found), level.planes(rest))
+        settled, deflation = 0.0, self.deflation
+        if deflation is not None:
+            settled = deflation.deflate(level.planes(found), level.planes(rest))
             square = level.product(rest, rest)
         self._spectrum.restart()
         while True:
             steepest = self._steepest(rest)
-            if entrained is None:
+            if deflation is None:
                 level.project(steepest)
-            compute_thread.look()
+            compute_thread.check_cancelled()
             most, slope = level.weigh(steepest, rest)
             turn = slope if before is None else level.ratio(slope, before)
-            compute_thread.look()
-            if entrained is None:
+            compute_thread.check_cancelled()
+            if deflation is None:
                 level.turn(steepest, direction, turn)
             else:
-                most = max(most, entrained.turn(steepest, direction, turn))
-            compute_thread.look()
+                most = max(most, deflation.turn(steepest, direction, turn))
+            compute_thread.check_cancelled()
             curvature = level.apply(direction, image)
             level.project(image)
-            compute_thread.look()
+            compute_thread.check_cancelled()
             length = level.ratio(slope, curvature)
             if at_once:
                 if not all(map(math.isfinite, (most, curvature, length))):
@@ -208,7 +208,7 @@ class ConjugateGradients:
                 raise FloatingPointError
             far, down, bend, turned, after = values
             if not (down > 0 and bend > 0):
-                if after > 0 and self._cycle.be_careful():
+                if after > 0 and self._cycle.use_safe_bound():
                     level.free(direction)
                     direction = None  # drop it before a new one is allocated
                     direction = level.vector()
@@ -239,12 +239,12 @@ class ConjugateGradients:
         # One step may be faster than this, but the next ones are slower.
         lasting = (1 - math.sqrt(least)) / (1 + math.sqrt(least))
         fall = max(math.sqrt(after / before), _FASTEST, lasting)
-        if self._spectrum.met > _MET * self._expected:
+        if self._spectrum.run_least > _MET * self._expected:
             fall = max(fall, 1 - self._expected)  # only the cycles have reduced the slow motion
         if self._spectrum.steps < _RELIABLE_STEPS:
             least = min(least, _USUAL_LEAST)
-        self._taken += 1
-        if self._taken < _RELIABLE_STEPS:
+        self._step_count += 1
+        if self._step_count < _RELIABLE_STEPS:
             fall = max(fall, 1 - least)  # early cycles remove only this part of a slow motion
         return Step(far * fall / least / rest, rest, gain)
 
@@ -327,7 +327,7 @@ class _Spectrum:
         self._beside: list[float] = []
         self._length = 0.0
         #: Least eigenvalue of the present run.
-        self.met = 1.0
+        self.run_least = 1.0
 
     def add(self, length: float, turn: float) -> None:
         """Add a step: its length, and the factor of the last direction in its direction."""
@@ -337,5 +337,5 @@ class _Spectrum:
         self._length = length
         if self._beside:
             least = scipy.linalg.lapack.dsterf(self._diagonal, self._beside)[0][0]
-            self.met = min(self.met, max(float(least), self._rounding))
-            self.least = min(self.least, self.met)
+            self.run_least = min(self.run_least, max(float(least), self._rounding))
+            self.least = min(self.least, self.run_least)

@@ -15,22 +15,22 @@ import numpy.typing as npt
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
+from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.finite import FiniteModel
-from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
+from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
 from napari_hmrf.solver.optimizers.large_slip import LargeSlip
-from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, given
+from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, load_forces
 from napari_hmrf.solver.optimizers.newton import LEAST_JACOBIAN, Newton, Strategy, norm
-from napari_hmrf.solver.optimizers.outside import Outside
 from napari_hmrf.solver.priors import NeoHookeanPrior
 from napari_hmrf.solver.priors.elements import contrast
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.rigid_modes import grip
+from napari_hmrf.solver.rigid_modes import holding_strength
 
 _TINY = 1e-300
 # Fraction of its Jacobian that each corner must keep when a start is extrapolated.
@@ -63,7 +63,7 @@ def converge(
     prior: NeoHookeanPrior,
     backend: Backend[Any],
     report: Report,
-    start: Beginning | None,
+    start: WarmStart | None,
 ) -> Outcome:
     """Solve a problem of large motion; lengths are in pixels from here on.
 
@@ -75,14 +75,14 @@ def converge(
     material = prior.material(problem)
     model = backend.finite_model(material)
     observed, held = host.prescribed(problem)
-    load, limit = given(problem, prior).pulls, prior.limit(problem)
+    load, limit = load_forces(problem, prior).pulls, prior.limit(problem)
     # Observations that may slip do not stop the motion of rigid bodies.
     stops = held if limit is None else held & np.isinf(host.planes(limit))
     # Sites of a held rigid body that are not observed have no target of their own.
     poses, has_target = model.poses(stops), held.copy()
     poses.hold(observed, held)
-    d = _beginning(problem, model, poses, start, observed, held)
-    outside, strategy = None if load is None else Outside(load), _strategy(problem, material)
+    d = _start_field(problem, model, poses, start, observed, held)
+    outside, strategy = None if load is None else DeadLoads(load), _strategy(problem, material)
     newton = Newton(model, smoothing_of(material), report, strategy, poses, outside)
     if limit is None:
         settle = partial(newton.run, d, observed, held)
@@ -150,7 +150,7 @@ def _returned(
 
 
 def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
-    firmness, ratio = grip(problem), contrast(material.m)
+    firmness, ratio = holding_strength(problem), contrast(material.m)
     strategy = Strategy(
         doubtful=not material.mild or material.rigid or firmness < _WEAK_GRIP,
         stiff=ratio > _HIGH_CONTRAST or firmness < _WEAK_GRIP,
@@ -160,7 +160,7 @@ def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
 
 
 def _grow(
-    settle: Callable[[float], None],
+    converge_to: Callable[[float], None],
     model: FiniteModel,
     material: FiniteMaterial,
     d: Planes,
@@ -168,14 +168,14 @@ def _grow(
 ) -> float:
     """Move tissue to balance, in place, as it grows in steps; return the completed growth."""
     if material.growth is None:
-        settle(tolerance)
+        converge_to(tolerance)
         return 1.0
     done, step = 0.0, min(1.0, _GROWTH_STEP / max(math.log(material.most_growth), _GROWTH_STEP))
     while done < 1:
         before, aim = d.copy(), min(1.0, done + step)
         model.assemble(material.grown(aim))
         try:
-            settle(tolerance if aim == 1 else max(tolerance, _GROWTH_DISTANCE))
+            converge_to(tolerance if aim == 1 else max(tolerance, _GROWTH_DISTANCE))
         except ConvergenceError:
             np.copyto(d, before)
             if step >= _LEAST_GROWTH_STEP:
@@ -186,18 +186,18 @@ def _grow(
             # The field was close to balance for this growth before.
             model.assemble(material.grown(done))
             with suppress(ConvergenceError):
-                settle(tolerance)
+                converge_to(tolerance)
             break
         else:
             done = aim
     return done
 
 
-def _beginning(
+def _start_field(
     problem: Problem,
     model: FiniteModel,
     poses: Poses,
-    start: Beginning | None,
+    start: WarmStart | None,
     observed: Planes,
     held: HeldPlanes,
 ) -> Planes:
@@ -209,7 +209,7 @@ def _beginning(
     idle = ~around_sites(in_elements(problem.stiffness), np.logical_or)
     for field in last, combined:
         host.inside(field)[:, idle] = 0  # steps do not move these sites
-    poses.settle(last)
+    poses.make_rigid(last)
     if not model.energy(last)[1] >= LEAST_JACOBIAN:
         last = zero
     # Extrapolate a drag linearly, unless that would fold tissue.
@@ -222,7 +222,7 @@ def _beginning(
         step = (scale - 1) * last
     length, _ = model.length(last, step, _EXTRAPOLATION_PART, LEAST_JACOBIAN)
     extrapolated = last + min(1.0, length) * step
-    poses.settle(extrapolated)
+    poses.make_rigid(extrapolated)
     return extrapolated if model.energy(extrapolated)[1] >= LEAST_JACOBIAN else last
 
 

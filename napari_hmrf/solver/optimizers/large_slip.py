@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
+from napari_hmrf.solver.optimizers.dead_loads import DeadLoads, SoftObservations
 from napari_hmrf.solver.optimizers.newton import Newton
-from napari_hmrf.solver.optimizers.outside import Outside, SoftObservations
 
 # First width of the kink, as a fraction of the largest distance to an observation.
 _FIRST_WIDTH = 0.2
@@ -77,14 +77,14 @@ class LargeSlip:
             # Large forces may crush tissue on the way. Start again with all observations held, and
             # let only those slip whose force exceeds the limit.
             np.copyto(d, begun)
-            self._newton.outside = Outside(self._load)
+            self._newton.external_forces = DeadLoads(self._load)
             self._newton.run(d, self._y, self._observed, tolerance)
             if not self._sharpen(d, self._slipping(d), tolerance):
                 raise
 
     def _slipping(self, d: Planes) -> npt.NDArray[np.float64]:
         """Return the side to which the present force makes each component slip; 0 if held."""
-        needed = self._needed(d, self._observed)
+        needed = self._required(d, self._observed)
         slips = np.abs(needed) >= (1 - _EXCESS) * self._limit
         return np.where(slips, np.sign(needed), 0.0)
 
@@ -97,7 +97,7 @@ class LargeSlip:
         soft = SoftObservations(self._y, self._yielding, self._load)
         while True:
             soft.sharpen(d, width)
-            newton.outside = soft
+            newton.external_forces = soft
             newton.run(d, self._y, self._fixed, max(tolerance, _FIRST_WIDTH * width))
             if width == last:
                 break
@@ -108,7 +108,7 @@ class LargeSlip:
         if not self._sharpen(d, sides, tolerance):
             # The rounded solution is the best available.
             np.copyto(d, rounded)
-            newton.outside = soft
+            newton.external_forces = soft
             newton.distance = distance
 
     def _sharpen(self, d: Planes, sides: npt.NDArray[np.float64], tolerance: float) -> bool:
@@ -116,12 +116,12 @@ class LargeSlip:
         newton = self._newton
         for _ in range(_EXCHANGES):
             held, pulls = self._observed & (sides == 0), sides * self._yielding
-            newton.outside = Outside(pulls if self._load is None else pulls + self._load)
+            newton.external_forces = DeadLoads(pulls if self._load is None else pulls + self._load)
             try:
                 newton.run(d, self._y, held, tolerance)
             except ConvergenceError:
                 return False
-            needed = self._needed(d, held)
+            needed = self._required(d, held)
             passed = sides * (d - self._y) > tolerance
             wrong = (np.abs(needed) > (1 + _EXCESS) * self._limit) | passed
             missed = held & ~self._fixed & (np.abs(self._y - d) > tolerance)
@@ -130,7 +130,7 @@ class LargeSlip:
             sides = np.where(wrong, np.where(passed, 0.0, np.sign(needed)), sides)
         return False
 
-    def _needed(self, d: Planes, held: HeldPlanes) -> Planes:
+    def _required(self, d: Planes, held: HeldPlanes) -> Planes:
         """Return the force that keeps held components in place; 0 elsewhere."""
-        self._newton.outside = None if self._load is None else Outside(self._load)
+        self._newton.external_forces = None if self._load is None else DeadLoads(self._load)
         return np.where(held, self._newton.forces(d), 0.0)

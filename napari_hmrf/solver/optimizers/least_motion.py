@@ -22,7 +22,7 @@ Float64Array = npt.NDArray[np.float64]
 _REST = 1e-9
 
 
-def settle(
+def choose_least_motion(
     d: Float64Array,
     off: Float64Array,
     side: Float64Array,

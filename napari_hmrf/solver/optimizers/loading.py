@@ -23,7 +23,7 @@ _ROUNDING = 1e-9
 _AT_LIMIT = 1e-6
 
 
-class Given(NamedTuple):
+class LoadForces(NamedTuple):
     """Forces of loads (planes, or None), and the energy of grown tissue without displacement."""
 
     pulls: Planes | None
@@ -35,7 +35,7 @@ class _LastLoads(NamedTuple):
 
     problem: Problem
     prior: ElasticPrior | NeoHookeanPrior
-    given: Given
+    forces: LoadForces
 
     def are_valid_for(self, problem: Problem, prior: ElasticPrior | NeoHookeanPrior) -> bool:
         """Return whether tissue and loads are unchanged; observations may differ."""
@@ -52,7 +52,7 @@ class _LastLoads(NamedTuple):
 _last: list[_LastLoads] = []
 
 
-def given(problem: Problem, prior: Prior) -> Given:
+def load_forces(problem: Problem, prior: Prior) -> LoadForces:
     """Return the loads of a problem as forces in planes and an energy; read-only.
 
     Parameters
@@ -61,13 +61,13 @@ def given(problem: Problem, prior: Prior) -> Given:
     prior : Prior
     """
     if isinstance(prior, SeilerPrior) or problem.loads is None:
-        return Given(None, 0.0)
+        return LoadForces(None, 0.0)
     if _last and _last[0].are_valid_for(problem, prior):
-        return _last[0].given
+        return _last[0].forces
     load = prior.load(problem)
     if load is None:
-        return Given(None, 0.0)
-    loads = Given(host.planes(load.forces), load.energy)
+        return LoadForces(None, 0.0)
+    loads = LoadForces(host.planes(load.forces), load.energy)
     _last[:] = [] if problem.is_volume else [_LastLoads(problem, prior, loads)]
     return loads
 

@@ -16,20 +16,26 @@ from napari_hmrf.arguments import is_whole, real, refuse_unless
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
-from napari_hmrf.solver.backends.found import Beginning, Met, Quality, met_by, remember
+from napari_hmrf.solver.backends.earlier_results import (
+    Quality,
+    StartQuality,
+    WarmStart,
+    remember,
+    start_quality_of,
+)
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.bending_modes import check_bent
+from napari_hmrf.solver.bending_modes import check_bending
 from napari_hmrf.solver.optimizers import centred, large_motion
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
 from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
-from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, given, work_of
+from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, load_forces, work_of
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.rigid_modes import grip
+from napari_hmrf.solver.rigid_modes import holding_strength
 
 _TINY = 1e-300
 # Fraction of the tolerance up to which a distance is negligible.
@@ -96,7 +102,7 @@ class Multigrid:
         prior: Prior,
         backend: Backend[Any],
         report: Report,
-        start: Beginning | None = None,
+        start: WarmStart | None = None,
     ) -> Outcome:
         """Solve the problem; lengths are in pixels from here on."""
         if isinstance(prior, SeilerPrior) and prior.conditional == "centred":
@@ -106,17 +112,17 @@ class Multigrid:
         if isinstance(prior, NeoHookeanPrior):
             return large_motion.converge(self.tolerance, problem, prior, backend, report, start)
         limit = prior.limit(problem)
-        pulls, stored = given(problem, prior)
+        pulls, stored = load_forces(problem, prior)
         d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
             material = prior.material(problem)
             model, smoothing = backend.elastic_model(material), smoothing_of(material)
         else:
-            check_bent(problem)
+            check_bending(problem)
             model, smoothing = backend.seiler_model(prior.material(problem)), BENDING
         holds = limit is None and isinstance(prior, ElasticPrior)
-        firm = not (problem.is_volume or holds) or grip(problem) >= _MILD_GRIP
-        met = None if start is None else met_by(start)
+        firm = not (problem.is_volume or holds) or holding_strength(problem) >= _MILD_GRIP
+        met = None if start is None else start_quality_of(start)
         refinement = Refinement(self.max_iterations, model, smoothing, report, firm, met)
         try:
             if limit is None:
@@ -124,11 +130,11 @@ class Multigrid:
                 if start is not None:
                     _reset_idle(problem, model, observed, d)
                 if model.bodies is not None:
-                    model.bodies.settle(d)
+                    model.bodies.make_rigid(d)
                 refinement.run(d, pulls, self.tolerance, self._quality(start, model))
-                compute_thread.look()
+                compute_thread.check_cancelled()
                 energy, forces = model.work(d)
-                refinement.settle(energy + stored - work_of(pulls, d))
+                refinement.set_energy(energy + stored - work_of(pulls, d))
             else:
                 y, d = d, d.copy()
                 moves = model.steepness > 0
@@ -139,7 +145,7 @@ class Multigrid:
                 slip = Slip(problem, prior, model, states, refinement, report)
                 forces = slip.run(d, self.tolerance)
         except ConvergenceError:
-            model.forget()
+            model.clear_cache()
             if pulls is not None:
                 check_reach(d, problem)
             raise
@@ -147,15 +153,15 @@ class Multigrid:
             model.close()
         if pulls is not None:
             check_reach(d, problem)
-        compute_thread.look()
+        compute_thread.check_cancelled()
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
         displacement, rounding = host.gathered(d, self.tolerance)
         if problem.is_volume:
             rounding *= 3  # the coefficients of the model are rounded, too
         host.reuse(d, observed)
         if limit is None:
-            model.found.add(displacement, Quality(refinement.error, refinement.residual))
-            remember(displacement, Met(refinement.least, refinement.estimate))
+            model.earlier.add(displacement, Quality(refinement.error, refinement.residual))
+            remember(displacement, StartQuality(refinement.least, refinement.estimate))
         return Outcome(
             displacement=displacement,
             energy=energies,
@@ -167,11 +173,11 @@ class Multigrid:
             ),
         )
 
-    def _quality(self, start: Beginning | None, model: LinearModel) -> Quality | None:
+    def _quality(self, start: WarmStart | None, model: LinearModel) -> Quality | None:
         """Return the quality of the start; None if unknown, or if the start misses observations."""
         if start is None or start.missing > _NEGLIGIBLE * self.tolerance:
             return None
-        return model.found.quality(start)
+        return model.earlier.quality(start)
 
 
 def _reset_idle(problem: Problem, model: LinearModel, observed: HeldPlanes, d: Planes) -> None:
@@ -179,10 +185,10 @@ def _reset_idle(problem: Problem, model: LinearModel, observed: HeldPlanes, d: P
 
     Cycles do not move such tissue: it would keep the motion of the solutions of a warm start.
     """
-    found = model.found
-    if found.idle is None:
+    earlier = model.earlier
+    if earlier.idle is None:
         idle = ~(model.moves | observed)
         for plane in idle:
             host.inside(plane[None])[0] &= problem.tissue
-        found.idle = np.flatnonzero(idle)
-    d.reshape(-1)[found.idle] = 0
+        earlier.idle = np.flatnonzero(idle)
+    d.reshape(-1)[earlier.idle] = 0

@@ -26,9 +26,9 @@ from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.neighbours import around_sites
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
-from napari_hmrf.solver.optimizers.doubt import BELIEVABLE, Rehearsal
+from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
-from napari_hmrf.solver.optimizers.outside import Outside
+from napari_hmrf.solver.optimizers.rehearsal import BELIEVABLE, Rehearsal
 
 # A step of the field
 
@@ -178,7 +178,7 @@ class Newton:
     strategy : Strategy
     poses : Poses
         Poses of rigid bodies, with their held components.
-    outside : Outside or None
+    external_forces : DeadLoads or None
         Forces from outside the tissue.
     """
 
@@ -189,12 +189,12 @@ class Newton:
         report: Report,
         strategy: Strategy,
         poses: Poses,
-        outside: Outside | None,
+        external_forces: DeadLoads | None,
     ) -> None:
         self._model, self._smoothing, self._report = model, smoothing, report
         self._strategy, self._poses = strategy, poses
         #: Forces from outside the tissue.
-        self.outside = outside
+        self.external_forces = external_forces
         self._tolerance = math.inf
         #: Distance of the field from balance.
         self.distance = Distance()
@@ -206,7 +206,7 @@ class Newton:
         # Number of steps before the last pull.
         self._pulled = 0
         # True until some held component turns out to be out of reach.
-        self._met = True
+        self._is_converged = True
         # Share of the buckling terms that was left out last, or a little less; and whether cycles
         # have met a direction in which the tissue buckles.
         self._positive = 0.0
@@ -228,14 +228,14 @@ class Newton:
             If the field is far from balance though no tissue is crushed, or if its distance from
             balance is unknown.
         """
-        self._tolerance, self._met = tolerance, True
+        self._tolerance, self._is_converged = tolerance, True
         y = np.where(held, y, d)
         relaxations, stuck, patience, near = 0, 0, _STUCK_LIMIT, _RELAXED_DISTANCE
         self._first, self._pulled = float(np.abs(y - d).max()), len(self.energies)
         for number in range(self._strategy.steps):
             if number == _PULL_LIMIT and (held & (y != d)).any():
                 np.copyto(y, d)
-                self._met = False
+                self._is_converged = False
             gap = np.where(held, y - d, 0.0)
             left = float(np.abs(gap).max())
             pulls = left > 0 and relaxations == 0
@@ -247,7 +247,9 @@ class Newton:
             step = self._step(d, gap if pulls else None, held)
             if step is None:
                 # The tissue is too crushed for the linear model, so that it moves no further.
-                self._met = self._met and (left == 0 or math.isinf(self.distance.estimate))
+                self._is_converged = self._is_converged and (
+                    left == 0 or math.isinf(self.distance.estimate)
+                )
                 break
             if pulls:
                 taken, self._pulled = self._pull(d, step.way, aim, held), len(self.energies) + 1
@@ -266,7 +268,7 @@ class Newton:
                 # Return to the last valid field; a pull ends there.
                 np.copyto(d, before)
                 self.distance = distance_before
-                self._met = self._met and left == 0
+                self._is_converged = self._is_converged and left == 0
                 break
             if taken == 1.0 and min(self.distance.estimate, step.far) <= near and not pulls:
                 relaxations = 0
@@ -279,7 +281,7 @@ class Newton:
                 break
         # Crushed tissue creeps; the run ends here.
         estimate = self.distance.estimate
-        if not math.isfinite(estimate) or (self._met and estimate > _CREEP_DISTANCE):
+        if not math.isfinite(estimate) or (self._is_converged and estimate > _CREEP_DISTANCE):
             self._fail()
 
     def _fail(self) -> None:
@@ -353,7 +355,7 @@ class Newton:
     ) -> _Linear | None:
         """Return the step of the linear model, which closes the gap; None if there is none."""
         forces = self.forces(d)
-        springs = None if self.outside is None else self.outside.springs(d)
+        springs = None if self.external_forces is None else self.external_forces.springs(d)
         if gap is not None:
             gap = self._poses.extend(gap)
         for stiff in _shares(positive or self._positive):
@@ -437,12 +439,14 @@ class Newton:
     def _energy(self, d: Planes) -> tuple[float, float]:
         """Return the total energy, and the least Jacobian of any corner."""
         energy, least = self._model.energy(d)
-        return energy if self.outside is None else energy + self.outside.energy(d), least
+        return energy if self.external_forces is None else energy + self.external_forces.energy(
+            d
+        ), least
 
     def forces(self, d: Planes) -> Planes:
         """Return the derivative of the total energy; valid until the next call."""
         forces = self._model.forces(d)
-        return forces if self.outside is None else forces + self.outside.forces(d)
+        return forces if self.external_forces is None else forces + self.external_forces.forces(d)
 
     def _pull(self, d: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
         """Move along a step, in place, until a corner nearly folds; return the part moved."""
@@ -453,7 +457,7 @@ class Newton:
             if taken == 1.0:
                 np.copyto(d, y, where=held)
             # Rigid bodies turn, although the step is straight.
-            self._poses.settle(d)
+            self._poses.make_rigid(d)
             energy, least = self._model.energy(d)
             if math.isfinite(energy) and least >= LEAST_JACOBIAN:
                 return taken
@@ -474,8 +478,8 @@ class Newton:
         """Move along a step while the energy falls, in place; return the part moved."""
         before = d.copy()
         taken = self._fall(d, way)
-        if self.outside is not None and taken > 0:
-            self.outside.follow(before, d)
+        if self.external_forces is not None and taken > 0:
+            self.external_forces.follow(before, d)
         return taken
 
     def _fall(self, d: Planes, way: Planes) -> float:
@@ -486,7 +490,7 @@ class Newton:
         taken, start = min(1.0, length), d.copy()
         for _ in range(_HALVING_LIMIT):
             d += taken * way
-            self._poses.settle(d)
+            self._poses.make_rigid(d)
             energy, least = self._energy(d)
             rounding = _ENERGY_ROUNDING * (abs(before) + _COMPONENT_ROUNDING * d.size)
             promise = _ARMIJO * taken * slope + rounding
@@ -498,7 +502,7 @@ class Newton:
 
     def _release(self, d: Planes, y: Planes, held: HeldPlanes, way: Planes) -> None:
         """Stop pulling the held components that obstruct the pull of the others."""
-        self._met = False
+        self._is_converged = False
         _, lengths = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR, each=True)
         sites = around_sites(lengths < _OBSTRUCTION, np.logical_or)
         pulled = (held & (y != d)).any(axis=0)[2:-2, 2:-2]

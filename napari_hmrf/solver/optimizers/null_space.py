@@ -15,7 +15,7 @@ from napari_hmrf.solver.backends.direct.dissection import HELD, Singular
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.optimizers.base import Report
-from napari_hmrf.solver.optimizers.refinement import HELD_BY_NOTHING, Refinement, factorise
+from napari_hmrf.solver.optimizers.refinement import BARELY_HELD, Refinement, factorise
 from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 
 Float64Array = npt.NDArray[np.float64]
@@ -57,7 +57,7 @@ _EXPLAINED = 16
 _PARTICIPATION = 0.1
 
 
-class Play(NamedTuple):
+class SoftMotions(NamedTuple):
     """Soft motions of tissue, and components that stop them if held.
 
     Attributes
@@ -108,7 +108,7 @@ class Play(NamedTuple):
                 "more of the tissue"
             )
 
-    def adrift(self, load: Planes) -> Planes | None:
+    def unbalanced_motion(self, load: Planes) -> Planes | None:
         """Return a free motion on which a load does work, or None."""
         for ways in self.free:
             for way in ways:
@@ -125,7 +125,7 @@ def resolves(model: LinearModel) -> bool:
     The pivots alone do not show this. If soft tissue holds stiff tissue, the last pivot of the
     stiff tissue is small, and its rounding error looks like resistance in the pivots that follow.
     """
-    factors, moves = model.found.factors, model.moves
+    factors, moves = model.earlier.factors, model.moves
     weights = np.sqrt(model.steepness[moves])
     if factors is None or not len(weights):
         return True
@@ -151,12 +151,12 @@ def refuse_free(
     ProblemError
         Naming the tissue and its motion.
     """
-    free = find_play(model, held, refinement, report).free
+    free = find_soft_motions(model, held, refinement, report).free
     if free:
         raise refusal(_as_free_motion(free[0][0]))
 
 
-def why_unsolvable(
+def explain_singular(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
 ) -> ProblemError | ConvergenceError:
     """Return the error that explains why a system without factors has no solution.
@@ -178,13 +178,13 @@ def why_unsolvable(
     try:
         soft = _soft(model, moves, weights)
         if 0 < soft.shape[1] <= _EXPLAINED:
-            play = find_play(model, held, refinement, report)
+            play = find_soft_motions(model, held, refinement, report)
             if play.free:
                 return refusal(_as_free_motion(play.free[0][0]))
     except ConvergenceError as error:
         return error
     if not soft.shape[1]:
-        return ConvergenceError(HELD_BY_NOTHING)
+        return ConvergenceError(BARELY_HELD)
     d: Planes = np.zeros(moves.shape)
     d[moves] = soft[:, 0] / weights
     cost = 2 * model.work(d)[0] / float((steep * d**2).sum())
@@ -208,7 +208,9 @@ def _as_free_motion(motion: Float64Array) -> FreeMotion:
     return FreeMotion(piece, f"could still bend {names[axis]} without resistance", motion)
 
 
-def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report) -> Play:
+def find_soft_motions(
+    model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
+) -> SoftMotions:
     """Find the soft motions of tissue that is held at some components only.
 
     The method is inverse iteration for a few random motions at once, with weak springs added to the
@@ -220,7 +222,7 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
     soft = _soft(model, moves, weights)
     count, planes = soft.shape[1], tuple(range(1, 1 + held.ndim))
     if not count:
-        return Play(pins, np.zeros((0, *held.shape)), np.zeros((0, 0)), [])
+        return SoftMotions(pins, np.zeros((0, *held.shape)), np.zeros((0, 0)), [])
     *_, order = scipy.linalg.qr(soft.T, mode="economic", pivoting=True)
     at = np.flatnonzero(moves)[order[:count]]
     pins.ravel()[at] = True
@@ -241,7 +243,7 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
     free, ways, cost = ways[is_free], ways[~is_free], cost[~is_free][:, ~is_free]
     free /= np.abs(free).max(axis=planes, keepdims=True)
     motions = [np.stack([host.field(way) for way in free])] if len(free) else []
-    return Play(pins, ways, cost, motions)
+    return SoftMotions(pins, ways, cost, motions)
 
 
 def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:

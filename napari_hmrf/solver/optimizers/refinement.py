@@ -1,6 +1,6 @@
 """Solution of a linear system to a tolerance, by cycles, or by factors where cycles are unreliable.
 
-If tissue is not mild, the iteration is first *rehearsed* (`doubt`) on a known solution. If its
+If tissue is not mild, the iteration is first *rehearsed* (`rehearsal`) on a known solution. If its
 error estimate is right there, the iteration solves the problem. If not, or if the iteration stalls,
 the system is factorised.
 """
@@ -17,18 +17,18 @@ from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.direct.dissection import Singular
 from napari_hmrf.solver.backends.direct.factors import Factors
-from napari_hmrf.solver.backends.found import Met, Quality
+from napari_hmrf.solver.backends.earlier_results import Quality, StartQuality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
-from napari_hmrf.solver.optimizers.doubt import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
+from napari_hmrf.solver.optimizers.rehearsal import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
 #: Message for a system that has no factors in double precision.
-HELD_BY_NOTHING = (
+BARELY_HELD = (
     "a part of the tissue is barely held, beyond the reach of double precision. Hold more of it, "
     "or reduce the ratio of the stiffest to the softest tissue"
 )
@@ -81,9 +81,9 @@ class Refinement:
     model : LinearModel
     smoothing : Smoothing
     report : callable
-    firm : bool
+    is_firm : bool
         True if the held sites stop all motions about equally well.
-    met : Met, optional
+    start_quality : StartQuality, optional
         Least eigenvalue and error of the solves of a warm start; None for a cold start.
 
     Attributes
@@ -106,14 +106,21 @@ class Refinement:
         model: LinearModel,
         smoothing: Smoothing,
         report: Report,
-        firm: bool = True,
-        met: Met | None = None,
+        is_firm: bool = True,
+        start_quality: StartQuality | None = None,
     ) -> None:
-        self._most, self._model, self._report, self._met = max_iterations, model, report, met
-        self._mild = model.mild and firm
+        self._most, self._model, self._report, self._start_quality = (
+            max_iterations,
+            model,
+            report,
+            start_quality,
+        )
+        self._mild = model.mild and is_firm
         # Not a method of this object: a cycle of references would keep the model's factors until
         # garbage collection.
-        self._iteration = ConjugateGradients(Cycle(model, smoothing), partial(_exactly, model))
+        self._iteration = ConjugateGradients(
+            Cycle(model, smoothing), partial(_double_level_of, model)
+        )
         self._patience = smoothing.patience
         self.estimate = self.error = math.inf
         self.residual = 0.0
@@ -121,7 +128,7 @@ class Refinement:
         self.cycles = 0
         self._gains: list[float] = []
         self._first: float | None = None
-        self._doubt: float | None = None
+        self._underestimate: float | None = None
         self._low: Planes | None = None
         self._factors_tried = False
 
@@ -129,10 +136,10 @@ class Refinement:
         """Return the forces of the tissue after the last run, with more digits than `d` carries."""
         return self._model.pull(d, self._low).copy()
 
-    def doubt_again(self) -> None:
+    def require_rehearsal(self) -> None:
         """Require a new rehearsal after a change of held sites, as the spectrum may change."""
-        if self._doubt is not None and self._doubt <= BELIEVABLE:
-            self._doubt = None
+        if self._underestimate is not None and self._underestimate <= BELIEVABLE:
+            self._underestimate = None
 
     def run(
         self, d: Planes, load: Planes | None, tolerance: float, known: Quality | None = None
@@ -160,7 +167,7 @@ class Refinement:
             self.estimate = min(_REPORTED * known.error, tolerance)
         elif balance.most == 0:
             self.error = self.estimate = 0.0
-        elif self._model.found.factors is not None or not self._iterate(
+        elif self._model.earlier.factors is not None or not self._iterate(
             d, load, tolerance, balance
         ):
             self._solve(d, load, tolerance)
@@ -173,9 +180,9 @@ class Refinement:
     @property
     def by_factors(self) -> bool:
         """True if the last run needed factors."""
-        return self._model.found.factors is not None
+        return self._model.earlier.factors is not None
 
-    def settle(self, energy: float) -> None:
+    def set_energy(self, energy: float) -> None:
         """Set the total energy after the last run, from which those of earlier cycles follow."""
         gains = self._gains or [0.0]
         self.energies += list(energy + np.cumsum([0.0, *gains[:0:-1]])[::-1])
@@ -183,46 +190,46 @@ class Refinement:
 
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
         """Reduce the error to the tolerance by cycles; return whether they certainly did."""
-        found, before = self._model.found, math.inf
-        self._mild = self._mild and not found.slow
+        earlier, before = self._model.earlier, math.inf
+        self._mild = self._mild and not earlier.slow
         # Slow motions end only the first run, before `d` has changed.
         watch = self._mild and len(self._model.shape) == 2
         if not self._mild and self._factors_first and factors_fit(self._model):
             self._factors_tried = True
             return False
-        if not self._entrain():
+        if not self._deflate_bodies():
             return False
-        while self._iteration.care < found.care:
+        while self._iteration.care < earlier.care:
             self._iteration.take_care()
-        if found.doubt is None and self._model.iterates:
-            if self._doubt is None:
-                self._doubt = 1.0
+        if earlier.underestimate is None and self._model.iterates:
+            if self._underestimate is None:
+                self._underestimate = 1.0
                 if not self._mild:
-                    self._doubt = self._rehearse(d.shape)
-                    while self._doubt > BELIEVABLE and self._take_care():
-                        self._doubt = self._rehearse(d.shape)
+                    self._underestimate = self._rehearse(d.shape)
+                    while self._underestimate > BELIEVABLE and self._take_care():
+                        self._underestimate = self._rehearse(d.shape)
                     balance = self._model.balance(d, load)  # the rehearsal overwrote the old one
-            found.doubt = self._doubt
-            found.least = self._iteration.least
-            found.care = self._iteration.care
-        if found.doubt is None or found.doubt > BELIEVABLE:
+            earlier.underestimate = self._underestimate
+            earlier.least = self._iteration.least
+            earlier.care = self._iteration.care
+        if earlier.underestimate is None or earlier.underestimate > BELIEVABLE:
             return False
-        self._iteration.least = min(self._iteration.least, found.least)
-        if self._met is not None:
-            self._iteration.expect(self._met.least)
+        self._iteration.least = min(self._iteration.least, earlier.least)
+        if self._start_quality is not None:
+            self._iteration.expect(self._start_quality.least)
         model, volume = self._model, len(self._model.shape) == 3
-        moves = found.entrained
+        moves = earlier.deflation
         # Motions of single bodies are certain to be met, but not those between close bodies.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
         doubt = _LEAST_MARGIN
         if not sure:
-            doubt = max(_MARGIN * found.doubt, _MARGIN if volume else _LEAST_MARGIN)
+            doubt = max(_MARGIN * earlier.underestimate, _MARGIN if volume else _LEAST_MARGIN)
         if volume and not self._mild:
             doubt *= _VOLUME_MARGIN
         if moves is not None and moves.close:
             doubt *= _MARGIN
-        if self._met is not None and not sure:
+        if self._start_quality is not None and not sure:
             doubt *= _WARM_MARGIN
         while True:
             step: Step | None = None
@@ -252,8 +259,8 @@ class Refinement:
             balance = self._model.balance(d, load, balance.most)
             self.residual = balance.norm
             self.estimate = doubt * step.reach * self.residual
-            if found.entrained is not None:
-                self.estimate += found.entrained.astray(balance.rest) * balance.unit
+            if earlier.deflation is not None:
+                self.estimate += earlier.deflation.remaining_distance(balance.rest) * balance.unit
             if self.estimate <= tolerance:
                 self.error = self.estimate
                 self.estimate = min(max(self.estimate, self._least_error()), tolerance)
@@ -261,19 +268,19 @@ class Refinement:
             stays = not self.estimate < 0.5 * before
             if self._too_long or (stays and not self._take_care()):
                 return False
-            found.care = self._iteration.care
+            earlier.care = self._iteration.care
             before = self.estimate
 
     @property
     def _is_slow(self) -> bool:
         """True if the present run has met a motion that does not occur in mild tissue."""
         mild = self._model.material.compressible
-        return self._iteration.met < (_MILD_LEAST if mild else _MILD_LEAST_INCOMPRESSIBLE)
+        return self._iteration.run_least < (_MILD_LEAST if mild else _MILD_LEAST_INCOMPRESSIBLE)
 
     def _begin_again(self, d: Planes, load: Planes | None, tolerance: float) -> bool:
         """Restart the iteration for tissue that has turned out not to be mild."""
-        found = self._model.found
-        found.slow, found.doubt, self._doubt = True, None, None
+        earlier = self._model.earlier
+        earlier.slow, earlier.underestimate, self._underestimate = True, None, None
         self._iteration.least = 1.0
         self.cycles -= len(self._gains)
         self._gains = []
@@ -282,10 +289,10 @@ class Refinement:
     def _least_error(self) -> float:
         """Return a lower limit for the reported error, regardless of residuals."""
         reported = _REPORTED * self.estimate
-        if self._met is None or self._met.least == 1:
+        if self._start_quality is None or self._start_quality.least == 1:
             return reported
         # Each cycle certainly removes only this part of the error of a warm start.
-        left = self._met.error * (1 - self._iteration.least) ** len(self._gains)
+        left = self._start_quality.error * (1 - self._iteration.least) ** len(self._gains)
         return max(reported, left)
 
     def _take_care(self) -> bool:
@@ -295,16 +302,16 @@ class Refinement:
             self._model.clear()
         return more
 
-    def _entrain(self) -> bool:
+    def _deflate_bodies(self) -> bool:
         """Compute the motions that rigid bodies induce; return False if they are uncertain."""
         model = self._model
         if model.bodies is None or not model.iterates:
             return True
-        found = model.found
-        if found.entrained is None:
-            found.entrained = model.entrained(*self._iteration.steps)
-        self._iteration.entrained = found.entrained
-        return found.entrained is None or found.entrained.sure
+        earlier = model.earlier
+        if earlier.deflation is None:
+            earlier.deflation = model.deflation(*self._iteration.steps)
+        self._iteration.deflation = earlier.deflation
+        return earlier.deflation is None or earlier.deflation.is_independent
 
     @property
     def _factors_first(self) -> bool:
@@ -327,9 +334,9 @@ class Refinement:
     def _rehearse(self, shape: tuple[int, ...]) -> float:
         """Return the true error of a rehearsal, relative to its estimate."""
         error = host.noise(shape)
-        compute_thread.look()
+        compute_thread.check_cancelled()
         error[~self._model.moves] = 0
-        compute_thread.look()
+        compute_thread.check_cancelled()
         self._project(error)
         length = Rehearsal()
         if self._iteration.in_double:
@@ -439,11 +446,11 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
     np.copyto(d, total)
 
 
-def _exactly(model: LinearModel) -> Any:
+def _double_level_of(model: LinearModel) -> Any:
     """Return the finest level in double precision, or None where factors are faster."""
     if factors_fit(model) or not fits(model.shape, IN_DOUBLE - ORDINARY):
         return None
-    return model.exactly
+    return model.double_level
 
 
 def factors_fit(model: LinearModel) -> bool:
@@ -462,7 +469,7 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     ConvergenceError
         If they need too much memory, or if the system is singular in double precision.
     """
-    if model.found.factors is None:
+    if model.earlier.factors is None:
         if len(model.shape) == 3 and not factors_fit(model):
             raise ConvergenceError(
                 "cycles may miss motions of this volume, and no factors are available for it. "
@@ -472,8 +479,8 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
         if not factors_fit(model):
             raise ConvergenceError(
                 "cycles may miss motions of this tissue, and its factors need "
-                f"{Factors.needed(model.shape) / 2**30:.0f} GiB of memory. Crop the image, or "
-                "reduce the ratio of the stiffest to the softest tissue"
+                f"{Factors.required_memory(model.shape) / 2**30:.0f} GiB of memory. Crop the "
+                "image, or reduce the ratio of the stiffest to the softest tissue"
             )
 
         def report_part(part: float) -> None:
@@ -481,7 +488,7 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
 
         report_part(0.0)
         try:
-            model.found.factors = Factors(model.material, model.moves, report_part)
+            model.earlier.factors = Factors(model.material, model.moves, report_part)
         except Singular:
-            raise ConvergenceError(HELD_BY_NOTHING) from None
-    return model.found.factors
+            raise ConvergenceError(BARELY_HELD) from None
+    return model.earlier.factors

@@ -12,14 +12,14 @@ from napari_hmrf.solver.bending_modes import free_bend
 from napari_hmrf.solver.optimizers import interior, least_motion
 from napari_hmrf.solver.optimizers.base import Report
 from napari_hmrf.solver.optimizers.null_space import (
-    Play,
-    find_play,
+    SoftMotions,
+    explain_singular,
+    find_soft_motions,
     refuse_free,
     resolves,
-    why_unsolvable,
 )
 from napari_hmrf.solver.optimizers.refinement import (
-    HELD_BY_NOTHING,
+    BARELY_HELD,
     Refinement,
     add,
     factorise,
@@ -94,7 +94,7 @@ class Slip:
                 self._states.hold_all()
             for rough in (_ROUGH_FACTOR * tolerance, tolerance):
                 self._exchange(d, rough, rough / 2)
-            self._refinement.doubt_again()
+            self._refinement.require_rehearsal()
             self._exchange(d, exact, _CONTRADICTION * exact)
             clear = np.array_equal(self._clear(d), self._states.held)
             if not clear and factors_fit(self._model):
@@ -125,10 +125,10 @@ class Slip:
             interior.solve(self._model, self._states, d, self._report)
         except ConvergenceError:
             self._model.hold(self._states.every)
-            d[:] = self._held(d)
+            d[:] = self._with_all_held(d)
             interior.solve(self._model, self._states, d, self._report)
 
-    def _held(self, d: Planes) -> Planes:
+    def _with_all_held(self, d: Planes) -> Planes:
         """Return the field with all observations held; the model must hold them already."""
         model, states = self._model, self._states
         held = np.where(self._steepness > 0, 0.0, d)
@@ -148,9 +148,9 @@ class Slip:
         try:
             factorise(model, self._report)
         except ConvergenceError as error:
-            if str(error) != HELD_BY_NOTHING:
+            if str(error) != BARELY_HELD:
                 raise
-            raise why_unsolvable(model, every, self._refinement, self._report) from None
+            raise explain_singular(model, every, self._refinement, self._report) from None
         if not self._resolved:
             refuse_free(model, every, self._refinement, self._report)
 
@@ -195,7 +195,7 @@ class Slip:
             if states.lost:
                 before = d.copy()
             energy, _ = model.work(d)
-            self._refinement.settle(energy + states.cost(d))
+            self._refinement.set_energy(energy + states.cost(d))
             if states.lost:
                 if arrived and not states.contradicted(d, pull(d), self._steepness, near):
                     return
@@ -212,9 +212,9 @@ class Slip:
         """Solve for the present states, and exchange those that turn out to be wrong."""
         states, model, refinement = self._states, self._model, self._refinement
         for number in range(_MOST_EXCHANGES):
-            play = self._play(states.held)
+            play = self._soft_motions(states.held)
             states.place(d)
-            adrift = play.adrift(states.load)
+            adrift = play.unbalanced_motion(states.load)
             if adrift is not None and states.slide(d, adrift):
                 continue
             model.hold(states.held | play.pins)
@@ -230,7 +230,7 @@ class Slip:
                 "penalty, or hold more of the tissue"
             )
         energy, _ = model.work(d)
-        refinement.settle(energy + states.cost(d))
+        refinement.set_energy(energy + states.cost(d))
 
     def _settle(self, d: Planes) -> float:
         """Choose the field of least motion among those of least energy; return the force norm."""
@@ -251,14 +251,14 @@ class Slip:
         """Return all free motions of tissue that is held at some components only."""
         if self._elastic:
             return list(free_motions(self._problem, host.field(held)))
-        return self._play(held).free
+        return self._soft_motions(held).free
 
-    def _play(self, held: HeldPlanes) -> Play:
+    def _soft_motions(self, held: HeldPlanes) -> SoftMotions:
         """Return all soft motions of tissue that is held at some components only."""
-        return find_play(self._model, held, self._refinement, self._report)
+        return find_soft_motions(self._model, held, self._refinement, self._report)
 
     def _least(self, d: Planes, pull: Planes, motions: list[Float64Array]) -> None:
         """Choose the field of least motion among those that differ by motions, in place."""
         if motions:
             moved, off, side = map(host.field, (d, *self._states.sides(d, pull)))
-            least_motion.settle(moved, off, side, motions, self._problem.tissue)
+            least_motion.choose_least_motion(moved, off, side, motions, self._problem.tissue)

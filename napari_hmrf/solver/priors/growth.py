@@ -86,7 +86,7 @@ def slabs(grid: tuple[int, ...]) -> Iterator[slice]:
     length, *others = grid
     step = max(1, _BLOCK_SIZE // math.prod(others))
     for begin in range(0, length - 1, step):
-        compute_thread.look()
+        compute_thread.check_cancelled()
         yield slice(begin, min(begin + step, length - 1) + 1)
 
 

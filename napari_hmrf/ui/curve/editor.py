@@ -35,11 +35,11 @@ class CurveEditor(Container):
     joined : ComboBox
     guess : PushButton
         Button to replace the curve by a first guess; its callback is set by the owner.
-    refused : Signal(str)
+    refusal : Signal(str)
         Reason why typed text was refused.
     """
 
-    refused = Signal(str)
+    refusal = Signal(str)
 
     def __init__(self, curve: StiffnessCurve) -> None:
         self.plot = CurvePlot(curve)
@@ -90,14 +90,14 @@ class CurveEditor(Container):
             self.joined.value = curve.between, curve.logarithmic
 
     def _on_field(self) -> None:
-        attempt(self._take, self.refused.emit)
+        attempt(self._read_fields, self.refusal.emit)
         self._show()
 
-    def _take(self) -> None:
+    def _read_fields(self) -> None:
         """Set the curve from the text of the fields."""
         points = sorted(map(_point, self.points.value.split(";")))
         below, (between, logarithmic) = self.void_below.value.strip(), self.joined.value
-        self.plot.take(
+        self.plot.apply_edit(
             StiffnessCurve(
                 tuple(points),
                 void_below=number_of(below) if below else None,

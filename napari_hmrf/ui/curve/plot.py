@@ -67,7 +67,7 @@ class CurvePlot(QWidget):
         self._curve = curve
         self._draw_soon()
 
-    def take(self, curve: StiffnessCurve) -> None:
+    def apply_edit(self, curve: StiffnessCurve) -> None:
         """Show a curve that the user has edited, and emit it."""
         if curve != self._curve:
             self.curve = curve
@@ -136,7 +136,7 @@ class CurvePlot(QWidget):
 
     def _change(self, number: int | None, point: Point | None) -> None:
         with suppress(ProblemError):  # another point has this intensity, or only two are left
-            self.take(with_point(self._curve, number, point))
+            self.apply_edit(with_point(self._curve, number, point))
 
     def _draw_soon(self) -> None:
         if self.canvas is not None:

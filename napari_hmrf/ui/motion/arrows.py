@@ -14,7 +14,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.motion_lines import Lines
 from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
 from napari_hmrf.layers.compat import compile_once, drawn_node, thin_thumbnail
-from napari_hmrf.layers.metadata import add_known
+from napari_hmrf.layers.metadata import add_metadata
 from napari_hmrf.layers.slice_view import View, plane_shown
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
 from napari_hmrf.tissue.drawing import Drawing
@@ -81,7 +81,7 @@ class ArrowsLayer:
         flat = self._viewer.dims.ndisplay == 2
         return flat and layer is not None and self._viewer.layers.selection.active is layer
 
-    def take(self, frame: Frame, shape: tuple[int, ...], circle: float | None) -> None:
+    def activate(self, frame: Frame, shape: tuple[int, ...], circle: float | None) -> None:
         """Place the layer on a slice, on top and active, with a circle around the pointer."""
         if self.layer is None:
             self._add(frame, shape)
@@ -114,7 +114,7 @@ class ArrowsLayer:
             return
         for name, value in frame.placement().items():
             setattr(layer, name, value)
-        add_known(layer, slice=frame.slice_name)
+        add_metadata(layer, slice=frame.slice_name)
         self._frame = frame
 
     def show(
@@ -149,7 +149,7 @@ class ArrowsLayer:
     def keep(self, drawing: Drawing) -> None:
         """Store the drawing in the metadata of the layer."""
         if self.layer is not None:
-            add_known(self._layer, drawing=drawing.as_dict())
+            add_metadata(self._layer, drawing=drawing.as_dict())
 
     def show_cursor(self, circle: float | None) -> None:
         """Show a circle of this radius around the pointer; None shows no circle."""

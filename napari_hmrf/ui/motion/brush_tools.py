@@ -122,7 +122,7 @@ class HoldTool(BrushTool):
     title = "Hold"
     key = "P"
     fields = ("radius", "confidence", "components")
-    how = "Paint what does not move."
+    hint = "Paint what does not move."
     action = "pin"
     step = "held tissue"
 
@@ -134,7 +134,7 @@ class FreeTool(BrushTool):
     title = "Free"
     key = "F"
     fields = ("radius",)
-    how = "Paint what nothing holds, whatever else says so."
+    hint = "Paint what nothing holds, whatever else says so."
     action = "free"
     step = "freed tissue"
 
@@ -146,7 +146,7 @@ class PushTool(BrushTool):
     title = "Push"
     key = "M"
     fields = ("radius", "by_row", "by_col", "confidence", "components")
-    how = "Paint what moves, then drag it to where it goes."
+    hint = "Paint what moves, then drag it to where it goes."
     action = "move"
     step = "painted a push"
 
@@ -186,7 +186,7 @@ class GrowTool(BrushTool):
     title = "Grow"
     key = "E"
     fields = ("radius", "amount", "confidence")
-    how = "Paint a patch or a closed ring that grows; a negative amount shrinks it."
+    hint = "Paint a patch or a closed ring that grows; a negative amount shrinks it."
     action = "expand"
     step = "painted what grows"
 
@@ -213,8 +213,8 @@ class ConfidenceTool(BrushTool):
     name = "confidence"
     title = "Confidence"
     key = "C"
-    fields = ("radius", "sure", "softness")
-    how = "Paint over what is held or moved how sure that is."
+    fields = ("radius", "stroke_confidence", "softness")
+    hint = "Paint over what is held or moved how sure that is."
     action = "confidence"
     step = "painted confidence"
 
@@ -230,7 +230,7 @@ class TissueTool(BrushTool):
     title = "Tissue"
     key = "T"
     fields = ("radius", "material")
-    how = "Paint which tissue is where."
+    hint = "Paint which tissue is where."
     action = "tissue"
     step = "painted tissue"
 

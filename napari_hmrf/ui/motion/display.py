@@ -81,14 +81,14 @@ class Display:
             return None
         return self._results.at(self._image, moved.study.grid.known_place.slice_name)
 
-    def stand_on(self, study: Study | None, image: Any, drawn: bool) -> None:
+    def select_slice(self, study: Study | None, image: Any, drawn: bool) -> None:
         """Switch to another slice in its undeformed state, or to none."""
         self._stroke_timer.stop()
         before, moved = self.result, self.moved
         self._image = image
         self.state = self._painted = self._stroke = None
         self._whole, self._is_copy = None if study is None else study.pictures.image, False
-        with self.own_doing():
+        with self.program_changes():
             if before is not None and moved is not None:
                 before.drop_paint()
                 if moved.ground is not None and not moved.moves:
@@ -96,7 +96,7 @@ class Display:
             if study is not None:
                 self.state = ShownDeformation(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.known_place, study.grid.shape, drawn)
-                self._results.stand_on(image, study.grid.known_place)
+                self._results.show_extent(image, study.grid.known_place)
 
     @property
     def covering(self) -> Any:
@@ -113,7 +113,7 @@ class Display:
         picture = self._picture_of(moved)
         self.state = state
         self._take_paint(state, stroke)
-        with self.own_doing():
+        with self.program_changes():
             # Show undeformed tissue, too, so that its layer exists before the first motion.
             if picture is not None and (moved.moves or self.arrows.active):
                 study = moved.study
@@ -146,7 +146,7 @@ class Display:
         moved = still if done is None else done.moved
         self.state = ShownDeformation(moved, state.marks if moved.overlay else None)
         self._picture_of(moved)
-        with self.own_doing():
+        with self.program_changes():
             self._show_result(layers)
             self.arrows.raise_up()
 
@@ -166,7 +166,7 @@ class Display:
     def show_painted(self, state: ShownDeformation) -> None:
         """Show the paint."""
         self._take_paint(state, None)
-        with self.own_doing():
+        with self.program_changes():
             self._show_painting()
 
     def _take_paint(self, state: ShownDeformation, stroke: Stroke | None) -> None:
@@ -181,7 +181,7 @@ class Display:
         if moved is None or stroke is None:
             return painted
         grid = moved.study.grid
-        lines = (moved.goes_to(np.array(line)).tolist() for line in stroke.lines)
+        lines = (moved.moved_positions(np.array(line)).tolist() for line in stroke.lines)
         deformed = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
         picture = np.zeros(grid.shape, np.uint8) if painted is None else painted.copy()
         box = box_of(deformed, grid.spacing, tuple(slice(0, size) for size in grid.shape))
@@ -209,7 +209,7 @@ class Display:
 
     def _show_stroke(self) -> None:
         self._stroke_timer.stop()
-        with self.own_doing():
+        with self.program_changes():
             self._show_painting()
 
     def draw(self, drawing: Drawing, selected: int | None, is_dragging: bool) -> None:
@@ -219,16 +219,16 @@ class Display:
         if state is not None and state.marks is not None:
             below.append(state.marks)
         if isinstance(mark, Stroke) and not is_dragging and state and state.moved.ground:
-            below.append(way_of(mark, state.moved.study.grid.spacing, state.moved.goes_to))
+            below.append(way_of(mark, state.moved.study.grid.spacing, state.moved.moved_positions))
         self.arrows.show(drawing, selected, below, quick=is_dragging)
 
     def leave(self) -> None:
         """Remove the layer of arrows, which no longer responds to the mouse."""
-        with self.own_doing():
+        with self.program_changes():
             self.arrows.remove()
 
     @contextmanager
-    def own_doing(self) -> Iterator[None]:
+    def program_changes(self) -> Iterator[None]:
         """Set `quiet` within this context, in which the program changes layers."""
         before, self.quiet = self.quiet, True
         try:

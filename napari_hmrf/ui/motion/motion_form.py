@@ -88,7 +88,7 @@ class MotionForm(Container):
 
 
 def _button(tool: type[Tool]) -> QToolButton:
-    button = QToolButton(text=tool.title, toolTip=f"{tool.how} ({tool.key})", checkable=True)
+    button = QToolButton(text=tool.title, toolTip=f"{tool.hint} ({tool.key})", checkable=True)
     button.setIcon(QIcon(str(Path(__file__).with_name(f"{tool.name}.svg"))))
     button.setIconSize(_ICON)
     button.setStyleSheet(_LOOK)

@@ -63,11 +63,11 @@ class Pointer:
     #: or stopped drawing.
     changed = Signal()
     #: Status message; "" shows what the user can do next.
-    said = Signal(str)
+    message = Signal(str)
     #: Reason why an action of a tool has no effect.
-    refused = Signal(str)
+    refusal = Signal(str)
     #: A new action begins: earlier messages are out of date.
-    begun = Signal()
+    action_started = Signal()
 
     def __init__(self, native: Any, viewer: Any, fields: ToolFields, undo: ViewerUndo) -> None:
         self._fields, self._undo, self._model = fields, undo, undo.model
@@ -80,7 +80,7 @@ class Pointer:
         self._draw_timer = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
-        undo.said.connect(self._on_step)
+        undo.message.connect(self._on_step)
         self._model.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
 
@@ -105,12 +105,12 @@ class Pointer:
             "Escape": self.cancel,
             "[": partial(self.resize, 1 / _LARGER),
             "]": partial(self.resize, _LARGER),
-            **{tool.key: partial(self.take_up, tool.name) for tool in TOOLS},
+            **{tool.key: partial(self.select_tool, tool.name) for tool in TOOLS},
         }
 
     # Actions
 
-    def stand_on(self, study: Study | None, image: Any = None) -> None:
+    def select_slice(self, study: Study | None, image: Any = None) -> None:
         """Switch to the drawing of another slice, or of none.
 
         Parameters
@@ -123,11 +123,11 @@ class Pointer:
         self.release()
         place = None if study is None else SlicePlace.of(study.grid.known_place)
         self._model.select_slice(None if study is None else image, place)
-        self.display.stand_on(study, image, bool(self.drawing.marks))
+        self.display.select_slice(study, image, bool(self.drawing.marks))
         self.tool = self._create_tool(type(self.tool))
         self.draw()
 
-    def take_up(self, name: str) -> None:
+    def select_tool(self, name: str) -> None:
         """Switch to a tool, with nothing selected.
 
         Raises
@@ -145,26 +145,26 @@ class Pointer:
         self._fields.show_for(tool)
         self._show_cursor()
         self.draw()
-        self.say_tool()
+        self.report_tool()
         if self.active:
-            self.said.emit("")
+            self.message.emit("")
 
-    def take(self) -> None:
+    def start_drawing(self) -> None:
         """Start drawing with the mouse."""
         state = self.display.state
         if state is None:
             return
         moved, circle = state.moved, self.tool.cursor(self._fields.settings)
         grid = moved.study.grid
-        with self.display.own_doing():
-            self.display.arrows.take(grid.known_place, grid.shape, circle)
+        with self.display.program_changes():
+            self.display.arrows.activate(grid.known_place, grid.shape, circle)
         if moved.ground is not None and not moved.moves:
             self.display.show(state, self.tool.stroke)
         self.draw()
-        self.said.emit("" if moved.ground else motion_messages.PREPARING)
-        self.say_tool()
+        self.message.emit("" if moved.ground else motion_messages.PREPARING)
+        self.report_tool()
 
-    def say_tool(self) -> None:
+    def report_tool(self) -> None:
         """Show the tool on the canvas while the mouse draws, unless other text is shown there."""
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
@@ -180,7 +180,7 @@ class Pointer:
     def clear(self) -> None:
         """Remove all marks of the drawing."""
         self.set_drawing(Drawing(), "removed all")
-        self.said.emit(motion_messages.REMOVED_ALL)
+        self.message.emit(motion_messages.REMOVED_ALL)
 
     def draw(self) -> None:
         """Show the current drawing."""
@@ -206,18 +206,18 @@ class Pointer:
             self._show_drawing()  # the marks follow the tissue
         if (known is None and self.active) or self._in_error:
             self._in_error = False
-            self.said.emit("")
+            self.message.emit("")
 
     def leave(self) -> None:
         """Stop drawing, and remove the layers that no longer respond; the drawing stays."""
-        self.stand_on(None)
+        self.select_slice(None)
         self.display.leave()
-        self.say_tool()
+        self.report_tool()
 
     def end(self) -> None:
         """Disconnect from the undo steps, and end any drag."""
         self.display.arrows.end_drag()
-        self._undo.said.disconnect(self._on_step)
+        self._undo.message.disconnect(self._on_step)
         self._model.changed.disconnect(self._on_drawn)
 
     # Mouse and key actions on the canvas
@@ -226,17 +226,17 @@ class Pointer:
         """Begin a drag with the tool, unless the tissue is not ready or not visible."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
-            self.said.emit(motion_messages.PREPARING)
+            self.message.emit(motion_messages.PREPARING)
             return
-        self.begun.emit()
+        self.action_started.emit()
         other = self.display.covering
         if other is not None:
-            self.said.emit(motion_messages.covered(other.name))
+            self.message.emit(motion_messages.covered(other.name))
             return
-        message = self.tool.press(point, reach, self._fields.settings, moved.came_from)
+        message = self.tool.press(point, reach, self._fields.settings, moved.origin_of)
         if self.tool.is_dragging:
             self._show_settings()
-        self.said.emit(message)
+        self.message.emit(message)
         self._show_stroke(at_once=True)
         self._show_cursor()
         self.draw()
@@ -248,14 +248,14 @@ class Pointer:
             return
         drawing, spacing = self.drawing, moved.study.grid.spacing
         hit = drawing.at(point, reach, spacing)
-        before = moved.came_from(point) or point
+        before = moved.origin_of(point) or point
         number = drawing.painted_at(before, spacing) if hit is None else hit.number
         if number is not None:
-            self.take_up(tool_of(drawing.marks[number]).name)
+            self.select_tool(tool_of(drawing.marks[number]).name)
         self.tool.pick(number)
         self._show_settings()
         is_hit = number is not None
-        self.said.emit(motion_messages.PICKED if is_hit else motion_messages.NOTHING_DRAWN)
+        self.message.emit(motion_messages.PICKED if is_hit else motion_messages.NOTHING_DRAWN)
         self.draw()
 
     def move(self, point: Point) -> None:
@@ -271,12 +271,12 @@ class Pointer:
             message = self.tool.release()
         except ToolError as error:
             self._in_error = False
-            self.refused.emit(str(error))
+            self.refusal.emit(str(error))
         self._show_cursor()
         if was_dragging:
             self._show_settings()
             if message is not None:
-                self.said.emit(message)
+                self.message.emit(message)
             self.draw()
 
     def turn(self) -> None:
@@ -291,10 +291,10 @@ class Pointer:
         """Cancel the current drag; without a drag, clear the selection."""
         self.display.arrows.end_drag()
         if self.tool.cancel():
-            self.said.emit(motion_messages.CANCELLED)
+            self.message.emit(motion_messages.CANCELLED)
         else:
             self.tool.select(None)
-            self.said.emit("")
+            self.message.emit("")
         self._show_cursor()
         self.draw()
 
@@ -302,7 +302,7 @@ class Pointer:
         """Remove the selected mark."""
         self.release()
         removed = self.tool.remove()
-        self.said.emit(motion_messages.REMOVED if removed else motion_messages.NOTHING_SELECTED)
+        self.message.emit(motion_messages.REMOVED if removed else motion_messages.NOTHING_SELECTED)
 
     def resize(self, factor: float) -> None:
         """Multiply the radius of the brush by a factor."""
@@ -360,7 +360,7 @@ class Pointer:
 
     def _on_field(self, *_: object) -> None:
         self._show_cursor()
-        self.say_tool()
+        self.report_tool()
         self.tool.change(self._fields.settings)
 
     def _show_error(self, state: ShownDeformation) -> None:
@@ -370,4 +370,4 @@ class Pointer:
         if self.tool.stroke is None:
             self.display.show_painted(state)
         if self.active:
-            self.said.emit(self.tool.error_message or in_short(error))
+            self.message.emit(self.tool.error_message or in_short(error))

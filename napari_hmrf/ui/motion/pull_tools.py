@@ -24,7 +24,7 @@ class PullTool(Tool):
     title = "Pull"
     key = "G"
     fields: ClassVar[tuple[str, ...]] = ("radius", "confidence", "components")
-    how = "Drag tissue to pull it, or click it to hold it in place."
+    hint = "Drag tissue to pull it, or click it to hold it in place."
 
     #: End of the mark that is dragged.
     _part: Literal["head", "base"] = "head"
@@ -114,7 +114,7 @@ class LandmarkTool(PullTool):
     title = "Landmark"
     key = "L"
     fields = ("radius", "confidence")
-    how = "Drag from where something is to where it should be, or click what stays there."
+    hint = "Drag from where something is to where it should be, or click what stays there."
 
     #: Selected mark just after the button press.
     _pressed: Arrow | Landmark | None = None

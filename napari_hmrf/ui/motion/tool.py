@@ -62,7 +62,7 @@ class Tool(ABC):
         keys for Vectors layers and for the viewer.
     fields : tuple of str
         Names of the fields in `ToolFields` with the settings of the tool.
-    how : str
+    hint : str
         Instructions for the button and the status.
     """
 
@@ -70,7 +70,7 @@ class Tool(ABC):
     title: ClassVar[str]
     key: ClassVar[str]
     fields: ClassVar[tuple[str, ...]]
-    how: ClassVar[str]
+    hint: ClassVar[str]
 
     def __init__(
         self,

@@ -21,7 +21,7 @@ _SURE = (
     "it by more than about that"
 )
 #: Attribute of a mark that a field sets, if their names differ.
-_ATTRIBUTES = {"sure": "confidence", "material": "label"}
+_ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}
 #: Fields of a displacement, along the rows and the columns.
 _STEPS = ("by_row", "by_col")
 
@@ -31,7 +31,9 @@ class ToolFields(Container):
 
     Attributes
     ----------
-    radius, by_row, by_col, amount, confidence, sure, softness, components, preset, material
+    radius, by_row, by_col, amount : FloatSpinBox
+    confidence, stroke_confidence, softness : FloatSlider
+    components, preset, material : ComboBox
         Widgets. The `fields` of a tool name the ones that it uses; `preset` is shown with
         `material`.
     """
@@ -53,7 +55,7 @@ class ToolFields(Container):
             "of the image",
         )
         self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
-        self.sure = share(
+        self.stroke_confidence = share(
             "becomes",
             "How sure it is what is held or moved under the brush. 1: exactly so, "
             "0: that says nothing any more",
@@ -115,7 +117,7 @@ class ToolFields(Container):
     @property
     def _by(self) -> Point:
         """Displacement in the fields, in the order of the axes of the image."""
-        return self._ways.along((self.by_row.value, self.by_col.value))
+        return self._ways.from_display((self.by_row.value, self.by_col.value))
 
     @property
     def words(self) -> str:
@@ -124,7 +126,7 @@ class ToolFields(Container):
         if self._has_step:
             *deep, row, col = self._by
             step = (*deep, 0.0 if which == "col" else row, 0.0 if which == "row" else col)
-            seen = tuple(round(part, 2) + 0.0 for part in self._ways.seen(step))
+            seen = tuple(round(part, 2) + 0.0 for part in self._ways.to_display(step))
             words = f"{words} {self._ways.step(seen)}"
         if "components" not in self._tool.fields or which == "both":
             return words
@@ -144,7 +146,7 @@ class ToolFields(Container):
         """Show the settings of the selected mark, without changing the mark or other fields."""
         values: dict[str, Any] = dict(settings)
         if "by" in settings:
-            *_, values["by_row"], values["by_col"] = self._ways.seen(settings["by"])
+            *_, values["by_row"], values["by_col"] = self._ways.to_display(settings["by"])
         for name in self._tool.fields:
             field, attribute = getattr(self, name), _ATTRIBUTES.get(name, name)
             value = values.get(attribute, field.value)
@@ -176,7 +178,7 @@ class ToolFields(Container):
             field.label = f"{words} ({unit})"
         self.show_for(self._tool)
         if turned:
-            for field, length in zip(steps, ways.seen(by)[-2:], strict=True):
+            for field, length in zip(steps, ways.to_display(by)[-2:], strict=True):
                 with field.changed.blocked():
                     field.value = length
             before = self.components.value
@@ -198,7 +200,7 @@ class ToolFields(Container):
             solid = [row.label for row in rows if row.is_deformable]
             usual = (solid or labels)[-1]
             self.material.value = before if before in labels else usual
-        self._own_table = palette.own
+        self._own_table = palette.is_table
         self.show_for(self._tool)
 
 

@@ -12,7 +12,7 @@ from napari_hmrf.field.tissue_point import Probe, at_point, rounded
 from napari_hmrf.layers.field_layer import place_at
 from napari_hmrf.layers.metadata import tissue_recorded
 from napari_hmrf.layers.result_layers import stiffness_unit
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 from napari_hmrf.ui.result.moving_layers import MovingLayers
@@ -36,17 +36,17 @@ class UnderCursor:
         self._viewer, self._shown = viewer, shown
         # Text that was appended to napari's status.
         self._line = ""
-        viewer.events.status.connect(self.say)
+        viewer.events.status.connect(self.append_to_status)
 
     def release(self) -> None:
         """Stop listening to the status bar."""
-        self._viewer.events.status.disconnect(self.say)
+        self._viewer.events.status.disconnect(self.append_to_status)
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Refresh the values below the mouse after the displayed tissue has changed."""
         cursor = self._viewer.cursor
         cursor.events.position(value=cursor.position)  # napari reads its layers again
-        self.say()
+        self.append_to_status()
 
     def at(self, position: Any) -> Probe | None:
         """Return the deformation of the visible tissue at a point in world coordinates.
@@ -71,7 +71,7 @@ class UnderCursor:
         if probe is None or shown is None:
             return ""
         answer, overlay = shown.answer, shown.overlay
-        ways = ways_of(answer.frame, self._viewer)
+        ways = directions_of(answer.frame, self._viewer)
         more = [_stiffness(shown, probe)]
         if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
             title, unit = title_and_unit(overlay.name, answer.solution)
@@ -80,7 +80,7 @@ class UnderCursor:
                 more.insert(0, f"{title} {strain:g} %")
         return at_point(answer.unit, probe, ways, more, shown.percent)
 
-    def say(self, *_: Any) -> None:
+    def append_to_status(self, *_: Any) -> None:
         """Append the values under the cursor to napari's latest status text."""
         status = self._viewer.status
         known = status if isinstance(status, dict) else {"coordinates": status}
@@ -92,7 +92,7 @@ class UnderCursor:
         self._line = f"  |  {line}" if line else ""
         joined = text + self._line
         new_status = {**known, "coordinates": joined} if known is status else joined
-        with self._viewer.events.status.blocker(self.say):
+        with self._viewer.events.status.blocker(self.append_to_status):
             self._viewer.status = new_status
 
 

@@ -19,7 +19,7 @@ from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import look_of
-from napari_hmrf.layers.result_layers import Answer, Overlay
+from napari_hmrf.layers.result_layers import Overlay, PlacedSolution
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.result.result_messages import FULL
@@ -42,7 +42,7 @@ class MovingLayers:
     viewer : napari.Viewer or ViewerModel
     arrows : napari.layers.Vectors
         Arrows that hold the result.
-    answer : Answer
+    answer : PlacedSolution
         The result.
     layers : Result
         Layers of the result in the viewer.
@@ -65,7 +65,7 @@ class MovingLayers:
         Displacement and strain at each point.
     """
 
-    def __init__(self, viewer: Any, arrows: Any, answer: Answer, layers: Result) -> None:
+    def __init__(self, viewer: Any, arrows: Any, answer: PlacedSolution, layers: Result) -> None:
         self.arrows, self.answer, self.layers = arrows, answer, layers
         self.overlay: Overlay | None = None
         self.source = source_of(viewer.layers, answer)
@@ -109,7 +109,7 @@ class MovingLayers:
                 made = self.answer.layer("image", self.image, "deformed", look, source=name)
                 made.attributes["metadata"][METADATA]["percent"] = 0
                 self.layers.put("image", made, self.source)
-            self.layers.want("image", True)
+            self.layers.set_wanted("image", True)
         return any(self.layers.layer(part) is not None for part in ("image", "overlay"))
 
     def draw(self, percent: int, moment: Moment) -> None:
@@ -188,8 +188,8 @@ class Player:
         """Draw the layers at a percentage: at once if cached, else after the computation."""
         if (shown := self._shown()) is None:
             return
-        if (moment := shown.motion.known(percent / FULL)) is not None:
-            self._jobs.forget("moment")
+        if (moment := shown.motion.cached(percent / FULL)) is not None:
+            self._jobs.cancel("moment")
             self._draw(shown, percent, moment)
         else:
             work = partial(shown.motion.at, percent / FULL)

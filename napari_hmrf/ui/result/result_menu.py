@@ -20,10 +20,10 @@ from napari_hmrf.io.apply import FieldFile, write_field_file
 from napari_hmrf.io.figures import write_result_pictures
 from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.tables import forces_in_words, measurements_in_words, write_measurements
-from napari_hmrf.layers.field_layer import MOVED, can_move, mover, picture_of, tissue_labels
-from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
+from napari_hmrf.layers.field_layer import MOVED, can_move, picture_of, prepare_move, tissue_labels
+from napari_hmrf.layers.metadata import TISSUE, metadata_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData, stiffness_unit
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.viewer_layers import same_selection
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
@@ -57,7 +57,7 @@ class ResultMenu:
     viewer : napari.Viewer or ViewerModel
     shown : callable
         Returns the displayed result, or None.
-    say : callable
+    show_message : callable
         Called with each message.
     """
 
@@ -69,10 +69,15 @@ class ResultMenu:
         form: ResultForm,
         viewer: Any,
         shown: Callable[[], MovingLayers | None],
-        say: Callable[[str], None],
+        show_message: Callable[[str], None],
     ) -> None:
-        self._button, self._viewer, self._look, self._say = form.more, viewer, shown, say
-        self._jobs = BackgroundJobs(say)
+        self._button, self._viewer, self._look, self._show_message = (
+            form.more,
+            viewer,
+            shown,
+            show_message,
+        )
+        self._jobs = BackgroundJobs(show_message)
         give_menu(self._button, self._fill)
         form.save.changed.connect(self._on_save)
 
@@ -111,7 +116,7 @@ class ResultMenu:
         answer = shown.answer
         subfolder = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
         arguments = Path(folder), answer.solution, shown.image, answer.unit, subfolder
-        self._say(SAVING)
+        self._show_message(SAVING)
         self._jobs.submit(f"{folder}", partial(write_result_pictures, *arguments), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
@@ -131,7 +136,7 @@ class ResultMenu:
         """
         field = FieldFile.of(self._shown.answer.solution)
         self._jobs.submit(
-            f"{path}", partial(write_field_file, path, field, forward=forward), self._say
+            f"{path}", partial(write_field_file, path, field, forward=forward), self._show_message
         )
 
     def save_film(self, path: str | Path) -> None:
@@ -146,8 +151,8 @@ class ResultMenu:
         if shown.image is None:
             raise HmrfError(NO_IMAGE)
         work = partial(write_movie, path, shown.answer.solution, shown.image)
-        self._say("Saving the film ...")
-        self._jobs.submit(f"{path}", work, lambda file: self._say(f"Saved {file.name}."))
+        self._show_message("Saving the film ...")
+        self._jobs.submit(f"{path}", work, lambda file: self._show_message(f"Saved {file.name}."))
 
     def move_along(self, *layers: Any) -> None:
         """Add moved copies of other layers, each above its original.
@@ -157,13 +162,13 @@ class ResultMenu:
         HmrfError
             If there is no result, or a layer cannot be placed on its tissue.
         """
-        movers = [mover(layer, self._shown.answer) for layer in layers]
+        movers = [prepare_move(layer, self._shown.answer) for layer in layers]
 
         def add(made: list[LayerData]) -> None:
             for layer, each in zip(layers, made, strict=True):
                 self._add(layer, each)
             names = ", ".join(f"'{each.attributes['name']}'" for each in made)
-            self._say(f"Moved along: {names}.")
+            self._show_message(f"Moved along: {names}.")
 
         kind = f"{[layer.name for layer in layers]} moved along"  # one kind of job per selection
         self._jobs.submit(kind, lambda: [move() for move in movers], add)
@@ -182,7 +187,7 @@ class ResultMenu:
         """Show a moved layer; it replaces the moved copy of an earlier result."""
         layers, name = self._viewer.layers, made.attributes["name"]
         with same_selection(self._viewer):
-            if name in layers and known_of(layers[name]).get("kind") == MOVED:
+            if name in layers and metadata_of(layers[name]).get("kind") == MOVED:
                 layers.remove(name)
             at = layers.index(layer) + 1 if layer in layers else len(layers)
             layers.insert(at, layer.create(*made))
@@ -192,9 +197,9 @@ class ResultMenu:
         menu, shown = self._button.menu(), self._look()
         menu.clear()
         about = "Displacement, change of area, and strain of each tissue"
-        measure = partial(attempt, self._show_measurements, self._say)
+        measure = partial(attempt, self._show_measurements, self._show_message)
         add_entry(menu, "Measurements ...", about, measure)
-        forces = partial(attempt, self._show_forces, self._say)
+        forces = partial(attempt, self._show_forces, self._show_message)
         add_entry(menu, "Forces ...", "Forces that hold tissue, and that pull it", forces)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
@@ -202,7 +207,7 @@ class ResultMenu:
         layers = [each for each in self._viewer.layers if can_move(each) and each is not source]
         rows = [(str(each.name), [each]) for each in layers]
         for title, chosen in [*rows, ("All of these", layers)][: None if len(rows) > 1 else -1]:
-            move = partial(attempt, partial(self.move_along, *chosen), self._say)
+            move = partial(attempt, partial(self.move_along, *chosen), self._show_message)
             add_entry(along, title, _WITH_IT, move)
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
@@ -211,17 +216,17 @@ class ResultMenu:
             ("field for points", _FORTH, forth, "field-for-points.nrrd", _FOR_POINTS),
             ("as film", _FILM, self.save_film, "film.gif", _FILMS),
         ):
-            ask = partial(self._ask, save, f"Save {title}", name, kinds)
+            ask = partial(self._choose_file, save, f"Save {title}", name, kinds)
             add_entry(menu, f"Save {title} ...", about, ask)
 
     def _on_save(self, *_: Any) -> None:
         title = "Choose where to create a folder of pictures"
         chosen = QtWidgets.QFileDialog.getExistingDirectory(self._button, title)
         if chosen:
-            attempt(partial(self.save_pictures, chosen, own_folder=True), self._say)
+            attempt(partial(self.save_pictures, chosen, own_folder=True), self._show_message)
 
     def _on_saved(self, paths: list[Path]) -> None:
-        self._say(saved(paths))
+        self._show_message(saved(paths))
         self.saved.emit(paths)
 
     def _show_measurements(self) -> None:
@@ -233,7 +238,9 @@ class ResultMenu:
         below = [QtWidgets.QLabel(f"Note: {note}.", wordWrap=True)] if note else []
         self._show_table("Measurements of each tissue", words, *below, button)
         save = partial(write_measurements, rows=rows, unit=unit, volume=volume)
-        ask = partial(self._ask, save, "Save measurements", "measurements.csv", "Tables (*.csv)")
+        ask = partial(
+            self._choose_file, save, "Save measurements", "measurements.csv", "Tables (*.csv)"
+        )
         button.clicked.connect(lambda _: ask())
 
     def _show_forces(self) -> None:
@@ -241,7 +248,7 @@ class ResultMenu:
         answer = self._shown.answer
         if answer.forces is None:
             raise HmrfError(NO_FORCES)
-        ways, stiffness = ways_of(answer.frame, self._viewer), stiffness_unit(answer)
+        ways, stiffness = directions_of(answer.frame, self._viewer), stiffness_unit(answer)
 
         def show(rows: tuple[HeldForce, ...]) -> None:
             words = forces_in_words(rows, ways, stiffness, answer.unit)
@@ -265,10 +272,10 @@ class ResultMenu:
         dialog.resize(table.horizontalHeader().length() + 40, 132 + 32 * table.rowCount())
         dialog.show()
 
-    def _ask(self, save: Callable[[str], Any], title: str, name: str, kinds: str) -> None:
+    def _choose_file(self, save: Callable[[str], Any], title: str, name: str, kinds: str) -> None:
         path, _ = QtWidgets.QFileDialog.getSaveFileName(self._button, title, name, kinds)
         if path:
-            attempt(partial(save, path), self._say)
+            attempt(partial(save, path), self._show_message)
 
 
 def _table_of(titles: list[str], cells: list[list[str]]) -> QtWidgets.QTableWidget:

@@ -8,7 +8,7 @@ from pathlib import Path
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.units import as_seen
-from napari_hmrf.layers.result_layers import Answer, Name
+from napari_hmrf.layers.result_layers import Name, PlacedSolution
 
 NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
 LOST = (
@@ -80,7 +80,7 @@ def overlay_choices(
 
 
 def how_far(
-    result: Answer, longest: float, percent: int, compared: Comparison | None = None
+    result: PlacedSolution, longest: float, percent: int, compared: Comparison | None = None
 ) -> str:
     """Describe the displayed deformation, its slice, and its difference from a reference."""
     far = as_seen(longest * percent / FULL, result.solution.spacing)

@@ -12,9 +12,9 @@ from napari_hmrf.errors import naming
 from napari_hmrf.field.comparison import Comparison, compare
 from napari_hmrf.layers.field_layer import can_be_source, field_of, result_of, source_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
-from napari_hmrf.layers.metadata import known_of
+from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.forms import attempt
@@ -44,19 +44,19 @@ class ResultView:
     """
 
     #: Message for the user.
-    said = Signal(str)
+    message = Signal(str)
     #: The selected result, or its state, has changed.
-    looked = Signal()
+    view_changed = Signal()
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
         self._viewer, self._form, self._results = viewer, form, results
-        self._jobs = BackgroundJobs(self.said.emit)
+        self._jobs = BackgroundJobs(self.message.emit)
         self.shown: MovingLayers | None = None
         #: Difference between the result and its reference, or None.
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer, lambda: self.shown)
         self.player = Player(native, self._jobs, lambda: self.shown)
-        self.more = ResultMenu(form, viewer, lambda: self.shown, self.said.emit)
+        self.more = ResultMenu(form, viewer, lambda: self.shown, self.message.emit)
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(self._on_chosen)
         form.reference.changed.connect(self._on_reference)
@@ -64,7 +64,7 @@ class ResultView:
         form.before.native.pressed.connect(partial(setattr, self, "before", True))
         form.before.native.released.connect(partial(setattr, self, "before", False))
         self.player.moved.connect(self._on_moved)
-        self.player.drawn.connect(self.cursor.look)
+        self.player.drawn.connect(self.cursor.refresh)
         self.player.playing_changed.connect(
             lambda playing: setattr(form.play, "text", PAUSE if playing else PLAY)
         )
@@ -115,20 +115,20 @@ class ResultView:
         if before is not None and other:
             before.layers.leave()
         self.shown = shown
-        self.cursor.look()
+        self.cursor.refresh()
         self._form.offer(self.arrows)
-        self.looked.emit()
+        self.view_changed.emit()
         self._compare()
         if shown is None:
             return
-        attempt(shown.copy_image, self.said.emit)
+        attempt(shown.copy_image, self.message.emit)
         self._offer(shown)
         if self._form.overlay.value != words.NOTHING:
             self._lay_over(chosen)
 
     # Actions
 
-    def stand_on(self, image: Any) -> None:
+    def select_image(self, image: Any) -> None:
         """Select the result of an image, or none, unless its result is selected already."""
         shown, layers = self.shown, self._viewer.layers
         if shown is not None and shown.source in (None, image):
@@ -164,8 +164,8 @@ class ResultView:
     def _compare(self) -> None:
         """Compare the result with its reference in the background, if one is chosen."""
         shown, reference, self.comparison = self.shown, self._form.reference.value, None
-        self._say_how_far()
-        self._jobs.forget("comparison")
+        self._show_distance()
+        self._jobs.cancel("comparison")
         field = field_of(reference)
         if shown is not None and field is not None:
             answer, name = shown.answer, str(reference.name)
@@ -178,7 +178,7 @@ class ResultView:
 
     def _on_compared(self, comparison: Comparison) -> None:
         self.comparison = comparison
-        self._say_how_far()
+        self._show_distance()
         if self._form.overlay.value == "difference":
             self._lay_over(chosen=True)
 
@@ -203,7 +203,7 @@ class ResultView:
         elif not result.moving:
             self.arrows = arrows
         else:
-            self.cursor.say()
+            self.cursor.append_to_status()
             if moves or self._form.slider.value != words.FULL:
                 self._draw_whole()  # its layers were redrawn at 100 %
 
@@ -236,7 +236,7 @@ class ResultView:
             self._form.overlay.value = words.NOTHING
         elif event.value is self.shown.arrows:
             if part is not None and self.shown.source in self._viewer.layers:
-                self.said.emit(words.LOST.format(layer=event.value.name))
+                self.message.emit(words.LOST.format(layer=event.value.name))
             self.arrows = None
 
     # Overlay
@@ -247,8 +247,8 @@ class ResultView:
         with choice.changed.blocked():
             name = choice.value
             if name == words.NOTHING and layer_shown is not None and layer_shown.visible:
-                name = known_of(layer_shown)["kind"]  # left by a dock that was closed
-            ways = ways_of(shown.answer.frame, self._viewer)
+                name = metadata_of(layer_shown)["kind"]  # left by a dock that was closed
+            ways = directions_of(shown.answer.frame, self._viewer)
             compared = self._form.reference.value is not None
             if name == "difference" and not compared:
                 name = words.NOTHING
@@ -261,7 +261,7 @@ class ResultView:
         if shown is None:
             return
         if name == words.NOTHING:
-            self._jobs.forget("overlay")
+            self._jobs.cancel("overlay")
             self._on_overlay(shown, name, False, None)
         elif (
             name != "difference" or self.comparison is not None
@@ -273,14 +273,14 @@ class ResultView:
     def _on_overlay(
         self, shown: MovingLayers, name: Name, chosen: bool, made: Overlay | None
     ) -> None:
-        self._jobs.forget("moment")
+        self._jobs.cancel("moment")
         shown.lay_over(made, chosen)
-        self._say_how_far()
+        self._show_distance()
         if made is None and chosen:
-            self.said.emit(words.LACKING[name])
+            self.message.emit(words.LACKING[name])
         if self._form.slider.value != words.FULL:
             self.player.show(self._form.slider.value)
-        self.cursor.look()
+        self.cursor.refresh()
 
     # Percentage
 
@@ -288,16 +288,16 @@ class ResultView:
         """Prepare layers to move, or report why there are none; return whether any can move."""
         self.before = False
         if self.shown is None:
-            self.said.emit(words.NO_RESULT)
+            self.message.emit(words.NO_RESULT)
         elif not self.shown.ready():
-            self.said.emit(words.NO_IMAGE)
+            self.message.emit(words.NO_IMAGE)
         else:
             return True
         return False
 
     def _put_back(self, release: bool = True) -> None:
         """Show the deformation at 100 %, and drop all jobs."""
-        self._jobs.forget()
+        self._jobs.cancel()
         if self.shown is not None:
             if release:
                 self.shown.layers.show_before(False)
@@ -307,7 +307,7 @@ class ResultView:
     def _draw_whole(self) -> None:
         """Stop playing, and draw the arrows at 100 %."""
         self.player.stop()
-        self._jobs.forget("moment")
+        self._jobs.cancel("moment")
         if self.shown is not None:
             self.shown.draw_arrows(words.FULL)
         self._set_slider(words.FULL)
@@ -315,9 +315,9 @@ class ResultView:
     def _set_slider(self, percent: int) -> None:
         with self._form.slider.changed.blocked():
             self._form.slider.value = percent
-        self._say_how_far()
+        self._show_distance()
 
-    def _say_how_far(self, *_: Any) -> None:
+    def _show_distance(self, *_: Any) -> None:
         """Show the percentage, the slice, and the differences."""
         text = ""
         if (shown := self.shown) is not None:
@@ -325,7 +325,7 @@ class ResultView:
             text = words.how_far(shown.answer, shown.longest, percent, self.comparison)
             if shown.overlay is not None and percent == words.FULL:
                 text = ". ".join(filter(None, (text.rstrip("."), shown.overlay.beyond)))
-        self._form.how_far.say(text)
+        self._form.how_far.show_text(text)
 
     # Buttons and events
 

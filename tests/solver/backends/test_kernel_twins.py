@@ -175,7 +175,7 @@ def test_each_pairs_share_of_the_energy_is_that_of_the_equations(stage, shape, r
             energy = backend._program("energy", square)
             energy.set(weights)
             grid = pairs(shape)
-            moved, first, second = (backend._pool.take(grid, k) for k in (4, 1, 1))
+            moved, first, second = (backend._pool.acquire(grid, k) for k in (4, 1, 1))
             backend._run(icm, around, [moved, first], grid, tissue=tissue)
             backend._run(energy, around, [second], grid, tissue=tissue)
             backend._pace.wait()

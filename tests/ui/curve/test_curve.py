@@ -13,7 +13,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.io.material_tables import read_preset
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -153,7 +153,7 @@ def typed(qtbot, field, text):
 
 def test_fields_say_and_take_the_curve(editor, person, qtbot):
     said = []
-    editor.refused.connect(said.append)
+    editor.refusal.connect(said.append)
     assert editor.points.value == "50: 10; 100: 20; 200: 40"
     assert (editor.void_below.value, editor.unit.value) == ("20", "kPa")
     typed(qtbot, editor.points, "50:10;200 : 40 ; 100: 30,5;0:0.001")
@@ -184,7 +184,7 @@ def test_fields_say_and_take_the_curve(editor, person, qtbot):
 )
 def test_what_is_no_curve_is_refused_and_put_back(editor, person, qtbot, text, why):
     said = []
-    editor.refused.connect(said.append)
+    editor.refusal.connect(said.append)
     assert typed(qtbot, editor.points, text) == "50: 10; 100: 20; 200: 40"
     assert why in said[0]
     assert typed(qtbot, editor.void_below, "x") == "20"
@@ -539,7 +539,9 @@ def test_materials_are_taken_from_another_layer(widget, small_sample):
     small_sample(viewer)
     rows = (Material(1, "jelly", 7.0), Material(2, "bone", 900.0))
     tissue = widget.tissue
-    viewer.add_labels(np.ones((20, 24), int), name="other", metadata=described(TISSUE, rows, "Pa"))
+    viewer.add_labels(
+        np.ones((20, 24), int), name="other", metadata=layer_metadata(TISSUE, rows, "Pa")
+    )
     viewer.add_labels(np.ones((20, 24), int), name="nothing")
     widget.tissue = tissue
     taken = entries(widget._form.tissue.menu)["Take from layer"].menu()

@@ -5,7 +5,7 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -21,8 +21,8 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     person, widget = pulling
     still = by_name(person.viewer, "MR deformed, elastic").data.copy()
     seen, drawn = [], []
-    widget.seen.connect(seen.append)
-    widget.followed.connect(drawn.append)
+    widget.deformation_changed.connect(seen.append)
+    widget.result_drawn.connect(drawn.append)
     person.press(30, 30)
     for step in range(1, 5):
         person.move(30 + step, 30 + 2 * step)
@@ -302,7 +302,7 @@ def test_void_cannot_be_taken_hold_of(open_beside, settle):
     labels = np.zeros((64, 64), np.uint8)
     labels[10:50, 10:50] = 1
     materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
-    person.viewer.add_labels(labels, name="T", metadata=described(TISSUE, materials, "kPa"))
+    person.viewer.add_labels(labels, name="T", metadata=layer_metadata(TISSUE, materials, "kPa"))
     assert widget.tissue is by_name(person.viewer, "T")
     assert widget.start()
     settle(widget)
@@ -364,7 +364,7 @@ def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
 def test_scripts_draw_without_a_mouse(open_beside, settle):
     person, widget = open_beside()
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     assert widget.start()
     widget.drawing = Drawing((Arrow((30, 30), (3, -3), 5.0),))
     settle(widget)
@@ -390,7 +390,7 @@ def test_a_sample_brings_its_tissue_and_hides_the_paint(open_beside, settle):
     settle(widget)
     painted = layers["Boundary"].data == 2
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     widget.drawing = Drawing((Arrow((60, 100), (2, 0), 8.0),))
     settle(widget)
     field = seen[-1].solution.displacement
@@ -519,7 +519,7 @@ def test_a_table_that_is_edited_is_followed_and_a_step_among_the_others(open_bes
     viewer.layers.clear()
     viewer.open_sample("napari-hmrf", "mass-effect")
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     assert widget.start()
     settle(widget)
     before = seen[-1].ground.stiffness.max()
@@ -623,7 +623,7 @@ def test_air_that_a_tissue_layer_calls_tissue_is_spoken_of(open_beside, settle):
     person, widget = open_beside((150 * disc).astype(np.uint8))
     widget.without_border = False
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="T")
-    labels.metadata.update(described(TISSUE, (Material(0, "unpainted", 1.0),), "kPa"))
+    labels.metadata.update(layer_metadata(TISSUE, (Material(0, "unpainted", 1.0),), "kPa"))
     for tissue, speaks in ((labels, True), (None, False)):
         widget.tissue = tissue
         assert widget.start()

@@ -10,7 +10,7 @@ from qtpy.QtTest import QTest
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
+from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
@@ -39,7 +39,7 @@ def displacement(widget):
 class Notes(Tool):
     """Tool that draws nothing, and writes down where the mouse is."""
 
-    name, title, key, fields, how = "notes", "Notes", "N", ("softness",), "Click a place."
+    name, title, key, fields, hint = "notes", "Notes", "N", ("softness",), "Click a place."
 
     @classmethod
     def makes(cls, mark):
@@ -227,7 +227,7 @@ def test_a_line_that_is_to_be_a_ring_says_so_while_it_is_painted(pulling_beside,
     widget.fields.amount.value = 2.0
     person.press(10, 30)
     said = []
-    widget._pointer.said.connect(said.append)
+    widget._pointer.message.connect(said.append)
     person.move(40, 30)
     qtbot.waitUntil(lambda: bool(said), timeout=LONG_MS)
     assert (said, widget.status) == ([OPEN], OPEN)
@@ -264,7 +264,7 @@ def test_confidence_is_painted_softly_over_what_moves(brushing_beside, settle):
     person, widget = brushing_beside
     person.key(CONFIDENCE)
     fields = widget.fields
-    fields.sure.value, fields.softness.value, fields.radius.value = 0.0, 1.0, 5.0
+    fields.stroke_confidence.value, fields.softness.value, fields.radius.value = 0.0, 1.0, 5.0
     person.paint((44, 45), (44, 45))
     settle(widget)
     stroke = widget.drawing.marks[1]
@@ -320,7 +320,7 @@ def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pu
     assert steps[:, 0].min() == pytest.approx(-4, abs=0.6), "by how much, in arrows"
     assert "Confidence" not in viewer.layers
     person.key(CONFIDENCE)
-    fields.sure.value = 0.5
+    fields.stroke_confidence.value = 0.5
     person.paint((26, 31), (26, 31))
     settle(widget)
     confidence = by_name(viewer, "Confidence")
@@ -378,7 +378,7 @@ def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing_beside,
     person, widget = brushing_beside
     layers = person.viewer.layers
     person.key(CONFIDENCE)
-    widget.fields.sure.value = 0.4
+    widget.fields.stroke_confidence.value = 0.4
     person.paint((40, 42), (40, 46))
     settle(widget)
     seen = by_name(person.viewer, "Confidence").data.copy()
@@ -390,7 +390,7 @@ def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing_beside,
     settle(widget)
     assert by_name(person.viewer, "Confidence").data == pytest.approx(seen, abs=0.02)
     person.pick(40, 46)
-    assert widget.fields.sure.value == 0.4
+    assert widget.fields.stroke_confidence.value == 0.4
     person.key(Qt.Key.Key_Delete)
     settle(widget)
     assert "Confidence" not in layers
@@ -399,7 +399,7 @@ def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing_beside,
 def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing_beside, settle):
     person, widget = brushing_beside
     person.key(CONFIDENCE)
-    widget.fields.sure.value, widget.fields.softness.value = 0.6, 0.0
+    widget.fields.stroke_confidence.value, widget.fields.softness.value = 0.6, 0.0
     person.paint((44, 45), (44, 46))
     settle(widget)
     layer = by_name(person.viewer, "Confidence")
@@ -468,7 +468,7 @@ def test_confidence_is_no_input_and_is_hidden_while_the_image_is_seen_as_it_was(
 ):
     person, widget = brushing_beside
     person.key(CONFIDENCE)
-    widget.fields.sure.value = 0.4
+    widget.fields.stroke_confidence.value = 0.4
     person.paint((44, 45), (44, 46))
     settle(widget)
     layer = by_name(person.viewer, "Confidence")
@@ -512,7 +512,7 @@ def test_tissue_is_painted_from_the_table_of_its_layer(open_beside, settle):
     person, widget = open_beside()
     labels = np.ones((64, 64), np.uint8)
     materials = (Material(1, "gel", 1.0), Material(7, "bone", 1000.0))
-    person.viewer.add_labels(labels, name="T", metadata=described(TISSUE, materials, "kPa"))
+    person.viewer.add_labels(labels, name="T", metadata=layer_metadata(TISSUE, materials, "kPa"))
     assert widget.start()
     settle(widget)
     person.key(MATERIAL)
@@ -698,7 +698,7 @@ def test_any_tool_has_the_mouse_and_the_keys_and_shows_its_fields(pulling_beside
     widget.tool = "notes"
     assert layer.cursor == "pointing"
     assert widget.fields.words == "Notes"
-    assert widget.status == Notes.how
+    assert widget.status == Notes.hint
     widget.fields.softness.value = 0.25
     person.press(20, 20)
     person.move(20, 24)
@@ -772,7 +772,9 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle)
         person.move(row, 24)
         image.name, arrows.name = f"T{number}", f"mine {number}"
         (layer,) = (
-            each for each in person.viewer.layers if gone in (each.name, known_of(each).get("kind"))
+            each
+            for each in person.viewer.layers
+            if gone in (each.name, metadata_of(each).get("kind"))
         )
         person.viewer.layers.remove(layer)
         person.move(row, 30)
@@ -906,7 +908,7 @@ def test_the_brush_of_tissue_begins_with_one_that_is_tissue(open_beside, settle)
     person, widget = open_beside()
     labels = person.viewer.add_labels(np.ones((64, 64), np.uint8), name="T")
     rows = (Material(0, "x", 1.0), Material(1, "gel", 2.0), Material(2, "air", 0.0))
-    labels.metadata.update(described(TISSUE, rows, "kPa"))
+    labels.metadata.update(layer_metadata(TISSUE, rows, "kPa"))
     widget.tissue = labels
     assert widget.start()
     settle(widget)

@@ -11,7 +11,7 @@ from napari.layers import Image, Labels
 from napari_hmrf import Grid, Motion, Multigrid, ProblemError, Study, Tissue, solve, solve_study
 from napari_hmrf.field.inverse_point import inverse_point
 from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.slice_view import frame_of
@@ -217,7 +217,7 @@ def test_what_is_painted_to_hold_or_move_lies_under_the_drawing():
     labels = np.zeros((40, 40), np.uint8)
     labels[18:22, 18:22] = 2
     rules = (BoundaryRule(2, "move", vector=(0.0, 3.0), confidence=(1.0, 0.5)),)
-    painted = Labels(labels, metadata=described(BOUNDARY, rules))
+    painted = Labels(labels, metadata=layer_metadata(BOUNDARY, rules))
     ground = read_ground(Image(picture), boundary=painted)
     assert (ground.base.observed[labels == 2] == (0, 3)).all()
     assert (ground.base.confidence[labels == 2] == (1, 0.5)).all()
@@ -258,7 +258,7 @@ def test_a_photograph_has_no_background():
 def test_a_tissue_layer_says_how_stiff_what_is():
     inside, picture = disc()
     materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0, 0.3))
-    labels = Labels(inside.astype(np.uint8), metadata=described(TISSUE, materials, "kPa"))
+    labels = Labels(inside.astype(np.uint8), metadata=layer_metadata(TISSUE, materials, "kPa"))
     ground = read_ground(Image(picture), labels)
     assert np.array_equal(ground.stiffness, np.where(inside, 20, 0))
     assert ground.prior.poisson == 0.3
@@ -314,7 +314,7 @@ def test_a_piece_of_tissue_that_nobody_holds_stays_where_it_is():
     two = np.zeros((20, 40), np.uint8)
     two[5:15, 5:15] = two[5:15, 25:35] = 1
     materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
-    labels = Labels(two, metadata=described(TISSUE, materials, "kPa"))
+    labels = Labels(two, metadata=layer_metadata(TISSUE, materials, "kPa"))
     ground = read_ground(Image(two * 100), labels, hold_edge=False)
     rendering = Rendering(ground.base)
     rendering.show(Drawing((Arrow((10, 10), (1, 2), 2.0),)))

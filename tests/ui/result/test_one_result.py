@@ -7,7 +7,7 @@ import pytest
 from qtpy.QtCore import Qt
 
 from napari_hmrf.field.strain import fold_mask
-from napari_hmrf.layers.metadata import BOUNDARY, known_of, rows_of
+from napari_hmrf.layers.metadata import BOUNDARY, metadata_of, rows_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.motion.motion_messages import START
@@ -68,7 +68,7 @@ def seen(viewer):
 
 def pictures(viewer):
     """The layers that show the image moved, by their names."""
-    return [layer.name for layer in viewer.layers if known_of(layer).get("kind") == "image"]
+    return [layer.name for layer in viewer.layers if metadata_of(layer).get("kind") == "image"]
 
 
 DEFORMED = {"MR deformed, elastic", "MR arrows, elastic"}
@@ -76,7 +76,7 @@ DEFORMED = {"MR deformed, elastic", "MR arrows, elastic"}
 
 def parts(viewer, kind):
     """The layers of a kind."""
-    return [layer for layer in viewer.layers if known_of(layer).get("kind") == kind]
+    return [layer for layer in viewer.layers if metadata_of(layer).get("kind") == kind]
 
 
 def test_what_is_pulled_goes_on_from_what_was_deformed(at_hand, run, settle):
@@ -199,7 +199,7 @@ def test_what_lay_over_a_picture_is_never_seen_over_the_next(pulled, run, settle
     (layer,) = parts(viewer, name)
     assert layer.visible
     seen_over_another = []
-    for shown in (dock.seen, dock.followed):
+    for shown in (dock.deformation_changed, dock.result_drawn):
         shown.connect(lambda _: seen_over_another.append(layer.visible))
     dock.rules = (dock.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     run(dock)
@@ -231,7 +231,7 @@ def test_a_result_that_is_chosen_has_its_colours_alone(two_images, settle):
             dock.overlay = kind
             settle(dock)
             shown = [layer for layer in parts(viewer, kind) if layer.visible]
-            assert [known_of(layer)["source"] for layer in shown] == [name]
+            assert [metadata_of(layer)["source"] for layer in shown] == [name]
     dock.result = None
     settle(dock)
     assert not any(layer.visible for layer in parts(viewer, "stiffness"))
@@ -241,10 +241,10 @@ def test_nothing_of_an_image_that_is_deleted_stays(two_images, settle, wait_for)
     viewer, dock = two_images
     dock.overlay = "magnitude"
     settle(dock)
-    assert len([layer for layer in viewer.layers if known_of(layer).get("source") == "CT"]) == 3
+    assert len([layer for layer in viewer.layers if metadata_of(layer).get("source") == "CT"]) == 3
     viewer.layers["MR arrows, elastic"].name = "mine"
     viewer.layers.remove("CT")
-    wait_for(lambda: not any(known_of(layer).get("source") == "CT" for layer in viewer.layers))
+    wait_for(lambda: not any(metadata_of(layer).get("source") == "CT" for layer in viewer.layers))
     assert "MR deformed, elastic" in viewer.layers
     viewer.layers.remove("MR")
     wait_for(lambda: "MR deformed, elastic" not in viewer.layers)
@@ -257,7 +257,7 @@ def test_all_layers_can_be_deleted_at_once(two_images, settle, wait_for):
     settle(dock)
     viewer.layers.selection = {viewer.layers["MR"], viewer.layers["CT"]}
     viewer.layers.remove_selected()
-    wait_for(lambda: not any("source" in known_of(layer) for layer in viewer.layers))
+    wait_for(lambda: not any("source" in metadata_of(layer) for layer in viewer.layers))
     viewer.layers.clear()
     settle(dock)
     assert dock.result is None
@@ -269,7 +269,7 @@ def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, frame, se
     drag_a_patch(person, dock, settle)
     dock.percent, dock.overlay = 50, "grid"
     picture = viewer.layers["MR deformed, elastic"]
-    wait_for(lambda: not dock.busy and known_of(picture).get("percent") == 50)
+    wait_for(lambda: not dock.busy and metadata_of(picture).get("percent") == 50)
     before = viewer.layers["MR grid, elastic"].data.copy()
     person.drag((24, 20), (20, 20))
     wait_for(lambda: dock.percent == 100)
@@ -280,7 +280,7 @@ def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, frame, se
     assert grid.data.shape != before.shape or (grid.data != before).any()
     whole = picture.data.copy()
     dock.percent = 40
-    wait_for(lambda: not dock.busy and known_of(picture).get("percent") == 40)
+    wait_for(lambda: not dock.busy and metadata_of(picture).get("percent") == 40)
     frame.close(dock)
     assert np.array_equal(picture.data, whole), "put back"
 
@@ -323,7 +323,7 @@ def test_the_result_of_the_slice_that_is_shown_is_looked_at(frame, small_sample,
     for number in (0, 2):
         viewer.dims.set_current_step(0, number)
         settle(dock)
-        assert known_of(dock.result)["slice"] == f"slice {number}"
+        assert metadata_of(dock.result)["slice"] == f"slice {number}"
 
 
 def test_a_reopened_dock_goes_on_with_the_result_that_is_there(in_window, run):
@@ -371,7 +371,7 @@ def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(in_win
     viewer = person.viewer
     drag_a_patch(person, first, settle)
     told = []
-    first.seen.connect(told.append)
+    first.deformation_changed.connect(told.append)
     viewer.window.remove_dock_widget(first.native)
     second = told_when(dock_in(viewer))
     grab(second)
@@ -596,7 +596,7 @@ def test_nothing_replaces_the_image_as_it_was_while_a_button_is_down(at_hand, se
     dock.live = True
     Screen(dock).click_row("air")
     found = []
-    dock.followed.connect(found.append)
+    dock.result_drawn.connect(found.append)
     person.press(20, 20)
     person.move(20, 30)
     settle(dock)  # the tissue has followed, and the mouse is still
@@ -708,6 +708,6 @@ def test_of_many_words_as_many_lines_are_seen_as_there_is_room_for(at_hand):
     footer = dock._form.footer
     label = footer._status.native
     for count, seen in ((1, 1), (40, 9), (5, 5)):
-        footer.say("\n".join(["word"] * count))
+        footer.show_status("\n".join(["word"] * count))
         assert round(label.height() / label.fontMetrics().lineSpacing()) == seen
         assert label.toolTip().count("word") == count, "all of it can be read"

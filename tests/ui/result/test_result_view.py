@@ -21,7 +21,7 @@ from napari_hmrf.field.strain import green_lagrange_strain
 from napari_hmrf.field.tissue_point import Probe, at_point
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
-from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.result.cursor import stiffness_of
@@ -115,13 +115,13 @@ def test_a_renamed_image_is_the_one_that_moves(look, set_to):
 
 def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(look, set_to):
     viewer = viewer_of(look)
-    solution = known_of(look.result)["solution"]
+    solution = metadata_of(look.result)["solution"]
     image, moved = viewer.layers["MR"], viewer.layers["MR deformed, paper"]
     whole, layers = moved.data.copy(), names(viewer)
     set_to(look, percent=50)
     expected = warp(image.data, solution.displacement / 2, spacing=1, tissue=solution.tissue)
     np.testing.assert_array_equal(moved.data, expected)
-    assert known_of(moved)["percent"] == 50
+    assert metadata_of(moved)["percent"] == 50
     assert "50 %: tissue moved up to 1.5 px" in look._form.result.how_far.value
     set_to(look, percent=0)
     np.testing.assert_array_equal(moved.data, image.data)
@@ -172,7 +172,7 @@ def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeyp
     assert look._form.result.play.text == "Play"
     wait_for(lambda: not look.busy)
     assert (
-        known_of(viewer_of(look).layers["MR deformed, paper"])["percent"]
+        metadata_of(viewer_of(look).layers["MR deformed, paper"])["percent"]
         == look.percent
         == seen[-1]
     )
@@ -206,7 +206,7 @@ def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_
     assert look.busy
     busy_thread.set()
     wait_for(lambda: not look.busy)
-    assert known_of(viewer_of(look).layers["MR deformed, paper"])["percent"] == 40
+    assert metadata_of(viewer_of(look).layers["MR deformed, paper"])["percent"] == 40
 
 
 def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
@@ -272,7 +272,7 @@ def test_a_moment_that_is_still_to_be_drawn_is_not_drawn_over_what_came_since(lo
     look.percent = 20
     set_to(look, overlay="labels")
     labels = viewer.layers["Tissue deformed, paper"]
-    assert known_of(labels)["percent"] == look.percent == 20
+    assert metadata_of(labels)["percent"] == look.percent == 20
     assert "MR grid, paper" not in names(viewer)
 
 
@@ -325,7 +325,7 @@ def test_arrows_are_as_long_as_their_layer_s_own_control_says(look, run, wait_fo
 
 def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     viewer = viewer_of(look)
-    solution = known_of(look.result)["solution"]
+    solution = metadata_of(look.result)["solution"]
     set_to(look, overlay="magnitude")
     layer = viewer.layers["MR displacement (px), paper"]
     assert layer.data.dtype == np.float32
@@ -442,7 +442,7 @@ def column_of_edge_of_colours(layer):
 def test_colours_are_those_of_the_moment_that_is_seen_on_one_scale(look, set_to):
     set_to(look, overlay="magnitude")
     layer = viewer_of(look).layers["MR displacement (px), paper"]
-    solution = known_of(look.result)["solution"]
+    solution = metadata_of(look.result)["solution"]
     for percent in (50, 10, 0, 100):
         set_to(look, percent=percent)
         np.testing.assert_allclose(layer.data, lengths_of(solution, percent / 100), rtol=1e-5)
@@ -470,7 +470,7 @@ def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
         (layer,) = (each for each in viewer_of(look).layers if each.name.startswith(name))
         moved = layer.data
         set_to(look, percent=0)
-        problem = known_of(look.result)["answer"].problem
+        problem = metadata_of(look.result)["answer"].problem
         given = problem.stiffness if overlay == "stiffness" else problem.confidence.max(axis=-1)
         tissue = problem.stiffness > 0
         np.testing.assert_array_equal(layer.data[tissue], given[tissue])
@@ -574,7 +574,7 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
         return look._view.cursor.line_at((10, 12))
 
     set_to(look, overlay="columns")
-    solution = known_of(look.result)["solution"]
+    solution = metadata_of(look.result)["solution"]
     along = green_lagrange_strain(
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue
     )
@@ -681,7 +681,7 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     set_to(look, percent=40)
     viewer.add_image(np.arange(72.0).reshape(8, 9), name="late")
     set_to(look, percent=50)
-    assert known_of(viewer.layers["late deformed, paper"])["percent"] == 50
+    assert metadata_of(viewer.layers["late deformed, paper"])["percent"] == 50
 
 
 def test_a_photograph_moves_in_colour(widget, small_sample, run, set_to):
@@ -799,7 +799,7 @@ def test_closing_the_dock_leaves_the_whole_deformation_behind(framed, frame, set
     frame.close(look)
     at_rest()
     np.testing.assert_array_equal(moved.data, whole)
-    assert known_of(moved)["percent"] == 100
+    assert metadata_of(moved)["percent"] == 100
     viewer.layers.clear()
     at_rest()
 
@@ -883,7 +883,7 @@ def test_what_is_added_says_what_it_is(look, set_to):
     viewer = viewer_of(look)
     for name, kind in (("grid", Vectors), ("labels", Labels), ("stretch", Image)):
         set_to(look, overlay=name)
-        (layer,) = (each for each in viewer.layers if known_of(each).get("kind") == name)
+        (layer,) = (each for each in viewer.layers if metadata_of(each).get("kind") == name)
         assert type(layer) is kind
     facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["source"] == "MR"

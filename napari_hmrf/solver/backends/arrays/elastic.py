@@ -94,7 +94,7 @@ class ArrayElasticModel(ArrayModel):
         lame[:, 2:-3, 2:-3] = self._elements
         return diagonal(lame, self.material.shape)
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Clear the model cache."""
         _last[:] = ()
 

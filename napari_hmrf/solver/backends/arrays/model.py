@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.solver.backends.found import Found
+from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import Planes
 
@@ -21,7 +21,7 @@ class ArrayModel(HostModel):
     """
 
     def __init__(self, material: Any) -> None:
-        self.material, self._held, self.found = material, None, Found()
+        self.material, self._held, self.earlier = material, None, EarlierResults()
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """Return -A d everywhere, in double precision."""

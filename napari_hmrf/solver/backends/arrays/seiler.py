@@ -130,7 +130,7 @@ class ArraySeilerModel(ArrayModel):
         found = cliques(at_rest, self._m, self._lines, self.material.blanket).curvature
         return found if self.material.blanket else 2 * found
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Clear the model cache."""
         _last[:] = ()
 

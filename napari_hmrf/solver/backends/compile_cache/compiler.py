@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import psutil
 
-from napari_hmrf.solver.backends.compile_cache import kept, loops, sets
+from napari_hmrf.solver.backends.compile_cache import disk_cache, loops, sets
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 
 #: Module that the compiling process runs.
@@ -87,9 +87,9 @@ def compile_meanwhile(job: str = "") -> None:
     """
     ours = _State.compiler
     started = ours is not None and (job not in sets.ON_REQUEST or ours.poll() is None)
-    if started or loops.compile_here() or kept.compiled(job) or _another_process_compiles():
+    if started or loops.compile_here() or disk_cache.compiled(job) or _another_process_compiles():
         return
-    folder = kept.folder()  # may set a variable, so it comes before the environment is copied
+    folder = disk_cache.folder()  # may set a variable, so it comes before the environment is copied
     optimized = ["-" + "O" * sys.flags.optimize] if sys.flags.optimize else []
     with suppress(OSError):  # without loops, shaders solve
         folder.mkdir(parents=True, exist_ok=True)
@@ -122,11 +122,11 @@ def provide(job: str, report: Report) -> None:
     report : callable
         Called several times a second; raises to stop waiting. The compilation continues.
     """
-    if not (loops.compile_here() or kept.compiled(job)):
+    if not (loops.compile_here() or disk_cache.compiled(job)):
         request(job)
         is_repeated = False
-        while not kept.compiled(job):
-            if not (_is_compiling() or kept.compiled(job)):
+        while not disk_cache.compiled(job):
+            if not (_is_compiling() or disk_cache.compiled(job)):
                 if is_repeated:
                     loops.compile_alone()
                     break
@@ -161,31 +161,31 @@ def begin() -> bool:
     if _another_process_compiles():
         return False
     try:
-        kept.folder().mkdir(parents=True, exist_ok=True)
-        _publish(_NO_STAGE)
+        disk_cache.folder().mkdir(parents=True, exist_ok=True)
+        _write_status(_NO_STAGE)
     except OSError:
         return False
     return True
 
 
-def give_way() -> None:
+def lower_priority() -> None:
     """Lower the priority of this process to idle, because no process waits for the loops."""
     with suppress(psutil.Error, OSError):
         idle = getattr(psutil, "IDLE_PRIORITY_CLASS", 19)
         psutil.Process().nice(idle)
 
 
-def wanted() -> str:
+def requested_job() -> str:
     """Return the latest requested job; "" if none was requested."""
     with suppress(OSError):
         return _request_file().read_text(encoding="utf-8")
     return ""
 
 
-def tell(reached: Stage) -> None:
+def publish_stage(reached: Stage) -> None:
     """Publish the progress of this process."""
     with suppress(OSError):
-        _publish(reached)
+        _write_status(reached)
 
 
 def end(compiled: bool) -> None:
@@ -198,7 +198,7 @@ def end(compiled: bool) -> None:
     """
     with suppress(OSError):
         if compiled:
-            kept.mark().touch()
+            disk_cache.mark().touch()
         for each in (_status_file(), _request_file()):
             each.unlink(missing_ok=True)
 
@@ -225,7 +225,7 @@ def _status() -> list[Any]:
     return []
 
 
-def _publish(reached: Stage) -> None:
+def _write_status(reached: Stage) -> None:
     """Write the status file of this process; replace the old file in one step."""
     number, new = os.getpid(), _status_file().with_suffix(".new")
     new.write_text(json.dumps([number, _start_time(number), *reached]), encoding="utf-8")
@@ -233,11 +233,11 @@ def _publish(reached: Stage) -> None:
 
 
 def _status_file() -> Path:
-    return kept.mark().with_suffix(".compiler")
+    return disk_cache.mark().with_suffix(".compiler")
 
 
 def _request_file() -> Path:
-    return kept.mark().with_suffix(".wanted")
+    return disk_cache.mark().with_suffix(".wanted")
 
 
 def _forget_compiler() -> None:

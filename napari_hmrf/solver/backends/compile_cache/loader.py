@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from napari_hmrf.solver.backends.compile_cache import kept
+from napari_hmrf.solver.backends.compile_cache import disk_cache
 
 _log = logging.getLogger("napari_hmrf")
 #: Seconds of pause for each second of loading.
@@ -87,10 +87,10 @@ def _steps() -> Iterator[str]:
     before_numba()
     importlib.import_module("numba")
     yield "numba"
-    for name in kept.modules():
+    for name in disk_cache.modules():
         importlib.import_module(name)
         yield name
-    for loop in loops_there():
+    for loop in cached_loops():
         for signature in _signatures(loop):
             loop.compile(signature)
             yield loop.py_func.__name__
@@ -104,7 +104,7 @@ def before_numba() -> None:
     a short wait it takes 0.3 ms. Without a window the short wait costs nothing. The variable must
     be set before OpenMP is loaded.
     """
-    kept.folder()
+    disk_cache.folder()
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
     _tolerate_full_disks()
 
@@ -124,7 +124,7 @@ def _tolerate_full_disks() -> None:
             if _Unwritable.is_known:
                 return
             _Unwritable.is_known = True
-            own, common = Path(self.cache_path), kept.folder()
+            own, common = Path(self.cache_path), disk_cache.folder()
             _log.warning(
                 "%s cannot be written to (%s), so each start compiles loops again. Free space "
                 "there, or set NUMBA_CACHE_DIR to another folder.",
@@ -148,13 +148,13 @@ def is_unwritable() -> bool:
     return _Unwritable.is_known
 
 
-def loops_there() -> list[Any]:
+def cached_loops() -> list[Any]:
     """List the loops of the imported modules that have a cache on disk."""
     from numba.core.caching import NullCache  # heavy: numba
     from numba.core.dispatcher import Dispatcher  # heavy: numba
 
     found: dict[int, Any] = {}
-    for module in filter(None, map(sys.modules.get, kept.modules())):
+    for module in filter(None, map(sys.modules.get, disk_cache.modules())):
         for value in tuple(vars(module).values()):
             loop: Any = value if isinstance(value, Dispatcher) else None
             if loop is not None and not isinstance(loop._cache, NullCache):

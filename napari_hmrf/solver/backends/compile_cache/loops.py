@@ -2,8 +2,8 @@
 
 Compiling all loops takes a minute or more, and in the process of a window it would hold the
 interpreter's lock. Another process therefore compiles them (`compile_cache.compiler`), and numba
-stores them on disk (`compile_cache.kept`). Until then shaders solve, and `backends.arrays` does the
-host's part in NumPy. A process that has started without loops loads them in the background
+stores them on disk (`compile_cache.disk_cache`). Until then shaders solve, and `backends.arrays`
+does the host's part in NumPy. A process that has started without loops loads them in the background
 (`compile_cache.loader`) and switches to them between two solves.
 
 With ``NAPARI_HMRF_COMPILE=here`` in the environment no other process is started, and each solve
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.compile_cache import kept, loader, sets
+from napari_hmrf.solver.backends.compile_cache import disk_cache, loader, sets
 
 __all__ = [
     "HERE",
@@ -86,7 +86,7 @@ def ready_for_pictures() -> bool:
 
 def ready_for_volumes() -> bool:
     """Return whether loops can solve volumes now."""
-    return compile_here() or kept.compiled(sets.VOLUMES)
+    return compile_here() or disk_cache.compiled(sets.VOLUMES)
 
 
 def _ready(part: _Part, job: str = "") -> bool:
@@ -96,9 +96,9 @@ def _ready(part: _Part, job: str = "") -> bool:
     if part.in_use or compile_here():
         return True
     if part.begun_without:
-        part.in_use = kept.mark().exists() and loader.loaded()
+        part.in_use = disk_cache.mark().exists() and loader.loaded()
     else:
-        part.in_use = kept.compiled(job)
+        part.in_use = disk_cache.compiled(job)
         part.begun_without = not part.in_use
     return part.in_use
 

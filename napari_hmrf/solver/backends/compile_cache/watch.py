@@ -10,7 +10,7 @@ from typing import Any
 
 from napari_hmrf.solver.backends.compile_cache import sets
 from napari_hmrf.solver.backends.compile_cache.compiler import Stage
-from napari_hmrf.solver.backends.compile_cache.loader import before_numba, loops_there
+from napari_hmrf.solver.backends.compile_cache.loader import before_numba, cached_loops
 
 
 class _State:
@@ -23,7 +23,7 @@ class _State:
 
 
 @contextmanager
-def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
+def watched(job: str, report: Callable[[Stage], object]) -> Iterator[None]:
     """Report the progress of a job before each loop that this thread compiles.
 
     Within another watched job this does nothing.
@@ -32,7 +32,7 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
     ----------
     job : str
         Key of `sets.COUNTS`.
-    tell : callable
+    report : callable
         Called with a `Stage`; raises to stop the compilation.
     """
     if _State.watched:
@@ -50,11 +50,11 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
             nonlocal depth
             if threading.get_ident() == here:
                 depth += 1
-                # Report the outermost loop only: inside it, numba would catch an error of `tell`.
+                # Report the outermost loop only: inside it, numba would catch an error of `report`.
                 if depth == 1:
                     compiled = _State.compiled - before
                     pace = (time.perf_counter() - begun) / compiled if compiled else 0.0
-                    tell(Stage(job, _count_loops(), of, pace))
+                    report(Stage(job, _count_loops(), of, pace))
 
         def on_end(self, happening: Any) -> None:
             nonlocal depth
@@ -75,5 +75,5 @@ def _count_loops() -> int:
 
     Loops that are called only by other loops are not counted.
     """
-    loaded = sum(sum(loop.stats.cache_hits.values()) for loop in loops_there())
+    loaded = sum(sum(loop.stats.cache_hits.values()) for loop in cached_loops())
     return _State.compiled + loaded

@@ -15,7 +15,7 @@ from typing import Any
 import numba
 from numba.core import event
 
-from napari_hmrf.solver.backends.compile_cache.kept import sources
+from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
 
 # Contraction (one rounding for x * y + z) is allowed. Reordering is not, because it could replace
 # differences of displacement by sums that cancel.

@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
-from napari_hmrf.solver.backends.cpu.entraining import entrain
+from napari_hmrf.solver.backends.cpu.deflation_setup import build_deflation
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
-from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, few
-from napari_hmrf.solver.backends.rigid.entrained import Entrained
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, can_deflate
+from napari_hmrf.solver.backends.rigid.deflation import Deflation
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
@@ -66,7 +66,7 @@ class CpuElasticLevel(SmallLevel):
         """Set the held components of the finest level, and hold the bodies that are deflated."""
         before = self.spans.copy()
         self.moving, self.reach = self.inverse, self.spans
-        if self.bodies is not None and self.bodies.entrain:
+        if self.bodies is not None and self.bodies.is_deflated:
             self.moving, self.reach = self._with_bodies
             assembly.diagonal(self.lame, self.shape, self.moving)
             vectors.hold(self.moving, held, self.pins, self.reach)
@@ -158,7 +158,7 @@ class CpuElasticModel(HostModel):
             self.levels += self._small(little)
         self._rest = self.levels[0].vector()
         self._exact_lame: Planes = np.zeros(self._rest.shape)
-        self._entrained = np.zeros((0, *self._rest.shape), dtype=np.float32)
+        self._deflation = np.zeros((0, *self._rest.shape), dtype=np.float32)
         self._rows: npt.NDArray[np.float64] = np.zeros((2, self.levels[0].grid[0]))
         self.assemble(material)
 
@@ -184,7 +184,7 @@ class CpuElasticModel(HostModel):
         self._sites: list[BodySites] = []
         if material.rigid:
             self._sites = bodies_of(m)
-            stand_in = HELD_STAND_IN if few(self._sites, m.shape) else CYCLE_STAND_IN
+            stand_in = HELD_STAND_IN if can_deflate(self._sites, m.shape) else CYCLE_STAND_IN
             m = np.where(np.isinf(m), np.float32(stand_in * most), m)
             m.setflags(write=False)  # read-only arrays are another type for numba
         one = isinstance(material.poisson, float)
@@ -215,18 +215,20 @@ class CpuElasticModel(HostModel):
         moves: HeldPlanes = self.levels[0].moving > 0
         return moves
 
-    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+    def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
         """Return the deflation by fields of moving bodies; None if no body can move."""
-        if self.bodies is None or not self.bodies.entrain:
+        if self.bodies is None or not self.bodies.is_deflated:
             return None
-        number = next((k for k, level in enumerate(self.levels) if level.takes_rest), 0)
+        number = next((k for k, level in enumerate(self.levels) if level.finishes_cycle), 0)
         small = self.levels[number].holding() if number > 0 else None
         # While a user draws, this is called often. Reuse the memory: allocating it takes longer.
         shape = 2 * self.bodies.freedom, *self._rest.shape
-        if self._entrained.shape[0] < shape[0]:
-            self._entrained = np.zeros(shape, dtype=np.float32)
-        memory = self._entrained[: shape[0]]
-        return entrain(self.bodies, self.levels[: number + 1], small, steps, coarsest, memory)
+        if self._deflation.shape[0] < shape[0]:
+            self._deflation = np.zeros(shape, dtype=np.float32)
+        memory = self._deflation[: shape[0]]
+        return build_deflation(
+            self.bodies, self.levels[: number + 1], small, steps, coarsest, memory
+        )
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (most, squares) = self.levels[0], self._rows
@@ -269,7 +271,7 @@ class CpuElasticModel(HostModel):
         assembly.diagonal(self._exact_lame, self._exact_shape, out)
         return out
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Clear the model cache, because values in its vectors may not be finite."""
         _last[:] = ()
 

@@ -51,9 +51,9 @@ class CpuLevel:
     pins: Vector
     spans: Spans
     #: True if `finish` visits all coarser levels, too.
-    takes_rest: bool = False
+    finishes_cycle: bool = False
     #: True if a second visit within a cycle is worth its cost.
-    worth_again: bool = True
+    is_revisited: bool = True
     #: True if an iteration updates the displacement directly, which saves memory in volumes.
     sums_up: bool = False
     #: Rigid bodies on the finest level.
@@ -151,9 +151,9 @@ class CpuLevel:
     def clear(self) -> None:
         """Set the correction to zero, and its second array."""
         self.correction.fill(0)
-        compute_thread.look()
+        compute_thread.check_cancelled()
         self._other.fill(0)
-        compute_thread.look()
+        compute_thread.check_cancelled()
 
     def vector(self, values: Vector | None = None) -> Vector:
         """Return a vector of zeros, or the given planes without a copy."""
@@ -167,7 +167,7 @@ class CpuLevel:
         vector.fill(0)
         return vector
 
-    def passing(self) -> Vector:
+    def scratch_vector(self) -> Vector:
         """Return a vector that is valid until the next cycle."""
         return self.vector()
 
@@ -240,7 +240,7 @@ class CpuLevel:
             vectors.lean(*arrays, *shares)
             return
         for component in range(len(direction)):
-            compute_thread.look()
+            compute_thread.check_cancelled()
             vectors.lean(*(each[component : component + 1] for each in arrays), *shares)
 
     def read(self, *scalars: float) -> tuple[float, ...]:

@@ -58,7 +58,7 @@ class CpuSeilerLevel(CpuLevel):
         """Set the stiffness from that of the next finer level."""
         seiler.coarsen(finer.stiffness, self.stiffness, self.even)
 
-    def settle(self, stiffness: Planes) -> None:
+    def compute_diagonal(self, stiffness: Planes) -> None:
         """Compute the diagonal from the stiffness, given in double precision."""
         exactly = self.curvature(stiffness, self._lines.astype(np.float64))
         self._diagonal[...] = exactly if self.blanket else exactly > 0
@@ -213,10 +213,10 @@ class CpuSeilerModel(HostModel):
         self._rest = finest.vector()
         self._rows: npt.NDArray[np.float64] = np.zeros((2, len(finest.spans)))
         self._whole = all_sites(m.shape)
-        finest.settle(self._stiffness)
+        finest.compute_diagonal(self._stiffness)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.coarsen(fine)
-            coarse.settle(coarse.stiffness.astype(np.float64))
+            coarse.compute_diagonal(coarse.stiffness.astype(np.float64))
 
     def hold(self, held: HeldPlanes) -> None:
         """Set the held components on all levels."""
@@ -257,7 +257,7 @@ class CpuSeilerModel(HostModel):
         energy = self.levels[0].work(d, self._stiffness, self._lines, self._whole, pulls)
         return energy / (2 if self._blanket else 1), math.sqrt(np.vdot(pulls, pulls))
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Clear the model cache, because values in its vectors may not be finite."""
         _last[:] = ()
 

@@ -85,7 +85,7 @@ class SmallLevels:
             self.levels.append(level(grid, _arrays(values, arrays)))
         first = self.levels[0]
         self._pair = first.correction, first.spare_correction
-        first.together, first.takes_rest = self, True
+        first.together, first.finishes_cycle = self, True
 
     def copy(self) -> SmallLevels:
         """Return a copy of all levels."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import kept_volumes
+from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
 from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
@@ -110,7 +110,7 @@ class CpuVolumeLevel(CpuLevel):
         self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
         self._restrict(self._other, coarse.load)
 
-    def passing(self) -> Vector:
+    def scratch_vector(self) -> Vector:
         """Return a vector of the cycle that is unused between cycles, which saves memory."""
         return self._other
 
@@ -153,10 +153,10 @@ class CpuVolumeModel(HostModel):
             for number, grid in enumerate(grids(material.m.shape))
         ]
         self._rest = self.levels[0].vector()
-        self.heed(checkpoint)
+        self.set_checkpoint(checkpoint)
         self.assemble(material)
 
-    def heed(self, checkpoint: Checkpoint) -> None:
+    def set_checkpoint(self, checkpoint: Checkpoint) -> None:
         """Replace the checkpoint of all levels."""
         for level in self.levels:
             level.checkpoint = checkpoint
@@ -205,7 +205,7 @@ class CpuVolumeModel(HostModel):
         return most, math.sqrt(square)
 
     @property
-    def exactly(self) -> DoubleLevel:
+    def double_level(self) -> DoubleLevel:
         """Finest level for an iteration in double precision."""
         return DoubleLevel(self.levels[0], *self._exact)
 
@@ -231,14 +231,14 @@ class CpuVolumeModel(HostModel):
         volume.diagonal(finest.lame, finest.share, finest.shape, out)
         return np.asarray(out, dtype=np.float64)
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Clear the model cache, because values in its vectors may not be finite."""
         _last[:] = ()
 
 
 _last: list[CpuVolumeModel] = []
 in_child_of_fork(_last.clear)
-kept_volumes.forgotten_by(_last.clear)
+volume_caches.register(_last.clear)
 
 
 def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> CpuVolumeModel:
@@ -255,8 +255,8 @@ def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel)
         _last.append(CpuVolumeModel(material, checkpoint))
     elif _last[0].material != material:
         model = _last.pop()  # a cancelled update leaves the model out of the cache
-        model.heed(checkpoint)
+        model.set_checkpoint(checkpoint)
         model.assemble(material)
         _last.append(model)
-    _last[0].heed(checkpoint)
+    _last[0].set_checkpoint(checkpoint)
     return _last[0]

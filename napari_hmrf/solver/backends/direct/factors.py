@@ -109,7 +109,7 @@ class Factors:
         return found
 
     @staticmethod
-    def needed(shape: tuple[int, ...]) -> float:
+    def required_memory(shape: tuple[int, ...]) -> float:
         """Estimate the memory of the factors of a grid (H, W) or (D, H, W), in bytes."""
         sites = float(math.prod(shape))
         if len(shape) == 3:
@@ -120,4 +120,6 @@ class Factors:
     def fit(shape: tuple[int, ...]) -> bool:
         """Return whether the factors of a grid fit into memory, and are fast enough in a volume."""
         small = len(shape) == 2 or math.prod(shape) <= _MOST_VOXELS
-        return small and bool(Factors.needed(shape) < _FREE * psutil.virtual_memory().available)
+        return small and bool(
+            Factors.required_memory(shape) < _FREE * psutil.virtual_memory().available
+        )

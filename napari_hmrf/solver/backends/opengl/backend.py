@@ -170,14 +170,14 @@ class OpenGLBackend:
         around = [*self._ratios(stiffness), observation.texture]
         tissue = self._tissue(stiffness)
         grid = displacement.grid
-        source, target = displacement.texture, self._pool.take(grid, 4)
+        source, target = displacement.texture, self._pool.acquire(grid, 4)
         totals = self._totals(grid, sweeps)
         for _ in range(sweeps):
             self._run(program, [source, *around], [target, totals.share()], grid, tissue=tissue)
             totals.add()
             source, target = target, source
         energies = totals.read()
-        self._pool.give(grid, 4, target)
+        self._pool.recycle(grid, 4, target)
         return GLField(displacement.shape, 2, source), energies
 
     def energy(
@@ -213,9 +213,9 @@ class OpenGLBackend:
     def release(self, *fields: GLField) -> None:
         """Return the textures of fields to the pool, for new fields of the same size and use."""
         for released in fields:
-            self._pool.give(released.grid, 4, released.texture, _use(released.components))
+            self._pool.recycle(released.grid, 4, released.texture, _use(released.components))
             for ratios in released.ratios:
-                self._pool.give(singles(released.shape), 4, ratios, use="singles")
+                self._pool.recycle(singles(released.shape), 4, ratios, use="singles")
             released.ratios.clear()
 
     def close(self) -> None:
@@ -245,7 +245,7 @@ class OpenGLBackend:
         """Return the stiffness ratios of a level, computed once for all its sweeps."""
         if not stiffness.ratios:
             grid = singles(stiffness.shape)
-            made = [self._pool.take(grid, 4, use="singles") for _ in range(2)]
+            made = [self._pool.acquire(grid, 4, use="singles") for _ in range(2)]
             stiffness.ratios += made
             self._run(self._program("ratios"), [stiffness.texture], made, grid)
         return stiffness.ratios
@@ -263,7 +263,7 @@ class OpenGLBackend:
 
     def _field(self, shape: tuple[int, ...], components: int) -> GLField:
         grid = pairs(shape) if components == 2 else singles(shape)
-        return GLField(shape, components, self._pool.take(grid, 4, _use(components)))
+        return GLField(shape, components, self._pool.acquire(grid, 4, _use(components)))
 
     def _totals(self, grid: tuple[int, ...], sweeps: int) -> Totals:
         wait = self._wait

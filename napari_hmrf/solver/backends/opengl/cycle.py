@@ -14,7 +14,7 @@ class CycleLevel(Generic[ScalarType]):
     """Level that smooths and restricts by passes on the device; see `LinearLevel`."""
 
     #: False, because `finish` does not visit coarser levels.
-    takes_rest = False
+    finishes_cycle = False
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
         """Smooth from zero, or again, and restrict the residual to the load of `coarse`."""

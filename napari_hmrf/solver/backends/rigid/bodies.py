@@ -93,7 +93,7 @@ class Bodies:
         self._sites, grid = sites, held.shape[1:]
         self._sides = np.array(material.shape.sides)
         #: True if cycles hold the bodies and deflation by their motions moves them.
-        self.entrain = few(sites, material.m.shape)
+        self.is_deflated = can_deflate(sites, material.m.shape)
         self._bodies = []
         for of_body in sites:
             first = np.ravel_multi_index(tuple(index + 2 for index in of_body), grid)
@@ -147,7 +147,7 @@ class Bodies:
                 motions.append(Motion(body.at, moved, body.centre, way[:axes], turn))
             yield sites, motions
 
-    def settle(self, d: Planes) -> None:
+    def make_rigid(self, d: Planes) -> None:
         """Replace the displacement of each body by the nearest rigid motion, in place.
 
         The motion agrees with the held components of the body.
@@ -222,7 +222,7 @@ def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
     return found
 
 
-def few(bodies: list[BodySites], shape: tuple[int, ...]) -> bool:
+def can_deflate(bodies: list[BodySites], shape: tuple[int, ...]) -> bool:
     """Return whether there are few enough bodies to deflate all their motions; False in volumes."""
     # Three motions per body; each has a displacement field and a force field of two components.
     values = 3 * 2 * 2 * len(bodies) * math.prod(shape)

@@ -86,7 +86,7 @@ class Poses:
                 self._bodies[number] = body._replace(held=np.ones_like(body.held))
             y[body.at] = np.where(held[body.at], found - body.places, y[body.at])
 
-    def settle(self, d: Planes) -> None:
+    def make_rigid(self, d: Planes) -> None:
         """Move each body to the pose nearest to `d`, in place; held components keep their value."""
         for body in self._bodies:
             wanted = body.places + d[body.at]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from napari_hmrf.solver.backends.compile_cache import compiler, kept, loader, loops
+from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, loader, loops
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def cold(monkeypatch, tmp_path):
             """Nothing runs."""
 
     monkeypatch.delenv("NAPARI_HMRF_COMPILE")
-    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    monkeypatch.setattr(disk_cache, "folder", lambda: tmp_path)
     monkeypatch.setattr(loops._State, "solver", loops._Part())
     monkeypatch.setattr(loops._State, "pictures", loops._Part())
     monkeypatch.setattr(loops._State, "alone", False)

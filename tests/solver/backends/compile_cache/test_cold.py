@@ -29,7 +29,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import COMPILING, SolveJob, open_backend
-from napari_hmrf.solver.backends.compile_cache import compiler, kept, loader, loops
+from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from tests.support.opengl import require_opengl
 from tests.support.timeouts import LONG
@@ -118,7 +118,7 @@ def test_a_rasteriser_in_software_is_taken_until_the_loops_are_compiled(cold):
     assert cold == [[sys.executable, "-m", compiler.COMPILER]]
     opened("auto")
     assert len(cold) == 1
-    kept.mark().touch()
+    disk_cache.mark().touch()
     with loader._loader.step:  # nothing is loaded yet
         assert opened("auto") == ("opengl", COMPILING)
     assert loader._loader.done.wait(LONG)
@@ -155,14 +155,14 @@ def test_who_asks_for_loops_waits_for_the_ones_it_needs_and_is_told_how_far_they
     somebody = Waiting(prior, optimizer)
     somebody.is_told("starting to compile")
     assert cold == [[sys.executable, "-m", compiler.COMPILER]]
-    job = compiler.wanted()
+    job = compiler.requested_job()
     assert job == SolveJob.of(PROBLEM, prior.resolved(PROBLEM), optimizer).loops
     assert job in [each.name for each in compiling.jobs()]
-    compiler.tell(compiler.Stage(job, 3, 10, 2.5))
+    compiler.publish_stage(compiler.Stage(job, 3, 10, 2.5))
     report = somebody.is_told("compiling")
     assert report.message == "compiling loops (3 of 10), about 18 s left"
     assert report.fraction == pytest.approx(0.3)
-    kept.mark(job).touch()
+    disk_cache.mark(job).touch()
     assert somebody.answer.result(LONG).provenance.backend == "cpu"
 
 
@@ -174,8 +174,8 @@ def test_cancel_is_answered_while_loops_are_compiled_and_the_next_request_is_tol
         first.answer.result(LONG)
     second = Waiting(*MODELS["schedule"])
     second.is_told("starting to compile")
-    assert compiler.wanted() == "schedule"
-    kept.mark("schedule").touch()
+    assert compiler.requested_job() == "schedule"
+    disk_cache.mark("schedule").touch()
     second.answer.result(LONG)
     assert len(cold) == 1
 
@@ -215,7 +215,7 @@ def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
         job.run()
 
     monkeypatch.setattr(compiling, "run", run)
-    monkeypatch.setattr(compiler, "give_way", lambda: done.append("gives way"))
+    monkeypatch.setattr(compiler, "lower_priority", lambda: done.append("gives way"))
     compiler._request_file().write_text("schedule")
     todo = [job(name) for name in ("elastic", "schedule", "converged")]
     while todo:
@@ -231,7 +231,7 @@ def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
         "schedule begun",
         "schedule",
     ]
-    assert kept.mark("converged").exists()
+    assert disk_cache.mark("converged").exists()
 
 
 def test_where_there_is_no_opengl_the_loops_that_are_needed_come_first(cold, monkeypatch):
@@ -242,8 +242,8 @@ def test_where_there_is_no_opengl_the_loops_that_are_needed_come_first(cold, mon
     monkeypatch.setattr("napari_hmrf.solver.backends.opengl.OpenGLBackend", Missing)
     somebody = Waiting(*MODELS["converged"], "auto")
     somebody.is_told("starting to compile")
-    assert compiler.wanted() == "converged"
-    kept.mark("converged").touch()
+    assert compiler.requested_job() == "converged"
+    disk_cache.mark("converged").touch()
     assert "no OpenGL here" in somebody.answer.result(LONG).provenance.reason
 
 
@@ -269,21 +269,21 @@ def test_a_request_that_an_ending_compiler_has_missed_is_repeated(cold, monkeypa
             """Nothing runs."""
 
     def started(command):
-        assert compiler.wanted() == "volume"
-        kept.mark("volume").touch()
+        assert compiler.requested_job() == "volume"
+        disk_cache.mark("volume").touch()
         return Ending()
 
     monkeypatch.setattr(compiler._State, "compiler", Ending())
     monkeypatch.setattr(compiler, "_start_process", started)
     compiler.provide("volume", lambda stage: None)
-    assert kept.compiled("volume")
+    assert disk_cache.compiled("volume")
     assert not loops.compile_here()
 
 
 def test_one_process_compiles_at_a_time(cold, tmp_path):
     assert compiler.begin()
     compiler.end(compiled=False)
-    assert not kept.mark().exists()
+    assert not disk_cache.mark().exists()
     parent = os.getppid()
     compiler._status_file().write_text(json.dumps([parent, compiler._start_time(parent)]))
     assert not compiler.begin()
@@ -295,7 +295,7 @@ def test_one_process_compiles_at_a_time(cold, tmp_path):
     compiler._status_file().write_text("no list")
     assert compiler.begin()
     compiler.end(compiled=True)
-    assert kept.mark().exists()
+    assert disk_cache.mark().exists()
     assert not compiler._status_file().exists()
     assert loops.ready()
 
@@ -303,7 +303,7 @@ def test_one_process_compiles_at_a_time(cold, tmp_path):
 @pytest.fixture
 def forgotten():
     """What is known of the files of loops is read again."""
-    caches = kept._key, kept.sources, kept.folder
+    caches = disk_cache._key, disk_cache.sources, disk_cache.folder
     for each in caches:
         each.cache_clear()
     yield
@@ -311,22 +311,24 @@ def forgotten():
         each.cache_clear()
 
 
-@pytest.mark.parametrize("module", kept.modules())
+@pytest.mark.parametrize("module", disk_cache.modules())
 def test_an_edit_of_any_file_of_loops_has_another_mark(module, forgotten, monkeypatch):
-    before, read = kept.mark().name, Path.read_bytes
+    before, read = disk_cache.mark().name, Path.read_bytes
     edited = Path(importlib.util.find_spec(module).origin)
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path == edited))
-    kept._key.cache_clear()
-    kept.sources.cache_clear()
-    assert kept.mark().name != before
+    disk_cache._key.cache_clear()
+    disk_cache.sources.cache_clear()
+    assert disk_cache.mark().name != before
 
 
 def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
-    ask = "from napari_hmrf.solver.backends.compile_cache import kept; print(kept.mark())"
+    ask = (
+        "from napari_hmrf.solver.backends.compile_cache import disk_cache; print(disk_cache.mark())"
+    )
     done = subprocess.run(
         [sys.executable, "-OO", "-c", ask], capture_output=True, check=True, text=True
     )
-    marks = str(kept.mark()), done.stdout.strip()
+    marks = str(disk_cache.mark()), done.stdout.strip()
     assert marks[0] != marks[1]
     assert all(each.endswith(".compiled") for each in marks)
 
@@ -334,17 +336,17 @@ def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
 KEEPING = """
 import sys, tempfile
 from pathlib import Path
-from napari_hmrf.solver.backends.compile_cache import kept, loader
+from napari_hmrf.solver.backends.compile_cache import disk_cache, loader
 tempfile.tempdir = sys.argv[1]
-there = kept._writable
-kept._writable = lambda folder: str(folder).startswith(sys.argv[1]) and there(folder)
+there = disk_cache._writable
+disk_cache._writable = lambda folder: str(folder).startswith(sys.argv[1]) and there(folder)
 loader.before_numba()
 from numba.core import caching
 caching.CacheImpl._locator_classes[1:] = []  # what is beside the source, or at home
 sys.path.insert(0, sys.argv[1])
 import one
 print(one.more(1))
-print(any(kept.folder().rglob("*.nbi")) and kept.folder().stat().st_mode & 0o77 == 0)
+print(any(disk_cache.folder().rglob("*.nbi")) and disk_cache.folder().stat().st_mode & 0o77 == 0)
 """
 
 
@@ -369,12 +371,12 @@ def test_a_full_disk_is_no_place_for_loops(place, redirected, tmp_path, monkeypa
         return SimpleNamespace(free=2**40 if folder.is_relative_to(tmp_path / place) else 0)
 
     told = []
-    monkeypatch.setattr(kept.shutil, "disk_usage", usage)
-    monkeypatch.setattr(kept, "_LOOPS", tmp_path / "package")
-    monkeypatch.setattr(kept, "_redirect_numba", told.append)
+    monkeypatch.setattr(disk_cache.shutil, "disk_usage", usage)
+    monkeypatch.setattr(disk_cache, "_LOOPS", tmp_path / "package")
+    monkeypatch.setattr(disk_cache, "_redirect_numba", told.append)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "told"))
-    found = kept.folder.__wrapped__()
+    found = disk_cache.folder.__wrapped__()
     assert found.is_relative_to(tmp_path / place)
     assert told == [str(found) if each == "here" else each for each in redirected]
 
@@ -403,16 +405,16 @@ def test_a_disk_that_fills_up_costs_the_cache_but_no_result(monkeypatch, caplog)
 
 def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
-    monkeypatch.setattr(kept, "folder", lambda: tmp_path / "file" / "folder")
+    monkeypatch.setattr(disk_cache, "folder", lambda: tmp_path / "file" / "folder")
     assert not compiler.begin()
     assert not loops.ready()
 
 
 def test_what_volumes_take_is_done_without_loops_until_those_are_kept(cold):
-    kept.mark().touch()
+    disk_cache.mark().touch()
     assert loops.ready_for_pictures()
     assert not loops.ready_for_volumes()
-    kept.mark("volume").touch()
+    disk_cache.mark("volume").touch()
     assert loops.ready_for_volumes()
 
 
@@ -422,13 +424,13 @@ def test_loops_for_volumes_are_compiled_only_for_who_waits_for_them(cold, monkey
     made = [compiling.Job(name, lambda name=name: done.append(name)) for name in names]
     monkeypatch.setattr(compiling, "jobs", lambda: list(made))
     monkeypatch.setattr(compiling, "_is_cached", lambda: True)
-    monkeypatch.setattr(compiler, "give_way", lambda: None)
+    monkeypatch.setattr(compiler, "lower_priority", lambda: None)
     monkeypatch.setenv("NAPARI_HMRF_COMPILE", "there")
     assert compiling.main() == 0
     assert done == ["elastic"]
-    assert kept.compiled("")
-    assert not kept.compiled("volume")
+    assert disk_cache.compiled("")
+    assert not disk_cache.compiled("volume")
     compiler._request_file().write_text("volume", encoding="utf-8")
     assert compiling.main() == 0
     assert done == ["elastic", "volume"]
-    assert kept.compiled("volume")
+    assert disk_cache.compiled("volume")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import Cancelled, ElasticPrior, LiveSolver, solve
-from napari_hmrf.solver.backends.compile_cache import kept, loader
+from napari_hmrf.solver.backends.compile_cache import disk_cache, loader
 from napari_hmrf.solver.backends.compile_cache.sets import COUNTS, FULL_COUNT, HARDER
 from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.opengl import is_software_renderer
@@ -67,7 +67,7 @@ def hand(cold):
 
 def test_the_field_stays_where_it_is_when_the_loops_take_over(hand):
     before = hand.follow(3.0)
-    kept.mark().touch()
+    disk_cache.mark().touch()
     with loader._loader.step:
         meanwhile = hand.follow(2.0)
     assert loader.loaded(LONG)
@@ -82,7 +82,7 @@ def test_the_field_stays_where_it_is_when_the_loops_take_over(hand):
 
 
 def test_no_pull_is_without_its_answer_while_the_loops_are_loaded(hand):
-    kept.mark().touch()
+    disk_cache.mark().touch()
     for turn in range(12):
         hand.follow(0.6 + turn / 10)
         if turn == 6:
@@ -93,7 +93,7 @@ def test_no_pull_is_without_its_answer_while_the_loops_are_loaded(hand):
 
 
 def test_the_newest_of_many_pulls_wins_whoever_solves_it(hand):
-    kept.mark().touch()
+    disk_cache.mark().touch()
     last = 0
     for turn in range(60):
         last = hand.pull(1 + turn / 30)
@@ -109,7 +109,7 @@ LOADING = """
 from napari_hmrf.solver.backends.compile_cache import loader
 assert not loader.begun()
 loader.loaded(600)
-loops = loader.loops_there()
+loops = loader.cached_loops()
 print(sum(sum(loop.stats.cache_hits.values()) for loop in loops))
 print(sum(sum(loop.stats.cache_misses.values()) for loop in loops))
 """

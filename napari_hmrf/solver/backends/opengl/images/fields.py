@@ -91,7 +91,7 @@ class Pool:
         self._spare: dict[tuple[tuple[int, ...], int, str], list[Any]] = {}
         self.all: list[Any] = []
 
-    def take(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
+    def acquire(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
         """Return a texture; for the use ``pairs`` it is 0 outside tissue.
 
         Kernels that run on tissue only rely on these zeros. A texture with other values must
@@ -106,7 +106,7 @@ class Pool:
             _blank(made, grid, components)
         return made
 
-    def give(
+    def recycle(
         self, grid: tuple[int, ...], components: int, texture: Any, use: str = "pairs"
     ) -> None:
         """Return a texture to the pool, for later requests with the same size and use."""

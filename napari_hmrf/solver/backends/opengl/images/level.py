@@ -37,10 +37,10 @@ class Vector:
         List to which the textures are returned after the last reference.
     """
 
-    def __init__(self, take: Callable[[], Any], spare: list[Any]) -> None:
-        self._zero_texture, self._spare = take, spare
+    def __init__(self, acquire: Callable[[], Any], spare: list[Any]) -> None:
+        self._zero_texture, self._spare = acquire, spare
         self._textures: list[Any] = []  # `__del__` needs the list even if `take` fails
-        self._textures.append(take())
+        self._textures.append(acquire())
 
     @property
     def texture(self) -> Any:
@@ -121,7 +121,7 @@ class GLLevel(CycleLevel[Scalar]):
             self._passes.device.check("uploading a vector")
         return made
 
-    def passing(self) -> Vector:
+    def scratch_vector(self) -> Vector:
         """Return a vector that is valid until the next cycle."""
         return self.vector()
 

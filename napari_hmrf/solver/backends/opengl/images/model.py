@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from napari_hmrf.solver.backends.found import Found
+from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, LinearModel, Planes, Steps
 from napari_hmrf.solver.backends.opengl.images.passes import Passes
 from napari_hmrf.solver.backends.opengl.images.relaxing import RelaxingLevel
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
-from napari_hmrf.solver.backends.rigid.entrained import Entrained
+from napari_hmrf.solver.backends.rigid.deflation import Deflation
 
 
 class GLModel:
@@ -52,7 +52,7 @@ class GLModel:
         return False
 
     @property
-    def exactly(self) -> Any:
+    def double_level(self) -> Any:
         """None, because only volumes iterate in double precision."""
         return None
 
@@ -77,11 +77,11 @@ class GLModel:
         return self.bodies is None
 
     @property
-    def found(self) -> Found:
+    def earlier(self) -> EarlierResults:
         """Results of earlier solves with the present held components."""
-        return self._host.found
+        return self._host.earlier
 
-    def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
+    def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
         """Return None, because rigid bodies are supported on the host only."""
         return None
 
@@ -105,7 +105,7 @@ class GLModel:
     def clear(self) -> None:
         """Ignore the call; it is needed only for rigid tissue and double precision."""
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Ignore the call; no vector on the device outlives a solve."""
 
     def close(self) -> None:

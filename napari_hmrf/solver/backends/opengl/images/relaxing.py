@@ -94,7 +94,7 @@ class RelaxingLevel(GLLevel):
         self._matrices.clear()
 
     @property
-    def worth_again(self) -> bool:
+    def is_revisited(self) -> bool:
         """True if a second visit is worth its cost, including the passes of all coarser levels."""
         return math.prod(self.grid) >= WORTH_AGAIN
 

@@ -30,11 +30,11 @@ Run = Callable[[Program, list[Any], list[Any], tuple[int, ...], int], None]
 class Textures(Protocol):
     """Pool of textures; see `fields.Pool`."""
 
-    def take(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
+    def acquire(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
         """Return a texture; for the use ``pairs`` it is 0 outside tissue."""
         ...
 
-    def give(
+    def recycle(
         self, grid: tuple[int, ...], components: int, texture: Any, use: str = "pairs"
     ) -> None:
         """Return a texture to the pool, for later requests with the same size and use."""
@@ -93,8 +93,8 @@ class BlockTotals:
         rows, cols = self._blocks
         self._strips = max(1, min(sweeps, largest // rows))
         self._atlas_shape = (rows * self._strips, cols)
-        self._atlas = textures.take(self._atlas_shape, 1, use="atlas")
-        self._share = textures.take(grid, 1)
+        self._atlas = textures.acquire(self._atlas_shape, 1, use="atlas")
+        self._share = textures.acquire(grid, 1)
         self._used = 0
         self._energies: list[float] = []
 
@@ -113,8 +113,8 @@ class BlockTotals:
     def read(self) -> EnergyArray:
         """Add the sums of blocks in double precision; return the total of each sweep."""
         self._flush()
-        self._textures.give(self._atlas_shape, 1, self._atlas, use="atlas")
-        self._textures.give(self._grid, 1, self._share)
+        self._textures.recycle(self._atlas_shape, 1, self._atlas, use="atlas")
+        self._textures.recycle(self._grid, 1, self._share)
         return np.array(self._energies)
 
     def _flush(self) -> None:
@@ -143,7 +143,7 @@ class PairTotals:
     ) -> None:
         self._textures, self._wait, self._grid = textures, wait, grid
         kept = max(1, min(sweeps, _KEPT_SWEEPS))
-        self._shares = [textures.take(grid, 1) for _ in range(kept)]
+        self._shares = [textures.acquire(grid, 1) for _ in range(kept)]
         self._read = np.empty((kept, *grid), np.float32)
         self._used = 0
         self._energies: list[float] = []
@@ -162,7 +162,7 @@ class PairTotals:
         """Add the shares of each row, and the rows in double precision; return the totals."""
         self._flush()
         for share in reversed(self._shares):
-            self._textures.give(self._grid, 1, share)
+            self._textures.recycle(self._grid, 1, share)
         return np.array(self._energies)
 
     def _flush(self) -> None:

@@ -70,7 +70,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     """
 
     #: True, because a second visit within a cycle is worth its cost on every level.
-    worth_again = True
+    is_revisited = True
 
     def __init__(
         self, passes: VolumePasses, grid: tuple[int, ...], parameters: int, finest: bool
@@ -95,7 +95,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
 
     # Parameters of the tissue
 
-    def know(self, shape: Sequence[float], share: float) -> None:
+    def set_elements(self, shape: Sequence[float], share: float) -> None:
         """Set the uniforms of the elements.
 
         Parameters
@@ -237,7 +237,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
             self._passes.device.check("uploading a vector")
         return Vector(buffers, self._spare)
 
-    def passing(self) -> Vector:
+    def scratch_vector(self) -> Vector:
         """Return a vector of the cycle that is unused between cycles, which saves memory."""
         return self._other
 

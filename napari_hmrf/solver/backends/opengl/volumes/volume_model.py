@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends import planes
-from napari_hmrf.solver.backends.found import Found
+from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
@@ -32,7 +32,7 @@ class _System(NamedTuple):
 
     material: ElasticMaterial
     held: HeldPlanes
-    found: Found
+    earlier: EarlierResults
 
 
 _last: list[_System] = []
@@ -62,7 +62,7 @@ class GLVolumeModel(HostModel):
         self._shape = exact(shape=list(material.shape), share=share)
         self._assemble(parameters)
         for level in self.levels:
-            level.know(material.shape, share)
+            level.set_elements(material.shape, share)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.coarsen(fine)
         finest = self.levels[0]
@@ -100,8 +100,8 @@ class GLVolumeModel(HostModel):
             self._passes.device.clear_buffer(buffer)
         known = _last[0] if _last and _last[0].material == self.material else None
         again = known is not None and np.array_equal(known.held, held)
-        self.found = known.found if known is not None and again else Found()
-        _last[:] = [_System(self.material, held, self.found)]
+        self.earlier = known.earlier if known is not None and again else EarlierResults()
+        _last[:] = [_System(self.material, held, self.earlier)]
 
     @property
     def moves(self) -> HeldPlanes:
@@ -147,7 +147,7 @@ class GLVolumeModel(HostModel):
         finest.diagonal(out.buffers)
         return np.asarray(finest.fetch(out.buffers), np.float64)
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Clear the results that are kept for later solves."""
         _last[:] = ()
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 
-class Entrained(Protocol):
+class Deflation(Protocol):
     """Deflation of conjugate gradients by fields of rigid bodies' motions.
 
     Attributes
     ----------
     close : bool
         True if bodies are so close together that cycles reduce errors between them slowly.
-    sure : bool
+    is_independent : bool
         True if single precision separates the motions.
     """
 
     close: bool
-    sure: bool
+    is_independent: bool
 
-    def settle(self, d: Any, rest: Any) -> float:
+    def deflate(self, d: Any, rest: Any) -> float:
         """Change `d` and `rest` in place so that `rest` does no work on any field.
 
         Return the energy that this releases.
@@ -34,6 +34,6 @@ class Entrained(Protocol):
         """
         ...
 
-    def astray(self, rest: Any) -> float:
+    def remaining_distance(self, rest: Any) -> float:
         """Return the largest displacement by which the fields would still reduce `rest`."""
         ...

@@ -7,12 +7,12 @@ from collections.abc import Callable
 _callbacks: list[Callable[[], None]] = []
 
 
-def forgotten_by(forget: Callable[[], None]) -> None:
+def register(clear: Callable[[], None]) -> None:
     """Register a callback that clears the cache of a module."""
-    _callbacks.append(forget)
+    _callbacks.append(clear)
 
 
-def forget() -> None:
+def clear_all() -> None:
     """Clear all registered caches."""
     for each in _callbacks:
         each()

@@ -15,12 +15,12 @@ import numpy.typing as npt
 
 if TYPE_CHECKING:
     from napari_hmrf.solver.backends.direct.factors import Factors
-    from napari_hmrf.solver.backends.rigid.entrained import Entrained
+    from napari_hmrf.solver.backends.rigid.deflation import Deflation
 
 FloatArray = npt.NDArray[np.float32]
 
 
-class Met(NamedTuple):
+class StartQuality(NamedTuple):
     """Properties of a warm start that are known from earlier solves.
 
     Attributes
@@ -36,24 +36,24 @@ class Met(NamedTuple):
 
 
 # Displacements, each with its properties; used on the compute thread only.
-_met: list[tuple[weakref.ref[Any], Met]] = []
+_start_qualities: list[tuple[weakref.ref[Any], StartQuality]] = []
 
 
-def remember(displacement: npt.NDArray[Any], met: Met) -> None:
+def remember(displacement: npt.NDArray[Any], quality: StartQuality) -> None:
     """Remember the least eigenvalue and the error of the solve of a displacement.
 
     Parameters
     ----------
     displacement : ndarray
         Displacement; only a weak reference to this array is kept.
-    met : Met
+    quality : StartQuality
         Properties found by its solve.
     """
-    _met[:] = [each for each in _met if each[0]() is not None]
-    _met.append((weakref.ref(displacement), met))
+    _start_qualities[:] = [each for each in _start_qualities if each[0]() is not None]
+    _start_qualities.append((weakref.ref(displacement), quality))
 
 
-def met_by(start: Beginning) -> Met:
+def start_quality_of(start: WarmStart) -> StartQuality:
     """Combine the known properties of the parts of a warm start.
 
     A warm start is nearly converged, except for motions that cycles hardly reduce. The iteration
@@ -61,19 +61,19 @@ def met_by(start: Beginning) -> Met:
 
     Parameters
     ----------
-    start : Beginning
+    start : WarmStart
 
     Returns
     -------
-    Met
+    StartQuality
         Least eigenvalue of all parts, and sum of their weighted errors.
     """
     least, error = 1.0, 0.0
     for share, part in zip(start.shares, start.displacements, strict=True):
-        for known, met in _met:
+        for known, met in _start_qualities:
             if known() is part:
                 least, error = min(least, met.least), error + abs(share) * met.error
-    return Met(least, error)
+    return StartQuality(least, error)
 
 
 # A residual may exceed its known value by this factor, because stored fields are rounded.
@@ -82,7 +82,7 @@ _TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
-class Beginning:
+class WarmStart:
     """Sum of displacements, computed only when needed.
 
     Attributes
@@ -135,14 +135,14 @@ class Quality(NamedTuple):
         return self.error * max(1.0, residual / max(self.residual, _TINY)) <= tolerance
 
 
-class Found:
+class EarlierResults:
     """Results of earlier solves of one system.
 
     Displacements are kept by weak reference.
 
     Attributes
     ----------
-    doubt : float or None
+    underestimate : float or None
         Factor by which cycles underestimate the error; None until it is known.
     least : float
         Least eigenvalue of the preconditioned system that the iterations have found.
@@ -152,7 +152,7 @@ class Found:
         Number of times that the number of smoothing steps was raised for that reason.
     factors : Factors or None
         Factors of the system, where cycles cannot be trusted.
-    entrained : Entrained or None
+    deflation : Deflation or None
         Motions that rigid bodies induce in the tissue around them, if there are any bodies.
     idle : ndarray of int or None
         Indices in planes of tissue that is not observed and bears no load; None until the search
@@ -160,21 +160,21 @@ class Found:
     """
 
     def __init__(self) -> None:
-        self.doubt: float | None = None
+        self.underestimate: float | None = None
         self.least = 1.0
         self.slow = False
         self.care = 0
         self.factors: Factors | None = None
-        self.entrained: Entrained | None = None
+        self.deflation: Deflation | None = None
         self.idle: npt.NDArray[np.intp] | None = None
-        self._known: list[tuple[weakref.ref[Any], Quality]] = []
+        self._qualities: list[tuple[weakref.ref[Any], Quality]] = []
 
     def add(self, displacement: FloatArray, quality: Quality) -> None:
         """Remember a displacement, by weak reference."""
-        self._known = [each for each in self._known if each[0]() is not None]
-        self._known.append((weakref.ref(displacement), quality))
+        self._qualities = [each for each in self._qualities if each[0]() is not None]
+        self._qualities.append((weakref.ref(displacement), quality))
 
-    def quality(self, start: Beginning) -> Quality | None:
+    def quality(self, start: WarmStart) -> Quality | None:
         """Return the quality of a start that matches the observations.
 
         Return None if the quality of one of its displacements is unknown.
@@ -189,5 +189,5 @@ class Found:
         return Quality(error, residual)
 
     def _quality_of(self, displacement: FloatArray) -> Quality | None:
-        found = (quality for known, quality in self._known if known() is displacement)
+        found = (quality for known, quality in self._qualities if known() is displacement)
         return next(found, None)

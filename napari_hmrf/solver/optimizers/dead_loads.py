@@ -12,7 +12,7 @@ from napari_hmrf.solver.optimizers.loading import work_of
 _LARGEST_SHARE = 1 - 1e-9
 
 
-class Outside:
+class DeadLoads:
     """Dead loads: forces that stay constant while tissue moves.
 
     Parameters
@@ -40,7 +40,7 @@ class Outside:
         """Update the forces after a step of the field; dead loads stay the same."""
 
 
-class SoftObservations(Outside):
+class SoftObservations(DeadLoads):
     """Observations that pull with a force of at most p, with a rounded kink of the energy at y.
 
     Their energy is p (sqrt(r^2 + width^2) - width) with r = d - y; for a width of 0 it is p |r|.

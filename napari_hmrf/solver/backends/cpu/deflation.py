@@ -24,7 +24,7 @@ from napari_hmrf.solver.backends.cpu.vectors import row_product
 _INDEPENDENT = 1e-4
 
 
-class CpuEntrained:
+class CpuDeflation:
     """Fields of all motions, and their forces.
 
     Parameters
@@ -40,7 +40,7 @@ class CpuEntrained:
     ----------
     close : bool
         True if the small level does not resolve the gap between bodies.
-    sure : bool
+    is_independent : bool
         True if single precision separates the motions.
     """
 
@@ -51,14 +51,14 @@ class CpuEntrained:
         stiffness += np.tril(stiffness, -1).T
         self._lengths = lengths
         scale = np.sqrt(np.maximum(np.diag(stiffness), 0.0))
-        self.sure = bool((scale > 0).all())
-        if self.sure:
+        self.is_independent = bool((scale > 0).all())
+        if self.is_independent:
             least = np.linalg.eigvalsh(stiffness / np.outer(scale, scale))[0]
-            self.sure = bool(least > _INDEPENDENT)
-        if self.sure:
+            self.is_independent = bool(least > _INDEPENDENT)
+        if self.is_independent:
             self._compliance = np.linalg.inv(stiffness)
 
-    def settle(self, d: Vector, rest: Vector) -> float:
+    def deflate(self, d: Vector, rest: Vector) -> float:
         """Change `d` and `rest` in place so that `rest` does no work on any field.
 
         Return the energy that this releases.
@@ -79,7 +79,7 @@ class CpuEntrained:
         _turn(steepest, direction, np.float32(share), self._fields, shares.astype(np.float32))
         return float(np.abs(shares) @ self._lengths)
 
-    def astray(self, rest: Vector) -> float:
+    def remaining_distance(self, rest: Vector) -> float:
         """Return the largest displacement by which the fields would still reduce `rest`."""
         shares = self._compliance @ _products(self._fields, rest[None])[:, 0]
         return float(np.abs(shares) @ self._lengths)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import vectors
-from napari_hmrf.solver.backends.cpu.entrained import CpuEntrained
+from napari_hmrf.solver.backends.cpu.deflation import CpuDeflation
 from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.linear import Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
@@ -21,14 +21,14 @@ _CYCLES = 2
 _SMALL_BODY = 4
 
 
-def entrain(
+def build_deflation(
     bodies: Bodies,
     levels: Sequence[Any],
     small: Any | None,
     steps: Steps,
     coarsest: Steps,
     memory: Vector,
-) -> CpuEntrained | None:
+) -> CpuDeflation | None:
     """Return the fields of all free motions; None if there are none.
 
     Parameters
@@ -85,7 +85,7 @@ def entrain(
             count += 1
     for level, vector in zip(above, between, strict=True):
         level.free(vector)
-    return CpuEntrained(fields, forces, lengths, close) if count else None
+    return CpuDeflation(fields, forces, lengths, close) if count else None
 
 
 def _around(
