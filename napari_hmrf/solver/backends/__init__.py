@@ -12,8 +12,8 @@ Data passes through a backend in five steps:
 4. *Kernels.* An optimizer calls the methods of a level, and each of them runs one or two kernels:
    compiled loops in `cpu`, shaders from the folder `shaders/` in `opengl`. `rigid` constrains the
    motion of rigid bodies, and `direct` factorizes the system where cycles cannot be trusted.
-5. *Result.* The optimizer reads the displacement back as planes. `earlier` keeps results about the
-   system for later solves of the same system.
+5. *Result.* The optimizer reads the displacement back as planes. `earlier_results` keeps what is
+   known of the system for later solves.
 
 All of this runs on one thread (`thread`), because OpenGL and numba both require it.
 """

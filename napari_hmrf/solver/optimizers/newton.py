@@ -28,7 +28,7 @@ from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
-from napari_hmrf.solver.optimizers.rehearsal import BELIEVABLE, Rehearsal
+from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 
 # A step of the field
 

@@ -1,6 +1,6 @@
 """Solution of a linear system to a tolerance, by cycles, or by factors where cycles are unreliable.
 
-If tissue is not mild, the iteration is first *rehearsed* (`rehearsal`) on a known solution. If its
+If tissue is not mild, the iteration is first *rehearsed* (`self_check`) on a known solution. If its
 error estimate is right there, the iteration solves the problem. If not, or if the iteration stalls,
 the system is factorised.
 """
@@ -23,7 +23,7 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
-from napari_hmrf.solver.optimizers.rehearsal import BELIEVABLE, Rehearsal
+from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
