@@ -6,7 +6,7 @@ import difflib
 import math
 import os
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence, Sized
+from collections.abc import Iterable, Mapping, Sequence, Set, Sized
 from numbers import Real
 from types import UnionType
 from typing import Any, get_args
@@ -33,8 +33,12 @@ def real(value: Any) -> float:
 
 
 def reals(values: Any, count: int) -> tuple[float, ...]:
-    """Convert `count` real numbers to floats; return `count` NaNs for another number of values."""
-    given = tuple(values) if isinstance(values, Iterable) and isinstance(values, Sized) else ()
+    """Convert `count` real numbers to floats; return `count` NaNs for another number of values.
+
+    Sets and mappings also give NaNs, because they do not keep the order of the axes.
+    """
+    is_sized = isinstance(values, Iterable) and isinstance(values, Sized)
+    given = tuple(values) if is_sized and not isinstance(values, Set | Mapping) else ()
     return tuple(map(real, given)) if len(given) == count else (math.nan,) * count
 
 
