@@ -19,6 +19,7 @@ from napari_hmrf.arguments import reals, refuse_unless, require_kind, shown, tup
 from napari_hmrf.errors import ArgumentError, ProblemError, naming
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.units import UNKNOWN_UNITS, has_same_spacing
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import Prior
@@ -69,12 +70,15 @@ class Grid:
         Unit of all lengths, such as displacements and radii.
     place : Frame, optional
         Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
-        Files for other tools need it; the displacement does not depend on it.
+        Files for other tools need it; the displacement does not depend on it. A place does not
+        state the number of pixels: a grid of a smaller shape begins at the same first pixel.
 
     Raises
     ------
     ProblemError
-        If the shape or the spacing is invalid, or the place has another number of axes.
+        If the shape or the spacing is invalid, or the place has another number of axes, another
+        spacing or another unit of length. Names of a unit, such as "mm" and "millimeter", are
+        equal.
     ArgumentError
         If the unit is not a string.
     """
@@ -109,6 +113,16 @@ class Grid:
                 "grid",
                 f"has {len(self.shape)} axes, but its place has {len(place.plane)}. Give the place "
                 "of the same slice or volume.",
+            )
+        # The unit of a place is known even if it is the pixel.
+        is_same_kind = (self.unit in UNKNOWN_UNITS) == (place.unit in UNKNOWN_UNITS)
+        sizes = place.spacing
+        if not (is_same_kind and has_same_spacing(self.spacing, self.unit, sizes, place.unit)):
+            raise ProblemError(
+                "grid",
+                f"has pixels of {grid_in_words(self.spacing)} {self.unit}, but its place has "
+                f"pixels of {grid_in_words(sizes)} {place.unit}. Give the spacing and the unit of "
+                "the place, or leave the place out.",
             )
 
     @property

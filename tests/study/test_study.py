@@ -27,6 +27,7 @@ from napari_hmrf import (
     solve,
     solve_study,
 )
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue import StiffnessCurve
 from napari_hmrf.tissue.material_presets import PRESETS
@@ -215,3 +216,53 @@ def test_each_part_says_in_one_line_what_it_is():
     assert repr(study.pictures) == "Pictures(image 'CT' uint8, labels 'organs')"
     assert repr(study.grid) == "Grid(40 x 50 sites of 0.5 x 0.5 mm)"
     assert repr(Motion()) == "Motion(none)"
+
+
+PLACE = Frame.at((0.5, 0.8), ("millimeter",) * 2)
+
+
+@pytest.mark.parametrize(
+    ("spacing", "unit", "place"),
+    [
+        ((5.0, 8.0), "mm", PLACE),
+        ((1.0, 1.0), "mm", PLACE),
+        ((0.8, 0.5), "mm", PLACE),
+        ((0.5, 0.8), "um", PLACE),
+        ((0.5, 0.8), "pixel", PLACE),
+        ((0.5, 0.8), "second", PLACE),
+        ((0.5, 0.8), "mm", Frame.at((0.5, 0.8), ("pixel",) * 2)),
+        ((0.5, 0.8), "mm", Frame.at((2.0, 0.5, 0.8), ("mm",) * 3, volume=True).plane_at(1, 3)),
+    ],
+)
+def test_a_place_of_another_spacing_or_unit_is_refused(spacing, unit, place):
+    with pytest.raises(ProblemError, match=rf"has pixels of .* {unit}, but its place has pixels"):
+        Grid(SHAPE, spacing, unit, place)
+
+
+@pytest.mark.parametrize(
+    ("spacing", "unit"),
+    [
+        ((0.5, 0.8), "mm"),
+        ((0.5, 0.8), "millimeter"),
+        ((500, 800), "um"),
+        ((0.05, 0.08), "cm"),
+        ((0.50000003, 0.79999998), "mm"),
+    ],
+)
+def test_a_place_of_the_same_spacing_is_accepted(spacing, unit):
+    assert Grid(SHAPE, spacing, unit, PLACE).place == PLACE
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        Grid(SHAPE, (1, 1), "mm"),
+        Grid(SHAPE, GRID.spacing, "um"),
+        Grid(SHAPE, GRID.spacing, "mm", PLACE),
+        Grid((21, 26), GRID.spacing, "mm"),
+    ],
+)
+def test_the_problem_of_another_study_is_refused(grid):
+    other = Study(grid, Tissue(stiffness=np.ones(grid.shape)), pulled().motion)
+    with pytest.raises(ArgumentError, match=r"another study. Give build_problem\(study\)"):
+        solve_study(other, stated=build_problem(pulled()))
