@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from napari_hmrf import array_file
 from napari_hmrf.arguments import is_one_of, refuse_unless
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.elasticity import Elasticity, read_elasticity
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
@@ -245,7 +246,8 @@ class Solution:
         Parameters
         ----------
         points : array_like, shape (N, n)
-            Positions before the motion, in pixels, in the order of the axes.
+            Positions before the motion, in pixels, in the order of the axes; `Grid.to_pixels`
+            converts points in mm. Points outside the grid move like the nearest point of its edge.
 
         Returns
         -------
@@ -255,7 +257,7 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points have another number of axes than the field.
+            If the points have another number of axes than the field, or all lie outside the grid.
         """
         moved = self.move(points) - np.asarray(points)
         step: npt.NDArray[np.float64] = moved * np.array(self.spacing)
@@ -267,7 +269,8 @@ class Solution:
         Parameters
         ----------
         points : array_like, shape (N, n)
-            Positions before the motion, in pixels, in the order of the axes.
+            Positions before the motion, in pixels, in the order of the axes; `Grid.to_pixels`
+            converts points in mm. Points outside the grid move like the nearest point of its edge.
 
         Returns
         -------
@@ -277,11 +280,23 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points have another number of axes than the field.
+            If the points have another number of axes than the field, or all lie outside the grid.
         """
         from napari_hmrf.field.moved_points import moved_points  # above: field
 
-        return moved_points(points, self.displacement, spacing=self.spacing)
+        moved = moved_points(points, self.displacement, spacing=self.spacing)
+        shape = self.tissue.shape
+        at = np.asarray(points, dtype=np.float64)
+        is_inside = ((at >= -0.5) & (at <= np.array(shape) - 0.5)).all(axis=-1)
+        if len(at) and not is_inside.any():
+            first = tuple(at[0].tolist())
+            raise ProblemError(
+                "points",
+                f"lie outside the grid of {grid_in_words(shape)} pixels, the first at {first}. "
+                "Give positions in pixels, such as those of Grid.to_pixels(points) for points in "
+                "mm.",
+            )
+        return moved
 
     def measure(
         self, labels: npt.ArrayLike, *, names: Mapping[int, str] | None = None
@@ -330,8 +345,9 @@ class Solution:
             Grid of the image, as returned by `Grid.from_image`; needed if the solution has no
             place, because it comes from a `Problem`, or from a study whose grid has none.
         placed : bool
-            If False, a solution without a place is written at the origin, along the axes, with a
-            unit of its spacing as 1 mm: the place of a picture (.png, .tif) in other tools.
+            If False, a solution without a place is written at the origin, along the axes, with
+            its spacing converted to mm; an unknown unit counts as 1 mm. This is the place of a
+            picture (.png, .tif) in other tools.
 
         Returns
         -------
@@ -344,7 +360,8 @@ class Solution:
         ArgumentError
             If `grid` is not a Grid.
         ProblemError
-            If the place is unknown, or the file's format cannot hold it.
+            If the place is unknown, or the file's format cannot hold it; or if the grid has
+            another shape, spacing or place than the solution.
         FileFormatError
             If the name has no ending of a field file.
         HmrfError
