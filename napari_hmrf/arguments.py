@@ -75,6 +75,19 @@ def refuse_unless(right: bool, name: str, value: object, what: str) -> None:
         raise ArgumentError(f"{name} must be {what}, not {shown(value)}")
 
 
+def require_flag(name: str, value: object) -> None:
+    """Refuse an argument that is not True or False.
+
+    Raises
+    ------
+    ArgumentError
+        If the value is of another type; the message is one sentence.
+    """
+    # NumPy's booleans are recognised by name, so that this module does not import NumPy.
+    is_flag = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
+    refuse_unless(is_flag, name, value, "True or False")
+
+
 def require_kind(kind: type | UnionType, name: str, value: object, example: str) -> None:
     """Refuse an argument of another type.
 

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import checked_path, require_kind, shown
+from napari_hmrf.arguments import checked_path, require_flag, require_kind, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
@@ -51,6 +51,8 @@ _NIFTI = (".nii", ".nii.gz")
 _NO_METADATA = ".h5"
 #: Largest distance of corresponding corners of equal grids, in pixels, which files round.
 _SAME_PLACE = 0.05
+#: Largest relative difference of equal spacings, which files round.
+_SAME_SPACING = 1e-4
 #: Largest deviation of a direction matrix from a rotation.
 _ROUNDING = 1e-5
 
@@ -167,6 +169,7 @@ def write_field(
             "field would be read as a backward one. End the name in .mha, .nrrd or .nii.gz."
         )
     _refuse_ambiguous_name(target, suffix)
+    require_flag("forward", forward)
     require_simpleitk()
     d = as_field(displacement).astype(np.float64)
     n = d.shape[-1]
@@ -347,9 +350,25 @@ def place_of(solution: Solution) -> Place:
 
 
 def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
-    """Return the displacement of a solution in the unit of its place, and the place."""
+    """Return the displacement of a solution in the unit of its place, and the place.
+
+    Raises
+    ------
+    ProblemError
+        As for `place_of`, or if the place contradicts the spacing or the unit of the solution.
+    """
     place, n = place_of(solution), solution.tissue.ndim
-    return solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing), place
+    factors = np.array(place.spacing[-n:]) / solution.spacing
+    is_known = solution.unit not in UNKNOWN_UNITS
+    expected = unit_factor(solution.unit, "millimeter") if is_known else factors[0]
+    if solution.frame and not np.allclose(factors, expected, rtol=_SAME_SPACING, atol=0):
+        raise ProblemError(
+            "displacement",
+            f"has pixels of {grid_in_words(solution.spacing)} {solution.unit}".rstrip()
+            + f", but its place has pixels of {grid_in_words(place.spacing[-n:])} mm. Solve on the "
+            "grid of the image.",
+        )
+    return solution.displacement * factors, place
 
 
 def export_field(
@@ -396,6 +415,7 @@ def export_field(
             "displacement, spacing=...)."
         )
     require_kind(Solution, "solution", solution, "the result of solve()")
+    require_flag("placed", placed)
     if grid is not None:
         require_kind(Grid, "grid", grid, "Grid.from_image(image)")
     displacement, place = _place_solution(solution, grid, placed)
@@ -503,9 +523,8 @@ def _refuse_ambiguous_name(target: Path, suffix: str) -> None:
 def _lengths(name: str, values: Sequence[float], counts: tuple[int, ...]) -> npt.NDArray[Any]:
     given = as_numbers(name, values).astype(np.float64)
     if given.ndim != 1 or len(given) not in counts or not np.isfinite(given).all():
-        raise ProblemError(
-            name, f"is {shown(values)}. Give {' or '.join(map(str, counts))} lengths."
-        )
+        needed = " or ".join(map(str, sorted({*counts})))
+        raise ProblemError(name, f"is {shown(values)}. Give {needed} lengths.")
     return given
 
 

@@ -18,6 +18,7 @@ from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
 from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
+from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
 
 #: Largest ratio between two stiffnesses for which single precision is reliable.
 MAX_STIFFNESS_RATIO = 1e7

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
-from napari_hmrf.arguments import is_one_of, refuse_unless
+from napari_hmrf.arguments import is_one_of, refuse_unless, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.elasticity import Elasticity, read_elasticity
 from napari_hmrf.solver.loads import Loads
@@ -110,6 +110,11 @@ class Solution:
     unit : str
         Unit of `spacing` and `displacement`, such as "mm", as in the `Grid` of a study; "" if
         unknown, as for a `Problem`.
+
+    Raises
+    ------
+    ProblemError
+        If the displacement, the tissue and the spacing are not of the same grid.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -125,6 +130,15 @@ class Solution:
     elasticity: Elasticity | None = None
     notes: tuple[str, ...] = ()
     unit: str = ""
+
+    def __post_init__(self) -> None:
+        shape = self.tissue.shape
+        if self.displacement.shape != (*shape, len(shape)) or len(self.spacing) != len(shape):
+            raise ProblemError(
+                "solution",
+                f"has a displacement of shape {self.displacement.shape}, tissue of shape {shape} "
+                f"and the spacing {shown(self.spacing)}. Give all three on the same grid.",
+            )
 
     def __repr__(self) -> str:
         unit = self._unit_in_words
@@ -282,21 +296,10 @@ class Solution:
         ProblemError
             If the points have another number of axes than the field, or all lie outside the grid.
         """
-        from napari_hmrf.field.moved_points import moved_points  # above: field
+        from napari_hmrf.field.moved_points import moved_points, refuse_outside  # above: field
 
-        moved = moved_points(points, self.displacement, spacing=self.spacing)
-        shape = self.tissue.shape
-        at = np.asarray(points, dtype=np.float64)
-        is_inside = ((at >= -0.5) & (at <= np.array(shape) - 0.5)).all(axis=-1)
-        if len(at) and not is_inside.any():
-            first = tuple(at[0].tolist())
-            raise ProblemError(
-                "points",
-                f"lie outside the grid of {grid_in_words(shape)} pixels, the first at {first}. "
-                "Give positions in pixels, such as those of Grid.to_pixels(points) for points in "
-                "mm.",
-            )
-        return moved
+        refuse_outside(points, self.tissue.shape)
+        return moved_points(points, self.displacement, spacing=self.spacing)
 
     def measure(
         self, labels: npt.ArrayLike, *, names: Mapping[int, str] | None = None

@@ -309,3 +309,24 @@ def test_a_field_at_the_origin_is_written_in_millimetres(unit, factor, tmp_path)
 def test_a_field_in_no_unit_of_length_is_not_exported(tmp_path):
     with pytest.raises(ProblemError, match="'second', which is no unit of length"):
         placed_field(unit="second").export(tmp_path / "a.mha", placed=False)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"spacing": (1.0, 1.0, 1.0)}, r"has pixels of 1 x 1 x 1 mm, but its place has"),
+        ({"spacing": (4.0, 2.0, 3.0)}, r"has pixels of 4 x 2 x 3 mm, but its place has"),
+        ({"unit": "um"}, r"has pixels of 2 x 1 x 1\.5 um, but its place has pixels of .* mm"),
+    ],
+)
+def test_a_field_whose_place_contradicts_its_spacing_is_not_exported(change, said, tmp_path):
+    solution = replace(placed_field(Grid.from_image(scan()).place, "mm"), **change)
+    with pytest.raises(ProblemError, match=said):
+        solution.export(tmp_path / "a.mha")
+
+
+@pytest.mark.parametrize("name", ["forward", "placed"])
+def test_words_are_no_flags_of_an_export(name, tmp_path):
+    solution = placed_field(Grid.from_image(scan()).place, "mm")
+    with pytest.raises(ArgumentError, match=f"{name} must be True or False, not 'no'"):
+        solution.export(tmp_path / "a.mha", **{name: "no"})

@@ -347,7 +347,10 @@ def test_devices_and_pipes_are_no_studies_and_no_tables(tmp_path):
             {"frame": Frame.at((0.5, 0.8), ("mm",) * 2, affine=np.diag([1, -1, 1])).as_dict()},
             "else",
         ),
-        ({"tissue": np.ones((20, 25), bool)}, "is 20 x 25, but the study is 20 x 24"),
+        (
+            {"tissue": np.ones((20, 25), bool), "displacement": np.zeros((20, 25, 2))},
+            "is 20 x 25, but the study is 20 x 24",
+        ),
     ],
 )
 def test_the_field_of_another_grid_is_not_saved_with_a_study(change, said, tmp_path):
