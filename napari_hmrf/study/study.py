@@ -23,7 +23,7 @@ from napari_hmrf.field.units import UNKNOWN_UNITS, has_same_spacing
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import Prior
-from napari_hmrf.solver.problem import checked_spacing, grid_in_words
+from napari_hmrf.solver.problem import checked_spacing, grid_in_words, whole_numbers
 from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, chosen, is_by_name
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
@@ -223,8 +223,8 @@ class Tissue:
     Attributes
     ----------
     labels : ndarray of int, shape ([D,] H, W), optional
-        Labels of the tissues. Each label has a row in `materials`; a label without a row gets a
-        default material.
+        Labels of the tissues; whole numbers stored as floats are converted. Each label has a row in
+        `materials`; a label without a row gets a default material.
     materials : tuple of Material
         Materials of the labels.
     stiffness : ndarray, shape ([D,] H, W), optional
@@ -243,7 +243,7 @@ class Tissue:
     Raises
     ------
     ProblemError
-        If more than one of labels, stiffness and curve is given.
+        If more than one of labels, stiffness and curve is given, or a label is not a whole number.
     ArgumentError
         If a part is of another type.
     """
@@ -312,6 +312,8 @@ class Tissue:
 
     def __post_init__(self) -> None:
         _check_arrays(self, "labels", "stiffness")
+        _take_whole_labels(self)
+        require_kind(str, "unit", self.unit, '"kPa"')
         materials = tuple_of(Material, "materials", self.materials, '(Material(1, "brain", 3.0),)')
         object.__setattr__(self, "materials", materials)
         if self.curve is not None:
@@ -386,6 +388,7 @@ class Motion:
         is_flag = isinstance(self.hold_edge, bool | np.bool_)
         refuse_unless(is_flag, "hold_edge", self.hold_edge, "True or False")
         _check_arrays(self, "labels", "observed", "confidence")
+        _take_whole_labels(self)
         rules = tuple_of(BoundaryRule, "rules", self.rules, '(BoundaryRule(1, "fixed"),)')
         object.__setattr__(self, "rules", rules)
         require_kind(Drawing, "drawing", self.drawing, "Drawing((Arrow(...),))")
@@ -520,17 +523,21 @@ class Study:
         if len(self.motion.weight) not in (0, len(needed)):
             given = f"has a weight of {len(self.motion.weight)} components"
             raise ProblemError("motion", f"{given}. Give {len(needed)}, one along each axis.")
-        for name, part in (
-            ("image", self.pictures.image),
-            ("tissue", self.tissue.labels),
-            ("tissue", self.tissue.stiffness),
-            ("boundary", self.motion.labels),
-            ("boundary", self.motion.observed),
-            ("confidence", self.motion.confidence),
+        n = len(needed)
+        along_axes, colours = (*needed, n), [(*needed, 3), (*needed, 4)]
+        for name, part, shapes in (
+            ("image", self.pictures.image, [needed, *colours]),
+            ("tissue", self.tissue.labels, [needed]),
+            ("tissue", self.tissue.stiffness, [needed]),
+            ("boundary", self.motion.labels, [needed]),
+            ("observed", self.motion.observed, [along_axes]),
+            ("confidence", self.motion.confidence, [needed, along_axes]),
         ):
-            if part is not None and part.shape[: len(needed)] != needed:
+            if part is not None and tuple(part.shape) not in shapes:
                 raise ProblemError(
-                    name, f"has shape {part.shape}, but the grid is {needed}. Give an equal shape."
+                    name,
+                    f"has shape {part.shape}, but the grid is {needed}. Give the shape "
+                    f"{' or '.join(map(str, shapes))}.",
                 )
 
     def _take_model(self, model: str) -> None:
@@ -616,6 +623,7 @@ class Study:
             stiffness=tissue,
             poisson=tissue,
             observed=boundary,
+            drawing=boundary,
             confidence=names.get("confidence") or boundary,
             spacing=names.get("image") or tissue,
             growth=tissue,
@@ -639,6 +647,13 @@ def _check_arrays(part: Tissue | Motion | Pictures, *names: str) -> None:
         value = getattr(part, name)
         is_array = value is None or hasattr(value, "shape")
         refuse_unless(is_array, name, value, "an array, such as np.array(values)")
+
+
+def _take_whole_labels(part: Tissue | Motion) -> None:
+    """Convert whole numbers stored as floats to integers; refuse labels of any other type."""
+    labels = part.labels
+    if labels is not None and np.dtype(labels.dtype).kind not in "biu":
+        object.__setattr__(part, "labels", whole_numbers("labels", labels))
 
 
 def _listed(parts: Iterable[str]) -> str:

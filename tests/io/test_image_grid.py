@@ -330,3 +330,10 @@ def test_words_are_no_flags_of_an_export(name, tmp_path):
     solution = placed_field(Grid.from_image(scan()).place, "mm")
     with pytest.raises(ArgumentError, match=f"{name} must be True or False, not 'no'"):
         solution.export(tmp_path / "a.mha", **{name: "no"})
+
+
+def test_a_nibabel_image_without_an_affine_is_refused():
+    given = nibabel_of(scan())
+    given.affine = None
+    with pytest.raises(ArgumentError, match=r"has the affine None\. Give the image a 4 x 4"):
+        Grid.from_image(given)

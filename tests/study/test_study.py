@@ -159,6 +159,20 @@ def test_what_is_painted_as_another_tissue_is_so_many_times_as_stiff():
     [
         (lambda: pulled(tissue=Tissue(stiffness=np.ones((4, 4)))), r"tissue.*\(4, 4\).*\(20, 26\)"),
         (lambda: pulled(pictures=Pictures(np.ones((20, 25)))), r"image.*\(20, 25\)"),
+        (
+            lambda: pulled(tissue=Tissue(stiffness=np.ones((*SHAPE, 3)))),
+            r"tissue: has shape \(20, 26, 3\), but .* Give the shape \(20, 26\)\.",
+        ),
+        (
+            lambda: pulled(motion=Motion(observed=np.zeros(SHAPE), confidence=np.ones(SHAPE))),
+            r"observed: has shape \(20, 26\), but .* Give the shape \(20, 26, 2\)\.",
+        ),
+        (
+            lambda: Tissue(labels=np.full(SHAPE, 1.5)),
+            r"labels: have the value 1\.5 at \(0, 0\)\. Give whole",
+        ),
+        (lambda: Tissue(labels=np.full(SHAPE, "brain")), "labels: has values of type <U5"),
+        (lambda: Motion(labels=np.full(SHAPE, np.nan)), "labels: have the value nan"),
         (lambda: Motion(observed=np.zeros((*SHAPE, 2))), "its confidence"),
         (
             lambda: Tissue(labels=np.ones(SHAPE), stiffness=np.ones(SHAPE)),
@@ -266,3 +280,19 @@ def test_the_problem_of_another_study_is_refused(grid):
     other = Study(grid, Tissue(stiffness=np.ones(grid.shape)), pulled().motion)
     with pytest.raises(ArgumentError, match=r"another study. Give build_problem\(study\)"):
         solve_study(other, stated=build_problem(pulled()))
+
+
+def test_labels_may_be_whole_numbers_stored_as_floats():
+    labels = np.ones(SHAPE, int)
+    labels[5:9] = 2
+    rows = Material(1, "brain", 1.0), Material(2, "tumour", 4.0)
+    found, expected = (
+        build_problem(pulled(tissue=Tissue(labels=each, materials=rows))).problem.stiffness
+        for each in (labels.astype(float), labels)
+    )
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_the_unit_of_a_tissue_is_a_string():
+    with pytest.raises(ArgumentError, match="unit must be a str, such as"):
+        Tissue(unit=3)
