@@ -67,7 +67,8 @@ class Grid:
     spacing : tuple of float
         Size of a pixel along each axis, in `unit`; a single number applies to all axes.
     unit : str
-        Unit of all lengths, such as displacements and radii.
+        Unit of all lengths, such as displacements and radii. Names of one unit are equal: "mm" and
+        "millimeter", which `from_image` gives.
     place : Frame, optional
         Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
         Files for other tools need it; the displacement does not depend on it. A place does not
