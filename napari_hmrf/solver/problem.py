@@ -232,7 +232,9 @@ def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
     values = reals((spacing,) * ndim if isinstance(spacing, Real) else spacing, ndim)
     if not all(0 < size < math.inf for size in values):
         raise ProblemError(
-            "spacing", f"is {shown(spacing)}. Give {ndim} positive, finite pixel sizes."
+            "spacing",
+            f"is {shown(spacing)}. Give {ndim} positive, finite pixel sizes, in the order of the "
+            "axes.",
         )
     if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
         raise ProblemError(
