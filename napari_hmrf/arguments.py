@@ -6,7 +6,7 @@ import difflib
 import math
 import os
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence, Sized
+from collections.abc import Iterable, Mapping, Sequence, Set, Sized
 from numbers import Real
 from types import UnionType
 from typing import Any, get_args
@@ -33,8 +33,12 @@ def real(value: Any) -> float:
 
 
 def reals(values: Any, count: int) -> tuple[float, ...]:
-    """Convert `count` real numbers to floats; return `count` NaNs for another number of values."""
-    given = tuple(values) if isinstance(values, Iterable) and isinstance(values, Sized) else ()
+    """Convert `count` real numbers to floats; return `count` NaNs for another number of values.
+
+    Sets and mappings also give NaNs, because they do not keep the order of the axes.
+    """
+    is_sized = isinstance(values, Iterable) and isinstance(values, Sized)
+    given = tuple(values) if is_sized and not isinstance(values, Set | Mapping) else ()
     return tuple(map(real, given)) if len(given) == count else (math.nan,) * count
 
 
@@ -69,6 +73,19 @@ def refuse_unless(right: bool, name: str, value: object, requirement: str) -> No
     """
     if not right:
         raise ArgumentError(f"{name} must be {requirement}, not {shown(value)}")
+
+
+def require_flag(name: str, value: object) -> None:
+    """Refuse an argument that is not True or False.
+
+    Raises
+    ------
+    ArgumentError
+        If the value is of another type; the message is one sentence.
+    """
+    # NumPy's booleans are recognised by name, so that this module does not import NumPy.
+    is_flag = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
+    refuse_unless(is_flag, name, value, "True or False")
 
 
 def require_kind(kind: type | UnionType, name: str, value: object, example: str) -> None:

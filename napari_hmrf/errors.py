@@ -46,9 +46,9 @@ class ProblemError(HmrfError, ValueError):
     Parameters
     ----------
     field : str
-        The input at fault: ``"observed"``, ``"confidence"``, ``"stiffness"``, ``"spacing"``,
-        ``"poisson"``, ``"loads"``, ``"growth"`` or ``"force"``; the widget replaces it by the name
-        of the layer that the input came from.
+        The input at fault, such as ``"observed"``, ``"confidence"``, ``"stiffness"``,
+        ``"spacing"``, ``"poisson"``, ``"loads"``, ``"growth"``, ``"force"`` or ``"drawing"``; the
+        widget replaces it by the name of the layer that the input came from.
     message : str
         The problem and its remedy, without the field's name.
     """

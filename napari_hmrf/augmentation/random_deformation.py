@@ -35,7 +35,7 @@ from napari_hmrf.augmentation.unit_solutions import (
 )
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.field.live_warp import Picture, Warper
-from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.field.moved_points import moved_points, refuse_outside
 from napari_hmrf.field.resample import as_image, emptiness
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.elasticity import Elasticity
@@ -205,6 +205,7 @@ class RandomSample:
 
     def points(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Move points, (N, n) in pixels in the order of the axes, with the tissue."""
+        refuse_outside(points, self.tissue.shape)
         return moved_points(points, self.displacement, spacing=self.spacing)
 
 

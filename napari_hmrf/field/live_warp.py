@@ -32,6 +32,8 @@ from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 
+#: Description of the work, for other users of the compute thread.
+_DOING = "warping pictures"
 # Dtypes that the compiled loops support. Other dtypes are converted to one of these that represents
 # all their values, so that no further loops are compiled. 64-bit integers do not fit a double.
 _KNOWN = ("uint8", "float32", "float64")
@@ -85,10 +87,9 @@ class Warper:
     Examples
     --------
     >>> import numpy as np
-    >>> from napari_hmrf.solver.backends.thread import compute_thread
     >>> right = np.broadcast_to(np.float32([0, 2]), (3, 4, 2))
     >>> warper = Warper(np.arange(12).reshape(3, 4).astype(np.uint8), spacing=(1, 1))
-    >>> (half,) = compute_thread.submit(lambda: warper(right, fraction=0.5)).result()
+    >>> (half,) = warper(right, fraction=0.5)
     >>> half[0].tolist()
     [0, 0, 1, 2]
     """
@@ -118,7 +119,7 @@ class Warper:
         tissue: npt.ArrayLike | None = None,
         fraction: float = 1.0,
     ) -> list[npt.NDArray[Any]]:
-        """Warp the pictures; call on the compute thread only, because of numba's own threads.
+        """Warp the pictures, on the compute thread; the caller may be any thread, and waits.
 
         Parameters
         ----------
@@ -139,9 +140,16 @@ class Warper:
         ------
         ProblemError
             If an input is invalid; the error names it.
-        RuntimeError
-            If called on another thread.
         """
+        # Numba's own threads must be used from one thread only.
+        return compute_thread.result_of(
+            lambda: self._warped(displacement, tissue, fraction), _DOING
+        )
+
+    def _warped(
+        self, displacement: npt.ArrayLike, tissue: npt.ArrayLike | None, fraction: float
+    ) -> list[npt.NDArray[Any]]:
+        """Warp the pictures; call on the compute thread only."""
         d, mask = self._checked(displacement, tissue, self.shape)
         if len(self.shape) == 3:
             moved, _ = moved_sites(d, self._spacing, mask, fraction)
@@ -179,7 +187,7 @@ class Warper:
         *,
         every: int | Sequence[int] = 1,
     ) -> list[npt.NDArray[Any]]:
-        """Warp one slice of the volumes; call on the compute thread only.
+        """Warp one slice of the volumes, on the compute thread; the caller may be any thread.
 
         Parameters
         ----------
@@ -201,8 +209,6 @@ class Warper:
         ------
         ProblemError
             If an input is invalid; the error names it.
-        RuntimeError
-            If called on another thread.
         """
         steps = tuple(int(step) for step in np.broadcast_to(every, len(self.shape)))
         sites = tuple(-(-size // step) for size, step in zip(self.shape, steps, strict=True))
@@ -211,15 +217,17 @@ class Warper:
             raise ProblemError(
                 "number", f"is {shown(number)}. Give the index of a slice of {self.shape} voxels."
             )
-        found = slice_origins(d, number, self._spacing, mask, every=steps, fraction=fraction)
-        return [look.slice(found) for look in self._looks]
+
+        def warped() -> list[npt.NDArray[Any]]:
+            found = slice_origins(d, number, self._spacing, mask, every=steps, fraction=fraction)
+            return [look.slice(found) for look in self._looks]
+
+        return compute_thread.result_of(warped, _DOING)
 
     def _checked(
         self, displacement: npt.ArrayLike, tissue: npt.ArrayLike | None, sites: tuple[int, ...]
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """Return a checked displacement on `sites` and its tissue, in the dtypes of the loops."""
-        if not compute_thread.is_current():
-            raise RuntimeError("a Warper works on the compute thread only; call warp() instead")
         d = np.ascontiguousarray(as_numbers("displacement", displacement), dtype=np.float32)
         mask = self._everything
         if tissue is not None:

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import refuse_unless, require_kind
+from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import determinant, jacobian_determinant
 from napari_hmrf.field.elastic_strain import StrainKind, strain_kind, values_of_strain
 from napari_hmrf.field.strain import equivalent_strain, fold_mask, magnitude
 from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
-from napari_hmrf.solver.problem import as_numbers, grid_in_words
+from napari_hmrf.solver.problem import as_numbers, grid_in_words, whole_numbers
 from napari_hmrf.solver.solution import Solution
 
 # Number of planes of cells processed together.
@@ -44,8 +44,8 @@ class Measurement(NamedTuple):
     folds : int
         Number of pixels at which the tissue folds.
     strain : {"elastic", "in-plane", "total"}
-        "elastic": the model's elastic strain in all three directions, without growth (see
-        `elastic_strain`). "in-plane": total strain within an image, for models without a third
+        "elastic": the model's elastic strain in all three directions, without growth, as in
+        `Solution.strain`. "in-plane": total strain within an image, for models without a third
         direction such as the paper's. "total": total strain of a volume.
     """
 
@@ -83,16 +83,21 @@ def measure(
     Raises
     ------
     ArgumentError
-        If the first argument is not a Solution, or `names` is not a mapping.
+        If the first argument is not a Solution, or `names` is not a mapping of whole numbers.
     ProblemError
         If the labels are not on the pixels of the solution.
     """
     require_kind(Solution, "solution", solution, "the result of solve()")
     if names is not None:
         requirement = 'a mapping of labels to names, such as {1: "bone"}'
-        refuse_unless(isinstance(names, Mapping), "names", names, requirement)
+        is_by_label = isinstance(names, Mapping) and all(map(is_whole, names))
+        refuse_unless(is_by_label, "names", names, requirement)
     image = as_numbers("labels", labels)
     d, tissue = solution.displacement, solution.tissue
+    if not image.ndim:
+        refuse_unless(False, "labels", labels, "an array of the labels of all pixels")
+    if image.dtype.kind == "f":
+        image = whole_numbers("labels", image)
     if image.shape != tissue.shape or image.dtype.kind not in "biu":
         raise ProblemError(
             "labels",

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.problem import as_numbers, grid_in_words
 
 #: Number of line segments that replace a side of a rectangle, and an ellipse.
 _PIECES, _ROUND = 8, 64
@@ -46,6 +46,34 @@ def moved_points(
     if at.ndim != 2 or at.shape[1] != n:
         raise ProblemError("points", f"have shape {at.shape}. Give (N, {n}), a row for each point.")
     return at + interpolate_linearly(d, at) / spacing
+
+
+def refuse_outside(points: npt.ArrayLike, shape: tuple[int, ...]) -> None:
+    """Refuse points that all lie outside a grid, as points in mm do that are taken as pixels.
+
+    Parameters
+    ----------
+    points : array_like, shape (N, n)
+        Positions in pixels.
+    shape : tuple of int
+        Number of pixels along each axis.
+
+    Raises
+    ------
+    ProblemError
+        If all points lie outside; the error names the first.
+    """
+    at = as_numbers("points", points).astype(np.float64)
+    if at.ndim != 2 or at.shape[1] != len(shape) or not len(at):
+        return
+    if ((at >= -0.5) & (at <= np.array(shape) - 0.5)).all(axis=1).any():
+        return
+    raise ProblemError(
+        "points",
+        f"lie outside the grid of {grid_in_words(shape)} pixels, the first at "
+        f"{tuple(at[0].tolist())}. Give positions in pixels; Grid.to_pixels(points) converts "
+        "points in mm.",
+    )
 
 
 def interpolate_linearly(

@@ -7,13 +7,17 @@ the package.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 #: Pattern of the names of units in layers. Pint also parses expressions, which can take forever.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
 #: Fraction of a pixel, or of a per cent, below which a value is displayed as 0.
 UNSEEN = 1e-3
+#: Units of spacings whose length is unknown.
+UNKNOWN_UNITS = ("", "pixel")
+#: Largest relative difference of equal spacings, which files round.
+_SAME_SPACING = 1e-4
 
 
 def unit_factor(unit: str, to: str) -> float:
@@ -37,6 +41,33 @@ def unit_factor(unit: str, to: str) -> float:
         return float(_units().Quantity(1, unit).to(to).magnitude)
     except pint.errors.PintError:
         return float("nan")
+
+
+def has_same_spacing(
+    spacing: Sequence[float], unit: str, other: Sequence[float], other_unit: str
+) -> bool:
+    """Return whether pixels have the same size, up to rounding errors of files.
+
+    Parameters
+    ----------
+    spacing, other : sequence of float
+        Sizes of a pixel along each axis.
+    unit, other_unit : str
+        Their units; `UNKNOWN_UNITS` have the size of the other unit.
+
+    Returns
+    -------
+    bool
+        False if the units cannot be converted.
+    """
+    is_known = unit not in UNKNOWN_UNITS and other_unit not in UNKNOWN_UNITS
+    factor = unit_factor(unit, other_unit) if is_known else 1.0
+    if len(spacing) != len(other):
+        return False
+    return all(
+        abs(size * factor / needed - 1) <= _SAME_SPACING
+        for size, needed in zip(spacing, other, strict=True)
+    )
 
 
 def is_unit(unit: str) -> bool:

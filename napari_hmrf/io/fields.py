@@ -13,19 +13,20 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import checked_path, require_kind, shown
+from napari_hmrf.arguments import checked_path, require_flag, require_kind, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.units import unit_factor
+from napari_hmrf.field.units import UNKNOWN_UNITS, has_same_spacing, unit_factor
 from napari_hmrf.field.warp import as_field
 from napari_hmrf.io.itk_files import (
     ItkImage,
@@ -48,7 +49,9 @@ _NOTES, _DESCRIPTION = "ITK_FileNotes", "descrip"
 _NIFTI = (".nii", ".nii.gz")
 #: Format without such metadata: all tools assume that it holds a backward field.
 _NO_METADATA = ".h5"
-#: Relative tolerance within which spacings agree.
+#: Largest distance of corresponding corners of equal grids, in pixels, which files round.
+_SAME_PLACE = 0.05
+#: Largest relative difference of equal spacings, which files round.
 _SAME_SPACING = 1e-4
 #: Largest deviation of a direction matrix from a rotation.
 _ROUNDING = 1e-5
@@ -166,6 +169,7 @@ def write_field(
             "field would be read as a backward one. End the name in .mha, .nrrd or .nii.gz."
         )
     _refuse_ambiguous_name(target, suffix)
+    require_flag("forward", forward)
     require_simpleitk()
     d = as_field(displacement).astype(np.float64)
     n = d.shape[-1]
@@ -346,9 +350,25 @@ def place_of(solution: Solution) -> Place:
 
 
 def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
-    """Return the displacement of a solution in the unit of its place, and the place."""
+    """Return the displacement of a solution in the unit of its place, and the place.
+
+    Raises
+    ------
+    ProblemError
+        As for `place_of`, or if the place contradicts the spacing or the unit of the solution.
+    """
     place, n = place_of(solution), solution.tissue.ndim
-    return solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing), place
+    factors = np.array(place.spacing[-n:]) / solution.spacing
+    is_known = solution.unit not in UNKNOWN_UNITS
+    expected = unit_factor(solution.unit, "millimeter") if is_known else factors[0]
+    if solution.frame and not np.allclose(factors, expected, rtol=_SAME_SPACING, atol=0):
+        raise ProblemError(
+            "displacement",
+            f"has pixels of {grid_in_words(solution.spacing)} {solution.unit}".rstrip()
+            + f", but its place has pixels of {grid_in_words(place.spacing[-n:])} mm. Solve on the "
+            "grid of the image.",
+        )
+    return solution.displacement * factors, place
 
 
 def export_field(
@@ -371,7 +391,8 @@ def export_field(
         because it comes from a `Problem`, or from a study whose grid has no place.
     placed : bool
         If False, a solution without a place is written at the origin, along the axes, with its
-        spacing in mm. Other tools place a picture (.png, .tif) in the same way.
+        spacing converted to mm; an unknown unit counts as 1 mm. Other tools place a picture (.png,
+        .tif) in the same way.
 
     Returns
     -------
@@ -383,7 +404,8 @@ def export_field(
     ArgumentError
         If `solution` is not a Solution, or `grid` is not a Grid.
     ProblemError
-        If the place is unknown, or the format of the file cannot hold it.
+        If the place is unknown, or the format of the file cannot hold it; or if the grid has
+        another shape, spacing or place than the solution.
     HmrfError, OSError
         As for `write_field`.
     """
@@ -393,6 +415,7 @@ def export_field(
             "displacement, spacing=...)."
         )
     require_kind(Solution, "solution", solution, "the result of solve()")
+    require_flag("placed", placed)
     if grid is not None:
         require_kind(Grid, "grid", grid, "Grid.from_image(image)")
     displacement, place = _place_solution(solution, grid, placed)
@@ -422,14 +445,23 @@ def _place_solution(
                 f"is {grid_in_words(grid.shape)}, but the field is "
                 f"{grid_in_words(solution.tissue.shape)}. Give the grid of its image.",
             )
-        if not np.allclose(np.array(grid.spacing) / solution.spacing, 1, rtol=_SAME_SPACING):
+        if not has_same_spacing(solution.spacing, solution.unit, grid.spacing, grid.unit):
+            sizes = f"{grid_in_words(solution.spacing)} {solution.unit}".rstrip()
             raise ProblemError(
                 "grid",
-                f"has pixels of {grid_in_words(grid.spacing)}, but the field has pixels of "
-                f"{grid_in_words(solution.spacing)}. Solve on the grid of the image.",
+                f"has pixels of {grid_in_words(grid.spacing)} {grid.unit}, but the field has "
+                f"pixels of {sizes}. Solve on the grid of the image.",
             )
         if grid.place is not None:
-            solution = replace(solution, frame=grid.place.as_dict())
+            on_grid = replace(solution, frame=grid.place.as_dict())
+            shape = solution.tissue.shape
+            if solution.frame and not _is_at(place_of(solution), place_of(on_grid), shape):
+                raise ProblemError(
+                    "grid",
+                    "lies elsewhere than the field, which has a place. Leave grid out, or solve "
+                    "on this grid.",
+                )
+            solution = on_grid
         elif placed_only and not solution.frame:
             raise ProblemError(
                 "grid",
@@ -443,7 +475,28 @@ def _place_solution(
             "Grid.from_image(image), or give that grid here as grid=. For a picture (.png, .tif), "
             "which has no place, give placed=False to place the field at the origin.",
         )
-    return placed(solution)
+    displacement, place = placed(solution)
+    if solution.frame or solution.unit in UNKNOWN_UNITS:
+        return displacement, place
+    factor = unit_factor(solution.unit, "millimeter")
+    if not np.isfinite(factor):
+        raise ProblemError(
+            "displacement",
+            f"is in {shown(solution.unit)}, which is no unit of length. Give the grid of the study "
+            'a unit of length, such as "mm".',
+        )
+    in_mm = tuple(size * factor for size in place.spacing)
+    return displacement * factor, place._replace(spacing=in_mm)
+
+
+def _is_at(one: Place, other: Place, shape: tuple[int, ...]) -> bool:
+    """Return whether the corners of a grid are at the same points in both places."""
+    n = len(one.spacing)
+    if len(other.spacing) != n:
+        return False
+    corners = np.zeros((2 ** len(shape), n))
+    corners[:, -len(shape) :] = [*product(*((0, size - 1) for size in shape))]
+    return bool(np.abs(one.to_pixels(other.to_space(corners)) - corners).max() <= _SAME_PLACE)
 
 
 def _stated_type(metadata: Mapping[str, str]) -> str:
@@ -470,9 +523,8 @@ def _refuse_ambiguous_name(target: Path, suffix: str) -> None:
 def _lengths(name: str, values: Sequence[float], counts: tuple[int, ...]) -> npt.NDArray[Any]:
     given = as_numbers(name, values).astype(np.float64)
     if given.ndim != 1 or len(given) not in counts or not np.isfinite(given).all():
-        raise ProblemError(
-            name, f"is {shown(values)}. Give {' or '.join(map(str, counts))} lengths."
-        )
+        needed = " or ".join(map(str, sorted({*counts})))
+        raise ProblemError(name, f"is {shown(values)}. Give {needed} lengths.")
     return given
 
 

@@ -18,6 +18,8 @@ from napari_hmrf.study.study import Grid
 
 #: From right, anterior, superior (nibabel's convention) to left, posterior, superior.
 _TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+#: Length in mm of the units of nibabel; unknown ones are millimetres, as in files.
+_MILLIMETRES = {"unknown": 1.0, "mm": 1.0, "meter": 1e3, "micron": 1e-3}
 
 
 def grid_of_image(
@@ -114,12 +116,30 @@ def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
     affine = np.asarray(image.affine, dtype=float)
     if len(shape) > 3 and set(shape[3:]) == {1}:
         shape = shape[:3]
-    if len(shape) != 3 or affine.shape != (4, 4):
+    if len(shape) != 3:
         raise ArgumentError(f"image has shape {shape}. Give a volume of 3 axes.")
+    if affine.shape != (4, 4):
+        raise ArgumentError(
+            f"image has the affine {shown(image.affine)}. Give the image a 4 x 4 affine."
+        )
     steps: npt.NDArray[np.float64] = _TO_LPS @ affine
+    steps[:3] *= _millimetres(image)
     spacing = np.linalg.norm(steps[:3, :3], axis=0)
     if not (np.isfinite(steps).all() and (spacing > 0).all()):
         raise ProblemError("image", "has a singular affine. Give the image an invertible affine.")
     # In a `Place` the first column belongs to the last axis of the array.
     turn = (steps[:3, :3] / spacing)[:, ::-1]
     return shape, Place(tuple(spacing.tolist()), tuple(steps[:3, 3].tolist()), turn)
+
+
+def _millimetres(image: Any) -> float:
+    """Return the length of a unit of a nibabel image's affine, in mm."""
+    # Only headers of NIfTI files state a unit; other formats of nibabel are in millimetres.
+    units = getattr(image.header, "get_xyzt_units", lambda: ("mm",))()
+    if units[0] not in _MILLIMETRES:
+        raise ProblemError(
+            "image",
+            f"has the unit {shown(units[0])} in its header. Set millimetres: "
+            'image.header.set_xyzt_units("mm").',
+        )
+    return _MILLIMETRES[units[0]]

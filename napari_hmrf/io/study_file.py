@@ -21,10 +21,12 @@ from pydantic import TypeAdapter
 from napari_hmrf import array_file
 from napari_hmrf.arguments import require_kind
 from napari_hmrf.array_file import Invalid, Kind
-from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.units import has_same_spacing
 from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import build_problem, solve_study
@@ -97,6 +99,8 @@ def write_study(
     ------
     ArgumentError
         If `study` is not a Study, or `solution` is not a Solution.
+    ProblemError
+        If the solution has another shape, spacing or place than the study.
     OSError
         If the folder is missing or the file cannot be written; the message names the file.
     TypeError, ValueError
@@ -105,6 +109,7 @@ def write_study(
     require_kind(Study, "study", study, "Study(grid, tissue, motion)")
     if solution is not None:
         require_kind(Solution, "solution", solution, "the result of solve_study()")
+        _refuse_other_grid(study.grid, solution)
     target = Path(path)
     if not target.suffix:
         target = target.with_name(target.name + SUFFIX)
@@ -234,6 +239,26 @@ def replay(
     return solve_study(study, stated=build_problem(study), backend=backend, progress=progress)
 
 
+def _refuse_other_grid(grid: Grid, solution: Solution) -> None:
+    """Refuse a solution on another grid than that of the study."""
+    shape, remedy = solution.tissue.shape, "Give the solution of this study."
+    if shape != grid.shape:
+        raise ProblemError(
+            "solution",
+            f"is {grid_in_words(shape)}, but the study is {grid_in_words(grid.shape)}. {remedy}",
+        )
+    if not has_same_spacing(solution.spacing, solution.unit, grid.spacing, grid.unit):
+        raise ProblemError(
+            "solution",
+            f"has pixels of {grid_in_words(solution.spacing)} {solution.unit}".rstrip()
+            + f", but the study has pixels of {grid_in_words(grid.spacing)} {grid.unit}. {remedy}",
+        )
+    if solution.frame and grid.place is not None and solution.frame != grid.place.as_dict():
+        place = Frame.of_solution(solution)
+        if place.ndim != grid.place.ndim or not place.same_place(grid.place, shape):
+            raise ProblemError("solution", f"lies elsewhere than the study. {remedy}")
+
+
 class _Content(NamedTuple):
     """Content of a file: study, field, a flag for an included image, and the image's digest."""
 
@@ -359,9 +384,11 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
             name[count:]: array for name, array in arrays.items() if name.startswith(_OF_SOLUTION)
         }
         solution = SOLUTION_FORMAT.parse(header["solution"], of_solution)
-        if solution.tissue.shape != study.grid.shape:
-            raise Invalid("its study and its field have different sizes")
-        solution = replace(solution, unit=study.grid.unit)
+        try:
+            _refuse_other_grid(study.grid, solution)
+        except ProblemError as error:
+            raise Invalid(f"its {error}") from None
+        solution = replace(solution, unit=solution.unit or study.grid.unit)
     return _Content(study, solution, "image" in arrays, str(pictures["digest"]))
 
 

@@ -66,7 +66,7 @@ def read_landmarks(
     pairs = landmark_pairs(where, should, frame, shape, view)
     wanted = usual_radius(shape, frame.spacing) if radius is None else radius
     radii = pairs.radii(wanted, frame.spacing)
-    with naming(observed=where, confidence=where):
+    with naming(observed=where, confidence=where, drawing=where):
         return tuple(
             Landmark(tuple(a), tuple(b), size, confidence)
             for a, b, size in zip(pairs.at.tolist(), pairs.to.tolist(), radii, strict=True)

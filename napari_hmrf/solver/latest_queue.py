@@ -106,7 +106,7 @@ class LatestQueue:
         """
         with self._changed:
             if self._closed:
-                raise RuntimeError("this queue is closed; make a new one")
+                raise RuntimeError("the live solver is closed. Make a new LiveSolver.")
             self._generation += 1
             turn = Turn(self, self._generation, self.series, patience)
             self._waiting, self._owed = (job, turn), True

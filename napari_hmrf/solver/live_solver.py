@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
+from napari_hmrf.arguments import real, refuse_unless
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.solver.earlier_solutions import EarlierSolutions
 from napari_hmrf.solver.latest_queue import LatestQueue, Turn
@@ -111,6 +112,18 @@ class LiveSolver:
     (32, 32, 2)
     """
 
+    # A misspelt attribute, such as `optimiser`, raises an AttributeError.
+    __slots__ = (
+        "__weakref__",
+        "_deliver",
+        "_earlier",
+        "_progress",
+        "_queue",
+        "backend",
+        "optimizer",
+        "prior",
+    )
+
     def __init__(
         self,
         deliver: Callable[[Update], object],
@@ -155,7 +168,8 @@ class LiveSolver:
             as long as a solve, and with a callable a replaced edit does not take this time.
         preview : bool
             True if a preview may be delivered when the solution takes long. Without a preview, the
-            solution of the first edit after `cancel` is bitwise equal to that of `solve`.
+            solution of the first edit after `cancel` is bitwise equal to that of `solve` with the
+            same optimizer: ``solve(problem, optimizer=live.optimizer)``.
         patience : float, optional
             Time, in seconds, for which the solve of this edit continues while a newer edit waits;
             by default to its end.
@@ -167,9 +181,13 @@ class LiveSolver:
 
         Raises
         ------
+        ArgumentError
+            If `patience` is not a time.
         RuntimeError
             After `close`.
         """
+        right = patience is None or real(patience) >= 0
+        refuse_unless(right, "patience", patience, "a time in seconds, such as 0.2, or None")
         edit = _Edit(problem, self.prior, self.optimizer, self.backend, preview)
         patience = math.inf if patience is None else patience
         return self._queue.submit(partial(self._answer, edit), patience).generation

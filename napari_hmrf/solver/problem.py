@@ -18,6 +18,7 @@ from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
 from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
+from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
 
 #: Largest ratio between two stiffnesses for which single precision is reliable.
 MAX_STIFFNESS_RATIO = 1e7
@@ -231,7 +232,9 @@ def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
     values = reals((spacing,) * ndim if isinstance(spacing, Real) else spacing, ndim)
     if not all(0 < size < math.inf for size in values):
         raise ProblemError(
-            "spacing", f"is {shown(spacing)}. Give {ndim} positive, finite pixel sizes."
+            "spacing",
+            f"is {shown(spacing)}. Give {ndim} positive, finite pixel sizes, in the order of the "
+            "axes.",
         )
     if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
         raise ProblemError(

@@ -10,8 +10,11 @@ from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
-from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.problem import Problem, grid_in_words
 from napari_hmrf.solver.solution import Solution
+
+#: Largest relative difference of equal spacings.
+_SAME_SPACING = 1e-6
 
 
 def reactions(
@@ -57,6 +60,11 @@ def reactions(
     used = solution.provenance.parameters.get("prior", given)
     if used != given:
         raise ArgumentError(f"the solution has the prior {used}. Give that prior, not {given}")
+    if not np.allclose(problem.spacing, solution.spacing, rtol=_SAME_SPACING, atol=0):
+        raise ArgumentError(
+            f"the problem has pixels of {grid_in_words(problem.spacing)}, but the solution has "
+            f"pixels of {grid_in_words(solution.spacing)}. Give the problem that was solved"
+        )
     inputs = solution.provenance.inputs
     if inputs is not problem.digests and dict(inputs) != dict(problem.digests):
         raise ArgumentError(

@@ -17,6 +17,8 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
     """Return a value as an array of real numbers, not copied; raise `ProblemError` otherwise."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
     try:
         array = np.asarray(value)
     except ValueError as error:  # rows of different length
@@ -33,8 +35,6 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
 
 def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
     """Copy `value` to a C-contiguous native float32 array; refuse masked or too large values."""
-    if isinstance(value, np.ma.MaskedArray):
-        raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
     array = as_numbers(field, value)
     if array.dtype.kind == "f" and array.dtype.itemsize > 4 and array.size:
         with np.errstate(invalid="ignore"):
@@ -45,6 +45,27 @@ def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
                 f"reaches {largest:.3g}, beyond single precision ({_LARGEST:.3g}). Rescale it.",
             )
     return np.array(array, dtype=np.float32, order="C", copy=True)
+
+
+def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
+    """Return labels as an array of integers; whole numbers stored as floats are converted.
+
+    Raises
+    ------
+    ProblemError
+        If a label is not a whole number; the error names `field`.
+    """
+    array = as_numbers(field, labels)
+    if array.dtype.kind != "f":
+        return array
+    wrong = ~((array == np.rint(array)) & (np.abs(array) <= np.iinfo(np.int32).max))
+    if wrong.any():
+        first = first_index(wrong)
+        raise ProblemError(
+            field,
+            f"have the value {array[first]:g} at {first}. Give whole numbers, one for each tissue.",
+        )
+    return array.astype(np.int32)
 
 
 def check_finite(field: str, array: FloatArray) -> None:

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
-from napari_hmrf.arguments import is_one_of, refuse_unless
+from napari_hmrf.arguments import is_one_of, refuse_unless, shown
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.elasticity import Elasticity, read_elasticity
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
@@ -109,6 +110,11 @@ class Solution:
     unit : str
         Unit of `spacing` and `displacement`, such as "mm", as in the `Grid` of a study; "" if
         unknown, as for a `Problem`.
+
+    Raises
+    ------
+    ProblemError
+        If the displacement, the tissue and the spacing are not of the same grid.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -124,6 +130,15 @@ class Solution:
     elasticity: Elasticity | None = None
     notes: tuple[str, ...] = ()
     unit: str = ""
+
+    def __post_init__(self) -> None:
+        shape = self.tissue.shape
+        if self.displacement.shape != (*shape, len(shape)) or len(self.spacing) != len(shape):
+            raise ProblemError(
+                "solution",
+                f"has a displacement of shape {self.displacement.shape}, tissue of shape {shape} "
+                f"and the spacing {shown(self.spacing)}. Give all three on the same grid.",
+            )
 
     def __repr__(self) -> str:
         unit = self._unit_in_words
@@ -245,7 +260,8 @@ class Solution:
         Parameters
         ----------
         points : array_like, shape (N, n)
-            Positions before the motion, in pixels, in the order of the axes.
+            Positions before the motion, in pixels, in the order of the axes; `Grid.to_pixels`
+            converts points in mm. Points outside the grid move like the nearest point of its edge.
 
         Returns
         -------
@@ -255,7 +271,7 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points have another number of axes than the field.
+            If the points have another number of axes than the field, or all lie outside the grid.
         """
         moved = self.move(points) - np.asarray(points)
         step: npt.NDArray[np.float64] = moved * np.array(self.spacing)
@@ -267,7 +283,8 @@ class Solution:
         Parameters
         ----------
         points : array_like, shape (N, n)
-            Positions before the motion, in pixels, in the order of the axes.
+            Positions before the motion, in pixels, in the order of the axes; `Grid.to_pixels`
+            converts points in mm. Points outside the grid move like the nearest point of its edge.
 
         Returns
         -------
@@ -277,10 +294,11 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points have another number of axes than the field.
+            If the points have another number of axes than the field, or all lie outside the grid.
         """
-        from napari_hmrf.field.moved_points import moved_points  # above: field
+        from napari_hmrf.field.moved_points import moved_points, refuse_outside  # above: field
 
+        refuse_outside(points, self.tissue.shape)
         return moved_points(points, self.displacement, spacing=self.spacing)
 
     def measure(
@@ -330,8 +348,9 @@ class Solution:
             Grid of the image, as returned by `Grid.from_image`; needed if the solution has no
             place, because it comes from a `Problem`, or from a study whose grid has none.
         placed : bool
-            If False, a solution without a place is written at the origin, along the axes, with a
-            unit of its spacing as 1 mm: the place of a picture (.png, .tif) in other tools.
+            If False, a solution without a place is written at the origin, along the axes, with
+            its spacing converted to mm; an unknown unit counts as 1 mm. This is the place of a
+            picture (.png, .tif) in other tools.
 
         Returns
         -------
@@ -344,7 +363,8 @@ class Solution:
         ArgumentError
             If `grid` is not a Grid.
         ProblemError
-            If the place is unknown, or the file's format cannot hold it.
+            If the place is unknown, or the file's format cannot hold it; or if the grid has
+            another shape, spacing or place than the solution.
         FileFormatError
             If the name has no ending of a field file.
         HmrfError

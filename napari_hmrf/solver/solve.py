@@ -30,7 +30,7 @@ from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
-from napari_hmrf.solver.preparation import loop_watch, prepare, provide_loops
+from napari_hmrf.solver.preparation import loop_watch, loops_are_compiled, prepare, provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
@@ -85,7 +85,9 @@ def solve(
         elsewhere, and logs the choice once. Volumes need compute shaders (OpenGL 4.3), or the
         loops.
     progress : callable, optional
-        Called on the caller's thread with a `Monitor`: a message and the fraction done.
+        Called on the caller's thread with a `Monitor`: a message and the fraction done. Without
+        it, a solve that waits for the compiler, which takes minutes once on a machine, logs a
+        warning.
     cancel : threading.Event or similar, optional
         Flag that cancels the solve once it is set; the call then returns within half a second, even
         while loops are compiled.
@@ -281,9 +283,13 @@ def _solution_of(
     report(Monitor("preparing", 0.0))
     started = time.perf_counter()
     job = SolveJob.of(problem, prior, optimizer)
-    choice = open_backend(
-        job, backend, compute_thread.check_cancelled, lambda: provide_loops(job.loops, report)
-    )
+
+    def provide() -> None:
+        if progress is None and not loops_are_compiled(job.loops):
+            _announce_compilation()
+        provide_loops(job.loops, report)
+
+    choice = open_backend(job, backend, compute_thread.check_cancelled, provide)
     device = choice.backend
     try:
         _announce(choice)
@@ -352,6 +358,15 @@ def _announce(choice: Choice) -> None:
     if message not in _announced:
         _announced.add(message)
         _log.info("solving on %s", message)
+
+
+@cache
+def _announce_compilation() -> None:
+    """Log once per process that a solve waits for the compiler, which takes minutes."""
+    _log.warning(
+        "compiling loops for this processor, once on a machine, which takes two to three minutes; "
+        "solve(..., progress=print) shows the progress"
+    )
 
 
 @cache

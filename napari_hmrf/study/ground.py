@@ -76,6 +76,8 @@ class Statement:
         move.
     labels : ndarray of int, shape ([D,] H, W), optional
         Tissue labels with brush strokes, if strokes changed labels of the tissue's own table.
+    study : Study, optional
+        Study of the problem.
     """
 
     problem: Problem
@@ -83,6 +85,7 @@ class Statement:
     optimizer: Optimizer
     at_rest: npt.NDArray[np.bool_]
     labels: npt.NDArray[np.int32] | None = None
+    study: Study | None = None
 
     def __repr__(self) -> str:
         return f"Statement({self.problem!r}, {self.prior!r}, {self.optimizer!r})"
@@ -195,7 +198,7 @@ class Ground:
         with self.study.naming():
             loads, spacing = self._loads(canvas.labels, m), self.study.grid.spacing
             problem = Problem(canvas.observed, canvas.confidence, m, spacing=spacing, loads=loads)
-        return Statement(problem, prior, self.study.optimizer, at_rest, labels)
+        return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study)
 
     def _loads(self, labels: npt.NDArray[Any], m: FloatArray) -> Loads | None:
         """Return the loads of growth, surface forces and weight."""
@@ -340,7 +343,7 @@ def solve_study(
     Raises
     ------
     ArgumentError
-        If `study` is not a Study, or `stated` is not a Statement.
+        If `study` is not a Study, or `stated` is not a Statement of this study.
     ProblemError
         If a part of the study is invalid, or if there is no displacement, force or growth; the
         error names the part and a remedy.
@@ -355,6 +358,11 @@ def solve_study(
         ground.refuse_motionless(stated)
         notes = (*ground.unused(stated), *ground.notes_on(stated))
     require_kind(Statement, "stated", stated, "build_problem(study)")
+    if stated.study is None or not stated.study.same_as(study):
+        raise ArgumentError(
+            "stated is the problem of another study. Give build_problem(study), or leave stated "
+            "out."
+        )
     solution = solve_statement(study, stated, backend=backend, progress=progress, cancel=cancel)
     # Counting the folds of a volume takes 5 % of the time of its solve; of an image, milliseconds.
     folds = 0 if solution.tissue.ndim == 3 else solution.count_folds()

@@ -19,10 +19,11 @@ from napari_hmrf.arguments import reals, refuse_unless, require_kind, shown, tup
 from napari_hmrf.errors import ArgumentError, ProblemError, naming
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.units import UNKNOWN_UNITS, has_same_spacing
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import Prior
-from napari_hmrf.solver.problem import checked_spacing, grid_in_words
+from napari_hmrf.solver.problem import checked_spacing, grid_in_words, whole_numbers
 from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, is_by_name, parts_of
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
@@ -66,15 +67,19 @@ class Grid:
     spacing : tuple of float
         Size of a pixel along each axis, in `unit`; a single number applies to all axes.
     unit : str
-        Unit of all lengths, such as displacements and radii.
+        Unit of all lengths, such as displacements and radii. Names of one unit are equal: "mm" and
+        "millimeter", which `from_image` gives.
     place : Frame, optional
         Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
-        Files for other tools need it; the displacement does not depend on it.
+        Files for other tools need it; the displacement does not depend on it. A place does not
+        state the number of pixels: a grid of a smaller shape begins at the same first pixel.
 
     Raises
     ------
     ProblemError
-        If the shape or the spacing is invalid, or the place has another number of axes.
+        If the shape or the spacing is invalid, or the place has another number of axes, another
+        spacing or another unit of length. Names of a unit, such as "mm" and "millimeter", are
+        equal.
     ArgumentError
         If the unit is not a string.
     """
@@ -109,6 +114,16 @@ class Grid:
                 "grid",
                 f"has {len(self.shape)} axes, but its place has {len(place.plane)}. Give the place "
                 "of the same slice or volume.",
+            )
+        # The unit of a place is known even if it is the pixel.
+        is_same_kind = (self.unit in UNKNOWN_UNITS) == (place.unit in UNKNOWN_UNITS)
+        sizes = place.spacing
+        if not (is_same_kind and has_same_spacing(self.spacing, self.unit, sizes, place.unit)):
+            raise ProblemError(
+                "grid",
+                f"has pixels of {grid_in_words(self.spacing)} {self.unit}, but its place has "
+                f"pixels of {grid_in_words(sizes)} {place.unit}. Give the spacing and the unit of "
+                "the place, or leave the place out.",
             )
 
     @property
@@ -209,8 +224,8 @@ class Tissue:
     Attributes
     ----------
     labels : ndarray of int, shape ([D,] H, W), optional
-        Labels of the tissues. Each label has a row in `materials`; a label without a row gets a
-        default material.
+        Labels of the tissues; whole numbers stored as floats are converted. Each label has a row in
+        `materials`; a label without a row gets a default material.
     materials : tuple of Material
         Materials of the labels.
     stiffness : ndarray, shape ([D,] H, W), optional
@@ -229,7 +244,7 @@ class Tissue:
     Raises
     ------
     ProblemError
-        If more than one of labels, stiffness and curve is given.
+        If more than one of labels, stiffness and curve is given, or a label is not a whole number.
     ArgumentError
         If a part is of another type.
     """
@@ -298,6 +313,8 @@ class Tissue:
 
     def __post_init__(self) -> None:
         _check_arrays(self, "labels", "stiffness")
+        _take_whole_labels(self)
+        require_kind(str, "unit", self.unit, '"kPa"')
         materials = tuple_of(Material, "materials", self.materials, '(Material(1, "brain", 3.0),)')
         object.__setattr__(self, "materials", materials)
         if self.curve is not None:
@@ -372,6 +389,7 @@ class Motion:
         is_flag = isinstance(self.hold_edge, bool | np.bool_)
         refuse_unless(is_flag, "hold_edge", self.hold_edge, "True or False")
         _check_arrays(self, "labels", "observed", "confidence")
+        _take_whole_labels(self)
         rules = tuple_of(BoundaryRule, "rules", self.rules, '(BoundaryRule(1, "fixed"),)')
         object.__setattr__(self, "rules", rules)
         require_kind(Drawing, "drawing", self.drawing, "Drawing((Arrow(...),))")
@@ -506,17 +524,21 @@ class Study:
         if len(self.motion.weight) not in (0, len(needed)):
             given = f"has a weight of {len(self.motion.weight)} components"
             raise ProblemError("motion", f"{given}. Give {len(needed)}, one along each axis.")
-        for name, part in (
-            ("image", self.pictures.image),
-            ("tissue", self.tissue.labels),
-            ("tissue", self.tissue.stiffness),
-            ("boundary", self.motion.labels),
-            ("boundary", self.motion.observed),
-            ("confidence", self.motion.confidence),
+        n = len(needed)
+        along_axes, colours = (*needed, n), [(*needed, 3), (*needed, 4)]
+        for name, part, shapes in (
+            ("image", self.pictures.image, [needed, *colours]),
+            ("tissue", self.tissue.labels, [needed]),
+            ("tissue", self.tissue.stiffness, [needed]),
+            ("boundary", self.motion.labels, [needed]),
+            ("observed", self.motion.observed, [along_axes]),
+            ("confidence", self.motion.confidence, [needed, along_axes]),
         ):
-            if part is not None and part.shape[: len(needed)] != needed:
+            if part is not None and tuple(part.shape) not in shapes:
                 raise ProblemError(
-                    name, f"has shape {part.shape}, but the grid is {needed}. Give an equal shape."
+                    name,
+                    f"has shape {part.shape}, but the grid is {needed}. Give the shape "
+                    f"{' or '.join(map(str, shapes))}.",
                 )
 
     def _take_model(self, model: str) -> None:
@@ -602,6 +624,7 @@ class Study:
             stiffness=tissue,
             poisson=tissue,
             observed=boundary,
+            drawing=boundary,
             confidence=names.get("confidence") or boundary,
             spacing=names.get("image") or tissue,
             growth=tissue,
@@ -625,6 +648,13 @@ def _check_arrays(part: Tissue | Motion | Pictures, *names: str) -> None:
         value = getattr(part, name)
         is_array = value is None or hasattr(value, "shape")
         refuse_unless(is_array, name, value, "an array, such as np.array(values)")
+
+
+def _take_whole_labels(part: Tissue | Motion) -> None:
+    """Convert whole numbers stored as floats to integers; refuse labels of any other type."""
+    labels = part.labels
+    if labels is not None and np.dtype(labels.dtype).kind not in "biu":
+        object.__setattr__(part, "labels", whole_numbers("labels", labels))
 
 
 def _listed(parts: Iterable[str]) -> str:

@@ -67,7 +67,10 @@ class Material:
     Raises
     ------
     ProblemError
-        If the stiffness is below 0, or a string.
+        If the stiffness is below 0, NaN or a string; if the Poisson's ratio of tissue is out of
+        range; or if the growth is not a number.
+    ArgumentError
+        If the label is not a whole number.
     """
 
     label: int
@@ -78,8 +81,17 @@ class Material:
 
     def __post_init__(self) -> None:
         stiffness: Any = self.stiffness
-        if real(stiffness) < 0 or isinstance(stiffness, str):
+        if not real(stiffness) >= 0:
             raise _wrong_stiffness(self)
+        refuse_unless(is_whole(self.label), "label", self.label, "a whole number, such as 1")
+        if not all(math.isfinite(real(part)) for part in np.atleast_1d(self.growth).tolist()):
+            raise ProblemError(
+                "growth",
+                f"gives {quoted(self)} a growth of {shown(self.growth)}. Give a number, such as "
+                "0.2 for 20 %, or one along each axis.",
+            )
+        if self.is_deformable and not _has_poisson(self):
+            raise _wrong_poisson(self)
 
     @property
     def is_rigid(self) -> bool:
@@ -231,15 +243,10 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     """
     image, present, table = _read("stiffness", "materials", Material, labels, materials)
     rows = [table[int(label)] for label in present]
-    low, high = POISSON_RANGE
     tissues = [material for material in rows if material.is_deformable]
     for material in tissues:
-        if not low <= real(material.poisson) <= high:
-            raise ProblemError(
-                "stiffness",
-                f"gives {quoted(material)} a Poisson's ratio of {shown(material.poisson)}. Give a "
-                f"number from {low:g} to {high:g}.",
-            )
+        if not _has_poisson(material):
+            raise _wrong_poisson(material)
     if len({material.poisson for material in tissues}) <= 1:
         return float(tissues[0].poisson) if tissues else USUAL_POISSON
     values = [material.poisson if material.is_deformable else 0.0 for material in rows]
@@ -374,6 +381,22 @@ def _wrong_stiffness(material: Material) -> ProblemError:
         f"gives {quoted(material)} a stiffness of {shown(material.stiffness)}. Give a number above "
         f"0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or infinity for a rigid "
         "body (`RIGID`).",
+    )
+
+
+def _has_poisson(material: Material) -> bool:
+    """Return whether the Poisson's ratio of a material is in range."""
+    low, high = POISSON_RANGE
+    return low <= real(material.poisson) <= high
+
+
+def _wrong_poisson(material: Material) -> ProblemError:
+    """Return the error for an invalid Poisson's ratio."""
+    low, high = POISSON_RANGE
+    return ProblemError(
+        "stiffness",
+        f"gives {quoted(material)} a Poisson's ratio of {shown(material.poisson)}. Give a "
+        f"number from {low:g} to {high:g}.",
     )
 
 

@@ -174,9 +174,14 @@ def test_void_is_not_dragged_along_whatever_its_displacement_says():
     np.testing.assert_array_equal(moved(Warper(image, spacing=(1, 1)), d, tissue)[0], image)
 
 
-def test_it_belongs_to_the_compute_thread():
-    with pytest.raises(RuntimeError, match="compute thread only; call warp"):
-        Warper(image_of("uint8"), spacing=(1, 1))(rough_field(0, 1.0))
+def test_any_thread_may_warp_pictures():
+    image, d = image_of("uint8"), rough_field(0, 1.0)
+    (found,) = Warper(image, spacing=(1, 1))(d)
+    np.testing.assert_array_equal(found, warp(image, d, spacing=1))
+    volume = np.random.default_rng(1).random((6, 7, 8))
+    motion = np.full((6, 7, 8, 3), 0.5, np.float32)
+    (plane,) = Warper(volume, spacing=(1, 1, 1)).slice(3, motion)
+    np.testing.assert_allclose(plane, warp(volume, motion, spacing=1)[3], atol=1e-6)
 
 
 @pytest.mark.parametrize(

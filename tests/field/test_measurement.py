@@ -209,3 +209,23 @@ def test_a_film_is_one_for_all_that_play_films(solved, tmp_path):
     path = write_movie(tmp_path / "a.mp4", solution, study.pictures.image, frames=4)
     assert b"ftyp" in path.read_bytes()[:12]
     assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 6, "there and back"
+
+
+def test_labels_may_be_whole_numbers_stored_as_floats():
+    solution, labels = stretched(), np.ones(SHAPE)
+    (found,) = measure(solution, labels, names={1.0: "muscle"})
+    assert (found.label, found.name) == (1, "muscle")
+    with pytest.raises(ProblemError, match=r"labels: have the value 1\.5 at \(0, 7\)"):
+        measure(solution, np.where(np.indices(SHAPE).sum(axis=0) == 7, 1.5, labels))
+
+
+@pytest.mark.parametrize(
+    ("labels", "names", "said"),
+    [
+        (np.ones(SHAPE, int), {"1": "muscle"}, "names must be a mapping of labels to names"),
+        (1, None, "labels must be an array of the labels of all pixels, not 1"),
+    ],
+)
+def test_names_by_other_keys_and_labels_that_are_no_image_are_refused(labels, names, said):
+    with pytest.raises(ArgumentError, match=said):
+        measure(stretched(), labels, names=names)

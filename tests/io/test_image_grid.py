@@ -1,5 +1,6 @@
 """Studies made in Python lie where their images do, and so do their fields in files."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,8 @@ from napari_hmrf import (
     Motion,
     Problem,
     ProblemError,
+    Provenance,
+    Solution,
     Study,
     Tissue,
     read_study,
@@ -23,7 +26,7 @@ from napari_hmrf import (
     write_study,
 )
 from napari_hmrf.cli import main
-from napari_hmrf.fields import Frame
+from napari_hmrf.fields import Frame, read_field
 from napari_hmrf.io.fields import export_field
 from napari_hmrf.io.images import read_image
 
@@ -53,7 +56,7 @@ def scan():
     return image
 
 
-def nibabel_of(image):
+def nibabel_of(image, unit="mm"):
     """The same image as nibabel has it: x, y, z, in millimetres towards right, anterior, superior.
 
     nibabel is not installed for tests, so this has what of its images is used.
@@ -65,7 +68,7 @@ def nibabel_of(image):
     return SimpleNamespace(
         affine=np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine,
         dataobj=sitk.GetArrayFromImage(image).transpose(2, 1, 0),
-        header=SimpleNamespace(get_zooms=image.GetSpacing),
+        header=SimpleNamespace(get_xyzt_units=lambda: (unit, "sec")),
     )
 
 
@@ -229,3 +232,108 @@ def test_a_place_is_one_of_its_grid():
         Grid((3, 4, 5), (1.0, 1.0, 1.0), place=flat)
     with pytest.raises(ProblemError, match="of type str"):
         Grid((3, 4), (1.0, 1.0), place="here")
+
+
+@pytest.mark.parametrize(
+    ("unit", "millimetres"), [("mm", 1), ("unknown", 1), ("meter", 1000), ("micron", 0.001)]
+)
+def test_the_unit_of_a_nibabel_header_is_converted_to_millimetres(unit, millimetres):
+    expected = Grid.from_image(nibabel_of(scan()))
+    given = nibabel_of(scan(), unit)
+    given.affine[:3] /= millimetres
+    grid = Grid.from_image(given)
+    assert grid.unit == "millimeter"
+    np.testing.assert_allclose(grid.spacing, expected.spacing)
+    np.testing.assert_allclose(grid.place.matrix, expected.place.matrix)
+
+
+def test_an_unknown_unit_of_a_nibabel_header_is_refused():
+    with pytest.raises(ProblemError, match=r"has the unit 'inch'.*set_xyzt_units"):
+        Grid.from_image(nibabel_of(scan(), "inch"))
+
+
+def placed_field(place=None, unit="", spacing=SPACING):
+    """A field without motion, at a place or without one."""
+    shape = SHAPE
+    return Solution(
+        displacement=np.zeros((*shape, 3), np.float32),
+        energy=np.zeros(1),
+        levels=(),
+        tissue=np.ones(shape, bool),
+        spacing=spacing,
+        provenance=Provenance("cpu", ""),
+        frame=None if place is None else place.as_dict(),
+        unit=unit,
+    )
+
+
+def moved_scan():
+    image = scan()
+    image.SetOrigin((-20.0, 35.0, 27.0))
+    return image
+
+
+def test_a_field_keeps_its_own_place_when_it_is_exported(tmp_path):
+    here, elsewhere = Grid.from_image(scan()), Grid.from_image(moved_scan())
+    solution = placed_field(here.place, "mm")
+    solution.export(tmp_path / "a.mha", grid=here)
+    with pytest.raises(ProblemError, match="lies elsewhere than the field"):
+        solution.export(tmp_path / "b.mha", grid=elsewhere)
+    assert not (tmp_path / "b.mha").exists()
+
+
+@pytest.mark.parametrize("unit", ["mm", "millimeter", "", "pixel", "um"])
+def test_a_field_of_the_same_spacing_is_exported_on_a_grid(unit, tmp_path):
+    sizes = tuple(1000 * size for size in SPACING) if unit == "um" else SPACING
+    solution = placed_field(unit=unit, spacing=sizes)
+    solution.export(tmp_path / "a.mha", grid=Grid.from_image(scan()))
+    np.testing.assert_allclose(sitk.ReadImage(str(tmp_path / "a.mha")).GetSpacing(), SPACING[::-1])
+
+
+@pytest.mark.parametrize("unit", ["um", "cm", "m", "furlong", "second", "apple"])
+def test_a_field_in_another_unit_than_its_grid_is_not_exported(unit, tmp_path):
+    with pytest.raises(ProblemError, match=f"the field has pixels of 2 x 1 x 1.5 {unit}"):
+        placed_field(unit=unit).export(tmp_path / "a.mha", grid=Grid.from_image(scan()))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("um", 1e-3), ("cm", 10), ("", 1), ("pixel", 1)])
+def test_a_field_at_the_origin_is_written_in_millimetres(unit, factor, tmp_path):
+    solution = placed_field(unit=unit)
+    solution = replace(solution, displacement=solution.displacement + np.float32(0.5))
+    solution.export(tmp_path / "a.mha", placed=False, forward=True)
+    field = read_field(tmp_path / "a.mha")
+    np.testing.assert_allclose(field.spacing, np.array(SPACING) * factor)
+    np.testing.assert_allclose(field.displacement[4, 5, 5], 0.5 * factor, rtol=1e-6)
+
+
+def test_a_field_in_no_unit_of_length_is_not_exported(tmp_path):
+    with pytest.raises(ProblemError, match="'second', which is no unit of length"):
+        placed_field(unit="second").export(tmp_path / "a.mha", placed=False)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"spacing": (1.0, 1.0, 1.0)}, r"has pixels of 1 x 1 x 1 mm, but its place has"),
+        ({"spacing": (4.0, 2.0, 3.0)}, r"has pixels of 4 x 2 x 3 mm, but its place has"),
+        ({"unit": "um"}, r"has pixels of 2 x 1 x 1\.5 um, but its place has pixels of .* mm"),
+    ],
+)
+def test_a_field_whose_place_contradicts_its_spacing_is_not_exported(change, said, tmp_path):
+    solution = replace(placed_field(Grid.from_image(scan()).place, "mm"), **change)
+    with pytest.raises(ProblemError, match=said):
+        solution.export(tmp_path / "a.mha")
+
+
+@pytest.mark.parametrize("name", ["forward", "placed"])
+def test_words_are_no_flags_of_an_export(name, tmp_path):
+    solution = placed_field(Grid.from_image(scan()).place, "mm")
+    with pytest.raises(ArgumentError, match=f"{name} must be True or False, not 'no'"):
+        solution.export(tmp_path / "a.mha", **{name: "no"})
+
+
+def test_a_nibabel_image_without_an_affine_is_refused():
+    given = nibabel_of(scan())
+    given.affine = None
+    with pytest.raises(ArgumentError, match=r"has the affine None\. Give the image a 4 x 4"):
+        Grid.from_image(given)

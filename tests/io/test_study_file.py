@@ -30,6 +30,7 @@ from napari_hmrf import (
     Motion,
     Multigrid,
     Pictures,
+    ProblemError,
     SeilerPrior,
     Solution,
     Stroke,
@@ -335,3 +336,38 @@ def test_devices_and_pipes_are_no_studies_and_no_tables(tmp_path):
         endless.symlink_to("/dev/zero")
         with pytest.raises(FileFormatError, match="too large"):
             load(endless)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"spacing": (1.0, 1.0)}, r"has pixels of 1 x 1 millimeter.*Give the solution of this"),
+        ({"unit": "um"}, r"has pixels of 0\.5 x 0\.8 um, but the study has"),
+        (
+            {"frame": Frame.at((0.5, 0.8), ("mm",) * 2, affine=np.diag([1, -1, 1])).as_dict()},
+            "else",
+        ),
+        (
+            {"tissue": np.ones((20, 25), bool), "displacement": np.zeros((20, 25, 2))},
+            "is 20 x 25, but the study is 20 x 24",
+        ),
+    ],
+)
+def test_the_field_of_another_grid_is_not_saved_with_a_study(change, said, tmp_path):
+    study = by_labels()
+    solution = solve_study(study, backend="cpu")
+    with pytest.raises(ProblemError, match=said):
+        write_study(tmp_path / "case", study, dataclasses.replace(solution, **change))
+    assert not (tmp_path / "case.study").exists()
+
+
+def test_a_saved_field_keeps_its_unit(tmp_path):
+    study = by_labels()
+    solution = solve_study(study, backend="cpu")
+    in_micrometres = dataclasses.replace(
+        solution, spacing=(500.0, 800.0), displacement=1000 * solution.displacement, unit="um"
+    )
+    saved = read_study(write_study(tmp_path / "case", study, in_micrometres)).solution
+    assert (saved.spacing, saved.unit) == ((500.0, 800.0), "um")
+    unknown = dataclasses.replace(solution, unit="")  # as of earlier versions
+    assert read_study(write_study(tmp_path / "case", study, unknown)).solution.unit == "millimeter"

@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
+from napari_hmrf import (
+    ICM,
+    ArgumentError,
+    ElasticPrior,
+    Multigrid,
+    Problem,
+    ProblemError,
+    SeilerPrior,
+    solve,
+)
 from napari_hmrf.solver import live_solver as live_module
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver
@@ -337,3 +346,21 @@ def test_what_is_being_done_is_said(updates):
         live.submit(pulled_problem())
         assert live.wait(LONG)
     assert said[0].message.startswith("preparing")
+
+
+@pytest.mark.parametrize("name", ["optimiser", "piror"])
+def test_a_misspelt_attribute_is_refused(live, name):
+    with pytest.raises(AttributeError, match=name):
+        setattr(live, name, None)
+
+
+@pytest.mark.parametrize("patience", ["a", -1, float("nan"), (1,)])
+def test_patience_is_a_time(live, patience):
+    with pytest.raises(ArgumentError, match="patience must be a time in seconds"):
+        live.submit(pulled_problem(), patience=patience)
+
+
+def test_a_closed_live_solver_names_itself(live):
+    live.close()
+    with pytest.raises(RuntimeError, match=r"the live solver is closed\. Make a new Live"):
+        live.submit(pulled_problem())

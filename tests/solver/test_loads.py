@@ -551,3 +551,10 @@ def test_forces_need_the_size_of_a_pixel(make):
     even, both = make(m, **arguments, spacing=0.5), make(m, **arguments, spacing=(0.5, 0.5))
     assert even.same_as(both)
     assert not even.same_as(make(m, **arguments, spacing=1))
+
+
+def test_reactions_to_a_field_of_another_spacing_are_refused():
+    oblong = held(np.ones((6, 6)), -1, growth(0.1 * np.ones((6, 6))), (0.5, 0.8))
+    square = held(np.ones((6, 6)), -1, growth(0.1 * np.ones((6, 6))), (1.0, 1.0))
+    with pytest.raises(ArgumentError, match=r"has pixels of 1 x 1, but .* pixels of 0\.5 x 0\.8"):
+        reactions(square, solve(oblong, backend="cpu"))

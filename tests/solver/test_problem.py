@@ -173,6 +173,9 @@ def test_images_in_another_order_are_told_the_right_one():
         None,
         (1e-200, 1),
         (1e200, 1),
+        {0.5, 0.8},
+        frozenset({0.5, 0.8}),
+        {0.5: "row", 0.8: "col"},
     ],
 )
 def test_a_pixel_has_a_size(spacing):

@@ -170,3 +170,34 @@ def test_the_field_of_a_study_has_the_unit_of_its_grid(tmp_path):
     solution = solve_study(study, backend="cpu")
     path = write_study(tmp_path / "a.study", study, replace(solution, unit=""))
     assert solution.unit == read_study(path).solution.unit == "mm"
+
+
+@pytest.mark.parametrize("method", [Solution.at, Solution.move])
+def test_points_of_which_all_lie_outside_the_grid_are_refused(solution, method):
+    points = np.array([(4.0, 60.0), (20.0, 12.0), (-0.6, 1)])
+    with pytest.raises(ProblemError, match=r"outside the grid of 20 x 24 pixels.*Grid\.to_pixels"):
+        method(solution, points)
+    some = method(solution, [*points, (19.4, -0.4)])
+    assert some.shape == (4, 2)
+    assert np.isfinite(some).all()
+    assert method(solution, np.zeros((0, 2))).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"displacement": np.zeros((19, 24, 2), np.float32)},
+        {"displacement": np.zeros((20, 24, 3), np.float32)},
+        {"tissue": np.ones((20, 25), bool)},
+        {"spacing": (1.0, 1.0, 1.0)},
+    ],
+)
+def test_the_parts_of_a_solution_are_on_one_grid(solution, change):
+    with pytest.raises(ProblemError, match="Give all three on the same grid"):
+        replace(solution, **change)
+
+
+def test_masked_images_are_not_warped(solution):
+    masked = np.ma.masked_less(np.random.default_rng(1).random((20, 24)), 0.5)
+    with pytest.raises(ProblemError, match="image: is a masked array, whose mask would be lost"):
+        solution.warp(masked)

@@ -1,5 +1,6 @@
 """One way in, off the caller's thread, that can be watched and stopped at any time."""
 
+import importlib
 import json
 import subprocess
 import sys
@@ -271,3 +272,17 @@ def test_a_solution_is_told_in_a_line_without_its_arrays():
     assert " on cpu, within " in said
     assert len(said) < 150
     assert "array" not in said
+
+
+@pytest.mark.parametrize(("progress", "count"), [(None, 1), (lambda monitor: None, 0)])
+def test_the_wait_for_the_compiler_is_logged_once_without_progress(
+    progress, count, caplog, monkeypatch
+):
+    module = importlib.import_module("napari_hmrf.solver.solve")
+    monkeypatch.setattr(module, "loops_are_compiled", lambda job: False)
+    monkeypatch.setattr(module, "provide_loops", lambda *_: None)
+    module._announce_compilation.cache_clear()
+    for _ in range(2):
+        solve(frame_problem((12, 12)), backend="cpu", progress=progress)
+    messages = [text for text in caplog.messages if "compiling loops for this processor" in text]
+    assert len(messages) == count

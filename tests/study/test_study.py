@@ -27,6 +27,7 @@ from napari_hmrf import (
     solve,
     solve_study,
 )
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue import StiffnessCurve
 from napari_hmrf.tissue.material_presets import PRESETS
@@ -158,6 +159,20 @@ def test_what_is_painted_as_another_tissue_is_so_many_times_as_stiff():
     [
         (lambda: pulled(tissue=Tissue(stiffness=np.ones((4, 4)))), r"tissue.*\(4, 4\).*\(20, 26\)"),
         (lambda: pulled(pictures=Pictures(np.ones((20, 25)))), r"image.*\(20, 25\)"),
+        (
+            lambda: pulled(tissue=Tissue(stiffness=np.ones((*SHAPE, 3)))),
+            r"tissue: has shape \(20, 26, 3\), but .* Give the shape \(20, 26\)\.",
+        ),
+        (
+            lambda: pulled(motion=Motion(observed=np.zeros(SHAPE), confidence=np.ones(SHAPE))),
+            r"observed: has shape \(20, 26\), but .* Give the shape \(20, 26, 2\)\.",
+        ),
+        (
+            lambda: Tissue(labels=np.full(SHAPE, 1.5)),
+            r"labels: have the value 1\.5 at \(0, 0\)\. Give whole",
+        ),
+        (lambda: Tissue(labels=np.full(SHAPE, "brain")), "labels: has values of type <U5"),
+        (lambda: Motion(labels=np.full(SHAPE, np.nan)), "labels: have the value nan"),
         (lambda: Motion(observed=np.zeros((*SHAPE, 2))), "its confidence"),
         (
             lambda: Tissue(labels=np.ones(SHAPE), stiffness=np.ones(SHAPE)),
@@ -215,3 +230,69 @@ def test_each_part_says_in_one_line_what_it_is():
     assert repr(study.pictures) == "Pictures(image 'CT' uint8, labels 'organs')"
     assert repr(study.grid) == "Grid(40 x 50 sites of 0.5 x 0.5 mm)"
     assert repr(Motion()) == "Motion(none)"
+
+
+PLACE = Frame.at((0.5, 0.8), ("millimeter",) * 2)
+
+
+@pytest.mark.parametrize(
+    ("spacing", "unit", "place"),
+    [
+        ((5.0, 8.0), "mm", PLACE),
+        ((1.0, 1.0), "mm", PLACE),
+        ((0.8, 0.5), "mm", PLACE),
+        ((0.5, 0.8), "um", PLACE),
+        ((0.5, 0.8), "pixel", PLACE),
+        ((0.5, 0.8), "second", PLACE),
+        ((0.5, 0.8), "mm", Frame.at((0.5, 0.8), ("pixel",) * 2)),
+        ((0.5, 0.8), "mm", Frame.at((2.0, 0.5, 0.8), ("mm",) * 3, volume=True).plane_at(1, 3)),
+    ],
+)
+def test_a_place_of_another_spacing_or_unit_is_refused(spacing, unit, place):
+    with pytest.raises(ProblemError, match=rf"has pixels of .* {unit}, but its place has pixels"):
+        Grid(SHAPE, spacing, unit, place)
+
+
+@pytest.mark.parametrize(
+    ("spacing", "unit"),
+    [
+        ((0.5, 0.8), "mm"),
+        ((0.5, 0.8), "millimeter"),
+        ((500, 800), "um"),
+        ((0.05, 0.08), "cm"),
+        ((0.50000003, 0.79999998), "mm"),
+    ],
+)
+def test_a_place_of_the_same_spacing_is_accepted(spacing, unit):
+    assert Grid(SHAPE, spacing, unit, PLACE).place == PLACE
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        Grid(SHAPE, (1, 1), "mm"),
+        Grid(SHAPE, GRID.spacing, "um"),
+        Grid(SHAPE, GRID.spacing, "mm", PLACE),
+        Grid((21, 26), GRID.spacing, "mm"),
+    ],
+)
+def test_the_problem_of_another_study_is_refused(grid):
+    other = Study(grid, Tissue(stiffness=np.ones(grid.shape)), pulled().motion)
+    with pytest.raises(ArgumentError, match=r"another study. Give build_problem\(study\)"):
+        solve_study(other, stated=build_problem(pulled()))
+
+
+def test_labels_may_be_whole_numbers_stored_as_floats():
+    labels = np.ones(SHAPE, int)
+    labels[5:9] = 2
+    rows = Material(1, "brain", 1.0), Material(2, "tumour", 4.0)
+    found, expected = (
+        build_problem(pulled(tissue=Tissue(labels=each, materials=rows))).problem.stiffness
+        for each in (labels.astype(float), labels)
+    )
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_the_unit_of_a_tissue_is_a_string():
+    with pytest.raises(ArgumentError, match="unit must be a str, such as"):
+        Tissue(unit=3)

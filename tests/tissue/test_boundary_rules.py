@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
@@ -310,3 +310,24 @@ def test_each_pixel_gets_the_stiffness_of_its_label(image):
 def test_labels_without_a_row_are_listed(image):
     labels = sorted({int(label) for label in image.flat})
     assert unlisted(image, [Material(label, "", 1) for label in labels[1:]]) == labels[:1]
+
+
+@pytest.mark.parametrize(
+    ("values", "error", "said"),
+    [
+        ({"stiffness": np.nan}, ProblemError, r"gives label 1 \(brain\) a stiffness of nan"),
+        ({"poisson": 0.6}, ProblemError, r"a Poisson's ratio of 0\.6. Give a number from 0 to"),
+        ({"growth": "20%"}, ProblemError, r"a growth of '20%'. Give a number, such as 0\.2 for 20"),
+        ({"growth": (0.1, np.nan)}, ProblemError, r"a growth of \(0\.1, nan\)"),
+        ({"label": "brain"}, ArgumentError, "label must be a whole number, such as 1, not 'brain'"),
+        ({"label": 1.5}, ArgumentError, "label must be a whole number"),
+    ],
+)
+def test_a_wrong_material_is_refused_when_it_is_made(values, error, said):
+    with pytest.raises(error, match=said):
+        Material(**{"label": 1, "name": "brain", "stiffness": 1.0, **values})
+
+
+def test_void_and_rigid_materials_need_no_poisson_ratio():
+    assert Material(0, "air", 0.0, poisson=0.5).poisson == 0.5
+    assert Material(1, "bone", np.inf, poisson=0.5).is_rigid

@@ -282,7 +282,7 @@ def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wai
 
 
 def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):
-    grid = Grid(SHAPE, (1.0, 1.0), place=Frame.at((1.0, 1.0), ("mm", "mm")))
+    grid = Grid(SHAPE, (1.0, 1.0), "mm", Frame.at((1.0, 1.0), ("mm", "mm")))
     path = write_study(tmp_path / "case", Study(grid, pictures=Pictures(np.ones(SHAPE))))
     with np.load(path) as parts:
         header = json.loads(str(parts["header"]))

@@ -59,7 +59,7 @@ def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
 
 _LARGEST = sys.float_info.max
 _SHARE = (_number(0, 1), "a value from 0 to 1")
-_PLACE = (_place, "(row, col), or (plane, row, col) of a volume")
+_PLACE = (_place, "finite numbers: (row, col), or (plane, row, col) of a volume")
 #: For each field: conversion to a plain value, or to None if it is invalid, and the remedy.
 _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "at": _PLACE,
@@ -82,8 +82,7 @@ def _checked(name: str, value: Any) -> Any:
     make_plain, give = _VALUES[name]
     plain = make_plain(value)
     if plain is None:
-        field = "confidence" if name in ("confidence", "softness") else "observed"
-        raise ProblemError(field, f"has a mark with {name} {shown(value)}. Give {give}.")
+        raise ProblemError("drawing", f"has a mark with {name} {shown(value)}. Give {give}.")
     return plain
 
 
@@ -98,10 +97,10 @@ class _Checked:
         for name, value in vars(self).items():
             object.__setattr__(self, name, _checked(name, value))
         if not (self.confidence or self._may_doubt):
-            raise ProblemError("confidence", "has a mark with a confidence of 0. Remove the mark.")
+            raise ProblemError("drawing", "has a mark with a confidence of 0. Remove the mark.")
         if len({len(place) for place in self._places}) > 1:
             raise ProblemError(
-                "observed",
+                "drawing",
                 "has a mark with positions of two and of three axes. Give (row, col) in an image, "
                 "(plane, row, col) in a volume.",
             )
