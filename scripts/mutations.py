@@ -185,7 +185,7 @@ MUTATIONS = (
         "study/drag_preview.py",
         "Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)",
         "Preview(CoarseGrid(1), *plane)",
-        "ui/test_volume_window.py",
+        "study/test_drag_preview.py",
     ),
     Mutation(
         "layers/viewer_undo.py",
@@ -273,7 +273,7 @@ MUTATIONS = (
         "field/frame.py",
         "placed[:, 0] = self.index",
         "placed[:, 1] = self.index",
-        "layers/test_layers_outputs.py",
+        "field/test_frame.py",
     ),
     Mutation(
         "field/landmark_pairs.py",
@@ -324,7 +324,7 @@ MUTATIONS = (
         "Motion(answer.solution, overlay=picture).at(0).overlay",
         "ui/result/test_result_view.py",
     ),
-    Mutation("ui/messages.py", "HANDFUL = 5", "HANDFUL = 50", "ui/test_soft_tissue.py"),
+    Mutation("ui/messages.py", "HANDFUL = 5", "HANDFUL = 50", "ui/test_messages.py"),
     Mutation(
         "ui/footer.py", "LARGEST = 1200 * 1200", "LARGEST = 120 * 120", "ui/test_live_mode.py"
     ),

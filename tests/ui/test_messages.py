@@ -1,0 +1,11 @@
+"""Messages about a result."""
+
+import pytest
+
+from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.ui.messages import marks_of
+
+
+@pytest.mark.parametrize(("folds", "marks"), [(0, {}), (5, {}), (6, {"folds": 6})])
+def test_a_handful_of_folded_pixels_is_rounding_and_more_are_a_warning(folds, marks):
+    assert marks_of(Outputs(None, {}, folds)) == marks
