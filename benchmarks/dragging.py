@@ -26,11 +26,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 SIZES = (300, 600, 1200)
 WAYS = ("solver", "window")
@@ -223,14 +224,22 @@ def compare(
             for one, two in zip(*told, strict=True)
         ]
         parts = ("median", "95 %", "time of the hand's thread", "time of all threads")
-        lines.append(f"    this / other, median of {turns} turns (least to most):")
+        lines.append(f"    this / other, median of {turns} turns (95 % interval; least to most):")
         lines += [
-            f"      {part:30}{np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
+            f"      {part:30}{_ratio(ratios)}"
             for part, ratios in zip(parts, zip(*pairs, strict=True), strict=True)
         ]
     for name, counted in zip(names, counts, strict=False):
         lines += _counted(name, counted)
     return "\n".join(lines)
+
+
+def _ratio(ratios: Sequence[float]) -> str:
+    """Return the median of ratios, its 95 % interval by the bootstrap, and their range."""
+    middle = np.median(ratios)
+    interval = stats.bootstrap((ratios,), np.median, method="percentile", random_state=0)
+    low, high = interval.confidence_interval
+    return f"{middle:.2f} ({low:.2f} to {high:.2f}; {min(ratios):.2f} to {max(ratios):.2f})"
 
 
 def _figures(turn: Turn) -> list[float]:
