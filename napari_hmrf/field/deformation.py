@@ -295,7 +295,7 @@ def arrows_in_slices(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Pick arrows of a volume for display in slices, about `about` in the fullest slice.
+    """Pick arrows of a volume for display in slices; the fullest slice gets `about` arrows or so.
 
     The arrows lie on a lattice without rows along any slice: x + s y + s^2 z = 0 modulo the number
     of voxels per arrow, with s near the golden section of that number. Very short arrows are

@@ -123,7 +123,7 @@ class Frame:
 
     @property
     def others(self) -> tuple[int, ...]:
-        """Axes of the layer across the slice."""
+        """Axes of the layer that are perpendicular to the slice."""
         return tuple(axis for axis in range(self.ndim) if axis not in self.plane)
 
     @property
@@ -494,7 +494,7 @@ def _ordered(picture: npt.NDArray[Any], axes: npt.NDArray[np.intp]) -> npt.NDArr
 
 
 def as_tuples(values: Any) -> Any:
-    """Return an array as nested tuples of float; napari has shears of one or two axes."""
+    """Return an array of any dimension as nested tuples of float."""
     return tuple(map(as_tuples, values)) if np.ndim(values) else float(values)
 
 

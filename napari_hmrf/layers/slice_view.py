@@ -171,7 +171,7 @@ def _axes_of(layer: Any, view: View | None) -> tuple[int, ...]:
 def _index_on(
     layer: Any, matrix: npt.NDArray[np.float64], plane: tuple[int, ...], view: View | None
 ) -> tuple[int, ...]:
-    """Return the index of the visible slice along the other axes of a layer; 0 along `plane`."""
+    """Return the index of the visible slice along the axes of a layer; 0 along those of `plane`."""
     ndim = int(layer.ndim)
     index, others = [0] * ndim, [axis for axis in range(ndim) if axis not in plane]
     if view is None or not others:

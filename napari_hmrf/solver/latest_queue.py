@@ -63,7 +63,7 @@ Job = Callable[[Turn], object]
 
 
 class LatestQueue:
-    """Queue of the compute thread in which a newer job replaces the one that waits.
+    """Queue of the compute thread in which the latest job replaces the pending job.
 
     All methods may be called from any thread, and all but `wait` return at once. The queues of a
     process share the compute thread and take turns after each job.
@@ -90,7 +90,7 @@ class LatestQueue:
         self._is_held = self._closed = False
 
     def submit(self, job: Job, patience: float = math.inf) -> Turn:
-        """Submit a job, which replaces the one that waits.
+        """Submit a job, which replaces the pending job.
 
         Parameters
         ----------

@@ -54,7 +54,7 @@ class HeldTissue(NamedTuple):
     strength: float = 0.0
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
-        """Return whether other constraints hold the tissue, too: more of them never free tissue.
+        """Return whether the tissue is also held under other constraints, which may be more.
 
         Parameters
         ----------

@@ -128,7 +128,7 @@ class Grid:
 
     @property
     def known_place(self) -> Frame:
-        """Place of a grid that must have one, such as every grid read from layers."""
+        """Place of the grid, for a grid that always has a place, such as one read from layers."""
         assert self.place is not None
         return self.place
 

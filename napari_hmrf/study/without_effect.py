@@ -31,7 +31,7 @@ def asks_motion(problem: Problem) -> bool:
 def marks_without_effect(
     drawing: Drawing, tissue: npt.NDArray[np.bool_], spacing: Sequence[float]
 ) -> Iterator[str]:
-    """Yield a clause for each kind of marks that are outside the image or off tissue.
+    """Yield a clause for each kind of mark with marks outside the image or off tissue.
 
     Parameters
     ----------

@@ -106,7 +106,7 @@ PRESETS: tuple[Preset, ...] = tuple(_published())
 
 
 def _key(row: Material) -> str:
-    """Return the name of a row for comparison, without regard to case and outer spaces."""
+    """Return the name of a row for comparison, without case and surrounding spaces."""
     return row.name.strip().casefold()
 
 

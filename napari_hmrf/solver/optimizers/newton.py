@@ -108,15 +108,15 @@ LEAST_JACOBIAN = 1e-9
 
 
 class Strategy(NamedTuple):
-    """Choices of an iteration for some tissue.
+    """Settings of the Newton iteration for given tissue.
 
     Attributes
     ----------
     doubtful : bool
         True if cycles may miss motions: the last step must then be short, and cycles are rehearsed.
     stiff : bool
-        True if parts are so stiff, or the grip is so loose, that parts must be free to turn, and
-        rounding there resembles buckling.
+        True if parts of the tissue are very stiff or barely held. Such parts must be free to
+        rotate, and rounding errors in them resemble buckling.
     by_factors : bool
         True if factors are used without trying cycles.
     steps : int
@@ -213,7 +213,7 @@ class Newton:
         self._buckles = False
 
     def run(self, d: Planes, y: Planes, held: HeldPlanes, tolerance: float) -> None:
-        """Move the unfolded field `d` to balance, with held components as near `y` as possible.
+        """Solve for equilibrium from an unfolded `d`, with held components as near `y` as possible.
 
         Parameters
         ----------
@@ -449,7 +449,7 @@ class Newton:
         return forces if self.external_forces is None else forces + self.external_forces.forces(d)
 
     def _pull(self, d: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
-        """Move along a step, in place, until a corner nearly folds; return the part moved."""
+        """Move along a step, in place, until a corner nearly folds; return the fraction taken."""
         length, _ = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR)
         taken, start = 1.0 if length >= 1 else _PULL_PART * length, d.copy()
         for _ in range(_HALVING_LIMIT):
@@ -475,7 +475,7 @@ class Newton:
         return step, taken
 
     def _descend(self, d: Planes, way: Planes) -> float:
-        """Move along a step while the energy falls, in place; return the part moved."""
+        """Move along a step while the energy falls, in place; return the fraction taken."""
         before = d.copy()
         taken = self._fall(d, way)
         if self.external_forces is not None and taken > 0:
@@ -483,7 +483,7 @@ class Newton:
         return taken
 
     def _fall(self, d: Planes, way: Planes) -> float:
-        """Move along a step while the energy falls, in place; return the part moved."""
+        """Move along a step while the energy falls, in place; return the fraction taken."""
         before, _ = self._energy(d)
         slope = float((self.forces(d) * way).sum())
         length, _ = self._model.length(d, way, _JACOBIAN_PART, LEAST_JACOBIAN)

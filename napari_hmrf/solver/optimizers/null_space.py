@@ -247,7 +247,7 @@ def find_soft_motions(
 
 
 def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
-    """Return the inner products of all pairs of motions in the energy, a symmetric matrix.
+    """Return the symmetric matrix of the energy inner products of all pairs of motions.
 
     They are computed from energies, which are sums of squares, so that the large contributions of
     stiff tissue do not cancel.
@@ -261,7 +261,7 @@ def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
 
 
 def _product(model: LinearModel, one: Planes, two: Planes) -> float:
-    """Return the inner product of two motions in the energy."""
+    """Return the energy inner product of two motions."""
     # The energy is half the square of the norm that belongs to this inner product.
     return (model.work(one + two)[0] - model.work(one - two)[0]) / 2
 

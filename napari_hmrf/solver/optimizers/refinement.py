@@ -58,7 +58,7 @@ _REPORTED = 1.5
 _FEW = 1024
 # Largest number of free motions at hinges between touching parts of bodies, in factors.
 _MOST_HINGES = 40
-# Largest ratio of a correction by factors to the one before.
+# Largest ratio of a correction from the factorization to the previous correction.
 _FALL = 0.25
 # Size of a correction, in pixels where tissue moves by one, up to which any decrease is enough.
 _ROUNDING = 1e-15
@@ -349,7 +349,7 @@ class Refinement:
             self._model.bodies.project(d)
 
     def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
-        """Reduce the error to the tolerance by factors."""
+        """Reduce the error to the tolerance with a direct factorization."""
         known = f". The field is only known to be within {self.estimate:.2g} px of converged"
         factors = factorise(self._model, self._report, known if self.estimate < math.inf else "")
         before = math.inf
@@ -421,7 +421,7 @@ class _Directions:
         return self._left <= 0
 
     def next(self, correction: Planes, rest: Planes) -> Planes:
-        """Return a correction by factors, made conjugate to the last and scaled."""
+        """Return a correction from the factorization, scaled and conjugate to the previous one."""
         self._left -= 1
         if self._last is not None:
             way, image, bend = self._last

@@ -156,7 +156,7 @@ class Slip:
 
     @property
     def _resolved(self) -> bool:
-        """True if the last solution is certainly unique; elastic tissue was checked before."""
+        """True if the last solution is certainly unique; an earlier check covers elastic tissue."""
         return self._elastic or resolves(self._model)
 
     def _pull(self, d: Planes) -> Planes:

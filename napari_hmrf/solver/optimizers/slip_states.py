@@ -110,7 +110,9 @@ class States:
 
 
 class ActiveSet(States):
-    """States of observations of a model with an energy; `limit` is p of each component.
+    """States of observations of a model with an energy.
+
+    The `limit` is the largest force of the observation of each component.
 
     Parameters
     ----------
@@ -162,11 +164,11 @@ class ActiveSet(States):
         ----------
         d : ndarray, planes
             Displacement for the present states. If the release would leave tissue free, the tissue
-            slides, in place, to where an observation holds it again.
+            slides until an observation holds it again; `d` is then changed in place.
         pull : ndarray, planes
             Force of the tissue on each component, including given forces.
         steepness : ndarray, planes
-            The model's diagonal: a force divided by it is the motion it causes.
+            Diagonal of the model. A force divided by the diagonal is the resulting motion.
         tolerance : float
             Contradictions of less than this, in pixels, do not count.
         free : callable

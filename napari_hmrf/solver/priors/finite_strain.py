@@ -236,7 +236,7 @@ class FiniteElements:
         return float(each[self._is_tissue].sum()) + self._moduli.stored
 
     def forces(self, d: Float64Array) -> Float64Array:
-        """Return the derivative of the energy by the displacement of each site, (H, W, 2)."""
+        """Return the gradient of the energy with respect to the displacement, (H, W, 2)."""
         z = self._deformed(d)
         slopes, _ = self._slopes(z)
         pull = np.einsum("ijab,ijb->ija", self._own(), z)

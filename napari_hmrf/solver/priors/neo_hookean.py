@@ -141,13 +141,13 @@ class NeoHookeanPrior:
         return stored if load is None else stored - float((load.forces * d).sum())
 
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return the derivative of the energy by each site's displacement (H, W, 2), in pixels."""
+        """Return the gradient of the energy with respect to the displacement in pixels."""
         load = self.load(problem)
         forces = self._elements(problem).forces(_pixels(problem, displacement))
         return forces if load is None else forces - load.forces
 
     def tangents(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return second derivatives by the differences of each element, (H - 1, W - 1, 6, 6)."""
+        """Return second derivatives with respect to element differences, (H - 1, W - 1, 6, 6)."""
         return self._elements(problem).tangents(_pixels(problem, displacement))
 
     def corner_jacobians(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:

@@ -1,7 +1,7 @@
 """Small levels in the V-cycle of elastic tissue.
 
-At the end of a row, too few sites are left for a vector instruction, which takes as long as the
-rest of a short row. Here a level is therefore one long row, from its first site to its last. It
+The last sites of a row are too few for a vector instruction. In a short row they take as long as
+all other sites. Here a level is therefore one long row, from its first site to its last. It
 includes the border of void between the rows, where all forces and corrections are zero.
 """
 

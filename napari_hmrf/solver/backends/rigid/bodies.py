@@ -36,7 +36,7 @@ _OFF, _PART = 1e-3, 1e-5
 
 
 class _Body(NamedTuple):
-    """Components of a body in flat planes, all its rigid motions, and the free motions."""
+    """Components of a body as indices in flattened planes, with all rigid and all free motions."""
 
     # The columns of `motions` are orthonormal. `single` has the free motions in single precision.
     # `ways` has the coefficients of the free motions, in terms of the translations along the axes
@@ -52,7 +52,7 @@ class _Body(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Free motion of a body: its components in flat planes, and their displacements.
+    """Free motion of a body: indices of its components in flattened planes, and displacements.
 
     The displacement of a point x is `step` + `turn` (x - `centre`).
     """
