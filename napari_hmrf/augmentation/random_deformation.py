@@ -458,7 +458,7 @@ class RandomDeformation:
         )
 
     def _draw(self, random: np.random.Generator) -> Causes:
-        """Draw the causes of one sample."""
+        """Return random pulls, growth and weight for one sample."""
         case, n = self._case, len(self._case.grid.shape)
         pulls = self._factor @ random.standard_normal(case.centres.shape)
         pulls *= random.uniform(*self.amplitude) / np.linalg.norm(pulls, axis=1).max()

@@ -143,7 +143,7 @@ def bendable(corners: npt.NDArray[np.float64], kind: str) -> tuple[npt.NDArray[n
         Vertices in pixels, in the order along the outline; for an ellipse, the corners of its
         bounding box.
     kind : str
-        Kind of shape in napari; other kinds than "rectangle" and "ellipse" are not converted.
+        Kind of shape in napari; only "rectangle" and "ellipse" are converted.
 
     Returns
     -------

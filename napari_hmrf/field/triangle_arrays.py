@@ -110,7 +110,7 @@ def _claim(
     value: int,
     first_only: bool = False,
 ) -> None:
-    """Store the first origin of each pixel, and mark pixels whose other origins are not near."""
+    """Store the first origin of each pixel, and mark pixels with another, distant origin."""
     flat, states = source.reshape(-1, 2), state.reshape(-1)
     free = states[pixels] < value
     new, first = np.unique(pixels[free], return_index=True)

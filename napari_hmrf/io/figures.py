@@ -307,7 +307,7 @@ def _slices_picture(
     greys_of: npt.NDArray[Any] | None = None,
     colours: Coloured | None = None,
 ) -> Figure:
-    """Draw the slices of a volume across each axis, with the head of the patient upward."""
+    """Draw a slice perpendicular to each axis, with the head of the patient at the top."""
     from matplotlib.figure import Figure  # heavy: matplotlib
 
     figure = Figure(figsize=(15.0, 6.2), layout="constrained")

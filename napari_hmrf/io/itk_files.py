@@ -252,7 +252,7 @@ def _image(decoded: Decoded) -> ItkImage:
 
 
 def _header(image: ItkImage) -> dict[str, Any]:
-    """Describe an image as the decoder does."""
+    """Return the header of an image in the format of the decoder."""
     return {
         **image._asdict(),
         "direction": image.direction.ravel().tolist(),

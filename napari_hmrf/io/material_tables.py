@@ -142,7 +142,7 @@ class _Row(pydantic.BaseModel, strict=True, extra="forbid"):
 
 
 class _File(pydantic.BaseModel, strict=True, extra="forbid"):
-    """Content of a file."""
+    """Schema of a file of materials."""
 
     format: _Format
     version: int = pydantic.Field(ge=1)

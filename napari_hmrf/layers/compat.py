@@ -49,7 +49,7 @@ def show_name(layer: Any, corner: str) -> None:
 
 
 def clear_middle(viewer: Any) -> None:
-    """Remove the square in the middle of the circle around the cursor, which covers the image."""
+    """Hide the square that napari draws in the middle of the brush circle."""
     # Private: napari 0.9 draws a small square there in the colour of the canvas, meant as the
     # background of text; it stays when the circle is hidden. No public attribute removes it.
     circle = _overlay(viewer, "_brush_circle")

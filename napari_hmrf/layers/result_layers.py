@@ -166,7 +166,7 @@ class Outputs:
         Pixels at which one part of the tissue has moved onto another; counted only if pictures
         are given.
     fullest : dict of mark to tuple of int
-        For folds and for overlaps: index of the plane with most of them, across each axis.
+        For folds and for overlaps: index of the fullest plane perpendicular to each axis.
     """
 
     solution: Solution

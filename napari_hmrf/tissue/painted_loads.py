@@ -79,7 +79,7 @@ def boundary_loads(
     Raises
     ------
     ProblemError
-        If a label of a force covers no surface of tissue.
+        If a label whose rule applies a force does not cover any surface of tissue.
     """
     image, parts = np.asarray(labels), []
     for rule in rules:

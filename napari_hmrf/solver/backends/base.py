@@ -46,7 +46,7 @@ FieldType = TypeVar("FieldType", bound=Field)
 
 @dataclass(frozen=True)
 class SiteRule:
-    """Rule by which a site moves, given its neighbours.
+    """Update rule of a site, given its neighbours.
 
     Attributes
     ----------

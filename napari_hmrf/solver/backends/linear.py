@@ -91,7 +91,7 @@ class LinearLevel(Protocol):
         ...
 
     def vector(self, values: npt.NDArray[np.float32] | None = None) -> Any:
-        """Return a new vector, of zeros or of the values in planes, which may be overwritten."""
+        """Return a new vector of zeros, or of `values`, which may then be overwritten."""
         ...
 
     def scratch_vector(self) -> Any:
@@ -123,7 +123,7 @@ class LinearLevel(Protocol):
         ...
 
     def apply(self, direction: Any, image: Any) -> Any:
-        """Compute image = A direction; return their scalar product."""
+        """Compute ``image = A @ direction``; return ``direction . image``."""
         ...
 
     def advance(self, d: Any, rest: Any, direction: Any, image: Any, length: Any) -> Any:
@@ -131,7 +131,7 @@ class LinearLevel(Protocol):
         ...
 
     def turn(self, steepest: Any, direction: Any, share: Any) -> None:
-        """Compute direction = steepest + share direction."""
+        """Compute ``direction = steepest + share * direction``."""
         ...
 
     def project(self, vector: Any) -> None:
@@ -147,7 +147,7 @@ class UnsymmetricLevel(LinearLevel, Protocol):
     """One level of a model with an unsymmetric matrix, with the kernels of its iteration."""
 
     def multiply(self, direction: Any, image: Any) -> None:
-        """Compute image = A direction."""
+        """Compute ``image = A @ direction``."""
         ...
 
     def quotient(self, a: Any, b: Any) -> Any:
@@ -159,7 +159,7 @@ class UnsymmetricLevel(LinearLevel, Protocol):
         ...
 
     def lean(self, rest: Any, direction: Any, image: Any, share: Any, stride: Any) -> None:
-        """Compute direction = rest + share (direction - stride image)."""
+        """Compute ``direction = rest + share * (direction - stride * image)``."""
         ...
 
 

@@ -148,7 +148,7 @@ class Distance(NamedTuple):
 
     @property
     def worst(self) -> tuple[int, ...] | None:
-        """Site furthest from balance, or None if unknown."""
+        """Site with the largest residual, or None if unknown."""
         if self.remaining is None:
             return None
         far = np.linalg.norm(host.field(self.remaining), axis=-1)

@@ -207,7 +207,7 @@ class Cliques(NamedTuple):
     Attributes
     ----------
     curvature : ndarray, shape (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4)
-        Half of the second derivative of the energy by the site's displacement.
+        Half of the second derivative of the energy with respect to the site's displacement.
     slope : ndarray, of the same shape
         -1/2 of the first derivative.
     energy : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)

@@ -251,7 +251,7 @@ class ElasticPrior:
         return float((volume + strain + slide + twist).sum() / 2)
 
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return the derivative of the energy by each site's displacement (H, W, 2), in pixels.
+        """Return the gradient of the energy with respect to the displacement (H, W, 2), in pixels.
 
         These are the internal forces of the tissue, less the forces of loads.
         """

@@ -67,7 +67,7 @@ class ArraySeilerLevel(ArrayLevel):
         return np.asarray((self.stiffness[:1] > 0) & ((self.steep == 0) | held))
 
     def apply(self, direction: Vector, image: Vector) -> None:
-        """Compute image = A direction."""
+        """Compute ``image = A @ direction``."""
         image[...] = -pull(direction, self.stiffness[0], self._lines, bool(self.blanket))
         image[self.inverse == 0] = 0
 

@@ -1,8 +1,8 @@
 """Loader of the cached loops: a background thread that works in small steps.
 
-The window and the compute thread continue meanwhile, because each step holds the interpreter's lock
-for less time than a picture takes. The loader runs no loop, because numba's thread pool must not be
-entered from two threads at once.
+The window and the compute thread continue meanwhile, because each step holds the GIL for less time
+than a frame. The loader does not run loops, because numba's thread pool must not be entered from
+two threads at once.
 """
 
 from __future__ import annotations

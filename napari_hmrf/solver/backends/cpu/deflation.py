@@ -70,7 +70,7 @@ class CpuDeflation:
         return float(shares @ work) / 2
 
     def turn(self, steepest: Vector, direction: Vector, share: float) -> float:
-        """Compute direction = steepest + share direction, made conjugate to all fields.
+        """Compute ``direction = steepest + share * direction``, made conjugate to all fields.
 
         For that, fields are subtracted from `steepest`; return the largest distance by which they
         move bodies.
@@ -108,7 +108,7 @@ def _row_products(ones: Any, others: Any, rows: Any) -> None:
 
 @parallel
 def _turn(steepest: Any, direction: Any, share: Any, some: Any, shares: Any) -> None:
-    """Compute direction = steepest + share direction + a weighted sum of vectors."""
+    """Compute ``direction = steepest + share * direction`` plus a weighted sum of vectors."""
     for i in prange(direction.shape[1]):
         for component in range(2):
             for j in range(direction.shape[2]):

@@ -54,7 +54,7 @@ class DoubleLevel(CpuLevel):
         """Ignore the call; vectors are not kept, because memory limits volumes."""
 
     def apply(self, direction: Any, image: Any) -> float:
-        """Compute image = A direction; return their scalar product."""
+        """Compute ``image = A @ direction``; return ``direction . image``."""
         about = *self._tissue, self.inverse, self.inverse, *self._about
         volume.rest(direction, direction, 0.0, *about, -1.0, image, self._level.parts)
         return self.product(direction, image)

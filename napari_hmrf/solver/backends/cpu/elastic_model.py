@@ -126,7 +126,7 @@ class CpuElasticLevel(SmallLevel):
         return self.load, self.lame, self.inverse, *self._springs, self.shape, self.spans
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Compute image = A direction; return their scalar product."""
+        """Compute ``image = A @ direction``; return ``direction . image``."""
         about = direction, self.lame, self.moving, self.shape, self.reach, image, self._rows
         if self.together is None:
             elastic.apply(*about, self.parts)

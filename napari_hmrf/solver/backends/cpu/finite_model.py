@@ -114,7 +114,7 @@ class TangentLevel(SmallLevel):
         self._restrict(self._left, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Compute image = A direction for the solved system; return their scalar product."""
+        """Compute ``image = A @ direction`` for the solved system; return their product."""
         about = direction, self.solved, self.inverse, True, *self._springs, image, self._rows
         tangents.apply(*about, self.parts)
         return float(self._rows.sum())

@@ -119,7 +119,7 @@ class CpuLevel:
         vectors.interpolate(coarse, self.correction, self.inverse)
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Compute image = A direction; return their scalar product."""
+        """Compute ``image = A @ direction``; return ``direction . image``."""
         raise NotImplementedError
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
@@ -227,13 +227,13 @@ class CpuLevel:
             self.bodies.project(vector)
 
     def turn(self, steepest: Vector, direction: Vector, share: float) -> None:
-        """Compute direction = steepest + share direction."""
+        """Compute ``direction = steepest + share * direction``."""
         self.lean(steepest, direction, steepest, share, 0.0)
 
     def lean(
         self, rest: Vector, direction: Vector, image: Vector, share: float, stride: float
     ) -> None:
-        """Compute direction = rest + share (direction - stride image)."""
+        """Compute ``direction = rest + share * (direction - stride * image)``."""
         arrays = [rows(each) for each in (rest, direction, image)]
         shares = direction.dtype.type(share), direction.dtype.type(stride)
         if len(self.grid) == 2:

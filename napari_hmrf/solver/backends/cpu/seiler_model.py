@@ -139,7 +139,7 @@ class CpuSeilerLevel(CpuLevel):
         self._residual(self.correction, (self.load, 1), self._springs, (1, self._rest), _NO_ROWS)
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Compute image = A direction; return their scalar product."""
+        """Compute ``image = A @ direction``; return ``direction . image``."""
         self.multiply(direction, image, self._rows)
         with np.errstate(invalid="ignore"):  # the iteration checks for NaN
             return float(self._rows.sum())
@@ -147,7 +147,7 @@ class CpuSeilerLevel(CpuLevel):
     def multiply(
         self, direction: Vector, image: Vector, totals: npt.NDArray[np.float64] = _NO_ROWS
     ) -> None:
-        """Compute image = A direction; `totals`, unless empty, gets direction . image by rows."""
+        """Compute ``image = A @ direction``; `totals`, unless empty, gets the product by rows."""
         # Unused terms have the factor 0 and refer to arrays that the kernel reads anyway.
         nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
         self._residual(direction, nothing, no_springs, (-1, image), totals)

@@ -118,7 +118,7 @@ class CpuVolumeLevel(CpuLevel):
         """Ignore the call; vectors are not kept, because memory limits volumes."""
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Compute image = A direction; return their scalar product."""
+        """Compute ``image = A @ direction``; return ``direction . image``."""
         self._rest_of(direction, direction, np.float32(0), np.float32(-1), image)
         return self.product(direction, image)
 

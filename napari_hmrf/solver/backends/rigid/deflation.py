@@ -27,7 +27,7 @@ class Deflation(Protocol):
         ...
 
     def turn(self, steepest: Any, direction: Any, share: float) -> float:
-        """Compute direction = steepest + share direction, made conjugate to all fields.
+        """Compute ``direction = steepest + share * direction``, made conjugate to all fields.
 
         For that, fields are subtracted from `steepest`; return the largest distance by which they
         move bodies.

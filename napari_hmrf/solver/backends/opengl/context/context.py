@@ -206,7 +206,7 @@ def _clear(loader: Any) -> Callable[[int], None]:
 
 
 def _function(address: int, *kinds: Any) -> Callable[..., None]:
-    """Return a C function; ctypes releases the interpreter's lock during a call."""
+    """Return a C function; ctypes releases the GIL during a call."""
     if sys.platform == "win32":
         return ctypes.WINFUNCTYPE(None, *kinds)(address)
     return ctypes.CFUNCTYPE(None, *kinds)(address)

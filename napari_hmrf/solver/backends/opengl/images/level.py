@@ -178,7 +178,7 @@ class GLLevel(CycleLevel[Scalar]):
         return self._sum_of_shares()
 
     def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
-        """Compute direction = steepest + share direction."""
+        """Compute ``direction = steepest + share * direction``."""
         inputs = [steepest.texture, direction.texture, *self._ratio_textures(share)]
         self._run("turn", {}, inputs, [direction.other])
         direction.turn()
@@ -186,7 +186,7 @@ class GLLevel(CycleLevel[Scalar]):
     def lean(
         self, rest: Vector, direction: Vector, image: Vector, share: Scalar, stride: Scalar
     ) -> None:
-        """Compute direction = rest + share (direction - stride image)."""
+        """Compute ``direction = rest + share * (direction - stride * image)``."""
         vectors = [each.texture for each in (rest, direction, image)]
         self._run("lean", {}, [*vectors, share.texture, stride.texture], [direction.other])
         direction.turn()

@@ -116,7 +116,7 @@ class RelaxingLevel(GLLevel):
             self._smooth(AS_IS, *step)
 
     def apply(self, direction: Vector, image: Vector) -> Scalar:
-        """Compute image = A direction; return their scalar product."""
+        """Compute ``image = A @ direction``; return ``direction . image``."""
         model = self._model
         inputs = [direction.texture, *self._tissue_textures, self._inverse]
         outputs = [image.texture, self._shares()]
@@ -124,7 +124,7 @@ class RelaxingLevel(GLLevel):
         return self._sum_of_shares()
 
     def multiply(self, direction: Vector, image: Vector) -> None:
-        """Compute image = A direction."""
+        """Compute ``image = A @ direction``."""
         self.apply(direction, image)
 
     def _smooth(

@@ -82,7 +82,7 @@ class GLSeilerLevel(RelaxingLevel):
         super()._smooth(start, scale, momentum, first, coarse)
 
     def _matrix(self) -> Float64Array:
-        """Return the matrix, column by column from the host's forces of unit displacements."""
+        """Assemble the matrix by columns, from the host's forces for unit displacements."""
         host = self._cliques
         count = 4 * self._pairs[0] * self._pairs[1]
         grid = (*self._pairs, 2, 2)

@@ -274,7 +274,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         return most, product
 
     def apply(self, direction: Vector, image: Vector) -> Scalar:
-        """Compute image = A direction; return their scalar product."""
+        """Compute ``image = A @ direction``; return ``direction . image``."""
         buffers = {
             "displacement": direction.buffers,
             "inverse": self.inverse,
@@ -298,7 +298,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         return self._passes.total(self._shares, self._region.number)[0]
 
     def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
-        """Compute direction = steepest + share direction."""
+        """Compute ``direction = steepest + share * direction``."""
         buffers = {"steepest": steepest.buffers, "direction": direction.buffers}
         self._run("volume_turn", buffers, self._ratio_uniforms(share))
 
