@@ -85,8 +85,6 @@ class LatestQueue:
         self._current: Turn | None = None
         # Set while a job of this queue is scheduled or runs; there is at most one.
         self._scheduled: Future[None] | None = None
-        # True until the last job has ended or was dropped.
-        self._owed = False
         self._is_held = self._closed = False
 
     def submit(self, job: Job, patience: float = math.inf) -> Turn:
@@ -106,10 +104,10 @@ class LatestQueue:
         """
         with self._changed:
             if self._closed:
-                raise RuntimeError("the live solver is closed. Make a new LiveSolver.")
+                raise RuntimeError("the queue is closed. Make a new one.")
             self._generation += 1
             turn = Turn(self, self._generation, self.series, patience)
-            self._waiting, self._owed = (job, turn), True
+            self._waiting = job, turn
             self._go_on()
             return turn
 
@@ -131,7 +129,7 @@ class LatestQueue:
         """Drop all jobs so far; the one that runs stops at its next checkpoint."""
         with self._changed:
             self.series += 1
-            self._waiting, self._owed, self._is_held = None, False, False
+            self._waiting, self._is_held = None, False
             self._changed.notify_all()
 
     def close(self) -> None:
@@ -151,7 +149,13 @@ class LatestQueue:
     def busy(self) -> bool:
         """True until the last job has ended or was dropped."""
         with self._changed:
-            return self._owed
+            is_running = self._current is not None and not self._current.dropped
+            return self._waiting is not None or is_running
+
+    @property
+    def closed(self) -> bool:
+        """True after `close`."""
+        return self._closed
 
     @property
     def is_held(self) -> bool:
@@ -179,7 +183,6 @@ class LatestQueue:
         if self._scheduled is not None:
             return
         if self._waiting is None:
-            self._owed = False
             self._changed.notify_all()
         elif not self._is_held:
             self._scheduled = compute_thread.submit(self._run, self._described)
