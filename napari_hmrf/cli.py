@@ -38,10 +38,11 @@ from napari_hmrf.samples.demo import SAMPLE_SIZE, demonstrate, table, write_resu
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.selftest import selftest
 from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
+from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
 from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
-from napari_hmrf.solver.preparation import loops_are_compiled, provide_loops
+from napari_hmrf.solver.preparation import provide_loops
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.models import family_of, parts_of
@@ -364,7 +365,7 @@ def _compile_loops(
     optimizer: Optimizer | None,
 ) -> None:
     """Wait until the loops are compiled, and solve again with them."""
-    jobs = [job for job in (EVERYTHING, VOLUMES) if not loops_are_compiled(job)]
+    jobs = [job for job in (EVERYTHING, VOLUMES) if not are_compiled(job)]
     if options.backend != "auto" or not jobs:
         return
     _report(

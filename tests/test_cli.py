@@ -203,7 +203,7 @@ def test_the_demo_writes_its_results_before_it_waits_for_compiled_loops(
         waited.append((job, (tmp_path / "solution.npz").exists()))
 
     monkeypatch.setattr("napari_hmrf.solver.solve.provide_loops", lambda *_: None)
-    monkeypatch.setattr(cli, "loops_are_compiled", lambda job: False)
+    monkeypatch.setattr(cli, "are_compiled", lambda job: False)
     monkeypatch.setattr(cli, "provide_loops", wait)
     demo = ["demo", "--size", "32", "--backend", backend, "--no-window", "-o", str(tmp_path)]
     assert cli.main(demo) == 0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.solver.backends import Backend, SolveJob, host
-from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, loops, sets
+from napari_hmrf.solver.backends.compile_cache import compiler, loops, sets
 from napari_hmrf.solver.backends.compile_cache.compiler import Stage
 from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.earlier_results import WarmStart
@@ -20,11 +20,6 @@ from napari_hmrf.solver.problem import Problem
 # Size of a small problem, by its number of axes.
 _SIZES = {2: 40, 3: 12}
 _prepared: set[tuple[str | bool, ...]] = set()
-
-
-def loops_are_compiled(job: str) -> bool:
-    """Return whether the loops of a job are compiled on this machine."""
-    return loops.compile_here() or disk_cache.compiled(job)
 
 
 def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:

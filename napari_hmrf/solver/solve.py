@@ -26,11 +26,12 @@ from napari_hmrf.solver.backends import (
     open_backend,
 )
 from napari_hmrf.solver.backends.compile_cache import sets
+from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
-from napari_hmrf.solver.preparation import loop_watch, loops_are_compiled, prepare, provide_loops
+from napari_hmrf.solver.preparation import loop_watch, prepare, provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
@@ -285,7 +286,7 @@ def _solution_of(
     job = SolveJob.of(problem, prior, optimizer)
 
     def provide() -> None:
-        if progress is None and not loops_are_compiled(job.loops):
+        if progress is None and not are_compiled(job.loops):
             _announce_compilation()
         provide_loops(job.loops, report)
 

@@ -279,7 +279,7 @@ def test_the_wait_for_the_compiler_is_logged_once_without_progress(
     progress, count, caplog, monkeypatch
 ):
     module = importlib.import_module("napari_hmrf.solver.solve")
-    monkeypatch.setattr(module, "loops_are_compiled", lambda job: False)
+    monkeypatch.setattr(module, "are_compiled", lambda job: False)
     monkeypatch.setattr(module, "provide_loops", lambda *_: None)
     module._announce_compilation.cache_clear()
     for _ in range(2):

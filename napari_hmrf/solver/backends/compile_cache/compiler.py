@@ -87,7 +87,7 @@ def compile_meanwhile(job: str = "") -> None:
     """
     ours = _State.compiler
     started = ours is not None and (job not in sets.ON_REQUEST or ours.poll() is None)
-    if started or loops.compile_here() or disk_cache.compiled(job) or _another_process_compiles():
+    if started or loops.are_compiled(job) or _another_process_compiles():
         return
     folder = disk_cache.folder()  # may set a variable, so it comes before the environment is copied
     optimized = ["-" + "O" * sys.flags.optimize] if sys.flags.optimize else []
@@ -122,7 +122,7 @@ def provide(job: str, report: Report) -> None:
     report : callable
         Called several times a second; raises to stop waiting. The compilation continues.
     """
-    if not (loops.compile_here() or disk_cache.compiled(job)):
+    if not loops.are_compiled(job):
         request(job)
         is_repeated = False
         while not disk_cache.compiled(job):

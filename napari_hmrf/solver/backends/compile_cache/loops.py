@@ -22,6 +22,8 @@ from napari_hmrf.solver.backends.compile_cache import disk_cache, loader, sets
 
 __all__ = [
     "HERE",
+    "are_compiled",
+    "are_compiled",
     "compile_here",
     "in_use",
     "only_read",
@@ -84,9 +86,14 @@ def ready_for_pictures() -> bool:
     return _ready(_State.pictures, sets.PICTURES)
 
 
+def are_compiled(job: str) -> bool:
+    """Return whether the loops of a job need no compilation by another process."""
+    return compile_here() or disk_cache.compiled(job)
+
+
 def ready_for_volumes() -> bool:
     """Return whether loops can solve volumes now."""
-    return compile_here() or disk_cache.compiled(sets.VOLUMES)
+    return are_compiled(sets.VOLUMES)
 
 
 def _ready(part: _Part, job: str = "") -> bool:
