@@ -172,8 +172,7 @@ class Controller:
         try:
             study = self._read_chosen()
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
-            if not isinstance(error, HmrfError | ValueError):
-                _log.exception("the current choices could not be read")
+            _log_unexpected(error)
             self._submitted = None
             self.curve_layer.show(None)
             self._report_failure(error)
@@ -188,13 +187,11 @@ class Controller:
     def solve_cold(self) -> None:
         """Solve from a cold start; `finished` is emitted at the end."""
         self._refresh_timer.stop()
-        self.form.footer.show_work(True)
         self.reader.invalidate()  # a script may have changed an array in place
         try:
             study = self._read_chosen(unpainted=False)
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
-            if not isinstance(error, HmrfError | ValueError):
-                _log.exception("the current choices could not be read")
+            _log_unexpected(error)
             self._refuse(error)
             return
         self.settling, self._submitted = True, study
@@ -419,3 +416,9 @@ class Controller:
         """Show that no work is in progress."""
         self.settling = False
         self.progress.stop()
+
+
+def _log_unexpected(error: Exception) -> None:
+    """Log an error of reading that is not about the user's input."""
+    if not isinstance(error, HmrfError | ValueError):
+        _log.error("the current choices could not be read", exc_info=error)

@@ -57,8 +57,8 @@ class PacedEngine:
         preview: Preview | None = None,
     ) -> None:
         """Submit a study, as `Engine.submit`; with `cold_start`, drop earlier work first."""
-        if cold_start:
-            self.cancel()
+        if cold_start:  # the engine drops its own work
+            self._jobs.cancel("layers")
         self._engine.submit(study, backend, cold_start, preview)
 
     def complete(self) -> None:
@@ -96,7 +96,6 @@ class PacedEngine:
 
     def release(self) -> None:
         """Drop all work and stop the engine permanently."""
-        self.cancel()
         self._engine.close()
         self._gui.release()
         self._jobs.release()
