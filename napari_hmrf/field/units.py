@@ -17,7 +17,7 @@ UNSEEN = 1e-3
 #: Units of spacings whose length is unknown.
 UNKNOWN_UNITS = ("", "pixel")
 #: Largest relative difference of equal spacings, which files round.
-_SAME_SPACING = 1e-4
+SAME_SPACING = 1e-4
 
 
 def unit_factor(unit: str, to: str) -> float:
@@ -65,7 +65,7 @@ def has_same_spacing(
     if len(spacing) != len(other):
         return False
     return all(
-        abs(size * factor / needed - 1) <= _SAME_SPACING
+        abs(size * factor / needed - 1) <= SAME_SPACING
         for size, needed in zip(spacing, other, strict=True)
     )
 

@@ -311,6 +311,12 @@ def refuse_colours(image: ImageFile, path: Path) -> None:
         raise ProblemError(path.name, "is in colours. Give an image with one value per pixel.")
 
 
+def labels_of(image: ImageFile, path: Path) -> npt.NDArray[Any]:
+    """Return an image of a file as labels; colours are refused."""
+    refuse_colours(image, path)
+    return as_labels(image.pixels, path)
+
+
 def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     """Return the pixels of a file as labels; whole numbers stored as floats are accepted."""
     is_mask = pixels.dtype.kind == "b"

@@ -26,7 +26,7 @@ from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.units import UNKNOWN_UNITS, has_same_spacing, unit_factor
+from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, has_same_spacing, unit_factor
 from napari_hmrf.field.warp import as_field
 from napari_hmrf.io.itk_files import (
     ItkImage,
@@ -51,8 +51,6 @@ _NIFTI = (".nii", ".nii.gz")
 _NO_METADATA = ".h5"
 #: Largest distance of corresponding corners of equal grids, in pixels, which files round.
 _SAME_PLACE = 0.05
-#: Largest relative difference of equal spacings, which files round.
-_SAME_SPACING = 1e-4
 #: Largest deviation of a direction matrix from a rotation.
 _ROUNDING = 1e-5
 
@@ -361,7 +359,7 @@ def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
     factors = np.array(place.spacing[-n:]) / solution.spacing
     is_known = solution.unit not in UNKNOWN_UNITS
     expected = unit_factor(solution.unit, "millimeter") if is_known else factors[0]
-    if solution.frame and not np.allclose(factors, expected, rtol=_SAME_SPACING, atol=0):
+    if solution.frame and not np.allclose(factors, expected, rtol=SAME_SPACING, atol=0):
         raise ProblemError(
             "displacement",
             f"has pixels of {grid_in_words(solution.spacing)} {solution.unit}".rstrip()

@@ -13,7 +13,7 @@ from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import unit_symbol
-from napari_hmrf.io.case import as_labels, refuse_colours
+from napari_hmrf.io.case import labels_of
 from napari_hmrf.io.fields import place_of
 from napari_hmrf.io.images import ImageFile, read_image
 from napari_hmrf.io.study_file import read_solved
@@ -61,9 +61,7 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
     image = None if tissue is None else tissue.labels
     if labels is not None:
-        given = _on_grid(labels, solution)
-        refuse_colours(given, labels)
-        image = as_labels(given.pixels, labels)
+        image = labels_of(_on_grid(labels, solution), labels)
     if image is None:  # without labels, all tissue has one label
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
@@ -79,9 +77,7 @@ def labels_in(path: Path) -> tuple[int, ...]:
     HmrfError, OSError
         If the file cannot be read, or holds no labels.
     """
-    image = read_image(path)
-    refuse_colours(image, path)
-    return tuple(np.unique(as_labels(image.pixels, path)).tolist())
+    return tuple(np.unique(labels_of(read_image(path), path)).tolist())
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
