@@ -15,11 +15,10 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Any
+from typing import Any, get_args
 
 import napari
 import numpy as np
-from live import BRUSHES
 from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication
@@ -29,6 +28,7 @@ from napari_hmrf.field.live_warp import Warper
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Rendering
+from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.ui.motion.arrows import ArrowsLayer
 
 _WINDOW = (1500, 950)
@@ -140,7 +140,7 @@ class Window:
     def start(self) -> None:
         """Begin to pull, as the button does, and wait for what has to be compiled."""
         self._widget.start()
-        if self._kind in BRUSHES:
+        if self._kind in get_args(Action):
             self._widget.tool = self._kind
             self._widget.fields.by_col.value = 0.02 * self._size
         self.settle()
