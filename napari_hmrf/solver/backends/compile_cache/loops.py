@@ -23,7 +23,6 @@ from napari_hmrf.solver.backends.compile_cache import disk_cache, loader, sets
 __all__ = [
     "HERE",
     "are_compiled",
-    "are_compiled",
     "compile_here",
     "in_use",
     "only_read",
