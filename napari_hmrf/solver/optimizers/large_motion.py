@@ -15,6 +15,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
+from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
@@ -154,7 +155,9 @@ def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
     strategy = Strategy(
         doubtful=not material.mild or material.rigid or firmness < _WEAK_GRIP,
         stiff=ratio > _HIGH_CONTRAST or firmness < _WEAK_GRIP,
-        by_factors=firmness < _LOOSE_GRIP or ratio > _EXTREME_CONTRAST,
+        by_factors=Factors.fit(problem.shape)
+        and (firmness < _LOOSE_GRIP or ratio > _EXTREME_CONTRAST),
+        projects=problem.is_volume,
     )
     return strategy if material.growth is None else strategy._replace(steps=_NEWTON_STEPS)
 

@@ -69,6 +69,8 @@ _SMALL_GRID = 20_000
 _LARGE_CYCLE_LIMIT = 200
 #: Least share of the buckling terms to leave out, if any is left out.
 _FIRST_SHARE = 0.05
+#: Number of steps without the buckling terms after a step in which they made the model indefinite.
+_PROJECTED_STEPS = 4
 #: Factor from one share to the next, until the linear model is positive.
 _SHARE_GROWTH = 2.0
 
@@ -121,12 +123,16 @@ class Strategy(NamedTuple):
         True if factors are used without trying cycles.
     steps : int
         Number of steps after which a run fails.
+    projects : bool
+        True if all buckling terms are left out while tissue is pulled, as in volumes, where cycles
+        converge slowly with a part of these terms.
     """
 
     doubtful: bool
     stiff: bool
     by_factors: bool
     steps: int = _STEP_LIMIT
+    projects: bool = False
 
 
 class Distance(NamedTuple):
@@ -211,6 +217,8 @@ class Newton:
         # have met a direction in which the tissue buckles.
         self._positive = 0.0
         self._buckles = False
+        # Number of steps before the buckling terms are tried again.
+        self._projected = 0
 
     def run(self, d: Planes, y: Planes, held: HeldPlanes, tolerance: float) -> None:
         """Solve for equilibrium from an unfolded `d`, with held components as near `y` as possible.
@@ -358,14 +366,16 @@ class Newton:
         springs = None if self.external_forces is None else self.external_forces.springs(d)
         if gap is not None:
             gap = self._poses.extend(gap)
-        for stiff in _shares(positive or self._positive):
+        for stiff in self._shares_to_try(gap is not None, positive):
             self._model.linearise(d, held, forces, stiff, springs)
             rest = -forces
             if gap is not None:
                 rest -= self._model.image(gap)
             linear = None if self.by_factors else self._iterate(rest)
             # With a large contrast, apparent buckling may be rounding.
-            sure = stiff == 1 or not self._buckles or self._strategy.stiff
+            sure = (
+                stiff == 1 or not (self._buckles or self._strategy.projects) or self._strategy.stiff
+            )
             if linear is None and sure and Factors.fit(self._model.shape):
                 linear = self._solve(rest)
             if linear is not None:
@@ -373,6 +383,17 @@ class Newton:
                 way = linear.way if gap is None else linear.way + gap
                 return linear._replace(way=way, positive=stiff)
         return None
+
+    def _shares_to_try(self, pulls: bool, positive: float) -> Iterator[float]:
+        """Yield the shares of the buckling terms to leave out, until a linear model is positive."""
+        if not self._strategy.projects:
+            yield from _shares(positive or self._positive)
+            return
+        if not pulls and positive == 0 and self._projected == 0:
+            yield 0.0
+            self._projected = _PROJECTED_STEPS
+        self._projected = max(self._projected - 1, 0)
+        yield 1.0
 
     def _iterate(self, load: Planes) -> _Linear | None:
         """Return a correction for a load by cycles; None if they did not converge."""
@@ -382,7 +403,7 @@ class Newton:
             return _Linear(way, 0.0, 0.0)
         latest: Step | None = None
         first, count, done = 0.0, 0, False
-        is_small = math.prod(self._model.shape) <= _SMALL_GRID
+        is_small = math.prod(self._model.shape) <= _SMALL_GRID and not self._strategy.projects
         patience = _CYCLE_LIMIT if is_small else _LARGE_CYCLE_LIMIT
 
         def enough(step: Step) -> bool:
@@ -505,15 +526,15 @@ class Newton:
         self._is_converged = False
         _, lengths = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR, each=True)
         sites = around_sites(lengths < _OBSTRUCTION, np.logical_or)
-        pulled = (held & (y != d)).any(axis=0)[2:-2, 2:-2]
+        pulled = host.inside(held & (y != d)).any(axis=0)
         stops = sites & pulled
         if not stops.any():
             # Free tissue obstructs all pulls: the remaining gaps cannot be closed.
             np.copyto(y, d)
             return
         # A part that is pulled as one piece must stop as one piece, or it would be crushed.
-        pieces, _ = scipy.ndimage.label(pulled, structure=np.ones((3, 3)))
-        gap = (y - d)[:, 2:-2, 2:-2]
+        pieces, _ = scipy.ndimage.label(pulled, structure=np.ones((3,) * pulled.ndim))
+        gap = host.inside(y - d)
         for number in np.unique(pieces[stops]):
             piece = pieces == number
             ways = gap[:, piece]
@@ -523,7 +544,7 @@ class Newton:
         for body in self._model.bodies:
             stops[body] |= stops[body].any()
         stay = np.zeros_like(held)
-        stay[:, 2:-2, 2:-2] = stops
+        host.inside(stay)[...] = stops
         np.copyto(y, d, where=stay)
 
     def _report_step(self, number: int, left: float) -> None:

@@ -58,21 +58,24 @@ BARRIER_BEGIN = 0.5
 _AT_REST = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
-def grown_areas(growth: FloatArray) -> Float64Array:
-    """Return the factor by which growth changes the area of free tissue at each site.
+def grown_sizes(growth: FloatArray, axes: int) -> Float64Array:
+    """Return the factor by which growth changes the area or volume of free tissue at each site.
 
     Parameters
     ----------
-    growth : ndarray, shape (H, W), (H, W, 2, 2) or (H, W, 3, 3)
-        Growth strain, as in `Loads`.
+    growth : ndarray
+        Growth strain, as in `Loads`: a number or a tensor for each site.
+    axes : int
+        Number of axes of the grid, n.
 
     Returns
     -------
-    ndarray, shape (H, W), float64
+    ndarray, shape (H, W) or (D, H, W), float64
     """
-    if growth.ndim == 2:
-        return np.asarray((1.0 + growth.astype(np.float64)) ** 2)
-    return np.asarray(np.linalg.det(np.eye(2) + growth[..., -2:, -2:].astype(np.float64)))
+    if growth.ndim == axes:
+        return np.asarray((1.0 + growth.astype(np.float64)) ** axes)
+    within = growth[..., -axes:, -axes:].astype(np.float64)
+    return np.asarray(np.linalg.det(np.eye(axes) + within))
 
 
 class Moduli(NamedTuple):
@@ -126,9 +129,11 @@ class FiniteMaterial(ElasticMaterial):
 
     @property
     def most_growth(self) -> float:
-        """Largest factor by which growth enlarges or reduces the area of any free tissue."""
-        areas = np.ones(1) if self.growth is None else grown_areas(self.growth)[self.m > 0]
-        return float(max(areas.max(), 1 / areas.min()))
+        """Largest factor by which growth enlarges or reduces the size of any free tissue."""
+        if self.growth is None:
+            return 1.0
+        sizes = grown_sizes(self.growth, self.m.ndim)[self.m > 0]
+        return float(max(sizes.max(), 1 / sizes.min()))
 
     def moduli(self, stand_in: float = 0.0) -> Moduli:
         """Return the moduli of the elements.

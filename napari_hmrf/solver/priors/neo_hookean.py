@@ -14,14 +14,11 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.elastic import ElasticPrior, Plane, prior_in_words
-from napari_hmrf.solver.priors.elements import ElementShape, Float64Array
-from napari_hmrf.solver.priors.finite_strain import (
-    FiniteElements,
-    FiniteMaterial,
-    Moduli,
-    grown_areas,
-)
+from napari_hmrf.solver.priors.elements import Float64Array
+from napari_hmrf.solver.priors.finite_bricks import FiniteBricks, brick_moduli
+from napari_hmrf.solver.priors.finite_strain import FiniteElements, FiniteMaterial, grown_sizes
 from napari_hmrf.solver.priors.growth import Load
+from napari_hmrf.solver.priors.hexahedra import BrickShape
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import first_index
 
@@ -89,12 +86,6 @@ class NeoHookeanPrior:
         ProblemError
             For a volume, for growth that turns tissue inside out, and as for `ElasticPrior`.
         """
-        if problem.is_volume:
-            raise ProblemError(
-                "stiffness",
-                "is a volume, but large motion is for 2-D. Use the elastic model for volumes, or "
-                "deform a slice.",
-            )
         _check_growth(problem)
         self.at_rest.resolved(problem)
         return self.in_force(problem)
@@ -112,10 +103,6 @@ class NeoHookeanPrior:
         same = self.at_rest.material(problem)
         growth = None if problem.loads is None else problem.loads.growth
         return FiniteMaterial(same.m, same.poisson, same.strain, same.shape, growth)
-
-    def moduli(self, problem: Problem) -> Moduli:
-        """Return the moduli of each element; 0 in void and in rigid tissue."""
-        return self.material(problem).moduli()
 
     def limit(self, problem: Problem) -> Float64Array | None:
         """Return the limits of `ElasticPrior.limit`."""
@@ -147,23 +134,34 @@ class NeoHookeanPrior:
         return forces if load is None else forces - load.forces
 
     def tangents(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return second derivatives with respect to element differences, (H - 1, W - 1, 6, 6)."""
+        """Return second derivatives of the energy of each element.
+
+        Returns
+        -------
+        ndarray, shape (H - 1, W - 1, 6, 6) or (D - 1, H - 1, W - 1, 24, 24)
+            With respect to the differences of an element of an image, or to the displacement of
+            the eight corners of an element of a volume.
+        """
         return self._elements(problem).tangents(_pixels(problem, displacement))
 
     def corner_jacobians(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return the Jacobian at the four corners of each element, (4, H - 1, W - 1); 1 in void.
+        """Return the numbers that bound the Jacobian of each element; 1 in void.
 
-        It includes growth: tissue that has grown to twice its area has 2.
+        If all are positive, the element is folded nowhere. They include growth: tissue that has
+        grown to twice its size has 2.
+
+        Returns
+        -------
+        ndarray, shape (4, H - 1, W - 1) or (27, D - 1, H - 1, W - 1)
+            Jacobians at the four corners, or Bernstein coefficients in a volume.
         """
         return self._elements(problem).corner_jacobians(_pixels(problem, displacement))
 
-    def _elements(self, problem: Problem) -> FiniteElements:
-        return FiniteElements(self.moduli(problem), self._shape(problem))
-
-    def _shape(self, problem: Problem) -> ElementShape:
-        shape = self.at_rest.shape(problem.spacing)
-        assert isinstance(shape, ElementShape)
-        return shape
+    def _elements(self, problem: Problem) -> FiniteElements | FiniteBricks:
+        material, shape = self.material(problem), self.at_rest.shape(problem.spacing)
+        if isinstance(shape, BrickShape):
+            return FiniteBricks(brick_moduli(material), shape)
+        return FiniteElements(material.moduli(), shape)
 
 
 def _check_growth(problem: Problem) -> None:
@@ -171,7 +169,7 @@ def _check_growth(problem: Problem) -> None:
     growth = None if problem.loads is None else problem.loads.growth
     if growth is None:
         return
-    wrong = problem.tissue & ~(grown_areas(growth) > 0)
+    wrong = problem.tissue & ~(grown_sizes(growth, len(problem.shape)) > 0)
     if wrong.any():
         raise ProblemError(
             "growth",

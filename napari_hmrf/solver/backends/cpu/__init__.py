@@ -242,6 +242,10 @@ class CpuBackend:
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
         """Return the model of large motion."""
+        if material.m.ndim == 3:
+            from napari_hmrf.solver.backends.cpu import finite_volume_model  # heavy: numba
+
+            return finite_volume_model.the_model(material)
         from napari_hmrf.solver.backends.cpu.finite_model import the_model  # heavy: numba
 
         return the_model(material)

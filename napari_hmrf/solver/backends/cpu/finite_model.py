@@ -6,7 +6,6 @@ averaged tangents. All linear models use the same memory.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import finite_strain, finite_tangents, tangents, vectors
+from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
 from napari_hmrf.solver.backends.cpu.forces import parts
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
-from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
-from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, rigid_elements
-from napari_hmrf.solver.backends.rigid.poses import Poses
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of, rigid_elements
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_parameters
@@ -30,13 +29,9 @@ from napari_hmrf.solver.priors.finite_strain import (
     moduli_of,
 )
 
-# Factors by which the spectrum of strained tissue exceeds that at rest: usually, and at most.
-_STRAINED, _WORST = 1.3, 2.0
 # Numbers per element: of its tangent for cycles with the damping, of its whole tangent, and of its
 # elastic parameters (`finite_strain`).
 _CYCLED, _ALL, _OF_SOLID = int(tangents.PLANES), 21, 7
-# Factor of the norm of an element at rest: less than 1, because elements share their sites.
-_CALM = 0.75
 # Relative stiffness that is added to rigid tissue in direct factors; the next Newton step corrects
 # the error.
 _FIRMER = 20.0
@@ -124,7 +119,7 @@ def _planes(count: int, shape: tuple[int, ...]) -> Vector:
     return np.zeros((count, *shape), dtype=np.float32)
 
 
-class CpuFiniteModel:
+class CpuFiniteModel(CpuFiniteModelBase):
     """`FiniteModel` on the processor.
 
     Parameters
@@ -145,13 +140,6 @@ class CpuFiniteModel:
         self._energies, self._least = np.zeros((2, grid[0]))
         self._none: Planes = np.zeros((0, 0))
         self._parts = parts(grid[0])
-        self.material: FiniteMaterial | None = None
-        #: Values added to the diagonal by the last `linearise`.
-        self.springs: Planes | None = None
-        #: Held components, and the factor by which cycles underestimate the error with them.
-        self.rehearsed: tuple[HeldPlanes, float] | None = None
-        #: Indices of the sites of each rigid body.
-        self.bodies: list[BodySites] = []
 
     def assemble(self, material: FiniteMaterial) -> None:
         """Replace the material by another one on the same grid."""
@@ -167,8 +155,8 @@ class CpuFiniteModel:
         rows, cols = np.sqrt(material.shape.rows), np.sqrt(material.shape.cols)
         self._about = float(rows), float(cols), moduli.bulges, BARRIER, BARRIER_BEGIN
         usual, _ = smoother_bounds(material)
-        self._calm = _CALM * self._spread(material)
-        self.bounds = _STRAINED * usual, _WORST * usual
+        self._calm = CALM * self._spread(material)
+        self.bounds = self._bounds(usual)
         for level in self.levels:
             level.cycled.fill(0)
         self._solved.fill(0)
@@ -253,36 +241,6 @@ class CpuFiniteModel:
             for number in numbers:
                 self._solved[number][elements] += share * more
 
-    def poses(self, held: HeldPlanes) -> Poses:
-        """Return the poses of bodies, with their held components."""
-        assert self.material is not None
-        return Poses(self.bodies, self.material.shape.sides, held)
-
-    def project(self, values: Planes) -> None:
-        """Project displacements or forces onto the rigid motions of bodies, in place."""
-        bodies = self.levels[0].bodies
-        if bodies is not None:
-            bodies.project(values)
-
-    def balance(self, rest: Planes) -> Balance:
-        """Return the load of an iteration: 0 at fixed components, projected for rigid bodies."""
-        rest = np.where(self.levels[0].inverse > 0, rest, 0.0)
-        self.project(rest)
-        most = float(np.abs(rest).max())
-        unit = most if most > 0 else 1.0
-        scaled = (rest / unit).astype(np.float32)
-        square = float(np.square(scaled, dtype=np.float64).sum())
-        return Balance(scaled, unit, most, unit * math.sqrt(square))
-
-    def image(self, way: Planes) -> Planes:
-        """Return A `way` of the linear model; 0 at fixed components."""
-        finest = self.levels[0]
-        image = finest.vector()
-        finest.apply(way.astype(np.float32), image)
-        made = image.astype(np.float64)
-        finest.free(image)
-        return made
-
     def length(
         self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
     ) -> tuple[float, npt.NDArray[np.float64]]:
@@ -293,12 +251,6 @@ class CpuFiniteModel:
         return float(self._least.min()), lengths[2:-3, 2:-3] if each else lengths
 
     @property
-    def moves(self) -> HeldPlanes:
-        """Mask of the unknown components of the linear model."""
-        moves: HeldPlanes = self.levels[0].inverse > 0
-        return moves
-
-    @property
     def tangents(self) -> Tangents:
         """Linear model as an `Assembled` material, for direct factors."""
         if not self.bodies:
@@ -306,11 +258,6 @@ class CpuFiniteModel:
         numbers = self._solved.copy()
         numbers[:, self._elements > 0] += _FIRMER * self._stiff
         return Tangents(numbers)
-
-    def clear(self) -> None:
-        """Set all corrections to zero, because they may not be finite."""
-        for level in self.levels:
-            level.clear()
 
     def _work(self, kernel: Any, d: Planes, *others: Any) -> None:
         kernel(d, self._solid, self._about, *others, self._parts)

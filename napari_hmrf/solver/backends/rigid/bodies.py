@@ -119,7 +119,7 @@ class Bodies:
         """Return all rigid motions of points as columns, one component after the other."""
         count, axes = places.shape
         made = [np.repeat(axis, count) for axis in np.eye(axes)]
-        for turn in _turns(axes):
+        for turn in small_rotations(axes):
             made.append((turn @ places.T).ravel())
         return np.stack(made, axis=1)
 
@@ -142,7 +142,7 @@ class Bodies:
         for sites, body in zip(self._sites, self._bodies, strict=True):
             motions = []
             for way, moved in zip(body.ways.T, body.single.T, strict=True):
-                turns = zip(way[axes:], _turns(axes), strict=True)
+                turns = zip(way[axes:], small_rotations(axes), strict=True)
                 turn = sum(share * matrix for share, matrix in turns) * self._sides
                 motions.append(Motion(body.at, moved, body.centre, way[:axes], turn))
             yield sites, motions
@@ -260,7 +260,7 @@ def _rigid(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
     return np.asarray(in_elements(m) & of_corners(np.isinf(m), np.logical_or))
 
 
-def _turns(axes: int) -> list[Float64Array]:
+def small_rotations(axes: int) -> list[Float64Array]:
     """Return the matrix of each small rotation, which maps a position to its displacement."""
     made = []
     for first, second in combinations(range(axes), 2):

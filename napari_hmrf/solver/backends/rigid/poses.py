@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
-from napari_hmrf.solver.backends.rigid.bodies import BodySites
+from napari_hmrf.solver.backends.rigid.bodies import BodySites, small_rotations
 
 Float64Array = npt.NDArray[np.float64]
-# Sites of a body, rows and columns of planes.
-_Index = tuple[slice, npt.NDArray[np.intp], npt.NDArray[np.intp]]
+# Index of a body's sites in planes.
+_Index = tuple[Any, ...]
 
 # Largest number of iterations for a pose, and change, in pixels, at which they end.
 _STEPS, _EXACT = 30, 1e-12
@@ -42,16 +43,16 @@ class Poses:
     bodies : list of tuple of ndarray
         Indices of each body's sites along each axis.
     sides : tuple of float
-        Sides of a pixel along the rows' and the columns' axis, in pixels.
+        Sides of a pixel or voxel along each axis, in pixels.
     held : ndarray of bool, planes
         Mask of the held components.
     """
 
     def __init__(self, bodies: list[BodySites], sides: tuple[float, ...], held: HeldPlanes) -> None:
         self._bodies = []
-        for row, col in bodies:
-            places = np.stack([row, col]) * np.array(sides)[:, None]
-            at = (slice(None), row + 2, col + 2)
+        for sites in bodies:
+            places = np.stack(sites) * np.array(sides)[:, None]
+            at = (slice(None), *(index + 2 for index in sites))
             self._bodies.append(_Body(at, places - places.mean(axis=1, keepdims=True), held[at]))
 
     def hold(self, y: Planes, held: HeldPlanes) -> None:
@@ -73,15 +74,16 @@ class Poses:
             found = _fit_pose(body.places, begin, wanted, body.held, nearest=False)
             off = float(np.abs(found - wanted)[body.held].max())
             if off > _OFF + _PART * float(np.abs(y[body.at])[body.held].max()):
-                row, col = (float(index.mean() - 2) for index in body.at[1:])
+                around = ", ".join(f"{index.mean() - 2:.0f}" for index in body.at[1:])
                 raise ProblemError(
                     "observed",
-                    f"moves pixels of the rigid body around ({row:.0f}, {col:.0f}) against each "
-                    f"other, by {off:.2g} px. Hold or move the body in one place only, move all of "
+                    f"moves pixels of the rigid body around ({around}) against each other, by "
+                    f"{off:.2g} px. Hold or move the body in one place only, move all of "
                     "it by one rotation and translation, or give it a finite stiffness.",
                 )
             stops = np.linalg.svd(_motions(found)[body.held.ravel()], compute_uv=False)
-            if len(stops) == 3 and stops[-1] > _NOTHING * stops[0]:
+            count = body.places.shape[0] * (body.places.shape[0] + 1) // 2
+            if len(stops) == count and stops[-1] > _NOTHING * stops[0]:
                 held[body.at] = True
                 self._bodies[number] = body._replace(held=np.ones_like(body.held))
             y[body.at] = np.where(held[body.at], found - body.places, y[body.at])
@@ -117,11 +119,12 @@ class Poses:
                 continue
             here, there = body.places + d[body.at], body.places + y[body.at]
             middle, goal = here.mean(axis=1, keepdims=True), there.mean(axis=1, keepdims=True)
-            angle = _angle(here - middle, there - goal)
-            if abs(angle) > _TURN:
+            angles = _angles(here - middle, there - goal)
+            angle = float(np.linalg.norm(angles))
+            if angle > _TURN:
                 made = y.copy() if made is y else made
-                share = _TURN / abs(angle)
-                found = middle + share * (goal - middle) + _turn(share * angle) @ (here - middle)
+                share = _TURN / angle
+                found = middle + share * (goal - middle) + _turn(share * angles) @ (here - middle)
                 made[body.at] = found - body.places
         return made
 
@@ -146,18 +149,30 @@ def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> 
     if not some.size:
         return places
     middle, goal = some.mean(axis=1, keepdims=True), wanted.mean(axis=1, keepdims=True)
-    return np.asarray(goal + _turn(_angle(some - middle, wanted - goal)) @ (places - middle))
+    return np.asarray(goal + _turn(_angles(some - middle, wanted - goal)) @ (places - middle))
 
 
-def _angle(places: Float64Array, goals: Float64Array) -> float:
-    """Return the rotation around 0, in radians, that brings positions nearest to their goals."""
-    (row, col), (to_row, to_col) = places, goals
-    across, along = (row * to_col - col * to_row).sum(), (row * to_row + col * to_col).sum()
-    return float(np.arctan2(across, along))
+def _angles(places: Float64Array, goals: Float64Array) -> Float64Array:
+    """Return the rotation around 0, in radians, that brings positions nearest to their goals.
+
+    It is one angle in an image, and a rotation vector in a volume.
+    """
+    if len(places) == 2:
+        (row, col), (to_row, to_col) = places, goals
+        across, along = (row * to_col - col * to_row).sum(), (row * to_row + col * to_col).sum()
+        return np.array([np.arctan2(across, along)])
+    # The orthogonal polar factor of the correlation (Kabsch, Acta Cryst. A32, 1976).
+    left, _, right = np.linalg.svd(goals @ places.T)
+    left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
+    return np.asarray(Rotation.from_matrix(left @ right).as_rotvec())
 
 
-def _turn(angle: float) -> Float64Array:
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+def _turn(angles: Float64Array) -> Float64Array:
+    """Return the matrix of a rotation from `_angles`."""
+    if len(angles) == 1:
+        cos, sin = np.cos(angles[0]), np.sin(angles[0])
+        return np.array([[cos, -sin], [sin, cos]])
+    return np.asarray(Rotation.from_rotvec(angles).as_matrix())
 
 
 def _fit_pose(
@@ -190,12 +205,13 @@ def _fit_pose(
 
 
 def _motions(places: Float64Array) -> Float64Array:
-    """Return the translations, and the rotation around the centre, as columns.
+    """Return the translations, and the small rotations around the centre, as columns.
 
-    The rows of the result are the row components of all sites, and then the column components.
+    The rows of the result are the first component of all sites, then the second, and so on.
     """
-    row, col = places - places.mean(axis=1, keepdims=True)
-    ones, none = np.ones_like(row), np.zeros_like(row)
-    size = max(float(np.hypot(row, col).max()), 1e-300)
-    made = np.stack([[ones, none], [none, ones], [-col / size, row / size]])
-    return made.reshape(3, -1).T
+    centred = places - places.mean(axis=1, keepdims=True)
+    size = max(float(np.linalg.norm(centred, axis=0).max()), 1e-300)
+    axes, count = places.shape
+    made = [np.repeat(axis, count) for axis in np.eye(axes)]
+    made += [(turn @ centred / size).ravel() for turn in small_rotations(axes)]
+    return np.stack(made, axis=1)

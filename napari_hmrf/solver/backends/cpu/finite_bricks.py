@@ -1,0 +1,742 @@
+"""Neo-Hookean volumes as compiled loops: energy, forces and second derivatives of all elements.
+
+`solver.priors.finite_bricks` has the equations and the names. Displacements are planes in voxels,
+and an element has the index of its first site (least plane, row and column).
+
+`solid` has two numbers for each element, mu and lambda, both 0 in void. With growth it has eight:
+mu and lambda times the growth of the volume, and the components 00, 01, 02, 11, 12 and 22 of the
+matrix G that removes growth from the sides. `q` has the three factors of `BrickShape`.
+
+Each step is one loop along a line of elements, which vectorises. Lines of scratch memory have a
+constant distance, so that the compiler can exclude overlaps. Elements of even planes are processed
+before those of odd planes, so that no two threads add to the same site.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import prange
+
+from napari_hmrf.solver.backends.cpu.bernstein import (
+    barrier_energy,
+    barrier_forces,
+    least_of,
+    longest_step,
+)
+from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, shared
+
+#: Number of elements of a block; a line of scratch memory has room for all elements of a block.
+BLOCK = 64
+STEP = BLOCK + 16
+# Numbers of the scratch lines: seven modes of each component of the displacement, of a direction
+# and of the pulls; the elastic parameters; and the matrix G, its square and its determinant.
+MODES, WAYS, PULLS = 0, 21, 42
+MU, LAM, VOLUME, RATE, LIVE, LOW, STRETCH, PRODUCT = 63, 64, 65, 66, 67, 68, 69, 70
+GROWTH, SQUARE, GAIN, _LINES = 71, 77, 83, 84
+# Numbers of the lines of the eight points, in a scratch array of their own: the Jacobian, the
+# change of volume in a direction, and the derivative of the energy with respect to the Jacobian.
+_JACOBIANS, _TILTS, _SLOPES, _POINT_LINES = 0, 8, 16, 24
+#: Numbers in the scratch arrays of lines and of points.
+FLOATS, POINTS = _LINES * STEP, _POINT_LINES * STEP
+# Coordinate of a Gauss point along each axis.
+_POINT = 1 / math.sqrt(3)
+#: Least eigenvalue of second derivatives that are made positive, relative to mu.
+LEAST = 0.01
+
+
+@shared
+def line(number):
+    """Return the index at which a scratch line begins."""
+    return number * STEP
+
+
+@shared
+def of_points(points, number):
+    """Return a line of the points."""
+    return points[number * STEP : (number + 1) * STEP]
+
+
+@shared
+def modes(d, z, y, begin, count, f, first):
+    """Write the modes of a block of elements to scratch lines: 100, 010, 001, 110, 101, 011, 111.
+
+    A mode is the sum over the corners of an element, with the sign of each along the mode's axes.
+    """
+    for k in range(3):
+        past, at = begin + count + 1, line(first + 7 * k)
+        a, b = d[k, z, y, begin:past], d[k, z, y + 1, begin:past]
+        c, e = d[k, z + 1, y, begin:past], d[k, z + 1, y + 1, begin:past]
+        for x in range(count):
+            along_a, along_b = a[x + 1] - a[x], b[x + 1] - b[x]
+            along_c, along_e = c[x + 1] - c[x], e[x + 1] - e[x]
+            near = (b[x] - a[x]) + (b[x + 1] - a[x + 1])
+            far = (e[x] - c[x]) + (e[x + 1] - c[x + 1])
+            left = (c[x] - a[x]) + (c[x + 1] - a[x + 1])
+            right = (e[x] - b[x]) + (e[x + 1] - b[x + 1])
+            f[at + x] = left + right
+            f[at + STEP + x] = near + far
+            f[at + 2 * STEP + x] = (along_a + along_b) + (along_c + along_e)
+            f[at + 3 * STEP + x] = right - left
+            f[at + 4 * STEP + x] = (along_c - along_a) + (along_e - along_b)
+            f[at + 5 * STEP + x] = (along_b - along_a) + (along_e - along_c)
+            f[at + 6 * STEP + x] = (along_e - along_c) - (along_b - along_a)
+
+
+@shared
+def add_pulls(f, z, y, begin, count, out):
+    """Add the forces of the modes of a block of elements to the sites."""
+    for k in range(3):
+        past, at = begin + count, line(PULLS + 7 * k)
+        for corner in range(8):
+            s = 1.0 if corner >= 4 else -1.0
+            t = 1.0 if corner % 4 >= 2 else -1.0
+            r = 1.0 if corner % 2 else -1.0
+            shift = corner % 2
+            force = out[k, z + corner // 4, y + corner % 4 // 2, begin + shift : past + shift]
+            s, t, r = f.dtype.type(s), f.dtype.type(t), f.dtype.type(r)
+            st, sr, tr, both = s * t, s * r, t * r, s * t * r
+            for x in range(count):
+                force[x] += (
+                    (s * f[at + x] + t * f[at + STEP + x])
+                    + (r * f[at + 2 * STEP + x] + st * f[at + 3 * STEP + x])
+                    + (sr * f[at + 4 * STEP + x] + tr * f[at + 5 * STEP + x])
+                    + both * f[at + 6 * STEP + x]
+                )
+
+
+@shared
+def read_solid(solid, z, y, begin, count, f):
+    """Copy the parameters of a block of elements to scratch lines; return whether any is tissue."""
+    one, any_tissue = f.dtype.type, False
+    mu, lam = solid[0, z, y, begin : begin + count], solid[1, z, y, begin : begin + count]
+    for x in range(count):
+        f[line(MU) + x], f[line(LAM) + x] = one(mu[x]), one(lam[x])
+        f[line(LIVE) + x] = one(1) if mu[x] > 0 else one(0)
+        any_tissue |= mu[x] > 0
+    if solid.shape[0] == 2:
+        for x in range(count):
+            for n in range(6):
+                value = one(1) if n == 0 or n == 3 or n == 5 else one(0)
+                f[line(GROWTH + n) + x] = f[line(SQUARE + n) + x] = value
+            f[line(GAIN) + x] = one(1)
+        return any_tissue
+    for x in range(count):
+        a, b, c = solid[2, z, y, begin + x], solid[3, z, y, begin + x], solid[4, z, y, begin + x]
+        p, s, t = solid[5, z, y, begin + x], solid[6, z, y, begin + x], solid[7, z, y, begin + x]
+        if mu[x] <= 0:
+            a, b, c, p, s, t = 1.0, 0.0, 0.0, 1.0, 0.0, 1.0
+        f[line(GROWTH) + x], f[line(GROWTH + 1) + x] = one(a), one(b)
+        f[line(GROWTH + 2) + x], f[line(GROWTH + 3) + x] = one(c), one(p)
+        f[line(GROWTH + 4) + x], f[line(GROWTH + 5) + x] = one(s), one(t)
+        f[line(SQUARE) + x] = one(a * a + b * b + c * c)
+        f[line(SQUARE + 1) + x] = one(a * b + b * p + c * s)
+        f[line(SQUARE + 2) + x] = one(a * c + b * s + c * t)
+        f[line(SQUARE + 3) + x] = one(b * b + p * p + s * s)
+        f[line(SQUARE + 4) + x] = one(b * c + p * s + s * t)
+        f[line(SQUARE + 5) + x] = one(c * c + s * s + t * t)
+        f[line(GAIN) + x] = one(a * (p * t - s * s) - b * (b * t - s * c) + c * (b * s - p * c))
+    return any_tissue
+
+
+@shared
+def gradient(f, first, x, q, s, t, r):
+    """Return the derivatives of one component along the three axes at a Gauss point."""
+    at = line(first) + x
+    both_110, both_101 = f[at + 3 * STEP], f[at + 4 * STEP]
+    both_011, all_111 = f[at + 5 * STEP], f[at + 6 * STEP]
+    return (
+        q[0] * ((f[at] + t * both_110) + (r * both_101 + (t * r) * all_111)),
+        q[1] * ((f[at + STEP] + s * both_110) + (r * both_011 + (s * r) * all_111)),
+        q[2] * ((f[at + 2 * STEP] + s * both_101) + (t * both_011 + (s * t) * all_111)),
+    )
+
+
+@shared
+def deformed(f, x, q, s, t, r):
+    """Return the nine components of F at a Gauss point of an element; the identity in void."""
+    live, one = f[line(LIVE) + x], f.dtype.type(1)
+    a, b, c = gradient(f, MODES, x, q, s, t, r)
+    e, g, h = gradient(f, MODES + 7, x, q, s, t, r)
+    i, j, k = gradient(f, MODES + 14, x, q, s, t, r)
+    return (
+        one + live * a, live * b, live * c,
+        live * e, one + live * g, live * h,
+        live * i, live * j, one + live * k,
+    )  # fmt: skip
+
+
+@shared
+def cofactor(a, b, c, d, e, f, g, h, i):
+    """Return the cofactors of a 3 x 3 matrix, row by row: the derivative of its determinant."""
+    return (
+        e * i - f * h, f * g - d * i, d * h - e * g,
+        c * h - b * i, a * i - c * g, b * g - a * h,
+        b * f - c * e, c * d - a * f, a * e - b * d,
+    )  # fmt: skip
+
+
+@shared
+def twisted(m, w):
+    """Return the derivative of the cofactors of `m` in the direction `w`; both have nine numbers.
+
+    It is symmetric in `m` and `w`.
+    """
+    a, b, c, d, e, f, g, h, i = m
+    o, p, q, r, s, t, u, v, w = w
+    return (
+        (e * w + s * i) - (f * v + t * h),
+        (f * u + t * g) - (d * w + r * i),
+        (d * v + r * h) - (e * u + s * g),
+        (c * v + q * h) - (b * w + p * i),
+        (a * w + o * i) - (c * u + q * g),
+        (b * u + p * g) - (a * v + o * h),
+        (b * t + p * f) - (c * s + q * e),
+        (c * r + q * d) - (a * t + o * f),
+        (a * s + o * e) - (b * r + p * d),
+    )  # fmt: skip
+
+
+@shared
+def volumes(f, points, q, count):
+    """Compute the Jacobian at each Gauss point, the volume, and a bound below all Jacobians."""
+    point = f.dtype.type(_POINT)
+    for x in range(count):
+        f[line(VOLUME) + x] = 0
+    for n in range(8):
+        s = point if n >= 4 else -point
+        t = point if n % 4 >= 2 else -point
+        r = point if n % 2 else -point
+        jacobians = of_points(points, _JACOBIANS + n)
+        for x in range(count):
+            m = deformed(f, x, q, s, t, r)
+            c0, c1, c2 = (
+                m[4] * m[8] - m[5] * m[7],
+                m[5] * m[6] - m[3] * m[8],
+                m[3] * m[7] - m[4] * m[6],
+            )
+            jacobian = m[0] * c0 + m[1] * c1 + m[2] * c2
+            jacobians[x] = jacobian
+            f[line(VOLUME) + x] += jacobian
+    eighth = f.dtype.type(0.125)
+    for x in range(count):
+        f[line(VOLUME) + x] = f[line(GAIN) + x] * (eighth * f[line(VOLUME) + x])
+
+
+@shared
+def _spread_of(f, first, x, q):
+    """Return bounds of the deviation of the three sides of an element from their means."""
+    a = b = c = f.dtype.type(0)
+    for k in range(3):
+        at = line(first + 7 * k) + x
+        m110, m101 = abs(f[at + 3 * STEP]), abs(f[at + 4 * STEP])
+        m011, m111 = abs(f[at + 5 * STEP]), abs(f[at + 6 * STEP])
+        a += (m110 + m101 + m111) ** 2
+        b += (m110 + m011 + m111) ** 2
+        c += (m101 + m011 + m111) ** 2
+    return q[0] * math.sqrt(a), q[1] * math.sqrt(b), q[2] * math.sqrt(c)
+
+
+@shared
+def bound_below(f, q, count):
+    """Compute a bound below the Jacobian everywhere in each element, with growth."""
+    none = f.dtype.type(0)
+    for x in range(count):
+        m = deformed(f, x, q, none, none, none)
+        c0, c1, c2 = m[4] * m[8] - m[5] * m[7], m[5] * m[6] - m[3] * m[8], m[3] * m[7] - m[4] * m[6]
+        mean = m[0] * c0 + m[1] * c1 + m[2] * c2
+        a = math.sqrt(m[0] * m[0] + m[3] * m[3] + m[6] * m[6])
+        b = math.sqrt(m[1] * m[1] + m[4] * m[4] + m[7] * m[7])
+        c = math.sqrt(m[2] * m[2] + m[5] * m[5] + m[8] * m[8])
+        of_a, of_b, of_c = _spread_of(f, MODES, x, q)
+        apart = (a + of_a) * (b + of_b) * (c + of_c) - a * b * c
+        f[line(LOW) + x] = f[line(GAIN) + x] * (mean - f[line(LIVE) + x] * apart)
+
+
+@callee
+def _energy_plane(d, solid, q, barrier, z, f, points, edges, net):
+    sides = q[0], q[1], q[2]
+    strength, start = barrier
+    total, least = 0.0, np.inf
+    for y in range(2, d.shape[2] - 2):
+        for begin in range(2, d.shape[3] - 2, BLOCK):
+            count = min(BLOCK, d.shape[3] - 2 - begin)
+            if not read_solid(solid, z, y, begin, count, f):
+                continue
+            modes(d, z, y, begin, count, f, MODES)
+            bound_below(f, sides, count)
+            volumes(f, points, sides, count)
+            for x in range(count):
+                f[line(STRETCH) + x], f[line(PRODUCT) + x] = 0.0, 1.0
+            for n in range(8):
+                s = _POINT if n >= 4 else -_POINT
+                t = _POINT if n % 4 >= 2 else -_POINT
+                r = _POINT if n % 2 else -_POINT
+                jacobians = of_points(points, _JACOBIANS + n)
+                for x in range(count):
+                    m = deformed(f, x, sides, s, t, r)
+                    g0, g1, g2 = (
+                        f[line(SQUARE) + x],
+                        f[line(SQUARE + 1) + x],
+                        f[line(SQUARE + 2) + x],
+                    )
+                    g3, g4, g5 = (
+                        f[line(SQUARE + 3) + x],
+                        f[line(SQUARE + 4) + x],
+                        f[line(SQUARE + 5) + x],
+                    )
+                    # Trace of F G G F^T.
+                    same = g0 * (m[0] * m[0] + m[3] * m[3] + m[6] * m[6])
+                    same += g3 * (m[1] * m[1] + m[4] * m[4] + m[7] * m[7])
+                    same += g5 * (m[2] * m[2] + m[5] * m[5] + m[8] * m[8])
+                    mixed = g1 * (m[0] * m[1] + m[3] * m[4] + m[6] * m[7])
+                    mixed += g2 * (m[0] * m[2] + m[3] * m[5] + m[6] * m[8])
+                    mixed += g4 * (m[1] * m[2] + m[4] * m[5] + m[7] * m[8])
+                    f[line(STRETCH) + x] += same + 2.0 * mixed
+                    f[line(PRODUCT) + x] *= f[line(GAIN) + x] * jacobians[x]
+            for x in range(count):
+                mu, lam = f[line(MU) + x], f[line(LAM) + x]
+                if mu <= 0:
+                    continue
+                gain, low = f[line(GAIN) + x], f[line(LOW) + x]
+                if low < min(start, least):
+                    here, wall = barrier_energy(d, z, y, begin + x, q, gain, start, edges, net)
+                    least = min(least, here)
+                    if here <= 0:
+                        continue
+                    total += strength * mu * wall
+                volume = f[line(VOLUME) + x]
+                total += 0.5 * mu * (0.125 * f[line(STRETCH) + x] - 3.0)
+                total -= 0.125 * mu * math.log(f[line(PRODUCT) + x])
+                total += lam * (0.25 * (volume * volume - 1.0) - 0.5 * math.log(volume))
+    return total, least
+
+
+@parallel
+def energy(d, solid, q, barrier, energies, least):
+    """Compute the energy of each plane of elements, and a bound below their Jacobians.
+
+    The bound is the least Bernstein coefficient where it is less than the start of the barrier.
+    Folded elements contribute no energy. `barrier` has the strength and the start of the barrier.
+    """
+    for n in prange(d.shape[1] - 4):
+        f, points = np.zeros(FLOATS), np.zeros(POINTS)
+        edges, net = np.empty((3, 4, 3)), np.empty(27)
+        made = _energy_plane(d, solid, q, barrier, n + 2, f, points, edges, net)
+        energies[n], least[n] = made
+
+
+@shared
+def clear_pulls(f, count):
+    for n in range(21):
+        for x in range(count):
+            f[line(PULLS + n) + x] = 0
+
+
+@shared
+def _add_stress(f, x, k, q, s, t, r, a, b, c):
+    """Add the stress of one component at a Gauss point to the pulls of its modes."""
+    at = line(PULLS + 7 * k) + x
+    a, b, c = q[0] * a, q[1] * b, q[2] * c
+    f[at] += a
+    f[at + STEP] += b
+    f[at + 2 * STEP] += c
+    f[at + 3 * STEP] += t * a + s * b
+    f[at + 4 * STEP] += r * a + s * c
+    f[at + 5 * STEP] += r * b + t * c
+    f[at + 6 * STEP] += (t * r) * a + ((s * r) * b + (s * t) * c)
+
+
+@callee
+def _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out):
+    sides = q[0], q[1], q[2]
+    strength, start = barrier
+    for y in range(2, d.shape[2] - 2):
+        for begin in range(2, d.shape[3] - 2, BLOCK):
+            count = min(BLOCK, d.shape[3] - 2 - begin)
+            if not read_solid(solid, z, y, begin, count, f):
+                continue
+            modes(d, z, y, begin, count, f, MODES)
+            bound_below(f, sides, count)
+            volumes(f, points, sides, count)
+            clear_pulls(f, count)
+            for n in range(8):
+                s = _POINT if n >= 4 else -_POINT
+                t = _POINT if n % 4 >= 2 else -_POINT
+                r = _POINT if n % 2 else -_POINT
+                jacobians = of_points(points, _JACOBIANS + n)
+                for x in range(count):
+                    m = deformed(f, x, sides, s, t, r)
+                    cof = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+                    volume, gain = f[line(VOLUME) + x], f[line(GAIN) + x]
+                    mu = 0.125 * f[line(MU) + x]
+                    slope = 0.0625 * f[line(LAM) + x] * gain * (volume - 1.0 / volume)
+                    slope -= mu / jacobians[x]
+                    g0, g1, g2 = (
+                        f[line(SQUARE) + x],
+                        f[line(SQUARE + 1) + x],
+                        f[line(SQUARE + 2) + x],
+                    )
+                    g3, g4, g5 = (
+                        f[line(SQUARE + 3) + x],
+                        f[line(SQUARE + 4) + x],
+                        f[line(SQUARE + 5) + x],
+                    )
+                    _add_stress(
+                        f, x, 0, sides, s, t, r,
+                        mu * (m[0] * g0 + m[1] * g1 + m[2] * g2) + slope * cof[0],
+                        mu * (m[0] * g1 + m[1] * g3 + m[2] * g4) + slope * cof[1],
+                        mu * (m[0] * g2 + m[1] * g4 + m[2] * g5) + slope * cof[2],
+                    )  # fmt: skip
+                    _add_stress(
+                        f, x, 1, sides, s, t, r,
+                        mu * (m[3] * g0 + m[4] * g1 + m[5] * g2) + slope * cof[3],
+                        mu * (m[3] * g1 + m[4] * g3 + m[5] * g4) + slope * cof[4],
+                        mu * (m[3] * g2 + m[4] * g4 + m[5] * g5) + slope * cof[5],
+                    )  # fmt: skip
+                    _add_stress(
+                        f, x, 2, sides, s, t, r,
+                        mu * (m[6] * g0 + m[7] * g1 + m[8] * g2) + slope * cof[6],
+                        mu * (m[6] * g1 + m[7] * g3 + m[8] * g4) + slope * cof[7],
+                        mu * (m[6] * g2 + m[7] * g4 + m[8] * g5) + slope * cof[8],
+                    )  # fmt: skip
+            for x in range(count):
+                if f[line(LOW) + x] < start and f[line(MU) + x] > 0:
+                    scale = strength * f[line(MU) + x]
+                    gain = f[line(GAIN) + x]
+                    barrier_forces(
+                        d, z, y, begin + x, q, gain, start, scale, edges, net, pulls, out
+                    )
+            for n in range(21):
+                for x in range(count):
+                    if f[line(MU) + x] <= 0:
+                        f[line(PULLS + n) + x] = 0.0
+            add_pulls(f, z, y, begin, count, out)
+
+
+@parallel
+def forces(d, solid, q, barrier, out):
+    """Compute the gradient of the energy with respect to the displacement of each site."""
+    out[:] = 0
+    planes = d.shape[1] - 4
+    for odd in range(2):
+        for half in prange((planes + 1 - odd) // 2):
+            f, points = np.zeros(FLOATS), np.zeros(POINTS)
+            edges, net = np.empty((3, 4, 3)), np.empty(27)
+            pulls = np.empty((3, 4, 3))
+            z = 2 * np.int64(half) + odd + 2
+            _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out)
+
+
+@shared
+def largest_stretch(m):
+    """Return a bound above the largest singular value of a matrix of nine numbers."""
+    a = m[0] * m[0] + m[3] * m[3] + m[6] * m[6]
+    b = m[1] * m[1] + m[4] * m[4] + m[7] * m[7]
+    c = m[2] * m[2] + m[5] * m[5] + m[8] * m[8]
+    ab = m[0] * m[1] + m[3] * m[4] + m[6] * m[7]
+    ac = m[0] * m[2] + m[3] * m[5] + m[6] * m[8]
+    bc = m[1] * m[2] + m[4] * m[5] + m[7] * m[8]
+    mean = (a + b + c) / 3
+    a, b, c = a - mean, b - mean, c - mean
+    apart = math.sqrt((a * a + b * b + c * c + 2 * (ab * ab + ac * ac + bc * bc)) / 6)
+    return math.sqrt(mean + 2 * apart)
+
+
+@shared
+def without_growth(f, x, m):
+    """Return F G, the deformation of the grown shape."""
+    a, b, c = f[line(GROWTH) + x], f[line(GROWTH + 1) + x], f[line(GROWTH + 2) + x]
+    e, g, h = f[line(GROWTH + 3) + x], f[line(GROWTH + 4) + x], f[line(GROWTH + 5) + x]
+    return (
+        m[0] * a + m[1] * b + m[2] * c, m[0] * b + m[1] * e + m[2] * g, m[0] * c + m[1] * g + m[2] * h,
+        m[3] * a + m[4] * b + m[5] * c, m[3] * b + m[4] * e + m[5] * g, m[3] * c + m[4] * g + m[5] * h,
+        m[6] * a + m[7] * b + m[8] * c, m[6] * b + m[7] * e + m[8] * g, m[6] * c + m[7] * g + m[8] * h,
+    )  # fmt: skip
+
+
+@callee
+def _image_plane(d, way, solid, q, positive, z, f, points, out):
+    sides = q[0], q[1], q[2]
+    point, eighth, one = f.dtype.type(_POINT), f.dtype.type(0.125), f.dtype.type(1)
+    half, most = f.dtype.type(0.5), f.dtype.type(1 - LEAST)
+    for y in range(2, d.shape[2] - 2):
+        for begin in range(2, d.shape[3] - 2, BLOCK):
+            count = min(BLOCK, d.shape[3] - 2 - begin)
+            if not read_solid(solid, z, y, begin, count, f):
+                continue
+            modes(d, z, y, begin, count, f, MODES)
+            modes(way, z, y, begin, count, f, WAYS)
+            volumes(f, points, sides, count)
+            clear_pulls(f, count)
+            for x in range(count):
+                f[line(RATE) + x] = 0
+            for n in range(8):
+                s = point if n >= 4 else -point
+                t = point if n % 4 >= 2 else -point
+                r = point if n % 2 else -point
+                jacobians = of_points(points, _JACOBIANS + n)
+                tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
+                for x in range(count):
+                    m = deformed(f, x, sides, s, t, r)
+                    cof = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+                    a, b, c = gradient(f, WAYS, x, sides, s, t, r)
+                    tilt = cof[0] * a + cof[1] * b + cof[2] * c
+                    a, b, c = gradient(f, WAYS + 7, x, sides, s, t, r)
+                    tilt += cof[3] * a + cof[4] * b + cof[5] * c
+                    a, b, c = gradient(f, WAYS + 14, x, sides, s, t, r)
+                    tilt += cof[6] * a + cof[7] * b + cof[8] * c
+                    tilts[x] = tilt
+                    f[line(RATE) + x] += tilt
+                    volume = f[line(VOLUME) + x]
+                    slope = half * f[line(LAM) + x] * f[line(GAIN) + x] * (volume - one / volume)
+                    slope -= f[line(MU) + x] / jacobians[x]
+                    slopes[x] = slope
+                if positive > 0:
+                    for x in range(count):
+                        m = without_growth(f, x, deformed(f, x, sides, s, t, r))
+                        bound = most * f[line(MU) + x] * f[line(GAIN) + x] / largest_stretch(m)
+                        slope = slopes[x]
+                        safe = min(max(slope, -bound), bound)
+                        slopes[x] = slope + positive * (safe - slope)
+            for n in range(8):
+                s = point if n >= 4 else -point
+                t = point if n % 4 >= 2 else -point
+                r = point if n % 2 else -point
+                jacobians = of_points(points, _JACOBIANS + n)
+                tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
+                for x in range(count):
+                    m = deformed(f, x, sides, s, t, r)
+                    cof = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+                    w0, w1, w2 = gradient(f, WAYS, x, sides, s, t, r)
+                    w3, w4, w5 = gradient(f, WAYS + 7, x, sides, s, t, r)
+                    w6, w7, w8 = gradient(f, WAYS + 14, x, sides, s, t, r)
+                    way_of = (w0, w1, w2, w3, w4, w5, w6, w7, w8)
+                    turn = twisted(m, way_of)
+                    mu, jacobian = eighth * f[line(MU) + x], jacobians[x]
+                    slope = eighth * slopes[x]
+                    volume, gain = f[line(VOLUME) + x], f[line(GAIN) + x]
+                    bend = (mu / (jacobian * jacobian)) * tilts[x]
+                    stiff = half * f[line(LAM) + x] * (one + one / (volume * volume))
+                    bend += eighth * eighth * gain * gain * stiff * f[line(RATE) + x]
+                    g0, g1, g2 = (
+                        f[line(SQUARE) + x],
+                        f[line(SQUARE + 1) + x],
+                        f[line(SQUARE + 2) + x],
+                    )
+                    g3, g4, g5 = (
+                        f[line(SQUARE + 3) + x],
+                        f[line(SQUARE + 4) + x],
+                        f[line(SQUARE + 5) + x],
+                    )
+                    _add_stress(
+                        f, x, 0, sides, s, t, r,
+                        mu * (w0 * g0 + w1 * g1 + w2 * g2) + (slope * turn[0] + bend * cof[0]),
+                        mu * (w0 * g1 + w1 * g3 + w2 * g4) + (slope * turn[1] + bend * cof[1]),
+                        mu * (w0 * g2 + w1 * g4 + w2 * g5) + (slope * turn[2] + bend * cof[2]),
+                    )  # fmt: skip
+                    _add_stress(
+                        f, x, 1, sides, s, t, r,
+                        mu * (w3 * g0 + w4 * g1 + w5 * g2) + (slope * turn[3] + bend * cof[3]),
+                        mu * (w3 * g1 + w4 * g3 + w5 * g4) + (slope * turn[4] + bend * cof[4]),
+                        mu * (w3 * g2 + w4 * g4 + w5 * g5) + (slope * turn[5] + bend * cof[5]),
+                    )  # fmt: skip
+                    _add_stress(
+                        f, x, 2, sides, s, t, r,
+                        mu * (w6 * g0 + w7 * g1 + w8 * g2) + (slope * turn[6] + bend * cof[6]),
+                        mu * (w6 * g1 + w7 * g3 + w8 * g4) + (slope * turn[7] + bend * cof[7]),
+                        mu * (w6 * g2 + w7 * g4 + w8 * g5) + (slope * turn[8] + bend * cof[8]),
+                    )  # fmt: skip
+            for n in range(21):
+                for x in range(count):
+                    f[line(PULLS + n) + x] *= f[line(LIVE) + x]
+            add_pulls(f, z, y, begin, count, out)
+
+
+@parallel
+def image(d, way, solid, q, positive, out):
+    """Compute the second derivative of the energy in the direction `way`, without the barrier.
+
+    `positive` is the share of the indefinite terms that is left out; with 1 the matrix is positive
+    definite. The precision is that of `way`.
+    """
+    out[:] = 0
+    planes = d.shape[1] - 4
+    for odd in range(2):
+        for half in prange((planes + 1 - odd) // 2):
+            f = np.zeros(FLOATS, dtype=way.dtype)
+            points = np.zeros(POINTS, dtype=way.dtype)
+            z = 2 * np.int64(half) + odd + 2
+            _image_plane(d, way, solid, q, positive, z, f, points, out)
+
+
+@callee
+def _low_plane(d, solid, q, z, f, edges, net, start, low):
+    sides = q[0], q[1], q[2]
+    for y in range(2, d.shape[2] - 2):
+        for begin in range(2, d.shape[3] - 2, BLOCK):
+            count = min(BLOCK, d.shape[3] - 2 - begin)
+            low[z, y, begin : begin + count] = np.inf
+            if not read_solid(solid, z, y, begin, count, f):
+                continue
+            modes(d, z, y, begin, count, f, MODES)
+            bound_below(f, sides, count)
+            for x in range(count):
+                if f[line(MU) + x] > 0:
+                    here = f[line(LOW) + x]
+                    if here < start:
+                        gain = f[line(GAIN) + x]
+                        here = least_of(d, z, y, begin + x, q, gain, edges, net)
+                    low[z, y, begin + x] = here
+
+
+@parallel
+def lowest(d, solid, q, start, low):
+    """Compute a bound below the Jacobian of each element; infinite in void.
+
+    It is the least Bernstein coefficient where it is less than `start`.
+    """
+    for n in prange(d.shape[1] - 4):
+        f, edges, net = np.zeros(FLOATS), np.empty((3, 4, 3)), np.empty(27)
+        _low_plane(d, solid, q, n + 2, f, edges, net, start, low)
+
+
+@callee
+def _length_plane(d, way, solid, q, part, floor, z, f, work, each):
+    sides = q[0], q[1], q[2]
+    none, least = 0.0, np.inf
+    for y in range(2, d.shape[2] - 2):
+        for begin in range(2, d.shape[3] - 2, BLOCK):
+            count = min(BLOCK, d.shape[3] - 2 - begin)
+            if not read_solid(solid, z, y, begin, count, f):
+                continue
+            modes(d, z, y, begin, count, f, MODES)
+            modes(way, z, y, begin, count, f, WAYS)
+            for x in range(count):
+                m = deformed(f, x, sides, none, none, none)
+                c0, c1 = m[4] * m[8] - m[5] * m[7], m[5] * m[6] - m[3] * m[8]
+                mean = m[0] * c0 + m[1] * c1 + m[2] * (m[3] * m[7] - m[4] * m[6])
+                a = math.sqrt(m[0] * m[0] + m[3] * m[3] + m[6] * m[6])
+                b = math.sqrt(m[1] * m[1] + m[4] * m[4] + m[7] * m[7])
+                c = math.sqrt(m[2] * m[2] + m[5] * m[5] + m[8] * m[8])
+                of_a, of_b, of_c = _spread_of(f, MODES, x, sides)
+                high = mean + (a + of_a) * (b + of_b) * (c + of_c) - a * b * c
+                to_a, to_b, to_c = _spread_of(f, WAYS, x, sides)
+                w0, w1, w2 = gradient(f, WAYS, x, sides, none, none, none)
+                w3, w4, w5 = gradient(f, WAYS + 7, x, sides, none, none, none)
+                w6, w7, w8 = gradient(f, WAYS + 14, x, sides, none, none, none)
+                to_a += of_a + math.sqrt(w0 * w0 + w3 * w3 + w6 * w6)
+                to_b += of_b + math.sqrt(w1 * w1 + w4 * w4 + w7 * w7)
+                to_c += of_c + math.sqrt(w2 * w2 + w5 * w5 + w8 * w8)
+                low = mean + a * b * c - (a + to_a) * (b + to_b) * (c + to_c)
+                gain = f[line(GAIN) + x]
+                f[line(LOW) + x] = gain * low - max(part * gain * high, min(gain * high, floor))
+            for x in range(count):
+                if f[line(MU) + x] <= 0:
+                    continue
+                here = np.inf
+                if f[line(LOW) + x] < 0:
+                    gain = f[line(GAIN) + x]
+                    here = longest_step(d, way, z, y, begin + x, q, part, floor, gain, work)
+                if each.size > 0:
+                    each[z, y, begin + x] = here
+                least = min(least, here)
+    return least
+
+
+@parallel
+def length(d, way, solid, q, part, floor, plane_length, each):
+    """Compute the largest step along `way` for each plane of elements, infinite if it is above 1.
+
+    Each Bernstein coefficient stays at least `part` of its present value, and above `floor`; see
+    `bernstein.longest_step`. Unless `each` is empty, it gets the largest step of each element.
+    """
+    for n in prange(d.shape[1] - 4):
+        f, edges, ways = np.zeros(FLOATS), np.empty((3, 4, 3)), np.empty((3, 4, 3))
+        moved, nets = np.empty((3, 4, 3)), np.empty((4, 27))
+        work = edges, ways, moved, nets[0], nets[1], nets[2], nets[3]
+        plane_length[n] = _length_plane(d, way, solid, q, part, floor, n + 2, f, work, each)
+
+
+@callee
+def _element_matrix(d, solid, q, z, y, x, f, points, slopes, tilts, rate, out):
+    """Compute the second derivatives of one element without their indefinite part, (24, 24)."""
+    read_solid(solid, z, y, x, 1, f)
+    modes(d, z, y, x, 1, f, MODES)
+    volumes(f, points, q, 1)
+    mu, lam, gain, volume = f[line(MU)], f[line(LAM)], f[line(GAIN)], f[line(VOLUME)]
+    out[:] = 0.0
+    rate[:] = 0.0
+    square = (
+        f[line(SQUARE)], f[line(SQUARE + 1)], f[line(SQUARE + 2)],
+        f[line(SQUARE + 3)], f[line(SQUARE + 4)], f[line(SQUARE + 5)],
+    )  # fmt: skip
+    pressure = 0.5 * lam * gain * (volume - 1.0 / volume)
+    for n in range(8):
+        s = _POINT if n >= 4 else -_POINT
+        t = _POINT if n % 4 >= 2 else -_POINT
+        r = _POINT if n % 2 else -_POINT
+        jacobian = of_points(points, _JACOBIANS + n)[0]
+        m = deformed(f, 0, q, s, t, r)
+        c = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+        bound = (1 - LEAST) * mu * gain / largest_stretch(without_growth(f, 0, m))
+        slope = min(max(pressure - mu / jacobian, -bound), bound)
+        for corner in range(8):
+            a = 1.0 if corner >= 4 else -1.0
+            b = 1.0 if corner % 4 >= 2 else -1.0
+            e = 1.0 if corner % 2 else -1.0
+            slopes[corner, 0] = q[0] * a * (1 + b * t) * (1 + e * r)
+            slopes[corner, 1] = q[1] * b * (1 + a * s) * (1 + e * r)
+            slopes[corner, 2] = q[2] * e * (1 + a * s) * (1 + b * t)
+            for k in range(3):
+                tilt = c[3 * k] * slopes[corner, 0] + c[3 * k + 1] * slopes[corner, 1]
+                tilt += c[3 * k + 2] * slopes[corner, 2]
+                tilts[3 * corner + k] = tilt
+                rate[3 * corner + k] += 0.125 * gain * tilt
+        bend = 0.125 * mu / (jacobian * jacobian)
+        for i in range(24):
+            for j in range(24):
+                out[i, j] += bend * tilts[i] * tilts[j]
+        for one in range(8):
+            u0, u1, u2 = slopes[one, 0], slopes[one, 1], slopes[one, 2]
+            for two in range(8):
+                v0, v1, v2 = slopes[two, 0], slopes[two, 1], slopes[two, 2]
+                own = u0 * (square[0] * v0 + square[1] * v1 + square[2] * v2)
+                own += u1 * (square[1] * v0 + square[3] * v1 + square[4] * v2)
+                own += u2 * (square[2] * v0 + square[4] * v1 + square[5] * v2)
+                own *= 0.125 * mu
+                # The direction normal to both slopes, deformed, couples different components.
+                w0, w1, w2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+                g0 = 0.125 * slope * (m[0] * w0 + m[1] * w1 + m[2] * w2)
+                g1 = 0.125 * slope * (m[3] * w0 + m[4] * w1 + m[5] * w2)
+                g2 = 0.125 * slope * (m[6] * w0 + m[7] * w1 + m[8] * w2)
+                i, j = 3 * one, 3 * two
+                out[i, j] += own
+                out[i + 1, j + 1] += own
+                out[i + 2, j + 2] += own
+                out[i, j + 1] += g2
+                out[i + 1, j] -= g2
+                out[i + 1, j + 2] += g0
+                out[i + 2, j + 1] -= g0
+                out[i + 2, j] += g1
+                out[i, j + 2] -= g1
+    bulk = 0.5 * lam * (1.0 + 1.0 / (volume * volume))
+    for i in range(24):
+        for j in range(24):
+            out[i, j] += bulk * rate[i] * rate[j]
+
+
+@parallel
+def add_element_matrices(d, elements, solid, q, out):
+    """Add the second derivatives of some elements, without their indefinite part, to `out`.
+
+    The barrier is not included. The order of components is that of `bernstein.barrier_matrices`.
+    """
+    for n in prange(len(elements)):
+        f, points, made = np.zeros(FLOATS), np.zeros(POINTS), np.empty((24, 24))
+        slopes, tilts, rate = np.empty((8, 3)), np.empty(24), np.empty(24)
+        z, y, x = elements[n]
+        _element_matrix(d, solid, q, z, y, x, f, points, slopes, tilts, rate, made)
+        out[n] += made

@@ -1,0 +1,351 @@
+"""Volumes in large motion on the processor: their energy, and their linear model.
+
+The solved system has the exact second derivatives of the energy, which are not stored: `apply`
+computes them from the displacement. Multigrid preconditions it with a simpler model, which has one
+deformation gradient for each element (`brick_tangents`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends import volume_caches
+from napari_hmrf.solver.backends.cpu import (
+    bernstein,
+    brick_tangents,
+    finite_bricks,
+    vectors,
+    volume,
+)
+from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
+from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
+from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
+from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
+from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_ratio
+from napari_hmrf.solver.priors.finite_bricks import FiniteBricks, brick_moduli
+from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, FiniteMaterial
+
+
+class BrickLevel(CpuLevel):
+    """Tangents and springs of one level; see `CpuLevel`.
+
+    Parameters
+    ----------
+    grid : tuple of int
+        Grid of the level, (D, H, W).
+    finest : bool
+        True for the finest level, whose `apply` uses the exact second derivatives.
+
+    Attributes
+    ----------
+    tangent : ndarray, shape (13, D + 4, H + 4, W + 4)
+        Numbers of each element; see `brick_tangents`.
+    exact : SecondDerivatives or None
+        Second derivatives of the solved system; None on coarser levels.
+    """
+
+    sums_up = True
+
+    def __init__(self, grid: tuple[int, ...], finest: bool) -> None:
+        super().__init__(grid)
+        self.tangent = padded(int(brick_tangents.PLANES), grid)
+        self.weight = None if finest else self.vector()
+        self._image = self.vector()
+        self.exact: SecondDerivatives | None = None
+        self.shape: Vector = np.zeros(3, dtype=np.float32)
+        depth, height = (size + 2 * PAD for size in grid[:2])
+        self.spans = np.zeros((depth, height, 2), dtype=np.int64).reshape(-1, 2)[PAD:-PAD]
+
+    @property
+    def pins(self) -> Vector:  # type: ignore[override]
+        """Pins for the next coarser level, which reads them once.
+
+        They use the memory of a correction, so `clear` must follow.
+        """
+        return self._other
+
+    @property
+    def _springs(self) -> tuple[Vector, np.float32]:  # type: ignore[override]
+        """Strength and factor of the springs as in `CpuLevel`, but not cached.
+
+        Springs of the finest level may change with each linear model.
+        """
+        if self.weight is None:
+            return self.inverse, np.float32(0)
+        return self.weight, np.float32(1)
+
+    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
+        """Set the held components and the springs of the finest level."""
+        brick_tangents.diagonal(self.tangent, self.shape, self.inverse)
+        if self.exact is not None:
+            bernstein.add_diagonals(self.exact.walled, self.exact.safe_walls, self.inverse)
+        compute_thread.check_cancelled()
+        self.weight = None if springs is None else springs.astype(np.float32)
+        if self.weight is not None:
+            np.add(self.inverse, self.weight, out=self.inverse, where=self.inverse > 0)
+        vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
+        if self.weight is not None:
+            np.add(self.pins, self.weight * self.inverse, out=self.pins)
+
+    def hold_as(self, finer: BrickLevel) -> None:
+        """Set the springs of sites near held sites of the next finer level."""
+        brick_tangents.diagonal(self.tangent, self.shape, self.inverse)
+        self._set_springs(finer)
+
+    def relax(self, steps: Steps, from_zero: bool) -> None:
+        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
+        paces = paces_of(steps, from_zero)
+        if from_zero:
+            arrays = map(rows, (self.load, self.inverse, self.correction))
+            volume.start(*arrays, paces[0, 0])
+            paces = paces[1:]
+        weight, springs = self._springs
+        for pace in paces:
+            self._apply_simply(self.correction, self._image)
+            arrays = map(rows, (self.correction, self.load, self._image, self.inverse, weight))
+            brick_tangents.smooth(*arrays, springs, rows(self._other), *pace)
+            self.correction, self._other = self._other, self.correction
+            compute_thread.check_cancelled()
+
+    def _apply_simply(self, d: Vector, image: Vector) -> None:
+        """Compute the product of the matrix for cycles, without springs, and a displacement."""
+        brick_tangents.image(d, self.tangent, self.shape, image)
+        if self.exact is not None:
+            bernstein.add_images(d, self.exact.walled, self.exact.safe_walls, image)
+
+    def _restrict_residual(self, coarse: BrickLevel) -> None:
+        weight, springs = self._springs
+        self._apply_simply(self.correction, self._image)
+        about = map(rows, (self._image, self.inverse, weight))
+        arrays = rows(self.correction), rows(self.load), np.float32(1)
+        brick_tangents.rest(*arrays, *about, springs, np.float32(1), rows(self._image))
+        volume.restrict(self._image, coarse.load)
+
+    @staticmethod
+    def _restrict(fine: Vector, coarse: Vector) -> None:
+        volume.restrict(fine, coarse)
+
+    def _add_coarse(self, coarse: Vector) -> None:
+        volume.interpolate(coarse, self.correction, self.inverse)
+
+    def scratch_vector(self) -> Vector:
+        """Return a vector of the cycle that is unused between cycles, which saves memory."""
+        return self._other
+
+    def free(self, *vectors: Vector) -> None:
+        """Ignore the call; vectors are not kept, because memory limits volumes."""
+
+    def apply(self, direction: Vector, image: Vector) -> float:
+        """Compute ``image = A @ direction`` for the solved system; return their product."""
+        assert self.exact is not None
+        self.exact.apply(direction, image)
+        weight, springs = self._springs
+        about = map(rows, (image, self.inverse, weight))
+        arrays = rows(direction), rows(direction), np.float32(0)
+        brick_tangents.rest(*arrays, *about, springs, np.float32(-1), rows(image))
+        return self.product(direction, image)
+
+
+class SecondDerivatives:
+    """Second derivatives of the energy of a volume at a displacement.
+
+    Parameters
+    ----------
+    d : ndarray, planes
+        Displacement, in voxels; read at each call, so it must not change.
+    solid : ndarray, shape (2 or 8, D + 4, H + 4, W + 4)
+        Moduli of the elements; see `finite_bricks`.
+    gain : ndarray or float
+        Determinant of the matrix G of each element.
+    shape : BrickShape
+    positive : float
+        Part of the indefinite terms that is left out, from 0 to 1.
+    """
+
+    def __init__(
+        self, d: Planes, solid: npt.NDArray[Any], gain: Any, shape: Any, positive: float
+    ) -> None:
+        self._d, self._solid, self._positive = d, solid, np.float32(positive)
+        self._sides = np.array(shape, dtype=np.float32)
+        low = np.empty(d.shape[1:])
+        low.fill(np.inf)
+        sides = np.array(shape)
+        finite_bricks.lowest(d, solid, sides, BARRIER_BEGIN, low)
+        #: Indices (z, y, x) of the elements whose barrier acts, in padded arrays.
+        self.walled = np.argwhere(low < BARRIER_BEGIN)
+        at = tuple(self.walled.T)
+        gains = np.broadcast_to(gain, d.shape[1:])[at].astype(np.float64)
+        scales = BARRIER * solid[0][at].astype(np.float64)
+        #: Second derivatives of the barrier of these elements.
+        self.walls = np.zeros((len(self.walled), 24, 24), dtype=np.float32)
+        about = d, self.walled, gains, scales, sides, BARRIER_BEGIN
+        bernstein.barrier_matrices(*about, positive, self.walls)
+        #: The same without their indefinite part, for cycles.
+        self.safe_walls = self.walls.copy() if positive == 1 else np.zeros_like(self.walls)
+        if positive < 1:
+            bernstein.barrier_matrices(*about, 1.0, self.safe_walls)
+        finite_bricks.add_element_matrices(d, self.walled, solid, sides, self.safe_walls)
+
+    def apply(self, direction: Vector, image: Vector) -> None:
+        """Compute the product with a direction."""
+        finite_bricks.image(self._d, direction, self._solid, self._sides, self._positive, image)
+        compute_thread.check_cancelled()
+        bernstein.add_images(direction, self.walled, self.walls, image)
+
+
+class CpuFiniteVolumeModel(CpuFiniteModelBase):
+    """`FiniteModel` of a volume on the processor.
+
+    Parameters
+    ----------
+    grid : tuple of int
+        Grid, (D, H, W).
+    """
+
+    def __init__(self, grid: tuple[int, ...]) -> None:
+        self.levels: list[BrickLevel] = [
+            BrickLevel(each, number == 0) for number, each in enumerate(grids(grid))
+        ]
+        self.shape = grid
+        self._pull: Planes = np.zeros((3, *(size + 2 * PAD for size in grid)))
+        self._energies, self._least = np.zeros((2, grid[0]))
+        self._no_elements: Planes = np.zeros((0, 0, 0))
+
+    def assemble(self, material: FiniteMaterial) -> None:
+        """Replace the material by another one on the same grid."""
+        if self.material is not None and self.material == material:
+            return
+        if self.material is None or not self.material.is_tissue_of(material):
+            self.rehearsed = None
+        self.material = material
+        moduli = brick_moduli(material, CYCLE_STAND_IN)
+        grows = moduli.undo is not None
+        self._solid = padded(8 if grows else 2, self.shape)
+        elements = (slice(PAD, -PAD - 1),) * 3
+        self._solid[0][elements], self._solid[1][elements] = moduli.shear, moduli.first
+        self._gain: Any = 1.0
+        if moduli.undo is not None:
+            for plane, (i, j) in zip(self._solid[2:], _UPPER, strict=True):
+                plane[elements] = moduli.undo[..., i, j]
+            self._gain = np.ones(self._solid.shape[1:])
+            self._gain[elements] = np.linalg.det(moduli.undo)
+        self._sides = np.array(material.shape)
+        self._barrier = BARRIER, BARRIER_BEGIN
+        usual, _ = smoother_bounds(material)
+        self.bounds = self._bounds(usual)
+        ratio = lame_ratio(material.largest_poisson, strain=True)
+        self._calm = CALM * float(brick_tangents.norm_at_rest(1.0, ratio, self._sides))
+        for level in self.levels:
+            level.shape = self._sides.astype(np.float32)
+        self.bodies = bodies_of(material.m) if material.rigid else []
+        self.levels[0].bodies = None
+
+    def energy(self, d: Planes) -> tuple[float, float]:
+        """Return the energy of a displacement, and a bound below the Jacobian of all elements."""
+        about = d, self._solid, self._sides, self._barrier
+        finite_bricks.energy(*about, self._energies, self._least)
+        return float(self._energies.sum()), float(self._least.min())
+
+    def forces(self, d: Planes) -> Planes:
+        """Return the gradient of the elastic energy; valid until the next call."""
+        finite_bricks.forces(d, self._solid, self._sides, self._barrier, self._pull)
+        return self._pull
+
+    def linearise(
+        self,
+        d: Planes,
+        held: HeldPlanes,
+        forces: Planes,
+        positive: float = 0.0,
+        springs: Planes | None = None,
+    ) -> None:
+        """Build the linear model of small motion around a displacement; see `FiniteModel`."""
+        finest, self.springs = self.levels[0], springs
+        about = d, self._solid, self._sides, self._barrier, self._calm
+        brick_tangents.tangents(*about, finest.tangent)
+        compute_thread.check_cancelled()
+        finest.exact = SecondDerivatives(d, self._solid, self._gain, self._sides, positive)
+        self._positive, self._at = positive, d
+        if self.bodies:
+            assert self.material is not None
+            finest.bodies = Bodies(list(self.bodies), self.material, held, d)
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            brick_tangents.coarsen(fine.tangent, coarse.tangent)
+        at = tuple(finest.exact.walled.T)
+        # Cycles use the full matrices of these elements instead.
+        for plane in finest.tangent[9:12]:
+            plane[at] = 0
+        finest.hold(held, springs)
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            coarse.hold_as(fine)
+        self.clear()
+
+    def length(
+        self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
+    ) -> tuple[float, npt.NDArray[np.float64]]:
+        """Return the largest step along `way` that leaves no element folded; see `FiniteModel`."""
+        lengths = np.full(self._solid.shape[1:], np.inf) if each else self._no_elements
+        about = d, way, self._solid, self._sides, part, floor
+        finite_bricks.length(*about, self._least, lengths)
+        elements = (slice(PAD, -PAD - 1),) * 3
+        return float(self._least.min()), lengths[elements] if each else lengths
+
+    @property
+    def tangents(self) -> BrickMatrices:
+        """Linear model as an `Assembled` material, for direct factors."""
+        assert self.material is not None
+        exact = self.levels[0].exact
+        assert exact is not None
+        return BrickMatrices(self.material, self._at, exact)
+
+
+_UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
+
+
+class BrickMatrices:
+    """Second derivatives of elements as an `Assembled` material.
+
+    Parameters
+    ----------
+    material : FiniteMaterial
+    d : ndarray, planes
+        Displacement, in voxels.
+    exact : SecondDerivatives
+        Has the second derivatives of the barrier.
+    """
+
+    patch = 2
+    margin = 0
+    symmetric = True
+
+    def __init__(self, material: FiniteMaterial, d: Planes, exact: SecondDerivatives) -> None:
+        moduli = brick_moduli(material, CYCLE_STAND_IN)
+        elements = FiniteBricks(moduli, material.shape)
+        self._matrices = elements.tangents(np.moveaxis(d[:, 2:-2, 2:-2, 2:-2], 0, -1))
+        at = tuple((exact.walled - PAD).T)
+        self._matrices[at] += exact.walls
+
+    @property
+    def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
+        """Single part with all components, and the function that returns its matrices."""
+        return (((0, 1, 2), lambda *elements: self._matrices[elements]),)
+
+
+_last: list[CpuFiniteVolumeModel] = []
+in_child_of_fork(_last.clear)
+volume_caches.register(_last.clear)
+
+
+def the_model(material: FiniteMaterial) -> CpuFiniteVolumeModel:
+    """Return the model of a material, in the memory of the last model if the grid is the same."""
+    if not _last or _last[0].shape != material.m.shape:
+        _last[:] = ()  # free the old model before the new one is allocated
+        _last.append(CpuFiniteVolumeModel(tuple(material.m.shape)))
+    _last[0].assemble(material)
+    return _last[0]
