@@ -43,7 +43,6 @@ class CpuField:
     planes : ndarray, shape (C, H + 4, W + 4) or (C, D + 4, H + 4, W + 4)
         Values with the component as the first axis, including the border.
     """
-    """
 
     planes: FloatArray
 

@@ -26,7 +26,7 @@ _ALL = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class _Uncollected(event.Listener):  # type: ignore[misc]
-    """Listener that pauses garbage collection while numba compiles, which saves 10 % of the time."""
+    """Listener that pauses garbage collection while numba compiles, saving 10 % of the time."""
 
     _within = 0
     _paused = False

@@ -20,7 +20,7 @@ from napari_hmrf.solver.backends.cpu.compiled import parallel
 from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
-# Fields count as linearly dependent if the least eigenvalue of their scaled stiffness is below this.
+# Fields count as linearly dependent if an eigenvalue of their scaled stiffness is below this value.
 _INDEPENDENT = 1e-4
 
 

@@ -41,7 +41,6 @@ class CpuElasticLevel(SmallLevel):
     moving, reach : ndarray
         Like `inverse` and `spans`, but with the rigid bodies free that cycles constrain.
     """
-    """
 
     def __init__(
         self,

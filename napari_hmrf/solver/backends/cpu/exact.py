@@ -31,8 +31,8 @@ def prescribe(y, observed, share, first, one, second, two, d, held):
 
 
 @strict_parallel
+def blend(values, weight, held, d):
     """Add weight * values, where `values` has shape (H, W, 2), to `d` except at held components."""
-    """Add weight * values, (H, W, 2), to `d` where it is not held."""
     for i in prange(values.shape[0]):
         for j in range(values.shape[1]):
             for k in range(2):
@@ -54,7 +54,7 @@ def _settle_row(values, tissue, unit):
 
 @strict_parallel
 def settle(values, tissue, unit, row_finite):
-    """Multiply values by `unit` on tissue and set others to 0; flag rows with only finite values."""
+    """Multiply values by `unit` on tissue and by 0 elsewhere; flag the rows that are finite."""
     flat = values.reshape(values.shape[0], -1)
     for i in prange(values.shape[0]):
         row_finite[i] = _settle_row(flat[i], tissue[i], unit)
