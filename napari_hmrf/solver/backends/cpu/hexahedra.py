@@ -6,7 +6,7 @@ square of four sites in the same column. Each step is one loop along a line of s
 vectorizes:
 
 1. `_faces` computes for each face the differences of the displacement along the plane axis, along
-   the row axis and along both axes, and the sum of its four sites minus that of the next face.
+   the row axis and along both axes, and the sum over the next face minus the sum over this face.
 2. `_elements` computes the modes of each element from its two faces, and the forces of these modes
    on both faces.
 3. `_gather` adds the forces of the elements before and after a face at the face's four sites. The
@@ -192,7 +192,7 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
     Parameters
     ----------
     d : ndarray, shape (3, D + 4, H + 4, W + 4)
-        Displacement, in pixels.
+        Displacement.
     lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
         Parameter mu of each element, and also lambda unless lambda is `share` times mu everywhere.
     share : float
