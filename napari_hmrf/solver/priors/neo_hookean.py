@@ -1,7 +1,7 @@
-"""Large motion without folding: finite strain on the pixel grid, in a reference implementation.
+"""Large motion without folding: reference implementation of finite strain on the pixel grid.
 
-Every 2 x 2 block of tissue sites is an element, as in `ElasticPrior`, but it may turn and stretch
-without limit. Its energy is defined in `finite_strain`.
+Every 2 x 2 block of tissue sites is an element, as in `ElasticPrior`, but its rotation and stretch
+are unlimited. `finite_strain` defines its energy.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from napari_hmrf.solver.real_arrays import first_index
 
 @dataclass(frozen=True, eq=False)
 class NeoHookeanPrior:
-    """Neo-Hookean tissue of an image: it may move far, turns without strain, and never folds.
+    """Neo-Hookean tissue of an image, for large displacements and rotations without folding.
 
-    For small motion it equals `ElasticPrior`, which takes a tenth of the time. Use that prior if
-    displacements are less than a tenth of the distances over which they vary.
+    For small motion, it is equivalent to `ElasticPrior`, which takes a tenth of the time. Use
+    `ElasticPrior` if displacements are less than a tenth of the distances over which they vary.
 
     Parameters
     ----------
     poisson : float or array_like, shape (H, W)
-        Poisson's ratio at small strain, 0 to 0.499, of all tissue or of each site.
+        Poisson's ratio at small strain, from 0 to 0.499, of all tissue or of each site.
     plane : {"stress", "strain"}
-        As for `ElasticPrior`.
+        Same as for `ElasticPrior`.
     penalty : float, optional
-        As for `ElasticPrior`.
+        Same as for `ElasticPrior`.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
@@ -58,12 +58,12 @@ class NeoHookeanPrior:
 
     @property
     def at_rest(self) -> ElasticPrior:
-        """Prior for small motion, with the same parameters."""
+        """Prior for small motion with the same parameters."""
         return ElasticPrior(self.poisson, plane=self.plane, penalty=self.penalty)
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters by name (JSON types only); a map of ratios by its shape and digest."""
+        """Parameters by name (JSON types only), with the shape and digest of a map of ratios."""
         return {**self.at_rest.parameters, "name": "NeoHookeanPrior"}
 
     def __eq__(self, other: object) -> bool:
@@ -74,11 +74,11 @@ class NeoHookeanPrior:
 
     @property
     def kernels(self) -> str:
-        """Kernels of this prior, as a key."""
+        """Key of the kernels that this prior uses."""
         return "large motion"
 
     def rehearsal(self, shape: tuple[int, ...]) -> NeoHookeanPrior:
-        """Return a prior with the same kernels, for a small problem of this shape."""
+        """Return a prior that uses the same kernels, for a small problem of the given shape."""
         return NeoHookeanPrior(0.3, plane=self.plane)
 
     def resolved(self, problem: Problem) -> NeoHookeanPrior:
@@ -87,20 +87,21 @@ class NeoHookeanPrior:
         Raises
         ------
         ProblemError
-            For a volume, for growth that turns tissue inside out, and as for `ElasticPrior`.
+            If the problem is a volume, if growth turns tissue inside out, or in the cases of
+            `ElasticPrior.resolved`.
         """
         if problem.is_volume:
             raise ProblemError(
                 "stiffness",
-                "is a volume, but large motion is for 2-D. Use the elastic model for volumes, or "
-                "deform a slice.",
+                "is a volume, but large motion is for 2-D images only. Use the elastic model for "
+                "volumes, or deform a slice.",
             )
         _check_growth(problem)
         self.at_rest.resolved(problem)
         return self.in_force(problem)
 
     def in_force(self, problem: Problem) -> NeoHookeanPrior:
-        """Return the prior with an infinite penalty if no observation of the problem may slip."""
+        """Return the prior with an infinite penalty if the problem's observations cannot slip."""
         return replace(self, penalty=self.at_rest.in_force(problem).penalty)
 
     def can_slip(self, problem: Problem) -> bool:
@@ -108,7 +109,7 @@ class NeoHookeanPrior:
         return self.at_rest.can_slip(problem)
 
     def material(self, problem: Problem) -> FiniteMaterial:
-        """Return the properties of a problem's tissue that the kernels need."""
+        """Return the properties of a problem's tissue that the kernels require."""
         same = self.at_rest.material(problem)
         growth = None if problem.loads is None else problem.loads.growth
         return FiniteMaterial(same.m, same.poisson, same.strain, same.shape, growth)
@@ -118,15 +119,15 @@ class NeoHookeanPrior:
         return self.material(problem).moduli()
 
     def limit(self, problem: Problem) -> Float64Array | None:
-        """Return the limits of `ElasticPrior.limit`."""
+        """Return the force limits; see `ElasticPrior.limit`."""
         return self.at_rest.limit(problem)
 
     def force_unit(self, problem: Problem) -> float:
-        """Return the force unit of `ElasticPrior.force_unit`."""
+        """Return the unit of force; see `ElasticPrior.force_unit`."""
         return self.at_rest.force_unit(problem)
 
     def load(self, problem: Problem) -> Load | None:
-        """Return the dead loads, forces that do not depend on the motion; None without any."""
+        """Return the dead loads, which do not depend on the motion, or None if there are none."""
         if problem.loads is None or problem.loads.force is None:
             return None
         return Load(problem.loads.force / np.float64(self.force_unit(problem)), 0.0)
@@ -134,7 +135,7 @@ class NeoHookeanPrior:
     def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
         """Return U, in pixels squared, for a displacement (H, W, 2) in units of ``spacing``.
 
-        U is the energy stored in tissue, less the work of forces.
+        U is the elastic energy minus the work of forces.
         """
         d, load = _pixels(problem, displacement), self.load(problem)
         stored = self._elements(problem).energy(d)
@@ -153,7 +154,7 @@ class NeoHookeanPrior:
     def corner_jacobians(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Return the Jacobian at the four corners of each element, (4, H - 1, W - 1); 1 in void.
 
-        It includes growth: tissue that has grown to twice its area has 2.
+        The Jacobian includes growth: in tissue that has doubled its area, it is 2.
         """
         return self._elements(problem).corner_jacobians(_pixels(problem, displacement))
 
@@ -167,7 +168,7 @@ class NeoHookeanPrior:
 
 
 def _check_growth(problem: Problem) -> None:
-    """Refuse growth tensors that shrink tissue to nothing in some direction."""
+    """Raise an error if growth shrinks tissue to nothing in some direction."""
     growth = None if problem.loads is None else problem.loads.growth
     if growth is None:
         return

@@ -113,7 +113,7 @@ def test_nothing_rigid_may_slip() -> None:
     c = np.ones((8, 8, 2))
     m = np.ones((8, 8))
     m[3:5, 3:5] = np.inf
-    with pytest.raises(ProblemError, match="no observation may slip"):
+    with pytest.raises(ProblemError, match="observations cannot slip"):
         solve(Problem(0 * c, c, m), NeoHookeanPrior(penalty=1.0), backend="cpu")
 
 
