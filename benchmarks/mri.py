@@ -1,12 +1,13 @@
-"""A tumour grows in a real brain: from an MRI and its tissue maps to files, by the shell alone.
+"""Tumour growth in a real brain, from an MRI and its tissue maps to files, by shell commands.
 
     python benchmarks/mri.py FOLDER --slice 80 -o OUT [--size 12] [--growth 3]
 
-FOLDER holds t1.nii.gz, and gm.nii.gz and wm.nii.gz, which say how likely grey and white matter are;
-any MRI with such maps will do. A tumour is painted in the middle of the largest white matter, its
-rim grows, and the brain is held where it ends. `napari-hmrf solve` and `export` do all else. Then
-SimpleITK moves the whole volume by the exported field, and its slice is compared with ours. Prints
-the figures, and writes all files, the commands, and a picture. Exits with 1 if both disagree.
+FOLDER contains t1.nii.gz, and the probability maps gm.nii.gz and wm.nii.gz of grey and white
+matter; any MRI with such maps is suitable. A tumour is painted in the middle of the largest region
+of white matter, its rim grows, and the edge of the brain is prescribed. `napari-hmrf solve` and
+`export` do the rest. Then SimpleITK warps the whole volume by the exported field, and its slice is
+compared with our slice. Prints the results, and writes all files, the commands and a picture. Exits
+with 1 if the two slices disagree.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from napari_hmrf import Solution, read_study, warp
 from napari_hmrf.cli import main as shell
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 
-#: By which share of the image's range a pixel may differ.
+#: Largest difference between the two slices, as a fraction of the image's range.
 _SAME = 1e-3
-#: In kPa, after what is usual for brains; fluid gives way.
+#: Typical values for brains, with stiffness in kPa; fluid is soft.
 _MATERIALS = """label,name,stiffness,poisson
 0,fluid and beyond,0.1,0.3
 1,grey matter,1.9,0.45
@@ -47,9 +48,9 @@ _RULES = """label,action,amount
 
 
 def painted(brain: npt.NDArray[Any], white: npt.NDArray[Any], radius: float) -> npt.NDArray[Any]:
-    """Paint where the brain ends (1) and the rim of a tumour in white matter (2)."""
+    """Return labels of the edge of the brain (1) and the rim of a tumour in white matter (2)."""
     depth = distance_transform_edt(white)
-    # Off the middle of the picture, where a tumour pushes to one side.
+    # Avoid the middle of the picture, so that the tumour pushes to one side.
     depth[:, depth.shape[1] // 2 :] = 0
     middle = np.unravel_index(depth.argmax(), depth.shape)
     rows, cols = np.indices(brain.shape)
@@ -61,7 +62,7 @@ def painted(brain: npt.NDArray[Any], white: npt.NDArray[Any], radius: float) -> 
 
 
 def run(*command: Any) -> str:
-    """Run a command of ``napari-hmrf``, and give it as it is typed."""
+    """Run a ``napari-hmrf`` command and return its command line."""
     words = [str(word) for word in command]
     if shell(words):
         raise SystemExit(f"failed: napari-hmrf {shlex.join(words)}")
@@ -69,7 +70,7 @@ def run(*command: Any) -> str:
 
 
 def resampled(volume: Path, field: Path, number: int) -> npt.NDArray[Any]:
-    """SimpleITK's own picture of a slice, of the whole volume that it moves by a field."""
+    """Return SimpleITK's slice of the volume after warping the whole volume by a field."""
     import SimpleITK as sitk
 
     image = sitk.ReadImage(str(volume), sitk.sitkFloat64)
@@ -87,8 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--slice", type=int, default=80)
-    parser.add_argument("--size", type=float, default=9.0, help="radius in pixels")
-    parser.add_argument("--growth", type=float, default=3.0, help="in mm")
+    parser.add_argument("--size", type=float, default=9.0, help="radius of the tumour, in pixels")
+    parser.add_argument("--growth", type=float, default=3.0, help="expansion of its rim, in mm")
     parser.add_argument("-o", "--out", type=Path, required=True)
     options = parser.parse_args(arguments)
     out, number = options.out, options.slice

@@ -1,10 +1,11 @@
-"""Random deformations: whether any folds, whether a seed repeats, and what a sample costs.
+"""Random deformations: folds, reproducibility by seed, and cost of a sample.
 
     python benchmarks/random_deformations.py [--quick] [--fields 1000]
 
-Beside MONAI's elastic transforms in the same run, where MONAI is installed; else beside the usual
-transform of that kind by SciPy: noise, blurred, and an image and its labels looked up by it. CPU
-time is that of all threads of this process, for a field, an image and its labels.
+The cost is compared with MONAI's elastic transforms in the same run if MONAI is installed.
+Otherwise, it is compared with the usual elastic transform in SciPy: a displacement of blurred
+noise, applied to an image and its labels. CPU time is the time of all threads of this process for a
+field, an image and its labels.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ MATERIALS = (
     Material(2, "tumour", 10.0, 0.45, 0.1),
     Material(3, "bone", RIGID),
 )
-#: What was asked for: at most so many times the CPU time of the others, in images and in volumes.
+#: Largest accepted ratio to the CPU time of the other transform, in images and in volumes.
 ASKED = {2: 1.5, 3: 0.5}
 
 
 def case(size: int, axes: int) -> np.ndarray:
-    """Draw a round body in air with a tumour in its middle and a bone beside it."""
+    """Return labels of a round body in air, with a tumour in its middle and a bone beside it."""
     at = np.moveaxis(np.indices((size,) * axes), 0, -1) / (size - 1) - 0.5
     labels = (np.linalg.norm(at, axis=-1) < 0.46).astype(np.uint8)
     labels[np.linalg.norm(at, axis=-1) < 0.12] = 2
@@ -46,7 +47,7 @@ def case(size: int, axes: int) -> np.ndarray:
 
 
 def by_scipy(image: np.ndarray, labels: np.ndarray) -> Callable[[], object]:
-    """Return the usual elastic transform, as many pipelines have it."""
+    """Return the usual elastic transform, as implemented in many pipelines."""
     random, n = np.random.default_rng(0), image.ndim
     own = np.indices(image.shape, dtype=np.float32)
 
@@ -60,7 +61,7 @@ def by_scipy(image: np.ndarray, labels: np.ndarray) -> Callable[[], object]:
 
 
 def by_monai(image: np.ndarray, labels: np.ndarray) -> Callable[[], object]:
-    """Return MONAI's, of one grid for both, as its tutorial sets it."""
+    """Return MONAI's elastic transform of an image and its labels, set as in MONAI's tutorial."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from monai.transforms import Rand2DElasticd, Rand3DElasticd
@@ -78,7 +79,7 @@ def by_monai(image: np.ndarray, labels: np.ndarray) -> Callable[[], object]:
 
 
 def cost(transform: Callable[[], object], times: int) -> float:
-    """Measure the CPU time of one, in seconds: the median of so many."""
+    """Return the median CPU time of a transform over several runs, in seconds."""
     transform()
     found = []
     for _ in range(times):
@@ -89,7 +90,7 @@ def cost(transform: Callable[[], object], times: int) -> float:
 
 
 def measure(size: int, axes: int, fields: int, times: int) -> bool:
-    """Print what is true of one case; whether it is what was asked for."""
+    """Print the results of one case, and return whether they satisfy the requirements."""
     labels = case(size, axes)
     image = np.random.default_rng(0).random(labels.shape, dtype=np.float32)
     begun = time.perf_counter()
@@ -137,9 +138,9 @@ def measure(size: int, axes: int, fields: int, times: int) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print both cases; 0 whatever they are, as a benchmark is not a test."""
+    """Print both cases; always return 0, because a benchmark is not a test."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes, to see whether it runs")
+    parser.add_argument("--quick", action="store_true", help="small sizes, for a quick check")
     parser.add_argument("--fields", type=int, default=1000, help="default: %(default)s")
     options = parser.parse_args(arguments)
     before = load()
