@@ -126,6 +126,7 @@ class Pace(NamedTuple):
     clock, processors : float
         Wall-clock time and processor time of all our processes, per later case.
     """
+
     first: float
     clock: float
     processors: float

@@ -140,9 +140,7 @@ def table_1(name: str, size: int = 300) -> tuple[list[Result], Reference]:
     results = []
     for label, prior, optimizer, bound in methods:
         try:
-            solve(
-                problem, prior, optimizer=optimizer, backend="cpu"
-            )  # compile before timing
+            solve(problem, prior, optimizer=optimizer, backend="cpu")  # compile before timing
             solution = solve(problem, prior, optimizer=optimizer, backend="cpu")
         except ValueError as error:
             print(f"  ({label} is left out: {error})", file=sys.stderr)
