@@ -122,7 +122,7 @@ def _refuse_loose_parts(
 
 
 def rmsd(a: npt.ArrayLike, b: npt.ArrayLike, where: npt.ArrayLike, unit: float = 1.0) -> float:
-    """Root mean square deviation of two displacements (eq. 20).
+    """Return the root mean square deviation of two displacements (eq. 20).
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ _TURN = 2.0
 
 
 class Window:
-    """Window with an image of tissue, and a simulated user who drags in it.
+    """Window with an image of tissue, in which drags are simulated.
 
     Attributes
     ----------

@@ -257,7 +257,7 @@ class CpuBackend:
         return self._transfer.padded(len(shape), shape), np.empty(energies, dtype=np.float32)
 
     def release(self, *fields: CpuField) -> None:
-        """Do nothing: memory is freed when the last reference is dropped."""
+        """Ignore the call: memory is freed when the last reference is dropped."""
 
     def close(self) -> None:
         """Free the scratch arrays and restore the number of threads."""

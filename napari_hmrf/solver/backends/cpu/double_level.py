@@ -52,7 +52,7 @@ class DoubleLevel(CpuLevel):
         return np.zeros(self.load.shape) if values is None else values.astype(np.float64)
 
     def free(self, *vectors: Any) -> None:
-        """Do nothing: vectors are not reused, because memory is scarce in volumes."""
+        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
     def apply(self, direction: Any, image: Any) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""

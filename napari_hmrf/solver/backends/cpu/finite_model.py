@@ -214,7 +214,7 @@ class CpuFiniteModel:
         positive: float = 0.0,
         springs: Planes | None = None,
     ) -> None:
-        """Linearize the model at a displacement; see `FiniteModel`."""
+        """Build the linear model at a displacement; see `FiniteModel`."""
         finest, self.springs = self.levels[0], springs
         about = positive, self._calm, finest.solved, finest.cycled
         self._work(finite_tangents.tangents, d, *about)

@@ -115,7 +115,7 @@ class CpuVolumeLevel(CpuLevel):
         return self._other
 
     def free(self, *vectors: Vector) -> None:
-        """Do nothing: vectors are not reused, because memory is scarce in volumes."""
+        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""

@@ -100,7 +100,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         self.clear()
 
     def free(self, *vectors: Vector) -> None:
-        """Do nothing: vectors are not reused, because memory is scarce in volumes."""
+        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
     def _residual(
         self,
