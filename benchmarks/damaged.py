@@ -139,12 +139,12 @@ def look(path: Path, version: Damaged, original: Any, kept: Kept | None = None) 
         found = load(path)
     except FileFormatError:
         return "refused"
-    assert ours, f"{version.kind}: read, but not taken for a result"
+    assert ours, f"{version.kind}: read, but not detected as this kind of file"
     if told(found) == told(original):
         return "the same"
-    assert version.sealed, f"{version.kind}: read as something else"
+    assert version.sealed, f"{version.kind}: read with other contents"
     again = load(save(path.with_name(f"again{path.suffix}"), found))
-    assert told(again) == told(found), f"{version.kind}: not the same when saved again"
+    assert told(again) == told(found), f"{version.kind}: different after saving it again"
     return "another"
 
 

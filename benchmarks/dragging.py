@@ -218,15 +218,15 @@ def compare(
             f"    {name:6}from movement to picture: {lag}; {rate:.1f} / s of {asked:.0f} movements"
         )
         lines.append(
-            f"{'':10}processor time of a picture: {thread:.1f} ms of the hand's thread, "
-            f"{cpu:.1f} of all"
+            f"{'':10}processor time per picture: {thread:.1f} ms of the dragging thread, "
+            f"{cpu:.1f} ms of all threads"
         )
     if len(told) > 1:
         pairs = [
             [mine / its for mine, its in zip(_figures(one), _figures(two), strict=True)]
             for one, two in zip(*told, strict=True)
         ]
-        parts = ("median", "95 %", "time of the hand's thread", "time of all threads")
+        parts = ("median", "95 %", "time of the dragging thread", "time of all threads")
         lines.append(f"    this / other, median of {turns} turns (95 % interval; least to most):")
         lines += [
             f"      {part:30}{_ratio(ratios)}"
@@ -259,9 +259,9 @@ def _counted(name: str, counted: Turn) -> list[str]:
         for what in ("data", "metadata")
     }
     arrays, megabytes = counted["arrays"], counted["megabytes"] / moves
-    seen = f"looks at data {looks['data']}, at metadata {looks['metadata']}"
+    seen = f"accesses to data {looks['data']}, to metadata {looks['metadata']}"
     made = f"{sum(arrays.values()) / moves:.2f} arrays as large as the image ({megabytes:.1f} MB)"
-    lines = [f"    {name:6}window's thread, for each movement: {seen}; {made}"]
+    lines = [f"    {name:6}GUI thread, per movement: {seen}; {made}"]
     most = sorted(arrays.items(), key=lambda item: -item[1])[:_PLACES]
     lines += [f"{'':10}{count / moves:5.2f} in {place}" for place, count in most]
     return lines
@@ -276,7 +276,9 @@ def _middle_and_high(seconds: list[float]) -> tuple[float, float]:
 
 def main(arguments: list[str]) -> int:
     """Print the results for each size."""
-    parser = argparse.ArgumentParser(description="The time from a movement to its picture.")
+    parser = argparse.ArgumentParser(
+        description="Measure the time from a mouse movement to its picture."
+    )
     parser.add_argument("sizes", nargs="*", type=int, metavar="size", default=SIZES)
     parser.add_argument("--only", choices=WAYS)
     parser.add_argument("--against", type=Path, metavar="FOLDER")
@@ -291,7 +293,7 @@ def main(arguments: list[str]) -> int:
     ways = (options.only,) if options.only else WAYS
     if "window" in ways and not _has_display():
         if shutil.which("xvfb-run") is None:
-            print("No display, and no xvfb-run to make one: sudo apt-get install xvfb xauth")
+            print("There is no display or xvfb-run. Install: sudo apt-get install xvfb xauth")
             return 1
         script = ROOT / "scripts" / "headless.sh"
         return subprocess.call(["sh", str(script), sys.executable, __file__, *arguments])

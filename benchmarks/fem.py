@@ -82,7 +82,7 @@ def plane_stress_displacement(problem: Problem, poisson: float = 0.3) -> Float64
 def _stiffness_form(poisson: float) -> BilinearForm:
     """Return the virtual work of plane stress, per unit of thickness."""
     if not -1 < poisson < 0.5:
-        raise ValueError(f"poisson must lie between -1 and 1/2, not {poisson!r}")
+        raise ValueError(f"poisson must be between -1 and 1/2, not {poisson!r}")
 
     @BilinearForm
     def virtual_work(u, v, w):  # type: ignore[no-untyped-def]
@@ -117,7 +117,7 @@ def _refuse_loose_parts(
         centre = places[part == np.argmax(loose)].mean(axis=0)
         raise ValueError(
             f"the tissue around {tuple(np.round(centre, 1))} could move freely: prescribe both "
-            "components of at least one of its sites, and one more elsewhere on it"
+            "components of at least one of its sites, and a component of another site"
         )
 
 

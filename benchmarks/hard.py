@@ -330,7 +330,7 @@ def print_rigid(sizes: Sequence[int]) -> None:
             if ours.fault:
                 _print_row([name, str(size), ours.fault, *[""] * 5], widths)
                 if ours.fault == "refused":
-                    print("m = inf is not taken: there is nothing to measure", flush=True)
+                    print("m = inf is refused, so there is nothing to measure", flush=True)
                     return
                 continue
             over = over_soft(images)

@@ -138,7 +138,7 @@ def left(path: Path, known: dict[str, Any], read: Callable[[Path], Any] = _study
     others = [each for each in path.parent.iterdir() if each != path]
     for each in others:
         if ".tmp" not in each.suffixes:
-            return f"beside it lies {each.name}"
+            return f"another file was left: {each.name}"
         each.unlink()
     try:
         found = read(path)

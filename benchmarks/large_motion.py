@@ -37,8 +37,8 @@ _FEW = 200
 
 def main() -> None:
     """Print the requested sections, or all sections."""
-    parser = argparse.ArgumentParser(description="Large motion in numbers.")
-    parser.add_argument("names", nargs="*", help=f"of {', '.join(_SECTIONS)}; by default all")
+    parser = argparse.ArgumentParser(description="Benchmark of large motion.")
+    parser.add_argument("names", nargs="*", help=f"{', '.join(_SECTIONS)}; by default all")
     parser.add_argument("--random", type=int, default=0, metavar="COUNT")
     parser.add_argument("--first", type=int, default=0, help="number of the first random problem")
     given = parser.parse_args()
@@ -74,7 +74,7 @@ def exact(size: int = 48) -> None:
                 found = solve(problem, prior, backend="cpu")
                 off = float(np.abs(found.displacement - solved(problem, prior, 6)).max())
                 worst = max(worst, off)
-                print(f"{name:16} nu {nu:4} plane {plane:6} {off:.5f} px off", flush=True)
+                print(f"{name:16} nu {nu:4} plane {plane:6} error {off:.5f} px", flush=True)
     print(f"worst {worst:.5f} px", flush=True)
 
 
@@ -102,7 +102,8 @@ def textbook(size: int = 48, stretch: float = 0.3) -> None:
         found = solve(problem, NeoHookeanPrior(nu), backend="cpu").displacement
         off = np.abs(found - _gauss(problem, nu))[:, 4:-4].max()
         print(
-            f"textbook, pull 30 %, nu {nu}: {off:.4f} px off, four pixels from clamps", flush=True
+            f"textbook, pull 30 %, nu {nu}: error {off:.4f} px, four pixels from the clamps",
+            flush=True,
         )
 
 
@@ -188,8 +189,8 @@ def drag(size: int = 300, frames: int = 20, far: float = 3.0) -> None:
         tight = solve(problem, prior, optimizer=Multigrid(1e-4), backend="cpu", initial=found)
         off = float(np.abs(found.displacement - tight.displacement).max())
         print(
-            f"frame {frame:2}: {ratio:.1f} linear solves, {found.iterations} steps, {off:.4f} px "
-            f"off, least {found.reach.least_jacobian:.3f}",
+            f"frame {frame:2}: {ratio:.1f} linear solves, {found.iterations} steps, error "
+            f"{off:.4f} px, least {found.reach.least_jacobian:.3f}",
             flush=True,
         )
 

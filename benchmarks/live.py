@@ -137,7 +137,7 @@ def measure(size: int) -> str:
     rate, asked = len(drag.shown) / seconds, goal_of(size)
     cycles = [update.solution.iterations for update in drag.shown if update.solution]
     lines = [
-        f"{size} x {size}: {rate:.1f} updates a second{asked} of {events / seconds:.0f} movements",
+        f"{size} x {size}: {rate:.1f} updates/s{asked} of {events / seconds:.0f} movements/s",
         f"    {np.mean(cycles):.1f} cycles each",
         f"    from movement to picture: {_spread(drag.late)}",
         *(f"    {stage:6}{_spread(costs)}" for stage, costs in drag.costs.items()),
@@ -149,7 +149,7 @@ def measure(size: int) -> str:
 
 def goal_of(size: int) -> str:
     """Return the required updates per second as a phrase, or "" if there is no requirement."""
-    return f" (asked for: {GOALS[size]})" if size in GOALS else ""
+    return f" (required: {GOALS[size]})" if size in GOALS else ""
 
 
 def _spread(seconds: list[float]) -> str:
@@ -161,7 +161,7 @@ def in_window(sizes: Sequence[int], kinds: Sequence[str], arguments: Sequence[st
     """Measure in a napari window, on a virtual display if there is no display."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.getenv("WAYLAND_DISPLAY")):
         if shutil.which("xvfb-run") is None:
-            print("No display, and no xvfb-run to make one: sudo apt-get install xvfb xauth")
+            print("There is no display or xvfb-run. Install: sudo apt-get install xvfb xauth")
             return 1
         script = Path(__file__).resolve().parent.parent / "scripts" / "headless.sh"
         return subprocess.call(["sh", str(script), sys.executable, __file__, *arguments])
@@ -196,7 +196,7 @@ def load() -> Iterator[None]:
     others, begun = _others(), time.perf_counter()
     yield
     busy = (_others() - others) / (time.perf_counter() - begun)
-    quiet = "" if busy < _QUIET else "; the machine was NOT idle, and the figures are too bad"
+    quiet = "" if busy < _QUIET else "; the machine was NOT idle, so the times are too long"
     print(f"    others used {busy:.2f} of {os.cpu_count()} cores{quiet}", flush=True)
 
 

@@ -342,12 +342,12 @@ def measure(
     took, events, waits, blocks = window.drag(seconds)
     rate = len(window.late) / took
     width, height = window.canvas_size
-    title = f"{size} x {size} in napari, {kind}: {rate:.1f} updates a second{asked} of "
+    title = f"{size} x {size} in napari, {kind}: {rate:.1f} updates/s{asked} of "
     lines = [
-        f"{title}{events / took:.0f} movements, on a canvas of {width} x {height}",
+        f"{title}{events / took:.0f} movements/s, on a canvas of {width} x {height}",
         f"    from movement to the screen: {spread(window.late)}",
         f"    window blocked {len(blocks)} times: {spread(blocks or [0.0])}",
-        f"    a click waits:        {spread(waits)}",
+        f"    delay of a click:     {spread(waits)}",
         *(
             f"    {stage:20}{spread(costs)}, {len(costs) / took:5.1f} / s"
             for stage, costs in window.costs.items()

@@ -97,10 +97,12 @@ def killed_and_resumed(folder: Path, count: int) -> None:
     print(
         f"killed with {len(before)} of {count} cases finished, and resumed (exit {done.returncode})"
     )
-    print(f"  left alone: {kept} of {len(before)}; right: {len(most)}; not: {', '.join(wrong)}")
-    print(f"  largest displacement beside what was asked for: within {max(most.values()):.2g} px")
+    print(
+        f"  unchanged: {kept} of {len(before)}; solved: {len(most)}; not solved: {', '.join(wrong)}"
+    )
+    print(f"  largest displacement: within {max(most.values()):.2g} px of the requested one")
     halves = [path.name for path in out.iterdir() if path.is_dir() and not (path / RECORD).exists()]
-    print(f"  folders that are not whole: {len(halves)}")
+    print(f"  incomplete folders: {len(halves)}")
 
 
 def loop(table: Path, out: Path, count: int) -> dict[str, float]:
@@ -185,21 +187,21 @@ def throughput(folder: Path, count: int) -> None:
     after = looped()
     clock, busy = ((before[each] + after[each]) / 2 for each in ("clock", "processor"))
     print(
-        f"\na loop in one process, warm: {1000 * clock:.0f} ms a case ({1000 * busy:.0f} of it "
-        f"a processor's; {1000 * before['clock']:.0f} before the others, "
-        f"{1000 * after['clock']:.0f} after them)"
+        f"\na loop in one process, warm: {1000 * clock:.0f} ms per case (processor time "
+        f"{1000 * busy:.0f} ms; {1000 * before['clock']:.0f} ms before the other runs, "
+        f"{1000 * after['clock']:.0f} ms after them)"
     )
     for name, pace in paces.items():
         print(
-            f"{name}: the first case after {pace.first:.1f} s, then {1000 * pace.clock:.0f} ms a "
-            f"case ({1000 * pace.processors:.0f} of processors)"
+            f"{name}: the first case after {pace.first:.1f} s, then {1000 * pace.clock:.0f} ms "
+            f"per case (processor time {1000 * pace.processors:.0f} ms)"
         )
         print(
-            f"  throughput a core beside the loop: {clock / (pace.clock * WORKERS):.2f} by the "
-            f"clock, {busy / pace.processors:.2f} by what processors did"
+            f"  throughput per core relative to the loop: {clock / (pace.clock * WORKERS):.2f} by "
+            f"wall-clock time, {busy / pace.processors:.2f} by processor time"
         )
     if len(paces) == 1:
-        print("dask.distributed is not installed: no cluster")
+        print("dask.distributed is not installed, so no cluster was measured")
 
 
 def main() -> int:

@@ -117,10 +117,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     inside = binary_erosion(brain, iterations=2)
     away = np.abs(ours - theirs)[inside] / np.ptp(before)
     far = np.linalg.norm(solution.displacement, axis=-1)
-    print(f"moved by up to {far.max():.2f} mm, in the mean of the brain {far[brain].mean():.2f} mm")
+    print(f"displacement: at most {far.max():.2f} mm, mean in the brain {far[brain].mean():.2f} mm")
     print(
-        f"our picture and SimpleITK's differ by at most {away.max():.1g} of the image's range; "
-        f"either differs from the image before by up to {np.abs(ours - before).max():.0f}, of "
+        f"our slice differs from SimpleITK's by at most {away.max():.1g} of the image's range; the "
+        f"deformation changes grey values by up to {np.abs(ours - before).max():.0f} of "
         f"{np.ptp(before):.0f}"
     )
     (out / "commands.sh").write_text("\n".join(typed) + "\n")
@@ -142,11 +142,11 @@ def _draw(
     figure = Figure((15, 12), layout="constrained")
     drawn: list[tuple[str, npt.NDArray[Any], str]] = [
         ("before", before, "gray"),
-        ("tissue of the maps, and what is painted", np.where(rim > 0, rim + 2, tissue), "viridis"),
+        ("tissue from the maps, and painted labels", np.where(rim > 0, rim + 2, tissue), "viridis"),
         ("displacement, mm", far, "magma"),
         ("after, by this package", ours, "gray"),
         ("after, by SimpleITK", theirs, "gray"),
-        ("difference of the two", ours - theirs, "RdBu"),
+        ("difference of the two pictures", ours - theirs, "RdBu"),
     ]
     for place, (title, picture, colours) in enumerate(drawn):
         axes = figure.add_subplot(2, 3, place + 1)

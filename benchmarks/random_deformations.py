@@ -107,30 +107,33 @@ def measure(size: int, axes: int, fields: int, times: int) -> bool:
     again = [hashlib.sha256(deformation.sample(s).displacement).digest() for s in range(fields)]
     less = [scale for scale in scales if scale < 1]
     print(
-        f"  {fields} random fields: {folded} fold; {len(less)} were scaled down for that, to "
-        f"{np.median(less or [1]):.2f} in the middle; moved up to {np.median(farthest):.1f} px in "
-        f"the middle, {max(farthest):.1f} px at most"
+        f"  {fields} random fields: {folded} fold; {len(less)} were scaled down to prevent "
+        f"folds, by a median factor of {np.median(less or [1]):.2f}; largest displacement: median "
+        f"{np.median(farthest):.1f} px, maximum {max(farthest):.1f} px"
     )
-    print(f"  the same seeds again: {sum(map(bytes.__ne__, digests, again))} of other bits")
+    print(f"  same seeds again: {sum(map(bytes.__ne__, digests, again))} fields differ")
     off = 0.0
     for seed in range(3):
         sample = deformation.sample(seed)
         solved = solve_study(sample.study).displacement
         off = max(off, float(np.abs(solved - sample.displacement).max()))
-    print(f"  from full solves of the same boundaries, three of them: {off:.2g} px at most")
+    print(f"  largest difference from three full solves of the same boundaries: {off:.2g} px")
     seeds = iter(range(10**9))
     pictures = Picture(image), Picture(labels, order=0)
     ours = cost(lambda: deformation.sample(next(seeds)).pictures(*pictures), times)
     field = cost(lambda: deformation.sample(next(seeds)), times)
-    asked = f" (asked: at most {ASKED[axes]})"
+    asked = f" (required: at most {ASKED[axes]})"
     try:
         name, others = f"MONAI's Rand{axes}DElasticd", cost(by_monai(image, labels), times)
     except ImportError:
-        name, others = "MONAI is not here; SciPy's", cost(by_scipy(image, labels), times)
+        name, others = (
+            "MONAI is not installed; SciPy's transform",
+            cost(by_scipy(image, labels), times),
+        )
         asked = ""
     ratio = ours / others
     print(
-        f"  CPU time a sample: {1e3 * ours:.1f} ms, of which {1e3 * field:.1f} ms for the field; "
+        f"  CPU time per sample: {1e3 * ours:.1f} ms, of which {1e3 * field:.1f} ms for the field; "
         f"{name} {1e3 * others:.1f} ms: {ratio:.2f} times{asked}"
     )
     fast = not asked or ratio <= ASKED[axes]
@@ -148,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     flat, deep, times = (48, 16, 3) if options.quick else (256, 96, 30)
     fields = 10 if options.quick else options.fields
     met = [measure(flat, 2, fields, times), measure(deep, 3, max(1, fields // 50), times)]
-    print("\nall that was asked for" if all(met) else "\nnot all that was asked for")
+    print("\nall requirements met" if all(met) else "\nnot all requirements met")
     return 0
 
 

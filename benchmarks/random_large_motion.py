@@ -60,7 +60,7 @@ def run(first: int, count: int) -> None:
         counts["beyond the tolerance"] += found.convergence.error > Multigrid().tolerance
         counts["met"] += case.known and gap <= _MET
         if faults or (case.known and gap > _MET):
-            what = ", ".join(faults) or "not met"
+            what = ", ".join(faults) or "not reached"
             print(
                 f"problem {number} (known map: {case.known}): {what}; least corner {least:.2g}; "
                 f"{found.reach}; error {found.convergence.error:.2g} px",
@@ -70,17 +70,17 @@ def run(first: int, count: int) -> None:
     for name in _FAULTS:
         print(f"{counts[name]} of {count}: {name}")
     print(f"{counts['refused']} of {count}: refused, with the reasons above")
-    print(f"{counts['beyond the tolerance']} of {count}: error beyond the tolerance, which is said")
-    print(f"{counts['met']} of {counts['known']}: targets of a known map met to {_MET} px")
+    print(f"{counts['beyond the tolerance']} of {count}: error beyond the tolerance, as reported")
+    print(f"{counts['met']} of {counts['known']}: targets of a known map reached to {_MET} px")
     print(f"slowest: problem {slowest[1]}, {slowest[0]:.1f} s; all: {took:.0f} s")
 
 
 _FAULTS = (
     "folded",
-    "an error that is not a number",
+    "error that is not a number",
     "count_folds above 0",
-    "an error beyond the tolerance that is not said",
-    "a target missed that is not said",
+    "unreported error beyond the tolerance",
+    "missed target that is not reported",
 )
 
 

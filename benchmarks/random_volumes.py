@@ -64,15 +64,15 @@ def judged(seed: int, paper: bool = False) -> tuple[str, str]:
         else:
             found = solve(problem, prior, optimizer=optimizer, backend="cpu")
     except ProblemError:
-        return "have not one answer", ""
+        return "have no unique solution", ""
     except ConvergenceError as error:
-        return "are refused, as cycles cannot be sure", f"volume {seed}: {error}"
+        return "are refused, because cycles cannot bound the error", f"volume {seed}: {error}"
     truth = field_of_means(problem) if paper else direct_solution(problem, poisson)
     apart = np.abs(found.displacement - truth)[problem.tissue].max() / problem.unit
     assert found.convergence is not None
     if apart > found.convergence.error + _ROUNDED:
         return WRONG, f"volume {seed}: {apart:.2g}, reported {found.convergence.error:.2g}"
-    return f"are right, by {found.convergence.way}", ""
+    return f"are correct, by {found.convergence.way}", ""
 
 
 def judge(seeds: range, paper: bool = False) -> tuple[str, int]:
@@ -85,4 +85,4 @@ def judge(seeds: range, paper: bool = False) -> tuple[str, int]:
         remarks += [remark] if remark else []
     told = ", ".join(f"{count} {what}" for what, count in became.most_common())
     model = " in the paper's model" if paper else ""
-    return "\n".join([f"Of {len(seeds)} random volumes{model} {told}.", *remarks]), became[WRONG]
+    return "\n".join([f"{len(seeds)} random volumes{model}: {told}.", *remarks]), became[WRONG]

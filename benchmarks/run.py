@@ -143,7 +143,7 @@ def table_1(name: str, size: int = 300) -> tuple[list[Result], Reference]:
             solve(problem, prior, optimizer=optimizer, backend="cpu")  # compile before timing
             solution = solve(problem, prior, optimizer=optimizer, backend="cpu")
         except ValueError as error:
-            print(f"  ({label} is left out: {error})", file=sys.stderr)
+            print(f"  ({label} is omitted: {error})", file=sys.stderr)
             continue
         off = rmsd(solution.displacement, truth, solution.tissue)
         results.append(Result(name, label, solution, off, bound))

@@ -235,14 +235,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     at, to = landmarks(fixed, moving)
     table, taken = _Table(at, fixed.shape), slice(None, None, options.every)
     print(f"{len(at)} landmarks; errors in pixels of {fixed.shape[0]} x {fixed.shape[1]}")
-    print("unlike neighbours, rms in pixels by their distance (pairs):", _likeness(at, to))
-    print(f"\neach told from the others by\n{table.head(taken)}")
+    print("rms difference of neighbours in pixels, by their distance (pairs):", _likeness(at, to))
+    print(f"\neach predicted from the others by\n{table.head(taken)}")
     fits: dict[str, Fit] = {
-        "one shift": lambda a, b: lambda p: p + np.median(b - a, axis=0),
+        "a translation": lambda a, b: lambda p: p + np.median(b - a, axis=0),
         "an affine map": _affine,
         "thin-plate splines": _splines(0),
         "thin-plate splines, smoothed (1000)": _splines(1000),
-        "elastic tissue that holds them exactly": _Elastic(fixed.shape, math.inf),
+        "elastic tissue, exactly": _Elastic(fixed.shape, math.inf),
     }
     for name, fit in fits.items():
         found = left_out(lambda _, fit=fit: fit, at, to, options.every)
@@ -251,21 +251,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = _Chosen(fixed.shape, at, to)
     sought = time.perf_counter() - started
     errors, seconds = left_out(chosen.of, at, to, options.every)
-    name = "elastic tissue, held as strongly as fits"
+    name = "elastic tissue, with the chosen force"
     print(table.line(name, errors, seconds + sought, taken))
     print(
-        f"  (K = {', '.join(map(str, chosen.forces))}, each chosen without the landmarks asked for)"
+        f"  (K = {', '.join(map(str, chosen.forces))}, each chosen without the predicted landmarks)"
     )
     straight = _affine(at, to)
     # Both registrations start from the affine map and use no landmarks otherwise.
     turned = sampled(moving, _as_xy(straight), order=1, cval=float(np.median(moving)))
     started = time.perf_counter()
     field = _registered(fixed, turned)
-    print("\ntold from the pictures, after the affine map, by")
+    print("\npredicted from the pictures, after the affine map, by")
     for name, by in (
         ("the affine map alone", lambda: np.zeros_like(field)),
         ("SimpleITK's demons", lambda: field),
-        ("that as observed, where the picture has edges", lambda: _followed(fixed, field)),
+        ("elastic tissue with the demons field at edges", lambda: _followed(fixed, field)),
     ):
         found_field = by()
         goes = straight(moved_points(at, found_field, spacing=(1.0, 1.0)))
@@ -301,10 +301,10 @@ def _draw(
     figure = Figure((13, 13.6), layout="constrained")
     for number, (title, picture) in enumerate(
         {
-            "the one section": np.repeat(fixed[..., None], 3, axis=-1),
-            "the other": np.repeat(moving[..., None], 3, axis=-1),
-            "the other over the one, by the affine map": _over(fixed, turned),
-            "and by elastic tissue": _over(fixed, warp(turned, back, spacing=1)),
+            "fixed section": np.repeat(fixed[..., None], 3, axis=-1),
+            "moving section": np.repeat(moving[..., None], 3, axis=-1),
+            "overlay, after the affine map": _over(fixed, turned),
+            "overlay, after elastic tissue": _over(fixed, warp(turned, back, spacing=1)),
         }.items()
     ):
         axes = figure.add_subplot(2, 2, number + 1)

@@ -43,11 +43,11 @@ from napari_hmrf.errors import Cancelled, ConvergenceError, HmrfError, ProblemEr
 #: Kinds of violations and their definitions.
 KINDS = {
     "wrong": "further from the exact field than three times the tolerance",
-    "reported": "further from it than three times the reported error, and 1e-4 px",
-    "refused": "refused, though it has a unique answer",
-    "free": "not the field of least motion, though tissue is free to move",
-    "crashed": "ended with an exception that is not the package's own, or with no numbers",
-    "late": "not answered in time",
+    "reported": "further from the exact field than three times the reported error plus 1e-4 px",
+    "refused": "refused, although there is a unique solution",
+    "free": "not the field of least motion, although tissue is free to move",
+    "crashed": "ended with an exception that is not the package's, or with non-finite values",
+    "late": "not solved in time",
 }
 _TIMES = 3.0
 _GRACE = 1e-4
@@ -62,8 +62,8 @@ _ROUNDING = 2.0**-53
 _TOO_MUCH = 0.1
 #: Refusals that are correct.
 RIGHT = {
-    "refused, free": "some tissue moves at no cost, or nothing could move",
-    "refused, sensitive": "the answer depends on digits that double precision does not have",
+    "refused, free": "some tissue moves at no cost, or no tissue can move",
+    "refused, sensitive": "the solution depends on digits beyond double precision",
 }
 _PAGE = """# Random problems against exact solutions
 
@@ -319,12 +319,12 @@ def report(run: Campaign, most: int = 10) -> str:
     grown = " and ".join(f"{size:.0f} ({name})" for name, size in run.growth.items())
     solver = sum(verdict.seconds for verdict in verdicts)
     lines = [
-        f"{len(verdicts)} problems of seed {run.seed} ({ran}) in {run.seconds:.0f} s, of which",
-        f"the solver took {solver:.0f} s. Memory grew by {grown} MiB after the first tenth.",
-        f"**{len(run.violations)} violations.** {counts['answered']} problems were answered within",
-        f"bounds, {counts['refused, free']} refused as tissue was free to move, and",
-        f"{counts['refused, sensitive']} as double precision does not have the answer; of",
-        f"{counts['unsure']} the exact field is not sure.",
+        f"{len(verdicts)} problems of seed {run.seed} ({ran}) in {run.seconds:.0f} s;",
+        f"the solver took {solver:.0f} s of it. Memory grew by {grown} MiB after the first tenth.",
+        f"**{len(run.violations)} violations.** {counts['answered']} problems were solved within",
+        f"the bounds, {counts['refused, free']} were refused because tissue was free to move, and",
+        f"{counts['refused, sensitive']} because double precision is insufficient. The exact field",
+        f"of {counts['unsure']} problems is not sure.",
         "",
     ]
     lines += [f"- *{kind}*: {meaning}." for kind, meaning in RIGHT.items()]
@@ -339,7 +339,7 @@ def report(run: Campaign, most: int = 10) -> str:
     softest = [v.least for v in verdicts if v.outcome == "refused, sensitive"]
     if softest:
         text = f"{min(softest):.1e} to {max(softest):.1e}"
-        lines += ["", f"Softest motions of what is refused as sensitive: {text} of the stiffest."]
+        lines += ["", f"Softest motions of problems refused as sensitive: {text} of the stiffest."]
     lines += ["", *_ratios(verdicts)]
     for kind in KINDS:
         found = [verdict for verdict in run.violations if verdict.outcome == kind]
@@ -347,8 +347,8 @@ def report(run: Campaign, most: int = 10) -> str:
         for verdict in found:
             groups.setdefault(_gist(verdict.saying), []).append(verdict)
         for gist, group in sorted(groups.items(), key=lambda item: -len(item[1])):
-            said = f", saying “{gist}”" if gist else ""
-            worst = ", the worst of which are" if len(group) > most else ""
+            said = f" with the message “{gist}”" if gist else ""
+            worst = "; the worst are" if len(group) > most else ""
             lines += ["", f"**{kind}**: {len(group)}{said}{worst}", ""]
             lines += [f"- {_line(verdict, run.seed)}" for verdict in group[:most]]
     return "\n".join(lines)
@@ -389,7 +389,7 @@ def _ratios(verdicts: list[Verdict]) -> list[str]:
     ):
         values = np.percentile(ratio, parts)
         lines.append(f"| {name} | " + " | ".join(f"{value:.2g}" for value in values) + " |")
-    lines += ["", "(Errors reported below 1e-4 px count as 1e-4 px here.)"]
+    lines += ["", "(Reported errors below 1e-4 px count as 1e-4 px here.)"]
     return lines
 
 
@@ -404,7 +404,7 @@ def _line(verdict: Verdict, seed: int) -> str:
     if verdict.ways:
         found += f"; {verdict.ways} motions cost nothing"
     if verdict.swing > 1e-4:
-        found += f"; a millionth more or less of each force moves {verdict.swing:.2g} px"
+        found += f"; a change of each force by a millionth moves {verdict.swing:.2g} px"
     return found
 
 

@@ -227,7 +227,7 @@ def print_pyamg(size: int) -> None:
     apart = np.abs(found.displacement.ravel() - field).max()
     print(
         f"PyAMG at {size}^3: {len(path) - 1} iterations, {theirs:.1f} s, {theirs / ours:.0f} times "
-        f"as long; the fields differ by {apart:.4f} voxel at most"
+        f"as long; the fields differ by at most {apart:.4f} voxel"
     )
 
 
@@ -277,8 +277,8 @@ def print_slices(shape: tuple[int, int, int] = (180, 220, 180)) -> None:
             times = [compute_thread.submit(seconds).result() for _ in range(6)][1:]
             known = "every voxel" if every == 1 else f"every {every}nd voxel"
             print(
-                f"a slice of {' x '.join(map(str, shape))} that moves by up to {far} voxels, known "
-                f"at {known}: {1e3 * float(np.median(times)):.0f} ms of CPU",
+                f"a slice of {' x '.join(map(str, shape))} that moves by up to {far} voxels, "
+                f"sampled at {known}: {1e3 * float(np.median(times)):.0f} ms of CPU time",
                 flush=True,
             )
 
@@ -330,11 +330,13 @@ def print_motion(size: int) -> None:
     tasks: dict[str, Callable[[], Any]] = {
         "the warp": lambda: warper(found.displacement, found.tissue),
         "the smallest determinants": lambda: smallest_determinant(*field),
-        "all that a result's layers take": layers,
+        "all result layers": layers,
     }
     shape = " x ".join(map(str, head.image.shape))
     sites = int(found.tissue.sum())
-    print(f"a head of {shape} voxels, {sites:,} of them tissue: {solving:.2f} s of CPU to solve")
+    print(
+        f"a head of {shape} voxels, {sites:,} of them tissue: {solving:.2f} s of CPU time to solve"
+    )
     for name, task in tasks.items():
 
         def seconds(task: Callable[[], Any] = task) -> float:
@@ -343,7 +345,7 @@ def print_motion(size: int) -> None:
             return time.process_time() - begun
 
         least = min(compute_thread.submit(seconds).result() for _ in range(4))
-        print(f"{name}: {least:.2f} s, {least / solving:.2f} of that", flush=True)
+        print(f"{name}: {least:.2f} s, {least / solving:.2f} of the solve", flush=True)
 
 
 def main() -> int:

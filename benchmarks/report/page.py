@@ -133,7 +133,7 @@ def write_page(path: Path, sections: Sequence[Section], settings: Settings, begu
         + (f", load at the end {busy:.1f}." if busy is not None else "."),
     ]
     if settings.quick:
-        lines.append("**A quick report: sizes are tiny, and its numbers say nothing.**")
+        lines.append("**A quick report: sizes are tiny, and its numbers are not meaningful.**")
     if settings.note:
         lines.append(f"**{settings.note}**")
     lines += [
