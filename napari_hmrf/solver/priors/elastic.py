@@ -62,8 +62,8 @@ class ElasticPrior:
     plane : {"stress", "strain"}
         ``"stress"`` is a thin slice that is free to bulge out of the image. ``"strain"`` is a slice
         confined between its neighbours. In plane strain, the twist of an element does not count as
-        a change of volume (selective reduced integration), because this would lock nearly
-        incompressible tissue. Ignored in a volume, which is strained in all directions.
+        a change of volume (selective reduced integration), because counting it would lock
+        nearly incompressible tissue. Ignored in a volume, which is strained in all directions.
     penalty : float, optional
         Strength of observations. By default, it depends on their confidence c: with c = 1 an
         observation is certain and prescribed exactly; with 0 < c < 1 it is doubted and exerts a
@@ -137,8 +137,8 @@ class ElasticPrior:
         Raises
         ------
         ProblemError
-            If a piece of tissue could move freely, or if there is rigid tissue and observations may
-            slip.
+            If a piece of tissue could move freely, or if there is rigid tissue and the penalty is
+            finite.
         """
         if isinstance(self.poisson, np.ndarray):
             _check_poisson_map(self.poisson, problem)
@@ -163,7 +163,7 @@ class ElasticPrior:
         return bool(doubted.any()) and not problem.rigid.any()
 
     def limit(self, problem: Problem) -> Float64Array | None:
-        """Return the largest force P of every component (H, W, 2); None if observations can't slip.
+        """Return the force limit P of every component (H, W, 2), or None if observations cannot slip.
 
         P is infinite for components that are prescribed exactly.
         """

@@ -48,7 +48,7 @@ _SMALLEST_PENALTY, _LARGEST_PENALTY = 1e-30, 1e30
 
 
 class SiteParabola(NamedTuple):
-    """A site's prior energy as a function of its own displacement: curvature * (d - lowest)^2."""
+    """Prior energy of a site as a function of its displacement: curvature * (d - lowest)^2."""
 
     curvature: Float64Array
     lowest: Float64Array
@@ -173,6 +173,7 @@ class SeilerPrior:
         Parameters
         ----------
         problem : Problem
+            Tissue and observations.
         displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
             Displacement, in the unit of ``problem.spacing``.
 

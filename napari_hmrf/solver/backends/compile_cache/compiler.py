@@ -1,4 +1,4 @@
-"""Compiling process, which compiles the loops for all other processes: start, wait, progress.
+"""Process that compiles the loops for all other processes: start, progress and waiting.
 
 At most one compiling process runs per machine. A status file contains its process number and
 progress. A request file contains the name of the job that it compiles next.
@@ -98,7 +98,7 @@ def compile_meanwhile(job: str = "") -> None:
 
 
 def request(job: str) -> None:
-    """Request that the compiling process compiles the loops of a job next."""
+    """Request that the compiling process compile the loops of a job next."""
     with suppress(OSError):
         _request_file().write_text(job, encoding="utf-8")
     compile_meanwhile(job)

@@ -1,4 +1,4 @@
-"""State of the processor's loops: whether this process computes with them.
+"""State of the compiled loops in this process.
 
 Compiling all loops takes a minute or more. In the process of a window, compilation would block the
 interpreter's lock, so another process compiles the loops (`compile_cache.compiler`) and numba
@@ -86,7 +86,7 @@ def ready_for_pictures() -> bool:
 
 
 def are_compiled(job: str) -> bool:
-    """Return whether another process need not compile the loops of a job."""
+    """Return whether the loops of a job need no compilation by another process."""
     return compile_here() or disk_cache.compiled(job)
 
 

@@ -92,9 +92,10 @@ def _smooth_part(d, tissue, weights, spans, out, pace, first, last):
 
 @parallel
 def smooth(d, load, lame, inverse, weight, springs, shape, spans, out, scale, ahead, back, count):
-    """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
+    """Compute a Chebyshev step with the coefficients `scale`, `ahead` and `back`.
 
-    On entry, `out` contains the displacement before the previous step.
+    The step is ``out = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * out``. On entry,
+    `out` contains the displacement before the previous step.
     """
     for number in prange(count):
         first, last = part(number, count, len(spans))
@@ -104,7 +105,7 @@ def smooth(d, load, lame, inverse, weight, springs, shape, spans, out, scale, ah
 
 @callee
 def _start_row(load, inverse, scale, i, out):
-    """Compute a row of the first step from zero: out = scale D^-1 load."""
+    """Compute a row of the first step from zero: ``out = scale * D^-1 load``."""
     for component in range(2):
         for j in range(out.shape[1]):
             out[component, j] = scale * inverse[component, i, j] * load[component, i, j]
@@ -129,7 +130,7 @@ def _begin_part(tissue, weights, spans, out, start, pace, first, last):
 def begin(
     load, lame, inverse, weight, springs, shape, spans, out, start, scale, ahead, back, count
 ):
-    """Compute the first two Chebyshev steps from zero: `smooth` applied to start D^-1 load."""
+    """Compute the first two Chebyshev steps from zero: `smooth` applied to ``start * D^-1 load``."""
     for number in prange(count):
         first, last = part(number, count, len(spans))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
@@ -177,7 +178,7 @@ def _leave_part(d, tissue, weights, spans, coarse, first, last):
 
 @parallel
 def leave(d, load, lame, inverse, weight, springs, shape, spans, coarse, count):
-    """Restrict the residual load - (A + W) d to `coarse`; it is 0 at fixed components."""
+    """Restrict the residual, load - (A + W) d or 0 at fixed components, to `coarse`."""
     for number in prange(count):
         first, last = part(number, count, coarse.shape[1] - 4)
         tissue = load, lame, inverse, shape

@@ -51,7 +51,7 @@ def _balance_part(d, load, given, tissue, spans, share, out, row_most, row_squar
 
 @parallel
 def balance(d, load, given, lame, inverse, shape, spans, share, out, row_most, row_squares, count):
-    """Write the residual share (given load - A d) to `out` in float32; 0 at fixed components.
+    """Write ``share * (given * load - A d)`` to `out` in float32; it is 0 at fixed components.
 
     For each row, `row_most` contains the largest absolute value, and `row_squares` the sum of
     squares.

@@ -39,7 +39,7 @@ class CpuElasticLevel(SmallLevel):
     lame : ndarray, shape (2, H + 4, W + 4)
         Lame parameters of the elements; 0 in void.
     moving, reach : ndarray
-        Like `inverse` and `spans`, but with the rigid bodies free that cycles constrain.
+        Variants of `inverse` and `spans` in which the bodies that cycles constrain are free.
     """
 
     def __init__(
@@ -164,7 +164,7 @@ class CpuElasticModel(HostModel):
         self.assemble(material)
 
     def _small(self, grids: Sequence[tuple[int, ...]]) -> list[CpuElasticLevel]:
-        """Return the small levels, which a single call cycles through."""
+        """Return the small levels, which share their memory and a single-call V-cycle."""
         shape = self._shape
 
         def level(grid: tuple[int, ...], memory: Iterator[Vector]) -> CpuElasticLevel:

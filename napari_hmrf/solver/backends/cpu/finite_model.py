@@ -278,7 +278,7 @@ class CpuFiniteModel:
         return Balance(scaled, unit, most, unit * math.sqrt(square))
 
     def image(self, way: Planes) -> Planes:
-        """Return A `way` for the linear model; it is 0 at fixed components."""
+        """Return ``A @ way`` for the linear model; it is 0 at fixed components."""
         finest = self.levels[0]
         image = finest.vector()
         finest.apply(way.astype(np.float32), image)

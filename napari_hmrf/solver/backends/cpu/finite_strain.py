@@ -205,8 +205,8 @@ def forces(d, solid, about, out, count):
 def _until(now, slope, bend, part, floor):
     """Return the step t at which a corner's Jacobian decreases to its lower bound.
 
-    The Jacobian is now + slope t + bend t^2. The bound is max(part now, floor), or `now` itself if
-    `now` is already below the floor.
+    The Jacobian is ``now + slope * t + bend * t**2``. The bound is ``max(part * now, floor)``, or
+    `now` itself if `now` is already below the floor.
     """
     c = now - max(part * now, min(now, floor))
     if c <= 0:

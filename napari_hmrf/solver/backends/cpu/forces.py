@@ -68,7 +68,7 @@ def force(d, lame, shape, i, j):
 
 @inline
 def left_over(row, col, d_row, d_col, load, weights, i, j):
-    """Return load - force - springs weight d at site (i, j), where (row, col) is the force."""
+    """Return ``load - force - springs * weight * d`` at site (i, j), for the force (row, col)."""
     weight, springs = weights
     row += springs * weight[0, i, j] * d_row
     col += springs * weight[1, i, j] * d_col

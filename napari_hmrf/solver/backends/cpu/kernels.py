@@ -39,7 +39,7 @@ def ratios(stiffness, si, sj, ti, tj, ui, uj):
 
 @inline
 def middle_curvature(ratio_s, ratio_u):
-    """Return the curvature of a clique's potential in the displacement of its middle site."""
+    """Return the curvature of a clique's potential with respect to its middle site."""
     steep_s = float32(1) + ratio_s
     steep_u = float32(1) + ratio_u
     return steep_s * steep_s + steep_u * steep_u
@@ -260,7 +260,7 @@ def sweeps(
 ):
     """Update all sites simultaneously, once per row of `row_totals`.
 
-    Odd-numbered sweeps read `even` and write `odd`; even-numbered sweeps do the reverse. `spans`
+    The first sweep reads `even` and writes `odd`, the second does the reverse, and so on. `spans`
     contains the start and stop column of the tissue in each row. `weights` is None for square
     pixels. If `blanket` is None, a site includes only the cliques centred at it; otherwise it
     includes all cliques that contain it, which requires `weights`. `steps` is None for the closed

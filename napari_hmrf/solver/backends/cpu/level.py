@@ -209,13 +209,13 @@ class CpuLevel:
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Compute d += length direction and rest -= length image; return rest . rest."""
+        """Compute ``d += length * direction``, ``rest -= length * image``; return ``rest . rest``."""
         return self.advance_by(d, length, rest, direction, image, length)
 
     def advance_by(
         self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Compute d += share direction and rest -= length image; return rest . rest."""
+        """Compute ``d += share * direction``, ``rest -= length * image``; return ``rest . rest``."""
         of_d, *others = map(rows, (d, rest, direction, image))
         shares = d.dtype.type(share), rest.dtype.type(length)
         vectors.advance(of_d, shares[0], *others, shares[1], self._rows)
@@ -257,8 +257,8 @@ def rows(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def paces_of(steps: Steps, from_zero: bool) -> Vector:
     """Return (scale, ahead, back) of each step, for kernels that store displacements, not steps.
 
-    Such a kernel computes out = d + scale D^-1 (load - A d) + ahead d - back out, where `out` on
-    the right-hand side is the displacement before the previous step.
+    Such a kernel computes ``out = d + scale * D^-1 (load - A d) + ahead * d - back * out``, where
+    `out` on the right-hand side is the displacement before the previous step.
     """
     # The momentum multiplies the previous step, d - out. The first step has no momentum. In an
     # iteration from zero, `back` is also 0 in the second step, because the displacement before the

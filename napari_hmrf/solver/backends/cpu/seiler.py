@@ -58,7 +58,7 @@ def _quick_pull(d, stiffness, lines, blanket, i, j):
 
 @inline
 def _rest(d, load, given, stiffness, weight, springs, lines, blanket, i, j):
-    """Return given load - (A + W) d at site (i + 2, j + 2)."""
+    """Return ``given * load - (A + W) d`` at site (i + 2, j + 2)."""
     row, col = _quick_pull(d, stiffness, lines, blanket, i, j)
     row += given * load[0, i + 2, j + 2] - springs * weight[0, i + 2, j + 2] * d[0, i + 2, j + 2]
     col += given * load[1, i + 2, j + 2] - springs * weight[1, i + 2, j + 2] * d[1, i + 2, j + 2]
@@ -70,7 +70,7 @@ def residual(
     d, load, given, stiffness, inverse, weight, springs, lines, blanket, spans, share, out,
     row_totals,
 ):  # fmt: skip
-    """Write share (given load - (A + W) d) to `out`; it is 0 at fixed components.
+    """Write ``share * (given * load - (A + W) d)`` to `out`; it is 0 at fixed components.
 
     `row_totals`, unless empty, receives the scalar product d . out of each row.
     """
@@ -102,7 +102,7 @@ def pull(d, stiffness, lines, blanket, spans, out):
 
 @parallel
 def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
-    """Write share (pulls + given load) to `out` in single precision; it is 0 at fixed components.
+    """Write ``share * (pulls + given * load)`` to `out` in float32; it is 0 at fixed components.
 
     For each row, `row_most` receives the largest absolute value, and `row_squares` the sum of
     squares.
@@ -123,7 +123,10 @@ def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
 def smooth(
     d, load, stiffness, inverse, weight, springs, lines, blanket, spans, step, out, scale, momentum
 ):
-    """Compute step = scale D^-1 (load - (A + W) d) + momentum step (Chebyshev), out = d + step."""
+    """Compute a Chebyshev step and the displacement ``out = d + step``.
+
+    The step is ``step = scale * D^-1 (load - (A + W) d) + momentum * step``.
+    """
     for number in prange(d.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)

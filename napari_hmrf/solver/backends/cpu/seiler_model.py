@@ -146,7 +146,10 @@ class CpuSeilerLevel(CpuLevel):
     def multiply(
         self, direction: Vector, image: Vector, totals: npt.NDArray[np.float64] = _NO_ROWS
     ) -> None:
-        """Compute ``image = A @ direction``, and its product per row in `totals` unless empty."""
+        """Compute ``image = A @ direction``; store ``direction . image`` per row in `totals`.
+
+        An empty array `totals` is ignored.
+        """
         # Unused terms have the factor 0 and refer to arrays that the kernel reads anyway.
         nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
         self._residual(direction, nothing, no_springs, (-1, image), totals)

@@ -38,7 +38,7 @@ def _plane(values, table, k, number):
 
 @callee
 def _start(load, inverse, d, scale):
-    """Compute the first step from zero, d = scale D^-1 load, on the level as one long row."""
+    """Compute the first step from zero, ``d = scale * D^-1 load``, on the level as one long row."""
     for k in range((d.shape[1] - 5) * d.shape[2] + d.shape[2] - 4):
         j = 2 + k
         d[0, 2, j] = scale * inverse[0, 2, j] * load[0, 2, j]

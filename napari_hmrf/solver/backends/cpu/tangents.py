@@ -137,9 +137,10 @@ def _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, l
 
 @parallel
 def smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back, count):
-    """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
+    """Compute a Chebyshev step with the coefficients `scale`, `ahead` and `back`.
 
-    On entry, `out` contains the displacement before the previous step.
+    The step is ``out = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * out``. On entry,
+    `out` contains the displacement before the previous step.
     """
     height = d.shape[1] - 4
     for number in prange(count):
@@ -177,7 +178,7 @@ def rest(d, load, tangent, inverse, weight, springs, out, count):
 
 @parallel
 def start(load, inverse, scale, out):
-    """Compute the first step from zero: out = scale D^-1 load."""
+    """Compute the first step from zero: ``out = scale * D^-1 load``."""
     for i in prange(load.shape[1] - 4):
         for component in range(2):
             for j in range(2, load.shape[2] - 2):

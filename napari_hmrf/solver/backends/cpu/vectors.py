@@ -48,7 +48,7 @@ def span(inverse, spans, i):
 
 @parallel
 def hold(inverse, held, pins, spans):
-    """Replace a diagonal by its reciprocal, or 0 at held components; set `pins` to 1 or 0."""
+    """Replace a diagonal by its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0."""
     for i in prange(inverse.shape[1] - 4):
         for k in range(len(inverse)):
             for j in range(2, inverse.shape[2] - 2):
@@ -63,7 +63,7 @@ def hold(inverse, held, pins, spans):
 def spring(inverse, pins, most, strength, weight, spans):
     """Set the springs of a coarser level; replace its diagonal by the reciprocal with springs.
 
-    The strength of a spring is strength * min(pins, most) * diagonal.
+    The strength of a spring is ``strength * min(pins, most) * diagonal``.
     """
     for i in prange(inverse.shape[1] - 4):
         for k in range(len(inverse)):
@@ -133,7 +133,7 @@ def interpolate(coarse, fine, inverse):
 
 @parallel
 def advance(d, share, rest, direction, image, length, row_totals):
-    """Compute d += share direction and rest -= length image; store rest . rest per row."""
+    """Compute ``d += share * direction``, ``rest -= length * image`` and ``rest . rest`` per row."""
     for i in prange(d.shape[1] - 4):
         for component in range(len(d)):
             for j in range(d.shape[2]):
@@ -144,7 +144,7 @@ def advance(d, share, rest, direction, image, length, row_totals):
 
 @parallel
 def lean(rest, direction, image, share, stride):
-    """Compute direction = rest + share (direction - stride image)."""
+    """Compute ``direction = rest + share * (direction - stride * image)``."""
     for i in prange(direction.shape[1] - 4):
         for component in range(len(direction)):
             for j in range(direction.shape[2]):

@@ -96,10 +96,11 @@ def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, las
 
 @parallel
 def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, paces, count):
-    """Run Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other.
+    """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`.
 
-    On entry, `other` contains the displacement before the previous step. The two arrays swap roles
-    after each step.
+    A step is ``other = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * other``. On entry,
+    `other` contains the displacement before the previous step. The two arrays swap roles after each
+    step.
     """
     for step in range(len(paces)):
         source, target = (d, other) if step % 2 == 0 else (other, d)
@@ -112,7 +113,7 @@ def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, 
 
 @parallel
 def start(load, inverse, d, scale):
-    """Compute the first step from zero, d = scale D^-1 load, for arrays from `level.rows`."""
+    """Compute the first step from zero, ``d = scale * D^-1 load``, for arrays from `level.rows`."""
     for i in prange(d.shape[1]):
         for k in range(len(d)):
             for j in range(d.shape[2]):
@@ -156,7 +157,7 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
 
 @parallel
 def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
-    """Write scale (given load - (A + W) d) to `out`; it is 0 at fixed components."""
+    """Write ``scale * (given * load - (A + W) d)`` to `out`; it is 0 at fixed components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)

@@ -227,9 +227,9 @@ def _sweep_row(source, target, stiffness, observation, span, lines, offsets, ste
 def sweeps(even, odd, stiffness, observation, spans, lines, offsets, steps, relaxation, row_totals):
     """Update all sites simultaneously, once per row of `row_totals`.
 
-    A site includes only the cliques centred at it. Odd-numbered sweeps read `even` and write `odd`;
-    even-numbered sweeps do the reverse. `spans` contains the start and stop column of the tissue in
-    each row, and `observation` is (y, p) with three components each. If `steps` is empty, a site
+    A site includes only the cliques centred at it. The first sweep reads `even` and writes `odd`,
+    the second does the reverse, and so on. `spans` contains the start and stop column of the tissue
+    in each row, and `observation` is (y, p) with three components each. If `steps` is empty, a site
     moves to the minimum of its local energy. On return, `row_totals` contains U_total before each
     sweep, per row.
     """

@@ -56,10 +56,11 @@ def _smooth_row(d, load, tissue, inverse, weights, span, pace, out, i):
 
 @parallel
 def smooth(d, other, load, stiffness, lines, offsets, inverse, weight, springs, spans, paces):
-    """Run Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other.
+    """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`.
 
-    On entry, `other` contains the displacement before the previous step. The two arrays swap roles
-    after each step.
+    A step is ``other = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * other``. On entry,
+    `other` contains the displacement before the previous step. The two arrays swap roles after each
+    step.
     """
     for step in range(len(paces)):
         source, target = (d, other) if step % 2 == 0 else (other, d)
@@ -104,7 +105,7 @@ def _rest_row(d, load, given, tissue, inverse, weights, span, share, out, i):
 def residual(
     d, load, given, stiffness, lines, offsets, inverse, weight, springs, spans, share, out
 ):
-    """Write share (given load - (A + W) d) to `out`; it is 0 at fixed components."""
+    """Write ``share * (given * load - (A + W) d)`` to `out`; it is 0 at fixed components."""
     tissue, weights = (stiffness, lines, offsets), (weight, springs)
     for number in prange(d.shape[1] - 4):
         i = int64(number)
