@@ -5,8 +5,8 @@
 Galerkin's coarse matrix P' A P represents constraints and jumps of stiffness exactly. However, it
 must be stored as a matrix, with nine blocks of 2 x 2 per site instead of two numbers, and must be
 recomputed when the constraints change. Both variants use the same transfer, smoother and iteration
-in double precision. The table lists the number of cycles until the residual has decreased by a
-factor of 1e-6, and the time required to compute the matrices.
+in double precision. The table lists the number of cycles until the relative residual is 1e-6, and
+the time required to compute the matrices.
 """
 
 from __future__ import annotations

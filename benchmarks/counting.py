@@ -59,7 +59,6 @@ class Counts:
         allocated them directly or indirectly; "napari" if no such function was running.
     megabytes : float
         Total size of these arrays.
-        Of all those arrays.
     """
 
     data: Counter[str] = field(default_factory=Counter)

@@ -11,9 +11,9 @@ code to the data and metadata of layers, and the number of arrays as large as th
 
 With another checkout, two processes take turns of some seconds, so that other load on the machine
 affects both checkouts equally; the relevant result is the ratio for each pair of turns. The other
-checkout runs its own `benchmarks/dragging.py` if it exists, with its own view of the window. On a
-busy machine, processor time is more reliable than wall-clock time. Options: `--turns 5`,
-`--seconds 2`, `--kind tissue` (or another kind of `live.py`).
+checkout runs its own `benchmarks/dragging.py` if it exists, because the internals of its window may
+differ. On a busy machine, processor time is more reliable than wall-clock time. Options:
+`--turns 5`, `--seconds 2`, `--kind tissue` (or another kind of `live.py`).
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
     python -m benchmarks.large_motion [exact] [textbook] [cold] [drag]
 
-
 ``--random 3000`` solves random problems; ``--first 400 --random 200`` solves a part of them.
 
 Measures the distance to an independent Newton's method and to textbook finite elements, the time

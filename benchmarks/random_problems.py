@@ -37,7 +37,7 @@ class RandomProblem:
     observed, confidence, stiffness, spacing
         Arguments of `Problem`.
     prior : ElasticPrior or SeilerPrior
-        Prior.
+        Prior of the tissue.
     tolerance : float
         Tolerance of `Multigrid`.
     reading : str

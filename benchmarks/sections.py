@@ -4,13 +4,13 @@
 
 Features of the two pictures are matched to obtain landmarks. Each landmark is left out once and
 predicted from the other landmarks by an affine map, by thin-plate splines, and by elastic tissue
-that follows the landmarks after the affine map. The tissue follows them exactly or with a limited
-force, which is chosen by cross-validation without the predicted landmark. Then the landmarks are
-predicted by two registrations of the whole pictures: SimpleITK's demons, and elastic tissue with
-the demons field as observations at the edges of the picture only. Prints the errors in pixels for
-all landmarks and by location, and the similarity of neighbouring landmarks after the affine map,
-which limits the accuracy of all methods. No pictures are included in this project; any two sections
-are suitable.
+with the other landmarks as observations after the affine map. The observations are prescribed
+exactly or with a limited force, which is chosen by cross-validation without the predicted landmark.
+Then the landmarks are predicted by two registrations of the whole pictures: SimpleITK's demons, and
+elastic tissue with the demons field as observations at the edges of the picture only. Prints the
+errors in pixels for all landmarks and by location, and the similarity of neighbouring landmarks
+after the affine map, which limits the accuracy of all methods. No pictures are included in this
+project; any two sections are suitable.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def _splines(smoothing: float) -> Fit:
 
 
 class _Elastic:
-    """Tissue of uniform stiffness that follows landmarks, after an affine map."""
+    """Tissue of uniform stiffness with landmarks as observations, after an affine map."""
 
     def __init__(self, shape: tuple[int, int], penalty: float) -> None:
         self._shape = tuple(size // _STEP for size in shape)

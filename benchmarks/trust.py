@@ -9,7 +9,7 @@ and by `exact`, which shares only the equations with the package. Violations are
 three times the tolerance or the reported error, refusals of problems with a unique solution,
 results other than the least motion for problems without a unique solution, and exceptions that are
 not the package's. A refusal is correct in three cases, which are decided without the package: no
-tissue can move; some tissue moves at no cost (in the blanket reading, counted in integer
+tissue can move; there is a zero-energy motion (in the blanket reading, counted in integer
 arithmetic, `exact.rank`); or the softest motion is so soft relative to the stiffest motion (in 32
 digits) that double precision cannot resolve the solution. Then small volumes
 (`random_volumes.py`) are solved by loops only; a distance from a direct solve that exceeds the
@@ -104,8 +104,8 @@ class Verdict:
     least : float
         For a refusal, ratio of the stiffness of the softest motion to that of the stiffest.
     swing : float
-        For a violation, displacement of the exact field in pixels if the force of each observation
-        changes by a random sign times one millionth.
+        For a violation, largest change of the exact field, in pixels, if the force of each
+        observation changes by a factor of 1 + 1e-6 or 1 - 1e-6 at random.
     """
 
     number: int
@@ -231,7 +231,7 @@ def why_refused(
     least = truth.least if truth.motions else min(truth.least, truth.least_found)
     swing = _ROUNDING * reach / max(least, 1e-300)
     beyond = least < _BEYOND or swing > _TOO_MUCH * tolerance
-    # Only a ProblemError claims that the solution is not unique.
+    # Insufficient precision does not explain a ProblemError, which claims non-uniqueness.
     sensitive = beyond and isinstance(refusal, ConvergenceError)
     return "refused, sensitive" if sensitive else "refused"
 
@@ -244,7 +244,7 @@ def _distance(displacement: np.ndarray, truth: Exact) -> float:
 
 
 def _swing(drawn: RandomProblem, truth: Exact) -> float:
-    """Return the largest change of the field if each observation's force changes by 1e-6."""
+    """Return the largest change of the field for relative changes of each force by 1e-6."""
     signs = np.random.default_rng(0).choice([-1.0, 1.0], drawn.confidence.shape)
     other = exact_field(drawn.problem, drawn.prior, 1 + 1e-6 * signs)
     return _distance(other.displacement, truth) if other.sure else float("inf")

@@ -2,8 +2,8 @@
 
 Matrices are assembled entry by entry from fractions, as pairs of float64 (32 digits), and are
 factorized without iteration. The states of observations that slip are verified by optimality
-conditions. The computation is slow, but all relevant digits are correct, or the result is marked as
-not sure.
+conditions. The computation is slow, but a result is accurate in all relevant digits unless it is
+marked as not sure.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Exact:
     moving : ndarray of bool, shape (H, W, 2)
         Mask of components with forces. Other components are at their observed position or at rest.
     motions : int
-        Number of independent motions at no cost, given the observations.
+        Number of independent zero-energy motions, given the observations.
     sure : bool
         True if the field is proven; False if it is only the last field of the search.
     edge : bool
@@ -59,7 +59,7 @@ class Exact:
     def least(self) -> float:
         """Least eigenvalue with all observations prescribed, for a diagonal scaled to 1.
 
-        It is 0 if tissue could still move at no cost.
+        It is 0 if there is still a zero-energy motion.
         """
         if not self._matrix.symmetric:
             return 1.0  # by a maximum principle, each site depends on a site that is prescribed
@@ -67,7 +67,7 @@ class Exact:
 
     @functools.cached_property
     def least_found(self) -> float:
-        """Least eigenvalue with only the observations prescribed that do not slip.
+        """Least eigenvalue if only the observations that do not slip are prescribed.
 
         If it is below the rounding of double precision, double precision cannot resolve the field.
         """
@@ -77,7 +77,7 @@ class Exact:
 
     @property
     def free(self) -> bool:
-        """True if some tissue could move at no cost even with all observations prescribed."""
+        """True if there is a zero-energy motion even with all observations prescribed."""
         return self.least < FREE
 
 

@@ -27,7 +27,7 @@ class Factors:
     Attributes
     ----------
     motions : ndarray, shape (motions, n)
-        Basis of the motions of the unknowns at no cost (the null space).
+        Basis of the zero-energy motions of the unknowns (the null space).
     """
 
     def __init__(self, matrix: Matrix, unknowns: Numbers, springs: Array | None = None) -> None:
@@ -67,7 +67,7 @@ class Factors:
         """Return the displacement, (high, low), at which the unknowns are in equilibrium.
 
         Prescribed components have the values of `prescribed`, and so does one unknown of each
-        motion at no cost.
+        zero-energy motion.
         """
         high, low = prescribed.copy(), np.zeros_like(prescribed)
         # The second pass is a refinement step: it corrects the residual of the first pass.

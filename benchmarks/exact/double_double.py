@@ -14,10 +14,10 @@ _scalar = numba.njit(cache=True, error_model="numpy")
 _loop = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 _SPLIT = 134217729.0  # 2^27 + 1
-#: Pivots below this fraction of their diagonal are examined, because a motion may have no cost.
+#: Pivots below this fraction of their diagonal are examined for a zero-energy motion.
 _SUSPECT = 1e-9
-#: Relative cost below which a motion is free. Rounding errors are 1e-31, and the cost of the
-#: weakest connected tissue is 1e-24.
+#: Relative energy below which a motion counts as zero-energy. Rounding errors are 1e-31, and the
+#: relative energy of the weakest connected tissue is 1e-24.
 FREE = 1e-28
 
 

@@ -1,6 +1,6 @@
 """Forces of tissue as sparse matrices, from the equations alone.
 
-A matrix A describes the cost of a displacement. In equilibrium, ``A d + p sign(d - y) = 0`` for
+A matrix A maps a displacement to forces. In equilibrium, ``A d + p sign(d - y) = 0`` for
 components that are observed with a penalty p, and ``A d = 0`` for other components. For elastic
 tissue and for the blanket reading, A is the second derivative of the energy. For the centred
 reading, each row is the derivative of the energy of the cliques centred at a site with respect to

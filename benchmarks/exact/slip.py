@@ -7,9 +7,9 @@ fails, they are found by a primal-dual interior-point method (symmetric A), or b
 iteration (the centred A, an M-matrix). In all cases the result is verified by the conditions above
 in double-double precision.
 
-All fields of least energy have the same forces. Therefore they differ only by motions at no cost
-that are compatible with the fixed components with a force below p. The field with the smallest sum
-of squares is returned.
+All fields of least energy have the same forces. Therefore they differ only by zero-energy motions
+that do not move the fixed components with a force below p. The field with the smallest sum of
+squares is returned.
 """
 
 from __future__ import annotations
@@ -273,7 +273,7 @@ class _Search:
         return Factors(self._matrix, np.flatnonzero(free))
 
     def _shortest(self, d: Array, motions: Array, states: Array) -> Array:
-        """Return the shortest field among d plus motions; slipping components keep their side."""
+        """Return d plus motions with the least norm; slipping components stay on their side."""
         marks, slips = self._marks, states != 0
         return shortest(self._matrix, d, motions, marks.at[slips], states[slips], marks.y[slips])
 

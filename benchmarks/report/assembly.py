@@ -103,7 +103,7 @@ def assemble(problem: Problem, prior: ElasticPrior) -> System:
     # blocks[n, 3 a + b] couples site n with its neighbour a - 1 rows and b - 1 columns away.
     blocks = np.zeros((int(exists.sum()), 9, 2, 2))
     for here, (i, j) in enumerate(CORNERS):
-        # Elements do not share a site at the same corner, so += counts all contributions.
+        # No two elements have the same site at the same corner, so += adds all contributions.
         sites = number[1 + row + i, 1 + col + j]
         for there, (a, b) in enumerate(CORNERS):
             blocks[sites, 3 * (a - i + 1) + (b - j + 1)] += modulus * k[here, there]

@@ -26,7 +26,7 @@ from report.assembly import (
 )
 from report.tissues import Images
 
-#: Largest last correction of a reference, in pixels, which bounds its error.
+#: Estimated error of a reference, in pixels: an upper bound of its last correction.
 KNOWN = 1e-6
 _MOST_CORRECTIONS = 30
 

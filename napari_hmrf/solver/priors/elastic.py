@@ -163,7 +163,7 @@ class ElasticPrior:
         return bool(doubted.any()) and not problem.rigid.any()
 
     def limit(self, problem: Problem) -> Float64Array | None:
-        """Return the force limit P of every component (H, W, 2), or None if observations cannot slip.
+        """Return the force limits P, (H, W, 2), or None if observations cannot slip.
 
         P is infinite for components that are prescribed exactly.
         """

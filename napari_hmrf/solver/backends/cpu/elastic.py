@@ -130,7 +130,10 @@ def _begin_part(tissue, weights, spans, out, start, pace, first, last):
 def begin(
     load, lame, inverse, weight, springs, shape, spans, out, start, scale, ahead, back, count
 ):
-    """Compute the first two Chebyshev steps from zero: `smooth` applied to ``start * D^-1 load``."""
+    """Compute the first two Chebyshev steps from zero.
+
+    The first step is ``start * D^-1 load``; the second step is `smooth` applied to the first.
+    """
     for number in prange(count):
         first, last = part(number, count, len(spans))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)

@@ -209,13 +209,19 @@ class CpuLevel:
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Compute ``d += length * direction``, ``rest -= length * image``; return ``rest . rest``."""
+        """Add ``length * direction`` to `d`, subtract ``length * image`` from `rest`.
+
+        Return ``rest . rest``.
+        """
         return self.advance_by(d, length, rest, direction, image, length)
 
     def advance_by(
         self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Compute ``d += share * direction``, ``rest -= length * image``; return ``rest . rest``."""
+        """Add ``share * direction`` to `d`, subtract ``length * image`` from `rest`.
+
+        Return ``rest . rest``.
+        """
         of_d, *others = map(rows, (d, rest, direction, image))
         shares = d.dtype.type(share), rest.dtype.type(length)
         vectors.advance(of_d, shares[0], *others, shares[1], self._rows)

@@ -78,7 +78,7 @@ def spring(inverse, pins, most, strength, weight, spans):
 
 @parallel
 def smooth_first(load, inverse, step, d, scale):
-    """Compute the first Chebyshev step from d = 0: step = d = scale D^-1 load."""
+    """Compute the first Chebyshev step from d = 0: ``step = d = scale * D^-1 load``."""
     for i in prange(load.shape[1] - 4):
         for j in range(load.shape[2]):
             row = scale * inverse[0, i + 2, j] * load[0, i + 2, j]
@@ -133,7 +133,10 @@ def interpolate(coarse, fine, inverse):
 
 @parallel
 def advance(d, share, rest, direction, image, length, row_totals):
-    """Compute ``d += share * direction``, ``rest -= length * image`` and ``rest . rest`` per row."""
+    """Add ``share * direction`` to `d`, subtract ``length * image`` from `rest`.
+
+    Store ``rest . rest`` of each row in `row_totals`.
+    """
     for i in prange(d.shape[1] - 4):
         for component in range(len(d)):
             for j in range(d.shape[2]):
