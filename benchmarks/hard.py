@@ -274,8 +274,8 @@ def write_page(path: Path, found: Sequence[Row]) -> None:
     page.say(
         f"""**Method.** *Ours* is `solve` at its default tolerance, from a `Problem` to a
         displacement, with new tissue and compiled kernels. The times of the others include the
-        assembly of the matrix, which adds slices of the image up into blocks of 2 x 2, without
-        triplets to sort. PyAMG: smoothed aggregation with the three rigid-body modes and
+        assembly of the matrix from slices of the image in blocks of 2 x 2, without sorting
+        triplets. PyAMG: smoothed aggregation with the three rigid-body modes and
         conjugate gradients, with the best of 18 settings (`{SETTING}`). It stops at the loosest
         of the relative residuals 0.1, 0.01, ... (in brackets) at which its true error is within
         {WITHIN} px. It *fails* if it needs more than 300 iterations, and is *later* if SuperLU

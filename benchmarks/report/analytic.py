@@ -203,7 +203,7 @@ def section(settings: Settings) -> Section:
         this error, too: no solver removes it, and the error of a segmentation is probably
         larger. The algebraic error is what the tolerance allows, at most a hundredth of a pixel
         at any size; one or two more cycles reduce it. The paper's prior does not converge to
-        elasticity: its model error stays constant however small the pixels are."""
+        elasticity: its model error does not decrease with the pixel size."""
     )
     page.targets.append(Target("annulus: observed order", ring, 1.8, at_least=True))
     return page
@@ -254,6 +254,6 @@ def _bar(page: Section, settings: Settings) -> None:
         elements over the interface has the mean stiffness. This shifts the field by a fraction
         of a pixel (third column), a first-order error. The paper's energy has another ratio:
         slightly too large in the centred reading. In the blanket reading, which minimises eq. 7
-        exactly, it is worse the finer the image."""
+        exactly, the error increases with the resolution."""
     )
     page.targets.append(Target("bar: error of the strain ratio", abs(last / ratio - 1), 0.01))

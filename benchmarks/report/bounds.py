@@ -55,7 +55,7 @@ def add_bounds(page: Section, runs: dict[int, Measured]) -> None:
     page.say(
         f"""**Limits of the speed.** A cycle smooths twice down and twice up; over all levels
         this equals {CYCLE_SWEEPS:.1f} sweeps over the finest. The number of sweeps times the
-        time per sweep is the part that any such method has to spend. The rest is residuals, dot
+        time per sweep is the unavoidable part of any such method. The rest is residuals, dot
         products, transfers, set-up, and reading the images. A sweep moves at least {SWEEP_BYTES}
         bytes per free site. The memory's bandwidth is that of a = b + s c (a triad over
         single-precision arrays as large as the data of a sweep, all threads). The last column

@@ -96,13 +96,13 @@ def _calculix(page: Section, settings: Settings) -> None:
             claim = f"loads to CalculiX, {name}: largest difference in px"
             page.targets.append(Target(claim, off, 0.01))
     page.say(
-        """**Question.** Does tissue under growth, weight and pressure move as in CalculiX?
-        Blocks have random stiffness, up to ten times as stiff, in oblong pixels, and are held
-        along one edge. A disc (a ball) grows by 15 %, all tissue is heavy, and the whole surface
-        is pressed, including that of a square hole. CalculiX takes growth as thermal expansion,
-        weight as gravity, and pressure on the faces of its elements: its loads are independent
-        of this package. The last column is the imbalance of forces and reactions, relative to
-        the forces."""
+        """**Question.** Does tissue under growth, weight and pressure move as in CalculiX? Blocks
+        have random stiffness, up to ten times as stiff, in oblong pixels, and are held along one
+        edge. A disc (a ball) grows by 15 %, all tissue is heavy, and the whole surface is
+        pressed, including that of a square hole. CalculiX represents growth as thermal
+        expansion, weight as gravity, and pressure as loads on the faces of its elements: its
+        loads are independent of this package. The last column is the imbalance of forces and
+        reactions, relative to the forces."""
     )
     page.table(["case", "pixels along a side", "moves by", "largest difference", "balance"], rows)
     page.say(
@@ -223,12 +223,13 @@ def _closed_forms(page: Section, settings: Settings) -> None:
     order = math.log(rings[0] / rings[-1]) / math.log(sizes[-1] / sizes[0])
     rows.append(["annulus of round edges", *(f"{e:.1e}" for e in rings), f"{order:.2f}"])
     page.say(
-        """**Question.** How fast does the error fall with the pixel size? *Annulus*: Lame's
-        field of a ring under inner pressure, cut out along pixels, with the ring's stress on its
+        """**Question.** How fast does the error fall with the pixel size? *Annulus*: Lame's field
+        of a ring under inner pressure, cut out along pixels, with the ring's stress on its
         edges. *Disc*: Eshelby's field of a disc that grows in a matrix of the same material,
         with each pixel weighted by the part of it inside the disc; a tenth of the image at its
-        edge is left out. *Of round edges*: the ring itself, whose edges are staircases, under
-        pressure, without the tenth beside them. Errors are relative to the field's rms."""
+        edge is left out. *Annulus of round edges*: the ring itself under pressure, with
+        staircase edges; sites near the edges are excluded. Errors are relative to the field's
+        rms."""
     )
     page.table(["case", *(f"{size} px" for size in sizes), "observed order"], rows)
     page.say(

@@ -201,8 +201,8 @@ def section(settings: Settings) -> Section:
         "do not guarantee convergence and the computation time is enormous", and gives no number.
         Here the mass-effect phantom at {SIZE} x {SIZE} is sampled by Metropolis's algorithm: one
         component of one site at a time, compiled, cooled geometrically by {_COOLED:.0e} in
-        {_ROUNDS} rounds, steps adapted to 40 % acceptance. Of several lengths of schedule the
-        first that came near the minimum is shown. Beside it are the package's optimizers; every
+        {_ROUNDS} rounds, steps adapted to 40 % acceptance. Of several lengths of schedule, the
+        first that reaches the minimum is shown, together with the package's optimizers; every
         point is a whole solve. The curves show by what fraction the energy exceeds its exact
         minimum (float64 direct solve)."""
     )
@@ -228,10 +228,10 @@ def section(settings: Settings) -> Section:
     gains = {size: curves[0].arrival / curves[1].arrival for size, curves in elastic.items()}
     page.say(
         f"""**Conclusion.** Both energies are convex: annealing has no local minimum to escape
-        from, and reaches the minimum at the end of its schedule. But a move of one site carries
-        motion across one pixel only. So the number of sweeps grows with the square of the
-        image's width, and the work with its fourth power. For the elastic energy Multigrid comes
-        near the minimum
+        from, and reaches the minimum at the end of its schedule. However, a move of one site
+        propagates motion by one pixel only, so the number of sweeps grows with the square of the
+        image's width, and the work with its fourth power. For the elastic energy Multigrid
+        reaches the minimum
         {", ".join(f"{gains[size]:.0f} times sooner at {size} x {size}" for size in sizes)}. The
         paper's claim holds, but local minima are not the reason. ICM minimises eq. 7 in its
         blanket reading here."""

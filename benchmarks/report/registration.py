@@ -108,10 +108,10 @@ def section(settings: Settings) -> Section:
     page.table(["phantom", "field", "RMSD in the body", "away from the boundary", "time"], rows)
     page.say(
         """**Conclusion.** Registration makes the two images alike. Where grey values are
-        informative (these phantoms have texture everywhere, and no noise) it comes about as
-        close as the paper's converged prior (*The paper's tables*): its RMSD is not large. It
-        errs where they are not: along edges, and across interfaces of tissue, where the true
-        strain jumps and the spline is smooth, as the paper observed; see the differences. This
+        informative (these phantoms have texture everywhere, and no noise), its RMSD is about that
+        of the paper's converged prior (*The paper's tables*). It is wrong where grey values are not
+        informative: along edges, and across interfaces of tissue, where the true strain jumps and
+        the spline is smooth, as the paper observed; see the differences. This
         repeats the paper's comparison, which is not fair in either direction: registration has
         no information about the cause of the motion, and mechanics has no second image."""
     )

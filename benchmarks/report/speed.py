@@ -46,9 +46,9 @@ def section(settings: Settings) -> Section:
         site is further than {WITHIN} px from the converged field? Every solver and size has its
         own process, warmed up. Assembly and set-up count in every solve (only the second row has
         tissue that was solved before, whose set-up the package keeps). Multigrid stops by its
-        own estimate. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) stops
-        at no cost: the number of iterations that it needs is determined beforehand. The matrix
-        is added up slice by slice, without triplets to sort. *Tuned* means: PyAMG without
+        own estimate. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) needs
+        no stopping criterion: its number of iterations is determined beforehand. The matrix is
+        assembled slice by slice, without sorting triplets. *Tuned* means: PyAMG without
         relaxing the modes it is given; SuperLU in symmetric mode with minimum-degree ordering.
         CalculiX writes and reads text. The converged field is PyAMG's, to rounding, where it is
         available. Memory is the peak of the process during the solves minus its memory before
@@ -150,11 +150,12 @@ def _reading(page: Section, results: Results, sizes: Sequence[int]) -> None:
             gains.append(f"{gain:.0f} times at {size} ({title})")
     page.say(
         f"""**Conclusion.** Compared with the fastest other solver at each size, tuned ones
-        included, the compiled loops win {"; ".join(gains) or "nothing that was measured"}. Part
-        of the difference is not the algorithm: the others are general programs for any matrix,
-        on one thread except for their dense kernels, in double precision, and they include its
-        assembly. This solver uses the fact that its mesh is an image, runs on all cores, and
-        computes in single precision where this is sufficient.{_left_out(results, sizes)}"""
+        included, the compiled loops are faster:
+        {"; ".join(gains) or "no comparison was measured"}. Part of the difference is not the
+        algorithm: the others are general programs for any matrix, on one thread except for their
+        dense kernels, in double precision, and they include its assembly. This solver uses the
+        fact that its mesh is an image, runs on all cores, and computes in single precision where
+        this is sufficient.{_left_out(results, sizes)}"""
     )
 
 

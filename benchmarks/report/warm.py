@@ -69,17 +69,18 @@ def add_warm_start(page: Section, settings: Settings) -> None:
     first, drag = found.warm / found.cold, found.again / found.cold
     least = math.log(1 / WITHIN) / math.log(found.push / WITHIN)
     page.say(
-        f"""**Question.** After an edit (an eighth of the tumour's rim moved by a pixel) at
-        {size} x {size}, how long does a solve take that starts from the earlier one, relative to
-        a cold solve? In a process of its own: cold {duration(found.cold)} in {found.cycles[0]}
-        cycles, warm {duration(found.warm)} in {found.cycles[1]}. The ratio is {first:.2f}, and
-        the two fields are at most {found.apart:.0e} px apart. **Conclusion.** A first move saves
-        the set-up (the tissue is the same) and the cycles that the earlier field is ahead. At a
-        fixed rate, from one pixel to {WITHIN:g} px takes {least:.2f} of the cycles from the
-        {found.push:.1f} px of the whole push, so no such iteration can reach a third. Where the
-        patch was moved before (here by half as much), a sum of the earlier fields solves the new
-        problem. Its error is at most the sum of the errors of its parts: the solve takes
-        {duration(found.again)} in {found.cycles[2]} cycles, {drag:.2f} of a cold solve."""
+        f"""**Question.** After an edit (an eighth of the tumour's rim moved by a pixel) at {size}
+        x {size}, how long does a solve take that starts from the earlier one, relative to a cold
+        solve? In a process of its own: cold {duration(found.cold)} in {found.cycles[0]} cycles,
+        warm {duration(found.warm)} in {found.cycles[1]}. The ratio is {first:.2f}, and the two
+        fields are at most {found.apart:.0e} px apart. **Conclusion.** A first move saves the
+        set-up (the tissue is the same) and the cycles by which the earlier field is closer to
+        the solution. At a fixed convergence rate, the cycles from one pixel to {WITHIN:g} px are
+        {least:.2f} of the cycles from the {found.push:.1f} px of the whole push, so no such
+        iteration can achieve a third. Where the patch was moved before (here by half as much), a
+        sum of the earlier fields solves the new problem. Its error is at most the sum of the
+        errors of its parts: the solve takes {duration(found.again)} in {found.cycles[2]} cycles,
+        {drag:.2f} of a cold solve."""
     )
     page.targets.append(Target(f"warm restart over cold, {size}, first move", first, 1 / 3))
     page.targets.append(Target(f"warm restart over cold, {size}, moved before", drag, 1 / 3))
