@@ -72,7 +72,7 @@ class Writer(NamedTuple):
     name : str
         Module and name of the function, and the kind of file.
     write : callable
-        Function whose argument is the output folder.
+        Function that writes into a given folder.
     """
 
     name: str

@@ -247,7 +247,7 @@ class _Search:
                 states = np.where(below, -1.0, np.where(above, 1.0, 0.0))
                 displacement, forces = self._for_states(states, start)
                 off = displacement[marks.at] - marks.y
-                # Either A d + p or d - y is 0, so the unit of the other one does not matter.
+                # Either A d + p or d - y is 0, so the unit of the nonzero term does not matter.
                 takes = np.where(above, off >= 0, marks.limit - forces < 0) & ~below
                 if (takes == above).all():
                     break

@@ -2,7 +2,7 @@
 
 Bilinear quadrilaterals on a regular grid all have the same 8 x 8 stiffness matrix except for their
 modulus. The matrix is therefore assembled by adding slices of the image, without sorting a list of
-triplets. It is tested against `ElasticPrior.forces`, with which it shares no code.
+triplets. It is tested against `ElasticPrior.forces`, which shares no code with it.
 """
 
 from __future__ import annotations

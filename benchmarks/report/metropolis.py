@@ -23,7 +23,7 @@ Float64Array = npt.NDArray[np.float64]
 SIZE = 32
 #: The minimum is reached if the relative excess of the energy is below this.
 NEAR = 1e-6
-# Annealing: total factor by which the temperature decreases from one that randomizes the field.
+# Annealing: ratio of the final temperature to the initial one, which randomizes the field.
 _COOLED = 1e-14
 _ROUNDS = 60
 

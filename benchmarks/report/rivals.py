@@ -144,7 +144,7 @@ def run_ours(images: Images, prior: ElasticPrior = PRIOR) -> Run:
 
 
 def _forget(prior: ElasticPrior) -> None:
-    """Solve another tissue, so that caches cannot be reused in another unit of stiffness."""
+    """Solve another tissue to invalidate the caches."""
     solve(phantom("bar", 24).problem, prior, optimizer=Multigrid(), backend="cpu")
 
 

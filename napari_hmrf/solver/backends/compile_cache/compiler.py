@@ -158,7 +158,7 @@ def stage() -> Stage:
 
 
 def begin() -> bool:
-    """Make this the compiling process; return False if there is already another one."""
+    """Make this the compiling process; return False if another one exists."""
     if _another_process_compiles():
         return False
     try:

@@ -1,6 +1,6 @@
 """Compiled loops that assemble the multigrid levels of elastic tissue.
 
-All arrays have a border of void, two sites wide. The index of an element is that of its first site
+All arrays have a border of void, two sites wide. An element has the index of its first site
 (lowest row and column), so site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
 """
 

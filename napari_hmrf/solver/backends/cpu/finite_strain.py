@@ -1,7 +1,7 @@
 """Compiled loops in double precision for Neo-Hookean tissue: energy, forces and step lengths.
 
 `solver.priors.finite_strain` documents the equations and names. Displacements are planes in pixels,
-and the index of an element is that of its first site.
+and an element has the index of its first site.
 
 `solid` contains seven numbers per element, in the order of `Moduli`: mu, which is 0 if the element
 does not exist; the Lame parameter lambda of a volume; the coefficient of the volume term at rest;

@@ -1,6 +1,6 @@
 """Forces of elastic tissue at a site, for the compiled loops in both precisions.
 
-All arrays have a border of void, two sites wide. The index of an element is that of its first site
+All arrays have a border of void, two sites wide. An element has the index of its first site
 (lowest row and column). Its Lame parameters are 0 if one of its sites is void. Forces are computed
 from differences of displacements within an element; `solver.priors.elements` documents the
 equations and the names.

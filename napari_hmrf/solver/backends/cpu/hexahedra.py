@@ -1,6 +1,6 @@
 """Forces of elements in a volume, computed in blocks of sites, for loops in both precisions.
 
-All arrays have a border of void, two sites wide. The index of an element is that of its first site
+All arrays have a border of void, two sites wide. An element has the index of its first site
 (lowest plane, row and column). `solver.priors.hexahedra` documents the equations. A face is the
 square of four sites in the same column. Each step is one loop along a line of sites, which
 vectorizes:

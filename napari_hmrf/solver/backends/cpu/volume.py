@@ -1,6 +1,6 @@
 """Compiled loops for elastic volumes: the multigrid operations on their levels.
 
-All arrays have a border of void, two sites wide on every side. The index of an element is that of
+All arrays have a border of void, two sites wide on every side. An element has the index of
 its first site, and `backends.cpu.hexahedra` documents its parameters. A component that is
 prescribed, or that belongs to no element, has an inverse diagonal of 0, so its correction stays 0.
 `weight` is the diagonal of the springs W of a coarse level. It is multiplied by `springs`, which is
