@@ -153,14 +153,12 @@ class Directions(NamedTuple):
     def about(self, axis: int) -> str:
         """Return the tooltip of a distance along the row axis (0) or the column axis (1).
 
-        An example is "Distance down, along the rows; below 0: up".
+        An example is "Distance down, along the row axis; below 0: up".
         """
         along, way = ("the row axis", "the column axis")[axis], self[:2][axis]
         if not way:
             return f"Distance along {along}, in pixel order"
-        along = (
-            "as displayed, however the layer is rotated" if self.turn else f"along {along}"
-        )
+        along = "as displayed, however the layer is rotated" if self.turn else f"along {along}"
         return f"Distance {_to(way)}, {along}; below 0: {_to(_OPPOSITE[way])}"
 
     def label(self, axis: int) -> str:

@@ -193,7 +193,7 @@ def _triangles(moved, tissue, source, state, reach, first, past):
 
 @_callee
 def _outline(moved, tissue, source, state, reach, first, past):
-    """Draw sites, and lines between outermost sites, onto empty pixels from `first` to `past`."""
+    """Draw sites, and lines between outermost sites, onto empty pixels of a range of rows."""
     height, width = tissue.shape
     for row in range(height):
         if reach[row, 0] > past or reach[row, 1] < first - 1:

@@ -16,12 +16,12 @@ from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box, box_of, covered, is_empty
 from napari_hmrf.tissue.drawing.marks import Mark, Point
 
-#: Actions of strokes that have no effect outside tissue; other strokes change earlier marks.
+#: Actions of strokes that have no effect outside tissue; other strokes can change earlier marks.
 _HOLD_OR_MOVE = ("pin", "move", "expand")
 
 
 def asks_motion(problem: Problem) -> bool:
-    """Return whether a problem has a prescribed displacement other than 0, growth or a force."""
+    """Return whether a problem has a nonzero prescribed displacement, growth or a force."""
     loads = problem.loads
     given = () if loads is None else (loads.growth, loads.force)
     moved = problem.known & (problem.observed != 0)
@@ -62,13 +62,13 @@ def marks_without_effect(
 
 
 def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterator[str]:
-    """Yield clauses about the rules and the growth of labels that do not occur in their images.
+    """Yield clauses about rules and growth of labels that do not occur in their images.
 
     Parameters
     ----------
     study : Study
     labels : ndarray of int, optional
-        Tissue labels of the problem, including strokes that paint tissue.
+        Tissue labels of the problem, including brush strokes that paint tissue.
 
     Yields
     ------
