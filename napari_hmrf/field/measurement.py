@@ -31,6 +31,7 @@ class Measurement(NamedTuple):
     name : str
     pixels : int
         Number of pixels of the tissue before the motion.
+    size : float
         Area before the motion, in the squared unit of the spacing; for a volume, its volume in the
         cubed unit.
     size_change : float

@@ -89,6 +89,7 @@ def interpolate_linearly(
 
     Returns
     -------
+    ndarray, shape (N, k), float64
         Interpolated values.
     """
     parts = [

@@ -140,6 +140,7 @@ def determinants(moved, tissue, elements, kind):
 
     Parameters
     ----------
+    moved : ndarray, shape (D, H, W, 3), float64
         Moved positions of the sites, as from `moved_sites`.
     tissue : ndarray, shape (D, H, W), bool
         Mask of the tissue.
@@ -187,7 +188,7 @@ def determinants(moved, tissue, elements, kind):
 def gradients(moved, tissue, sizes):
     """Return the displacement gradient at each tissue site of a volume.
 
-    Any thread may call this loop, as `determinants`.
+    Any thread may call this loop, as for `determinants`.
 
     Parameters
     ----------

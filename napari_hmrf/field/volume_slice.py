@@ -49,8 +49,8 @@ def slice_origins(
 
     Parameters
     ----------
+    displacement : ndarray, shape (D', H', W', 3)
         Material displacement, in the unit of `spacing`, on a coarse grid; linear between sites.
-        Material displacement, in the unit of `spacing`, on a coarse grid; linear between its sites.
     number : int
         Index of the slice along the first axis.
     spacing : sequence of float, shape (3,)

@@ -231,12 +231,12 @@ class Tissue:
         Young's modulus; 0 in void, infinite in rigid tissue.
     curve : StiffnessCurve, optional
         Conversion of the image's intensity to stiffness.
+    record : mapping
         Origin of the tissue map, in JSON types; stored with a solution.
-        Origin of the tissue map, in JSON types, stored with a solution.
+    preset : Preset, optional
         Tissues for brushes if there is no table; by default the first preset.
-        Tissues for brushes if there is no table; by default the first preset.
+    unit : str
         Unit of stiffness. It does not affect the displacement, which depends on ratios only.
-        Unit of stiffness. It does not affect the displacement, because only ratios matter.
     without_border : bool
         If True, dark surroundings with label 0 are void.
 
