@@ -107,12 +107,15 @@ class Motion:
         return moment
 
     def cached(self, fraction: float) -> Moment | None:
-        """Return a moment cached by `at`, or None; any thread may call this."""
+        """Return a moment that `at` has cached, or None; callable from any thread."""
         return self._cache.get(fraction)
 
     @property
     def finest(self) -> float:
-        """Smallest step between fractions for which all moments fit in the cache; 0 if empty."""
+        """Smallest step between fractions at which all moments fit in the cache.
+
+        It is 0 if the cache is empty.
+        """
         sizes = [moment.nbytes for moment in [*self._cache.values()]]
         return max(sizes, default=0) / _KEPT
 
@@ -148,7 +151,7 @@ def _overlaid(values: npt.NDArray[Any]) -> Picture:
 def moved_marks(
     solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> npt.NDArray[np.uint8]:
-    """Mark the pixels nearest to the marked sites at a fraction of the deformation.
+    """Mark the pixels nearest to the moved positions of marked sites.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: Colour map of signed values; viewers with any colour blindness can tell purple from orange.
+#: Colour map of signed values; purple and orange are distinguishable with any colour blindness.
 DIVERGING = "PuOr_r"
 #: Colour map of non-negative values; its lightness increases monotonically.
 RISING = "magma"
@@ -18,7 +18,7 @@ FOLDED = "#ffee00"
 OPACITY = 0.8
 # Fraction of the colour range above which colours have full opacity.
 _OPAQUE = 0.4
-# Percentile of the absolute values at the end of a scale; only few sites, at corners, exceed it.
+# Percentile of the absolute values at the end of a scale; a few values, at corners, exceed it.
 _WITHIN = 99.0
 # Values beyond a scale by less than this fraction of its range are not reported.
 _NEARLY = 0.01

@@ -139,7 +139,7 @@ class Directions(NamedTuple):
         return found
 
     def nearest(self, step: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the entry of `steps` that equals the given step up to rounding, or the step."""
+        """Return the step in `steps` that equals `step` up to rounding, or `step` itself."""
         same = (each for _, each in self.steps if np.shape(each) == np.shape(step))
         return next((each for each in same if np.allclose(each, step, atol=1e-6)), step)
 

@@ -1,4 +1,4 @@
-"""Forward or backward displacement field, as stored in a file or layer."""
+"""Forward or backward displacement field, as it is stored in a file or a layer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from napari_hmrf.field.moved_points import interpolate_linearly
 
 @dataclass(frozen=True, eq=False)
 class DisplacementField:
-    """Forward or backward displacement field, as stored.
+    """Displacement field, either forward or backward.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class DisplacementField:
 
     @classmethod
     def in_pixels(cls, vectors: npt.NDArray[Any], back: bool = False) -> DisplacementField:
-        """Return a field from vectors in pixels."""
+        """Create a field from vectors in pixels."""
         return cls(vectors, (1.0,) * vectors.shape[-1], back)
 
     def to_pixels(self) -> DisplacementField:

@@ -64,7 +64,7 @@ def strain_note(solution: Solution) -> str:
     """Explain in a clause why the elastic strain of a solution is unknown; "" if it is known."""
     if solution.elasticity is not None:
         return ""
-    total = "its strain is the total one"
+    total = "its strain is the total strain"
     total += ", within the image" if solution.tissue.ndim == 2 else ""
     prior = solution.provenance.parameters.get("prior")
     name = prior.get("name") if isinstance(prior, dict) else None
@@ -112,13 +112,13 @@ def elastic_strain(solution: Solution) -> FloatArray:
 
 
 def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1.0) -> FloatArray:
-    """Compute a scalar function of the strain at each site, for the kind of `strain_kind`.
+    """Compute a scalar from the strain at each site, for the kind of strain of `strain_kind`.
 
     Parameters
     ----------
     solution : Solution
     value : callable
-        Function from strains to scalars, such as `equivalent_strain`.
+        Function that maps strains to scalars, such as `equivalent_strain`.
     fraction : float
         Fraction of the deformation and of the growth, from 0 to 1.
 
@@ -169,7 +169,7 @@ def _elastic(
 def _of_model(
     solution: Solution, elasticity: Elasticity, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
-    """Compute the strain as in `_elastic`, but ignore that rigid tissue has no strain."""
+    """Compute the strain as in `_elastic`, without setting it to 0 in rigid tissue."""
     d = solution.displacement[sites] * np.float32(fraction)
     gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
     growth, growth_across = _growth_at(elasticity, sites, mask, fraction)

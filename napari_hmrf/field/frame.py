@@ -46,7 +46,7 @@ class Frame:
         Position of the slice along each axis of the layer; 0 for the axes in `plane`.
     scale, translate, rotate, shear, affine, units, axis_labels
         Attributes of the layer, as in napari.
-    matrix : (D + 1) x (D + 1) numbers
+    matrix : nested tuple of float, shape (D + 1, D + 1)
         Homogeneous transform from pixels of the layer to the world.
     sliders : tuple of (float, float)
         Start and step of the viewer's slider for each axis, in world units; empty without a
@@ -267,7 +267,8 @@ class Frame:
         Parameters
         ----------
         image : bool
-            True if the data of the new layer are from `put_image`, so they start at the slice.
+            True if the data of the new layer are the output of `put_image`, which starts at the
+            slice.
 
         Returns
         -------
@@ -447,7 +448,7 @@ class Frame:
             if len(values) > ndim and values[-1].tolist() != [0.0] * ndim + [1.0]:
                 raise ValueError(f"the last row of its {name} is {values[-1].tolist()}")
             if is_flat(values[:ndim, :ndim]):
-                raise ValueError(f"its {name} flattens space")
+                raise ValueError(f"its {name} is singular")
         factors = [unit_factor(self.units[axis], self.unit) for axis in plane]
         if not all(is_unit(unit) for unit in self.units) or np.isnan(factors).any():
             raise ValueError(f"its units are {self.units}")

@@ -20,7 +20,7 @@ Float64Array = npt.NDArray[np.float64]
 _NEAR, _STEPS = 1e-6, 30
 #: Largest Newton step, in pixels. Slopes are unreliable predictors at larger distances.
 _FARTHEST = 4.0
-#: Number of points that are inverted together; it limits the memory to a few MB.
+#: Number of points that are inverted together, which limits memory to a few MB.
 _AT_ONCE = 2**14
 
 

@@ -119,7 +119,7 @@ class Warper:
         tissue: npt.ArrayLike | None = None,
         fraction: float = 1.0,
     ) -> list[npt.NDArray[Any]]:
-        """Warp the images on the compute thread; callable from any thread, blocks until done.
+        """Warp the images on the compute thread, and wait for the result; callable from any thread.
 
         Parameters
         ----------
@@ -238,7 +238,7 @@ class Warper:
         ):
             if array.shape != expected:
                 raise ProblemError(
-                    name, f"has shape {array.shape}, but the pictures need {expected}."
+                    name, f"has shape {array.shape}, but the images need shape {expected}."
                 )
         return d, mask
 

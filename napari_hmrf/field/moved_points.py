@@ -49,7 +49,9 @@ def moved_points(
 
 
 def refuse_outside(points: npt.ArrayLike, shape: tuple[int, ...]) -> None:
-    """Raise an error if all points are outside a grid, as points in mm usually are.
+    """Raise an error if all points are outside a grid.
+
+    The usual reason is that the points are in mm instead of pixels.
 
     Parameters
     ----------
@@ -112,7 +114,7 @@ def interpolate_with_slopes(
     Returns
     -------
     values : ndarray, shape (N, k)
-        As from `interpolate_linearly`.
+        As returned by `interpolate_linearly`.
     slopes : ndarray, shape (N, k, n)
         Derivatives with respect to each axis, per pixel, in the cell that contains the point; 0
         beyond the border.

@@ -32,7 +32,7 @@ class Observation(NamedTuple):
         not contain; for arrows, the number of arrows perpendicular to the slice, which are
         ignored. 0 for a volume.
     note : str
-        Clause about an assumption on units; "" if no assumption was made.
+        Clause about an assumption about units; "" if no assumption was made.
     """
 
     displacement: npt.NDArray[np.float32]

@@ -99,7 +99,7 @@ def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> 
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        Values as in `Coloured`.
+        Values in the unit of `QUANTITIES`; NaN outside tissue.
     """
     tissue = solution.tissue
     if quantity == "magnitude":

@@ -38,7 +38,7 @@ def resample(
     ----------
     image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
     coordinates, covered
-        From `inverse_map`.
+        Output of `inverse_map`.
     order, fill
         As in `warp`.
 

@@ -56,7 +56,7 @@ __all__ = [
     "strain_through_slice",
 ]
 
-#: Number of planes of a volume with strains that are computed together, to limit memory.
+#: Number of planes of a volume that are processed together, to limit memory.
 _SLAB = 8
 # Number of sites that are processed between two checks for cancellation.
 _AT_ONCE = 2**17
@@ -99,7 +99,7 @@ def fold_mask(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> BoolArray:
-    """Return a mask of the sites at which tissue folds or collapses, as counted by `count_folds`.
+    """Return a mask of the sites at which tissue folds or collapses; see `count_folds`.
 
     Parameters
     ----------

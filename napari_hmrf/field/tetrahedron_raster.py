@@ -510,7 +510,7 @@ def surface(moved, tissue):
     outer : ndarray, shape (D, H, W), bool
         Mask of the tissue sites with at least one neighbour that is not tissue.
     reach : ndarray, shape (D, 2), float64
-        Range of the moved positions, along the first axis, of the sites of each plane.
+        Smallest and largest moved position, along the first axis, of the sites of each plane.
     """
     depth, height, width = tissue.shape
     outer = np.empty(tissue.shape, np.bool_)
@@ -549,7 +549,7 @@ def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
     tissue : ndarray, shape (D, H, W), bool
         Mask of the tissue.
     reach : ndarray, shape (D, 2), float64
-        From `surface`.
+        Output of `surface`.
     begin, end : int
         Range of the planes of voxels to draw; `end` is excluded.
     slabs : int
@@ -570,16 +570,16 @@ def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
 
 @numba.njit(parallel=True, **_kept)
 def outline(moved, tissue, outer, reach, longest, begin, end, slabs, source, state):
-    """Fill voxels that no tetrahedron covers with the outline of the tissue, or as void.
+    """Fill the voxels that no tetrahedron covers: with the outline of the tissue, or as void.
 
-    The outline consists of the outermost sites, and the lines and squares between them. It makes
-    tissue visible that is only one voxel thin, and extends all tissue half a voxel beyond its
-    outermost sites, as voxels do.
+    The outline consists of the outermost sites, and the lines and squares between them. With
+    the outline, tissue that is one voxel thin remains visible, and all tissue extends half a voxel
+    beyond its outermost sites, as voxels do.
 
     Parameters
     ----------
     outer : ndarray, shape (D, H, W), bool
-        From `surface`.
+        Output of `surface`.
     longest : float
         Sum of the sides of the volume, in voxels. It limits the number of points of lines and
         squares that are stretched further than this.

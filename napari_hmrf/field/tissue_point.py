@@ -15,8 +15,8 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
-#: Remark after the Jacobian at a fold. The displayed Jacobian is the smallest determinant of the
-#: elements around the site there, and their mean elsewhere.
+#: Remark after the Jacobian at a fold, where the displayed value is the smallest determinant of the
+#: elements around the site; elsewhere it is their mean.
 _FOLDS = " (folds: value at the worst corner)"
 _FULL = 100
 

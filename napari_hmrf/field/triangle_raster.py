@@ -247,8 +247,8 @@ def rasterise(moved, tissue):
 
     Each cell of 2 x 2 sites consists of two triangles; a cell with three tissue sites is a single
     triangle. Pixels that no triangle covers are filled with the sites, and the lines between
-    outermost sites, that have moved onto them. These lines make tissue visible that is only one
-    pixel thin, and extend all tissue half a pixel beyond its outermost sites, as pixels do.
+    outermost sites, that have moved onto them. With these lines, tissue that is one pixel thin
+    remains visible, and all tissue extends half a pixel beyond its outermost sites, as pixels do.
 
     Parameters
     ----------
@@ -304,8 +304,7 @@ def rasterise_displaced(
     reach : ndarray, shape (H, 2), float64
         Output: range of the moved row positions of the tissue sites of each row.
     source, state : ndarray
-        Output, as from `rasterise`; `source` is unchanged where `state` is 0.
-        Output, as from `rasterise`; `source` is unchanged where `state` is 0.
+        Output, as returned by `rasterise`; `source` is unchanged where `state` is 0.
 
     Returns
     -------

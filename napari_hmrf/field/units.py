@@ -10,13 +10,13 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-#: Pattern of the names of units in layers. Pint also parses expressions, which can take very long.
+#: Pattern of the names of units in layers. It excludes expressions, which pint may parse slowly.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
 #: Fraction of a pixel, or of a per cent, below which a value is displayed as 0.
 UNSEEN = 1e-3
 #: Units of spacings without a known length.
 UNKNOWN_UNITS = ("", "pixel")
-#: Largest relative difference between equal spacings, because files round them.
+#: Relative tolerance for equal spacings, which allows for rounding in files.
 SAME_SPACING = 1e-4
 
 

@@ -141,11 +141,11 @@ def determinants(moved, tissue, elements, kind):
     Parameters
     ----------
     moved : ndarray, shape (D, H, W, 3), float64
-        Moved positions of the sites, as from `moved_sites`.
+        Moved positions of the sites, as returned by `moved_sites`.
     tissue : ndarray, shape (D, H, W), bool
         Mask of the tissue.
     elements : ndarray, shape (D + 1, H + 1, W + 1), bool
-        Mask of existing elements, as from `deformation.elements`.
+        Mask of existing elements, as returned by `deformation.elements`.
     kind : int
         0: smallest determinant of the existing elements, or 1.0 if there are none. 1: mean of all
         octants. 2: the smallest determinant if it is 0 or below, otherwise the mean.
@@ -193,7 +193,7 @@ def gradients(moved, tissue, sizes):
     Parameters
     ----------
     moved : ndarray, shape (D, H, W, 3), float64
-        Moved positions of the sites, as from `moved_sites`.
+        Moved positions of the sites, as returned by `moved_sites`.
     tissue : ndarray, shape (D, H, W), bool
         Mask of the tissue.
     sizes : ndarray, shape (3,)

@@ -28,7 +28,7 @@ class CoarseGrid:
 
     @classmethod
     def of_at_most(cls, sites: int, shape: tuple[int, ...]) -> CoarseGrid:
-        """Return the finest coarse grid with at most `sites` sites, for a full grid of a shape."""
+        """Return the finest grid with at most `sites` sites, given the shape of the full grid."""
         step = 1
         while math.prod(-(-size // step) for size in shape) > sites:
             step += 1

@@ -1,4 +1,4 @@
-"""Tolerance and grid of a solve during a drag, which allow several images a second."""
+"""Tolerance and grid for solves during a drag, at several images a second."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class Engine:
         # Generation numbers of the last study, and of the last cancelled study.
         self._generation = self._dropped = 0
         self._latest_deformation: Deformation | None = None
-        #: Latest answer without an error. Use this and the attributes below on the compute thread
+        #: Latest result without an error. Use this and the attributes below on the compute thread
         #: only.
         self.latest: Deformation | None = None
         self._request: Deformation | None = None
@@ -142,13 +142,13 @@ class Engine:
         return self._generation
 
     def is_current(self, answer: Deformation) -> bool:
-        """Return whether an answer is the latest and its study has not been cancelled."""
+        """Return whether a result is the latest and its study has not been cancelled."""
         return answer is self._latest_deformation and answer.generation > self._dropped
 
     def hold(self) -> None:
-        """Postpone the pending study until `resume`, for instance until an answer is painted.
+        """Postpone the pending study until `resume`, for instance until a result is painted.
 
-        Call this method during the delivery of an answer.
+        Call this method while a result is delivered.
         """
         self._live.hold()
 
@@ -235,7 +235,7 @@ class Engine:
             return self._moved(request, solution), None
         except Cancelled:
             raise
-        except Exception as error:  # noqa: BLE001 - the error is delivered with the answer
+        except Exception as error:  # noqa: BLE001 - the error is delivered with the result
             _log.exception("the image could not be deformed")
             return (None, ()), error
 
@@ -273,7 +273,7 @@ class _StillError(HmrfError):
 
 @dataclass(frozen=True, eq=False)
 class Deformation:
-    """Answer to a submitted study: the motion of its tissue, or an error.
+    """Result for a submitted study: the motion of its tissue, or an error.
 
     Attributes
     ----------

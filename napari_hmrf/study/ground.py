@@ -125,7 +125,7 @@ class Ground:
     def of(cls, study: Study, checkpoint: Callable[[], None] = lambda: None) -> Ground:
         """Interpret a study without its drawing; callable from any thread.
 
-        This takes long for large images.
+        The interpretation of a large image takes long.
 
         Parameters
         ----------
@@ -460,7 +460,7 @@ def _tissue_of(study: Study) -> Ground:
             raise ProblemError(
                 study.named("tissue"),
                 "is given by a curve of the image's brightness, but the study has no image. Give "
-                "one (`pictures=Pictures(image)`).",
+                "an image (`pictures=Pictures(image)`).",
             )
         _refuse_unknown_brightness(study, intensities)
         m = tissue.curve(intensities)

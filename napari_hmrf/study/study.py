@@ -72,7 +72,7 @@ class Grid:
     place : Frame, optional
         Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
         It is required for files of other programs and does not affect the displacement. A place
-        does not include the number of pixels: a grid with fewer pixels has the same first pixel.
+        does not include the number of pixels: a grid with fewer pixels starts at the same pixel.
 
     Raises
     ------
@@ -268,8 +268,8 @@ class Tissue:
     ) -> Tissue:
         """Create a tissue map from probability maps, such as those of a segmentation.
 
-        Each pixel is assigned its most likely tissue, or label 0 where "none" is more likely, as by
-        ``--maps`` in the shell.
+        Each pixel is assigned its most likely tissue, or label 0 where "none" is more likely, as
+        ``--maps`` does in the shell.
 
         Parameters
         ----------
@@ -475,7 +475,6 @@ class Study:
         messages, such as names of layers or files.
     notes : tuple of str
         Clauses for the user about assumptions that were made when the study was read.
-        Clauses for the user about assumptions made when the study was read.
 
     Raises
     ------
@@ -635,7 +634,7 @@ class Study:
             yield
 
     def in_words(self, error: Exception) -> Exception:
-        """Return an error in which the parts of the study have their names from `names`."""
+        """Return an error with argument names replaced by the names of the study's parts."""
         try:
             with self.naming():
                 raise error

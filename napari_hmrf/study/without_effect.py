@@ -31,7 +31,7 @@ def asks_motion(problem: Problem) -> bool:
 def marks_without_effect(
     drawing: Drawing, tissue: npt.NDArray[np.bool_], spacing: Sequence[float]
 ) -> Iterator[str]:
-    """Yield a clause for each kind of mark with marks outside the image or off tissue.
+    """Yield a clause for each kind of mark that is outside the image or outside tissue.
 
     Parameters
     ----------
@@ -52,13 +52,13 @@ def marks_without_effect(
         if is_empty(box):
             idle[kind, "outside the image"].append(place)
         elif _needs_tissue(mark) and not (covered(mark, spacing, box) & tissue[box]).any():
-            idle[kind, "off tissue"].append(place)
+            idle[kind, "outside tissue"].append(place)
     for (kind, where), places in idle.items():
         first = "(" + ", ".join(f"{at:.4g}" for at in places[0]) + ")"
         if len(places) == 1:
-            yield f"the {kind} at {first} lies {where} and has no effect"
+            yield f"the {kind} at {first} is {where} and has no effect"
         else:
-            yield f"{len(places)} {kind}s lie {where} and have no effect, the first at {first}"
+            yield f"{len(places)} {kind}s are {where} and have no effect, the first at {first}"
 
 
 def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterator[str]:
