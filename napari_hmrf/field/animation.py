@@ -67,8 +67,8 @@ class Motion:
     grid : bool
         If True, the deformation grid of a slice is drawn as well.
     quantity : Quantity, optional
-        Quantity whose values at fraction 1 are in `overlay`. Its values at other fractions are
-        recomputed.
+        Quantity in `overlay`, which contains its values at fraction 1. The values at other
+        fractions are recomputed.
     """
 
     solution: Solution

@@ -217,7 +217,7 @@ def _checked_count(name: str, count: int, of: str) -> int:
 
 
 def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -> int:
-    """Return the distance in pixels between grid lines, for `lines` lines on the longer side."""
+    """Return the distance, in pixels, between `lines` grid lines along the longer side."""
     longer = max(count * size for count, size in zip(shape, spacing, strict=True))
     return max(1, round(longer / min(spacing) / lines))
 

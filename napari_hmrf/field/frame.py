@@ -455,7 +455,7 @@ class Frame:
 
     @classmethod
     def of_solution(cls, solution: Solution) -> Frame:
-        """Return the place of a solution; without a `frame` it is at the origin, in pixels.
+        """Return the place of a solution; without `frame`, a place at the origin, in pixels.
 
         Raises
         ------

@@ -34,7 +34,7 @@ class Inverse(NamedTuple):
         of the spacing.
     residual : float
         Largest distance, in pixels, between P and the point to which the field moves P + u(P),
-        over the sites P that moved tissue covers. In a volume with a mask, sites with an origin in
+        for the sites P that moved tissue covers. In a volume with a mask, sites with an origin in
         the outermost layer of the tissue are excluded. NaN if there are no such sites. A field on a
         whole volume has no inverse at folds, and its residual is large there. At folds of a slice,
         or of a volume with a mask, the origin is in the part of the tissue that is not inverted.
@@ -134,7 +134,7 @@ def _refined(
     origins: Float64Array,
 ) -> tuple[Float64Array, npt.NDArray[np.bool_]]:
     """Refine origins for trilinear motion; return them and a mask of origins inside the tissue."""
-    # The field is extended beyond the tissue to guide back Newton steps that leave the tissue.
+    # The field is extended beyond the tissue so that Newton steps that leave the tissue can return.
     refined = origins_at(_extended(pixels, tissue), points, origins)
     near = (np.abs(refined - origins) < 1).all(axis=-1)
     # At the border of the tissue, motion is defined on tetrahedra only and is not refined.

@@ -109,7 +109,7 @@ class Warper:
         self._everything = np.ones(grid, dtype=bool)
         if n == 3:
             return
-        # Sources of uncovered pixels are never written and never used, but must be finite.
+        # The source of an uncovered pixel retains its last value, which is unused but finite.
         self._moved, self._source = np.empty((*grid, 2)), np.zeros((*grid, 2))
         self._reach, self._state = np.empty((grid[0], 2)), np.empty(grid, np.uint8)
 
@@ -256,7 +256,7 @@ class Warper:
 
 
 class _PreparedPicture:
-    """Checked image that is prepared for interpolation."""
+    """Image that is checked and prepared for interpolation."""
 
     def __init__(self, picture: Picture, grid: tuple[int, ...]) -> None:
         self._image = image = np.ascontiguousarray(as_image(picture.image, grid))

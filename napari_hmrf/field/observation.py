@@ -32,7 +32,7 @@ class Observation(NamedTuple):
         not contain; for arrows, the number of arrows perpendicular to the slice, which are
         ignored. 0 for a volume.
     note : str
-        Clause about an assumption about units; "" if no assumption was made.
+        Assumption about units, as a clause; "" if there is none.
     """
 
     displacement: npt.NDArray[np.float32]

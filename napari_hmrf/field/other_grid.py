@@ -121,7 +121,7 @@ class OtherGrid:
             index = np.zeros(n)
             index[others] = numbers
             at = np.round(self.to @ [*index, 1.0], 6)
-            if before is None or not np.array_equal(at, before):  # along time it is unchanged
+            if before is None or not np.array_equal(at, before):  # it is the same at all times
                 before, origins = at, self._origins_on(index, slices.shape[len(others) : n])
             if origins is not None:
                 picture = slices[numbers]
@@ -138,7 +138,7 @@ class OtherGrid:
         return within, inside.all(axis=1) & (np.abs(across) <= _ON).all(axis=1)
 
     def _origins_on(self, index: Array, shape: tuple[int, ...]) -> tuple[Array, Array] | None:
-        """Return origins and cover mask of the pixels of a slice; None if no pixel moves."""
+        """Return the origins and the mask of covered pixels of a slice; None if no pixel moves."""
         sites = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, len(shape))
         points = np.zeros((len(sites), len(index))) + index
         points[:, self.plane] = sites

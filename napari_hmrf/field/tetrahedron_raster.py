@@ -45,7 +45,7 @@ _ALIKE = 0.9
 
 @_callee
 def _mark(source, state, value, plane, row, col, from_plane, from_row, from_col):
-    """Store the origin of the tissue on a voxel, unless an equal or better origin is stored."""
+    """Store the origin of the tissue on a voxel, or mark the voxel if it has a distant origin."""
     if state[plane, row, col] < value:
         state[plane, row, col] = value
         source[plane, row, col, 0] = from_plane

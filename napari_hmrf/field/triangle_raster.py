@@ -70,7 +70,7 @@ def _draw(moved, source, state, value, first, past, a_row, a_col, b_row, b_col, 
 
 @_inlined
 def _mark(source, state, value, row, col, from_row, from_col):
-    """Store the origin of the tissue on a pixel, unless an equal or better origin is stored."""
+    """Store the origin of the tissue on a pixel, or mark the pixel if it has a distant origin."""
     if state[row, col] < value:
         state[row, col] = value
         source[row, col, 0] = from_row

@@ -3,7 +3,7 @@
 A field is computed in five steps, without napari or Qt:
 
 1. *Study.* `study` represents all inputs as one immutable value: grid, tissue, motion, pictures,
-   energy and optimizer. A script creates a study by ``Study(...)``, ``io/`` reads it from a file,
+   energy and optimizer. A script creates a study with ``Study(...)``, ``io/`` reads it from a file,
    and ``layers/`` from the selected layers. `models` defines the energy and optimizer of each named
    model.
 2. *Edit.* In the window, `study_model` stores the parts that the user edits: the drawing of each

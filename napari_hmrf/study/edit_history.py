@@ -146,7 +146,7 @@ class EditHistory:
         return begun
 
     def cancel(self) -> None:
-        """Cancel the edit in progress, and restore the value before this edit without a step."""
+        """Cancel the edit in progress and restore the previous value, without adding a step."""
         begun, self._begun = self._begun, None
         if begun is not None:
             self._show(begun.part, begun.value)

@@ -125,7 +125,7 @@ class Ground:
     def of(cls, study: Study, checkpoint: Callable[[], None] = lambda: None) -> Ground:
         """Interpret a study without its drawing; callable from any thread.
 
-        The interpretation of a large image takes long.
+        The interpretation of a large image is slow.
 
         Parameters
         ----------
@@ -273,8 +273,8 @@ def refuse_unknown(study: Study) -> None:
     Raises
     ------
     ProblemError
-        If the study has such a property; the error names the tissue and the property, and suggests
-        a remedy.
+        If the study has rigid tissue, growth or forces that are not supported; the error names the
+        tissue and suggests a remedy.
     """
     prior, tissue = study.prior, study.tissue
     if study.bears_loads and not isinstance(prior, Elastic):

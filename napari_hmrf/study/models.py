@@ -16,7 +16,7 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 #: Default prior and optimizer of a study.
 USUAL_PRIOR, USUAL_OPTIMIZER = ElasticPrior(), Multigrid()
-#: Holding force, in the form, that enforces all observations exactly, regardless of confidence.
+#: Holding force, in the form, that enforces all observations exactly, whatever their confidence.
 HOLD_ALL = 1e6
 
 

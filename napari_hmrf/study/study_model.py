@@ -312,7 +312,7 @@ class StudyModel(EditHistory):
 
     @property
     def curve(self) -> StiffnessCurve | None:
-        """Stiffness curve of the selected image, even if the tissue does not use it, or None."""
+        """Stiffness curve of the selected image, even if it is not used; None if there is none."""
         curve: StiffnessCurve | None = self.get(Part("curve", self.image))
         return curve
 
