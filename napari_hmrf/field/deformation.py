@@ -202,7 +202,7 @@ def deformation_grid(
     pieces = _checked_count("pieces", pieces, "pieces")
     moved, mask = moved_sites(displacement, spacing, tissue)
     if mask.ndim != 2:
-        raise ProblemError("displacement", "is for a volume. Give the displacement of a slice.")
+        raise ProblemError("displacement", "is for a volume. Draw the grid of one of its slices.")
     sizes = checked_sizes(spacing)
     rows, cols = (min(max(1, round(every * min(sizes) / size)), _FAR) for size in sizes)
     along_cols = _lines(moved, mask, rows, max(1, cols // pieces))
