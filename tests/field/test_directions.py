@@ -117,7 +117,7 @@ def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_beside
     fields, layer = widget.fields, widget.image
     down = fields.by_row.label.split(" ")[0]
     fields.by_row.value = 5.0 if down == "up" else -5.0
-    assert "as it is seen" in fields.by_row.tooltip
+    assert "as displayed" in fields.by_row.tooltip
     assert fields.words == "Push 5 up"
 
     def goes(by):

@@ -369,7 +369,7 @@ def test_a_mask_is_labels_and_of_what_folds_the_shell_says_so(files, capsys):
     here = [str(folder / each) if "." in each else each for each in command.split()[:-1]]
     assert main([*here, str(folder / "out"), "--hold-edge", "--backend", "cpu"]) == 0
     said = capsys.readouterr().out
-    assert re.search("note: the tissue folds over itself at [1-9][0-9]* pixels, which no", said)
+    assert re.search("note: the tissue folds over itself at [1-9][0-9]* pixels, which is", said)
     study, _ = read_study(folder / "out" / "rim.study")
     np.testing.assert_array_equal(study.tissue.labels, labels > 1)
 

@@ -191,7 +191,7 @@ def test_what_is_wrong_is_said_of_the_part():
     with pytest.raises(ProblemError, match=r"observed|confidence"):
         build_problem(pulled(motion=Motion()))
     curve = StiffnessCurve(((50.0, 1.0), (150.0, 2.0)))
-    with pytest.raises(ProblemError, match=r"tissue: is given by a curve .* no image\. Give one"):
+    with pytest.raises(ProblemError, match=r"tissue: is given by a curve .* no image\. Give an"):
         build_problem(pulled(tissue=Tissue(curve=curve)))
 
 

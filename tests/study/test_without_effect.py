@@ -45,13 +45,13 @@ def notes(study):
 @pytest.mark.parametrize(
     ("mark", "said"),
     [
-        (Arrow((50, 5), (0, 2), 2.0), "the arrow at (50, 5) lies outside the image and has no"),
-        (Arrow((10, 0), (0, 2), 1.0), "the arrow at (10, 0) lies off tissue and has no effect"),
-        (Landmark((10, 1), (10, 3), 1.0), "the landmark at (10, 1) lies off tissue"),
-        (Landmark((-9, 3), (10, 9), 1.0), "the landmark at (-9, 3) lies outside the image"),
-        (Stroke("pin", (((40.0, 9.0), (44.0, 9.0)),), 1.0), "the stroke at (40, 9) lies outside"),
-        (Stroke("pin", (((5.0, 1.0), (9.0, 1.0)),), 1.0), "the stroke at (5, 1) lies off tissue"),
-        (Stroke("free", (((99.0, 1.0),),), 1.0), "the stroke at (99, 1) lies outside the image"),
+        (Arrow((50, 5), (0, 2), 2.0), "the arrow at (50, 5) is outside the image and has no"),
+        (Arrow((10, 0), (0, 2), 1.0), "the arrow at (10, 0) is outside tissue and has no effect"),
+        (Landmark((10, 1), (10, 3), 1.0), "the landmark at (10, 1) is outside tissue"),
+        (Landmark((-9, 3), (10, 9), 1.0), "the landmark at (-9, 3) is outside the image"),
+        (Stroke("pin", (((40.0, 9.0), (44.0, 9.0)),), 1.0), "the stroke at (40, 9) is outside"),
+        (Stroke("pin", (((5.0, 1.0), (9.0, 1.0)),), 1.0), "the stroke at (5, 1) is outside tissue"),
+        (Stroke("free", (((99.0, 1.0),),), 1.0), "the stroke at (99, 1) is outside the image"),
     ],
 )
 def test_a_mark_without_effect_is_named(mark, said):
@@ -69,7 +69,7 @@ def test_marks_with_an_effect_are_not_named():
 
 def test_many_marks_are_one_note():
     away = [Landmark((40.0 + n, 5.0), (41.0 + n, 5.0), 1.0) for n in range(3)]
-    said = "3 landmarks lie outside the image and have no effect, the first at (40, 5)"
+    said = "3 landmarks are outside the image and have no effect, the first at (40, 5)"
     assert said in notes(a_study(*away, PULL))
 
 

@@ -537,7 +537,7 @@ def test_at_a_fold_it_is_said_of_what_the_jacobian_is(jacobian):
     probe = Probe((1, 2), (0.0, 3.0), 3.0, jacobian, 5.0)
     said = at_point("px", probe, Directions())
     assert f"Jacobian {jacobian:.3f}" in said
-    assert said.endswith("(folds: that of the worst corner)") == (jacobian < 0)
+    assert said.endswith("(folds: value at the worst corner)") == (jacobian < 0)
 
 
 def test_rigid_tissue_under_the_cursor_is_a_word():
