@@ -410,9 +410,10 @@ class Refinement:
 
 
 class _Directions:
-    """Conjugate directions of corrections whose factorization adds hinges between touching bodies.
+    """Conjugate search directions, from a factorization that hinges touching rigid parts.
 
-    The factorization treats the contacts of touching parts of a rigid body as hinges.
+    In the factorised matrix, parts of a rigid body that touch in one site can rotate against each
+    other. Further directions correct for such free motions.
     """
 
     def __init__(self, model: LinearModel) -> None:
