@@ -244,12 +244,12 @@ class ConjugateGradients:
         lasting = (1 - math.sqrt(least)) / (1 + math.sqrt(least))
         fall = max(math.sqrt(after / before), _FASTEST, lasting)
         if self._spectrum.run_least > _MET * self._expected:
-            fall = max(fall, 1 - self._expected)  # the slow motion has not been found yet
+            fall = max(fall, 1 - self._expected)  # factor of a slow motion that is not found yet
         if self._spectrum.steps < _RELIABLE_STEPS:
             least = min(least, _USUAL_LEAST)
         self._step_count += 1
         if self._step_count < _RELIABLE_STEPS:
-            fall = max(fall, 1 - least)  # early cycles reduce a slow motion by this factor only
+            fall = max(fall, 1 - least)  # factor of a slow motion in early cycles
         return Step(far * fall / least / rest, rest, gain)
 
 
