@@ -1,4 +1,4 @@
-"""Protocol of deflation: motions of rigid bodies with the tissue that they drag along."""
+"""Protocol of deflation by the motions of rigid bodies and the tissue that they drag along."""
 
 from __future__ import annotations
 
