@@ -28,10 +28,10 @@ Doing = str | Callable[[], str]
 _Job = tuple[Callable[[], Any], "Future[Any]", Doing]
 
 #: Description of cancelled work, for callers that wait for the compute thread.
-STOPPED = "what was cancelled to come to its end, which happens by itself"
+STOPPED = "cancelled work to stop, which needs no action"
 # Interval, in seconds, at which a waiting caller can be interrupted by Ctrl-C.
 _TICK = 0.1
-_SOMETHING = "a computation that a script or another plugin asked for, which only that can stop"
+_SOMETHING = "a computation of a script or another plugin, which only that program can stop"
 
 
 class ComputeThread:

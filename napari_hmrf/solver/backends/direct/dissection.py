@@ -139,7 +139,7 @@ class Dissection:
         return sum(part.nbytes for step in self._steps for part in step if part is not None)
 
     def _number_components(self) -> None:
-        """Number the components of each tile; all fixed components have the last number."""
+        """Assign numbers to the components of each tile; fixed components share the last number."""
         side = TILE + self._patch - 1
         height, width, fields = self._moves.shape
         size = [TILE * count + self._patch - 1 for count in self._tiles]
