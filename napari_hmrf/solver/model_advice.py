@@ -1,11 +1,11 @@
-"""Advice on the models of tissue: their uses and measured accuracy, in sentences for the user."""
+"""Advice on tissue models: their uses and measured accuracy, in sentences for the user."""
 
 from __future__ import annotations
 
 from napari_hmrf.solver.model_names import ELASTIC, ModelName
 from napari_hmrf.solver.priors.elastic import Plane
 
-# The figures are the same as in the README. `make benchmarks` measures them; the times are for two
+# The figures are the same as in the README. `make benchmarks` measures them. Times are for two
 # cores without a GPU.
 _WHEN: dict[ModelName, str] = {
     "elastic": "Tissue stretches and bulges as elastic material does. Boundaries of confidence 1 "
