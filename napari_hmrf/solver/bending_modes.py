@@ -20,7 +20,7 @@ from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 # Sum of squared displacements at constrained sites, as a fraction of the sum over all sites, up to
 # which a motion is free.
 _FREE_SHARE = 1e-9
-_DIRECTIONS = ("along rows", "along columns")
+_DIRECTIONS = ("along the row axis", "along the column axis")
 
 
 def check_bending(problem: Problem) -> None:

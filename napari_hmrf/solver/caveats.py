@@ -51,18 +51,16 @@ def shortfall(reach: Reach | None, unit: str) -> str:
     """
     clauses = []
     if reach is not None and reach.grown < 1:
-        clauses.append(
-            f"tissue has grown by {reach.grown:.0%} of what it was to: there is no more room"
-        )
+        clauses.append(f"only {reach.grown:.0%} of the growth was possible: there is no more room")
     if reach is not None and reach.where is not None:
         clauses.append(
-            f"tissue could not go all the way without folding: {reach.sites} pixels stay short of "
-            f"where they were to be, the one at {reach.where} by {reach.missing:.3g} {unit}"
+            f"tissue could not move all the way without folding: {reach.sites} pixels stay short "
+            f"of their targets, the pixel at {reach.where} by {reach.missing:.3g} {unit}"
         )
     if reach is not None and reach.unbalanced_at is not None:
         clauses.append(
             "crushed tissue did not settle: pixels may still be "
-            f"{reach.unbalanced:.3g} {unit} from balance, most at {reach.unbalanced_at}"
+            f"{reach.unbalanced:.3g} {unit} from equilibrium, most at {reach.unbalanced_at}"
         )
     return "; ".join(clauses)
 
@@ -80,7 +78,7 @@ def missing_constraint(problem: Problem) -> str:
     displacements = problem.observed[observed]
     if not displacements.any():
         return (
-            "nothing moves: have something on tissue move or expand, by a distance other than 0 "
+            "nothing moves: mark tissue that moves or expands, by a distance other than 0 "
             "and with a confidence above 0"
         )
     rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
@@ -94,7 +92,7 @@ def missing_constraint(problem: Problem) -> str:
 
 
 def rigid_caveat(problem: Problem, prior: Prior) -> str:
-    """Return a clause if uncertain observations are exact near rigid tissue; otherwise "".
+    """Return a clause if rigid tissue makes uncertain observations exact; otherwise "".
 
     Parameters
     ----------
@@ -110,8 +108,8 @@ def rigid_caveat(problem: Problem, prior: Prior) -> str:
         return ""
     pixels = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
     return (
-        f"{pixels} held exactly, though of a confidence below 1, as beside rigid tissue nothing "
-        "may slip"
+        f"{pixels} held exactly, although the confidence is below 1, because observations cannot "
+        "slip in a problem with rigid tissue"
     )
 
 

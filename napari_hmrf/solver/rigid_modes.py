@@ -26,7 +26,7 @@ from napari_hmrf.solver.problem import Problem
 _ROUNDING = 1e-9
 # Size of a piece's motion up to which the piece is at rest, relative to the largest motion.
 _REST = 1e-6
-_STEPS = ("along planes", "along rows", "along columns")
+_STEPS = ("along the plane axis", "along the row axis", "along the column axis")
 
 Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
@@ -160,7 +160,7 @@ def _some_pieces(problem: Problem) -> tuple[Labels, int]:
     if count == 0:
         raise ProblemError(
             "stiffness",
-            "has no tissue that is two pixels wide, so that nothing can deform. Make the tissue "
+            "has no tissue that is two pixels wide, so no tissue can deform. Make the tissue "
             "wider.",
         )
     return pieces, count

@@ -43,7 +43,7 @@ _log = logging.getLogger("napari_hmrf")
 _announced: set[str] = set()
 
 #: Description of a solve for other callers that wait for the compute thread.
-_DOING = "a solve that a script started, which its cancel flag or Ctrl-C stops"
+_DOING = "a solve started by a script, which its cancel flag or Ctrl-C stops"
 # Interval between checks of the cancel flag, in seconds.
 _CHECK_INTERVAL = 0.1
 # Time, in seconds, after which a cancelled call returns although the work has not stopped.
@@ -99,8 +99,8 @@ def solve(
         observations and loads as closely as possible. Displacements are proportional to
         observations and loads, so moving the same patch again takes one cycle, or no cycle if the
         errors of the solutions add up to less than the tolerance. The result is the same within the
-        tolerance. The paper's schedule starts from zero on its coarsest level, and ignores
-        `initial`.
+        tolerance. The paper's schedule starts from zero on its coarsest level, and does not
+        accept `initial`.
 
     Returns
     -------

@@ -102,5 +102,5 @@ def left_at_rest(scrap: npt.NDArray[np.bool_]) -> str:
     pixels = int(scrap.sum())
     pieces = "1 piece" if count == 1 else f"{count} pieces"
     size = "1 pixel" if pixels == 1 else f"{pixels} pixels"
-    verb = "holds stays where it is" if count == 1 else "holds stay where they are"
-    return f"{pieces} of tissue that too little {verb} ({size})"
+    verb = "stays at rest" if count == 1 else "stay at rest"
+    return f"{pieces} of tissue with too few constraints {verb} ({size})"

@@ -325,7 +325,7 @@ def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
     open_beside, settle, qtbot, solver_at_work
 ):
     _, widget = open_beside()
-    compute_thread.stage = "cycle 16, 1.7e-11 px to go"
+    compute_thread.stage = "cycle 16, error 1.7e-11 px"
     widget.start()
     qtbot.waitUntil(lambda: "waiting for a computation" in widget.status, timeout=LONG_MS)
     assert "only that can stop" in widget.status

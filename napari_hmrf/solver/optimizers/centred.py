@@ -107,7 +107,7 @@ def converge(
                 states.be_exact()
         else:
             raise ConvergenceError(
-                f"the slipping observations are undetermined after {_MOST_EXCHANGES} exchanges. "
+                f"no consistent slipping observations were found in {_MOST_EXCHANGES} exchanges. "
                 "Raise the penalty, or hold more of the tissue"
             )
         off = max(reach * refinement.most, max(reach, 1.0) * states.off(d, pull))
@@ -257,7 +257,7 @@ class _Refinement:
 
         def enough(step: Step, scale: float) -> bool:
             self._report_cycle(
-                f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest
+                f"error {scale * reach * step.rest:.2g} px", scale * reach * step.rest
             )
             return scale * step.rest <= target
 
@@ -327,7 +327,7 @@ class _Refinement:
     def fail(self) -> None:
         """Raise an error, because the error bound of the field exceeds the tolerance."""
         raise ConvergenceError(
-            f"the field is not certain to be within {self._tolerance:g} px of converged after "
+            f"the error bound of the field is still above {self._tolerance:g} px after "
             f"{self.cycles} cycles. Raise max_iterations, or reduce the ratio of the stiffest to "
             "the softest tissue"
         )

@@ -133,7 +133,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         far = float(np.abs(part * way).max())
     if not gap <= _ACCEPTED_GAP:
         raise ConvergenceError(
-            "the slipping observations are undetermined: the duality gap is still "
+            "no consistent slipping observations were found: the duality gap is still "
             f"{gap:.1g}. Raise the penalty, or hold more of the tissue"
         )
     slips = past / scale > slack / p

@@ -146,8 +146,8 @@ def check_balanced(
         if not _can_hold(stops[:, stopping] * limit[stopping], demand):
             raise ProblemError(
                 "loads",
-                "pull harder than the observations can hold: the largest force of an observation "
-                "is the penalty times its confidence, and tissue would slip without end. Raise "
+                "exceed the forces of the observations: the largest force of an observation "
+                "is the penalty times its confidence, and tissue would slip without limit. Raise "
                 "the penalty, hold more of the tissue, or reduce the loads.",
             )
 

@@ -296,7 +296,7 @@ class Newton:
                 "the stiffest to the softest tissue"
             )
         raise ConvergenceError(
-            f"the tissue is still {self.distance.estimate:.2g} px from balance after "
+            f"the tissue is still {self.distance.estimate:.2g} px from equilibrium after "
             f"{len(self.energies)} steps of large motion. Move, press or grow it less, or reduce "
             "the ratio of the stiffest to the softest tissue"
         )
@@ -396,7 +396,7 @@ class Newton:
             error = step.error * balance.unit
             first = first or error
             self.cycles += 1
-            self._report(Monitor(f"cycle {self.cycles}, {error:.2g} px to go", 0.0))
+            self._report(Monitor(f"cycle {self.cycles}, error {error:.2g} px", 0.0))
             done = error <= max(_INNER_REDUCTION * first, _INNER_TOLERANCE * self._tolerance)
             return done or count >= patience
 
@@ -534,7 +534,7 @@ class Newton:
 
     def _report_step(self, number: int, left: float) -> None:
         done = part_done(max(self._first, 1e-3), max(left, 1e-3), 1e-3) if self._first else 1.0
-        action = f"{left:.2g} px to pull" if left else "relaxing"
+        action = f"{left:.2g} px left to pull" if left else "relaxing"
         self._report(Monitor(f"step {number + 1}, {action}", done))
 
 

@@ -104,8 +104,8 @@ class SoftMotions(NamedTuple):
             refinement.run(d, load, tolerance)
         if far > _UNBALANCED * max(1.0, float(np.abs(d).max())):
             raise ConvergenceError(
-                "double precision cannot balance motions of the tissue that are barely held. Hold "
-                "more of the tissue"
+                "double precision is not accurate enough for motions of the tissue that are barely "
+                "held. Hold more of the tissue"
             )
 
     def unbalanced_motion(self, load: Planes) -> Planes | None:
@@ -192,8 +192,8 @@ def explain_singular(
         return refusal(motion)
     return ConvergenceError(
         f"the tissue around {motion.centre} is barely held: the energy of one of its motions is "
-        f"{cost:.0e} of that of its sites moved one by one, and double precision resolves no less "
-        f"than {HELD:.0e}. Hold more of it, or reduce the ratio of the stiffest to the softest "
+        f"only {cost:.0e} of the energy of moving its sites one by one, and double precision "
+        f"resolves {HELD:.0e}. Hold more of it, or reduce the ratio of the stiffest to the softest "
         "tissue"
     )
 
@@ -203,7 +203,9 @@ def _as_free_motion(motion: Float64Array) -> FreeMotion:
     sizes = np.abs(motion)
     axis = int(np.argmax(sizes.max(axis=tuple(range(motion.ndim - 1)))))
     piece = sizes[..., axis] > _PARTICIPATION * sizes[..., axis].max()
-    names = ("along planes", "along rows", "along columns")[-motion.shape[-1] :]
+    names = ("along the plane axis", "along the row axis", "along the column axis")[
+        -motion.shape[-1] :
+    ]
     return FreeMotion(piece, f"could still bend {names[axis]} without resistance", motion)
 
 

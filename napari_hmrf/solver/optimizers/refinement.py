@@ -29,8 +29,8 @@ from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
 #: Message for a system that cannot be factorised in double precision.
 BARELY_HELD = (
-    "a part of the tissue is barely held, beyond the reach of double precision. Hold more of it, "
-    "or reduce the ratio of the stiffest to the softest tissue"
+    "a part of the tissue is barely held, so double precision cannot resolve its motion. Hold more "
+    "of it, or reduce the ratio of the stiffest to the softest tissue"
 )
 # Tolerance of a rehearsal in double precision, which must include the softest motions.
 _REHEARSED_DOUBLE = 1e-5
@@ -352,7 +352,7 @@ class Refinement:
 
     def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
         """Reduce the error to the tolerance with a direct factorization."""
-        known = f". The field is only known to be within {self.estimate:.2g} px of converged"
+        known = f". The estimated error of the field is {self.estimate:.2g} px"
         factors = factorise(self._model, self._report, known if self.estimate < math.inf else "")
         before = math.inf
         rest, self._low = self._left(d, load), np.zeros_like(d)
@@ -363,7 +363,7 @@ class Refinement:
             self.cycles += 1
             self._gains.append(float((correction * rest).sum()) / 2)
             far = float(np.abs(correction).max())
-            self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
+            self._report(Monitor(f"direct solve {self.cycles}, error {far:.2g} px", 1.0))
             scale = max(1.0, float(np.abs(d).max()))
             stays = not far < (1.0 if far <= _ROUNDING * scale else _FALL) * before
             if directions is not None:
@@ -371,7 +371,7 @@ class Refinement:
                 correction = directions.next(correction, rest)
             if stays and not max(far, before) <= _STALLED * scale:
                 raise ConvergenceError(
-                    f"the field stays {far:.2g} px from converged: double precision is not "
+                    f"the error of the field remains {far:.2g} px: double precision is not "
                     "accurate enough for this tissue. Hold more of it, or reduce the ratio of the "
                     "stiffest to the softest tissue"
                 )
@@ -401,10 +401,10 @@ class Refinement:
         cycles = len(self._gains)
         self._first = self._first or estimate
         done = part_done(self._first, estimate, tolerance)
-        self._report(Monitor(f"cycle {self.cycles}, {estimate:.2g} px to go", done))
+        self._report(Monitor(f"cycle {self.cycles}, error {estimate:.2g} px", done))
         if cycles >= self._cycles_at_most and estimate > tolerance:
             raise ConvergenceError(
-                f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
+                f"the error of the field is still {estimate:.2g} px after {cycles} cycles. "
                 "Raise max_iterations, or reduce the ratio of the stiffest to the softest tissue"
             )
 
@@ -479,13 +479,13 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     if model.earlier.factors is None:
         if len(model.shape) == 3 and not factors_fit(model):
             raise ConvergenceError(
-                "cycles may miss motions of this volume, and no factors are available for it. "
+                "cycles may miss motions of this volume, and no factorization is available. "
                 "Raise max_iterations, crop the volume, hold more of it, or reduce the ratio of "
                 f"the stiffest to the softest tissue{known}"
             )
         if not factors_fit(model):
             raise ConvergenceError(
-                "cycles may miss motions of this tissue, and its factors need "
+                "cycles may miss motions of this tissue, and a factorization needs "
                 f"{Factors.required_memory(model.shape) / 2**30:.0f} GiB of memory. Crop the "
                 "image, or reduce the ratio of the stiffest to the softest tissue"
             )

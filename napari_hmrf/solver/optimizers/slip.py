@@ -205,7 +205,7 @@ class Slip:
             if not states.exchange(d, pull(d), self._steepness, near, self._free) and arrived:
                 return
         raise ConvergenceError(
-            f"the slipping observations are undetermined after {_MOST_EXCHANGES} exchanges"
+            f"no consistent slipping observations were found in {_MOST_EXCHANGES} exchanges"
         )
 
     def _confirm(self, d: Planes, exact: float) -> None:
@@ -226,7 +226,7 @@ class Slip:
                 break
         else:
             raise ConvergenceError(
-                "the slipping observations are undetermined in double precision. Raise the "
+                "no consistent slipping observations were found in double precision. Raise the "
                 "penalty, or hold more of the tissue"
             )
         energy, _ = model.work(d)
