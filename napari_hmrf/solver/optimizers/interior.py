@@ -52,7 +52,7 @@ _CENTRING = 0.5
 _PROXIMAL = tuple(10.0**power for power in range(-16, -10))
 # Largest number of refinements of a step.
 _CORRECTIONS = 10
-# Size of a refinement, relative to the step, up to which it is the last.
+# Size of a refinement, relative to the step, below which the refinement of a step ends.
 _LAST_CORRECTION = 1e-9
 # Signs for a and b, the two sides of an observed position.
 _SIDE = np.array([[1.0], [-1.0]])

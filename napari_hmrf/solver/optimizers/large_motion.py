@@ -33,7 +33,7 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import holding_strength
 
 _TINY = 1e-300
-# Least ratio of the Jacobian of a corner after an extrapolation to that before.
+# Least ratio of a corner's Jacobian after an extrapolation to its value before.
 _EXTRAPOLATION_PART = 0.25
 # Least Jacobian of a returned field, in the unit of the spacing, as a fraction of `LEAST_JACOBIAN`.
 _RETURNED_PART = 0.5

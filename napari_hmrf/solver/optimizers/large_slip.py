@@ -39,7 +39,7 @@ class LargeSlip:
         Observed displacement, in pixels.
     limit : ndarray, planes
         Largest force of the observation of each component; infinite for a component that never
-        slips, and 0 for one that is not observed.
+        slips, and 0 if the component is not observed.
     load : ndarray, planes, or None
         Dead load on each component, or None if there is no load.
     """
@@ -85,7 +85,7 @@ class LargeSlip:
                 raise
 
     def _slipping(self, d: Planes) -> npt.NDArray[np.float64]:
-        """Return the sign of the force on each component that slips at `d`; 0 if it is held."""
+        """Return the sign of the force on each slipping component; 0 for held components."""
         needed = self._required(d, self._observed)
         slips = np.abs(needed) >= (1 - _EXCESS) * self._limit
         return np.where(slips, np.sign(needed), 0.0)

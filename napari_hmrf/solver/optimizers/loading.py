@@ -17,10 +17,10 @@ from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, Seil
 from napari_hmrf.solver.problem import MAX_REACH, Problem
 from napari_hmrf.solver.rigid_modes import free_motions
 
-# Force up to which a force is rounding error, as a fraction of the sum of all forces.
+# Fraction of the sum of all forces up to which a force is rounding error.
 _ROUNDING = 1e-9
-# Accepted excess of loads over the limits of observations, as a fraction: linear programs are no
-# more accurate.
+# Fraction by which loads may exceed the limits of observations, because a linear program has a
+# limited accuracy.
 _AT_LIMIT = 1e-6
 
 
@@ -131,7 +131,7 @@ def check_balanced(
     Raises
     ------
     ProblemError
-        If the loads would move some tissue without end.
+        If the loads would move some tissue without limit.
     """
     if load is None or problem.loads is None or problem.loads.force is None:
         return  # growth has no resultant force

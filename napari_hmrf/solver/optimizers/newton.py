@@ -33,31 +33,31 @@ from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 
 # A step of the field
 
-#: Least ratio of the Jacobian of a corner after a step to that before; larger values shorten steps.
+#: Least ratio of a corner's Jacobian after a step to its value before; larger values shorten steps.
 _JACOBIAN_PART = 0.25
-#: Length of a pull that a corner limits, as a fraction of the largest possible length.
+#: Safety factor on the largest possible length of a pull, if a corner limits the length.
 _PULL_PART = 0.85
-#: Jacobian below which a corner may not be compressed any further by a pull.
+#: Jacobian below which a pull may not compress a corner any further.
 _PULL_FLOOR = 1e-5
-#: Fraction of a step. If the energy decreases over less, a step without buckling terms is tried.
+#: Fraction of a descent step. If less is taken, a step without buckling terms is tried.
 _LEAST_STEP = 0.1
 #: Least decrease of the energy, relative to the decrease predicted by the slope (Armijo rule).
 _ARMIJO = 1e-4
 #: Rounding error of the energy, relative to the energy: an increase up to this is accepted.
 _ENERGY_ROUNDING = 1e-12
-#: Energy per component, in pixels squared, that is added to the energy to estimate its rounding.
+#: Energy per component, in pixels squared, added to the energy in the estimate of its rounding.
 _COMPONENT_ROUNDING = 1e-3
 #: Largest number of halvings of a step before the step is rejected.
 _HALVING_LIMIT = 12
-#: Largest number of pulls. After that, prescribed components stay where they are.
+#: Number of Newton steps after which tissue is not pulled any further.
 _PULL_LIMIT = 150
 #: Largest number of Newton steps before a run fails.
 _STEP_LIMIT = 400
 # The linear system of a step
 
-#: Error of a linear solve at which it ends, relative to the initial error.
+#: Error at which a linear solve ends, relative to the initial error.
 _INNER_REDUCTION = 0.03
-#: Error of a linear solve at which it ends, relative to the tolerance; the larger bound applies.
+#: Error at which a linear solve ends, relative to the tolerance; the larger of both errors applies.
 _INNER_TOLERANCE = 0.3
 #: Residual, relative to the load, that cannot be reduced in single precision.
 _SINGLE_RESIDUAL = 2e-5
@@ -78,19 +78,19 @@ _SHARE_GROWTH = 2.0
 _RELAXED_DISTANCE = 0.3
 #: Largest number of steps to reduce the distance to `_RELAXED_DISTANCE`.
 _RELAXATION_LIMIT = 6
-#: Distance from equilibrium, in pixels, that is required before a pull can be stuck.
+#: Distance from equilibrium, in pixels, that tissue must reach before a pull can be stuck.
 _BALANCED_DISTANCE = 0.02
 #: Largest number of steps to reduce the distance to `_BALANCED_DISTANCE`.
 _BALANCE_LIMIT = 25
-#: Fraction of a step below which a pull is stuck, if it is also shorter than `_STUCK_DISTANCE`.
+#: Fraction of a step. A pull is stuck below this fraction and below `_STUCK_DISTANCE`.
 _STUCK_PART = 0.05
-#: Length of a pull, in pixels, below which it is stuck.
+#: Length of a pull, in pixels. A pull is stuck below this length and below `_STUCK_PART`.
 _STUCK_DISTANCE = 0.1
 #: Number of consecutive stuck pulls after which components that obstruct the pull are released.
 _STUCK_LIMIT = 2
-#: Fraction of a pull. An element that limits the pull to less than this obstructs it.
+#: Fraction of a pull. An element that limits the pull to less obstructs the pull.
 _OBSTRUCTION = 0.3
-#: Largest deviation from the mean motion of sites that are pulled together, relative to the motion.
+#: Largest deviation from the mean motion of sites that are pulled as one piece, relative to it.
 _PIECE_SPREAD = 0.2
 
 # The end of a run
@@ -117,7 +117,7 @@ class Strategy(NamedTuple):
         in a rehearsal.
     stiff : bool
         True if some tissue is very stiff or barely constrained. Such tissue must be free to rotate,
-        and rounding errors in it resemble buckling.
+        and its rounding errors resemble buckling.
     by_factors : bool
         True to solve by factorization without trying cycles.
     steps : int
@@ -358,7 +358,7 @@ class Newton:
     def _step(
         self, d: Planes, gap: Planes | None, held: HeldPlanes, positive: float = 0.0
     ) -> _Linear | None:
-        """Return the Newton step, including the motion `gap`; None if the system is unsolvable."""
+        """Return the Newton step, which closes the `gap`; None if the system has no solution."""
         forces = self.forces(d)
         springs = None if self.external_forces is None else self.external_forces.springs(d)
         if gap is not None:
@@ -472,7 +472,10 @@ class Newton:
         return 0.0
 
     def _relax(self, d: Planes, held: HeldPlanes, step: _Linear) -> tuple[_Linear, float]:
-        """Take a descent step, without the buckling terms if it is short; return the fraction."""
+        """Take a descent step in place; return the step and the fraction taken.
+
+        If only a small fraction is possible, a step without the buckling terms is tried.
+        """
         taken = self._descend(d, step.way)
         if taken < _LEAST_STEP and step.positive < 1:
             again = self._step(d, None, held, positive=1.0)
@@ -548,5 +551,5 @@ def _shares(first: float) -> Iterator[float]:
 
 
 def norm(values: Planes) -> float:
-    """Return the Euclidean norm, without BLAS: its idle threads would slow the solve."""
+    """Return the Euclidean norm, without BLAS, because its idle threads would slow the solve."""
     return math.sqrt(float(np.square(values).sum()))

@@ -22,9 +22,9 @@ Float64Array = npt.NDArray[np.float64]
 
 # Stiffness of the springs that make the model invertible, as a fraction of its diagonal.
 _SPRINGS = 1e-13
-# Energy below which a motion is soft, relative to the energy of moving each site by itself.
+# Energy below which a motion is soft, relative to the energy of moving its sites one by one.
 _SOFT = 1e-11
-# Energy below which a motion is free, relative to the energy of moving each site by itself.
+# Energy below which a motion is free, relative to the energy of moving its sites one by one.
 _FREE = 1e-28
 # Number of inverse iterations that compute the soft motions.
 _ITERATIONS = 4
@@ -32,15 +32,17 @@ _ITERATIONS = 4
 _FIRST_MOTIONS = 8
 # Largest number of motions in the inverse iteration.
 _MOST_MOTIONS = 64
-# Largest error of a soft motion, in pixels for a displacement of 1 pixel.
+# Largest error of a soft motion with a prescribed displacement of 1 pixel, in pixels.
 _EXACT = 1e-12
 # Singular value of the matrix of soft motions, relative to the largest, that is rounding error.
 _FLOOR = 1e-14
 # Largest number of corrections of the soft motions in a field.
 _BALANCINGS = 4
-# Largest accepted correction of the soft motions, in pixels for a displacement of 1 pixel.
+# Largest accepted final correction of the soft motions, relative to the largest displacement or
+# 1 pixel.
 _UNBALANCED = 1e-6
-# Work of a load on a free motion that is rounding error, as a fraction of its absolute terms.
+# Work of a load on a free motion, relative to the sum of its absolute terms, that is rounding
+# error.
 _BALANCED = 1e-9
 # Number of passes that separate the soft motions.
 _SEPARATIONS = 2
@@ -51,7 +53,7 @@ _ESTIMATES = 3
 # Factor on `_RESOLVED`, times the square root of the number of unknowns. One iteration is enough
 # if its estimate is larger.
 _CLEAR = 1e3
-# Largest number of soft motions that an error message analyses; to separate more takes seconds.
+# Largest number of soft motions that an error message analyses; separating more takes seconds.
 _EXPLAINED = 16
 # Fraction of the largest displacement above which a site is part of a motion.
 _PARTICIPATION = 0.1
@@ -203,10 +205,10 @@ def _as_free_motion(motion: Float64Array) -> FreeMotion:
     sizes = np.abs(motion)
     axis = int(np.argmax(sizes.max(axis=tuple(range(motion.ndim - 1)))))
     piece = sizes[..., axis] > _PARTICIPATION * sizes[..., axis].max()
-    names = ("along the plane axis", "along the row axis", "along the column axis")[
-        -motion.shape[-1] :
-    ]
-    return FreeMotion(piece, f"could still bend {names[axis]} without resistance", motion)
+    names = ("plane", "row", "column")[-motion.shape[-1] :]
+    return FreeMotion(
+        piece, f"could still bend along the {names[axis]} axis without resistance", motion
+    )
 
 
 def find_soft_motions(

@@ -47,23 +47,25 @@ _MILD_LEAST = 0.1
 # Least eigenvalue that cycles find in images of mild, nearly incompressible tissue.
 _MILD_LEAST_INCOMPRESSIBLE = 0.05
 # Least safety factor of any error estimate: an estimate is for a single component, and depends on
-# the eigenvalues found up to then.
+# the eigenvalues found so far.
 _LEAST_MARGIN = 1.5
 # Additional safety factor for a warm start where tissue is not mild: only the slowest motions have
 # not converged.
 _WARM_MARGIN = 1.5
-# Ratio of the reported error to the estimate that ends an iteration, up to the tolerance.
+# Ratio of the reported error to the estimate that ends an iteration. The report never exceeds the
+# tolerance.
 _REPORTED = 1.5
 # Number of sites up to which a factorization takes no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Largest number of search directions for free motions at hinges between touching rigid bodies.
 _MOST_HINGES = 40
-# Largest ratio of a correction from the factorization to the previous correction.
+# Largest ratio of two successive corrections from the factorization that counts as progress.
 _FALL = 0.25
-# Size of a correction, for a displacement of 1 pixel, up to which any decrease is sufficient.
+# Correction, relative to the largest displacement or 1 pixel, up to which any decrease counts as
+# progress.
 _ROUNDING = 1e-15
-# Size of a correction, for a displacement of 1 pixel, up to which a correction that does not
-# decrease may be the last.
+# Correction, relative to the largest displacement or 1 pixel, up to which the solve may end without
+# progress.
 _STALLED = 1e-7
 
 
@@ -89,9 +91,9 @@ class Refinement:
     Attributes
     ----------
     estimate : float
-        Estimated error of the field, in pixels, with the margin of a report.
+        Reported estimate of the error of the field, in pixels, with a safety margin.
     error : float
-        Error estimate that ended the last run, in pixels, without the margin of a report.
+        Error estimate that ended the last run, in pixels, without this margin.
     residual : float
         Norm of the residual forces, in double precision.
     energies : list of float
@@ -289,7 +291,7 @@ class Refinement:
         return self._iterate(d, load, tolerance, self._model.balance(d, load))
 
     def _least_error(self) -> float:
-        """Return a lower bound for the reported error, whatever the residual."""
+        """Return a lower bound for the reported error, independent of the residual."""
         reported = _REPORTED * self.estimate
         if self._start_quality is None or self._start_quality.least == 1:
             return reported
@@ -305,7 +307,7 @@ class Refinement:
         return more
 
     def _deflate_bodies(self) -> bool:
-        """Compute the motions induced by rigid bodies; return False if these are dependent."""
+        """Compute the motions induced by rigid bodies; return False if they are too similar."""
         model = self._model
         if model.bodies is None or not model.iterates:
             return True
@@ -410,7 +412,7 @@ class Refinement:
 
 
 class _Directions:
-    """Conjugate search directions, from a factorization that hinges touching rigid parts.
+    """Conjugate search directions for a factorization with hinges between touching rigid parts.
 
     In the factorised matrix, parts of a rigid body that touch in one site can rotate against each
     other. Further directions correct for such free motions.

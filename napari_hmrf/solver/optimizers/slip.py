@@ -34,19 +34,19 @@ Float64Array = npt.NDArray[np.float64]
 
 # Factor on the tolerance for the first exchanges, which are followed by exchanges at the tolerance.
 _ROUGH_FACTOR = 10.0
-# Accuracy of the final exchange, in pixels for a displacement of 1 pixel.
+# Accuracy of the final exchange, relative to the largest displacement or 1 pixel.
 _EXACT = 1e-11
-# Factor on this accuracy from which a component contradicts its state in an exchange.
+# Largest accepted contradiction of a state in the final exchange, as a multiple of the accuracy.
 _CONTRADICTION = 10.0
-# Factor on this accuracy from which a component contradicts its state in the final confirmation.
+# Largest accepted contradiction of a state in the confirmation, as a multiple of the accuracy.
 _CONFIRMATION = 10.0
-# Distance of a force from its limit, as a fraction of the limit, that proves a component is held.
+# Fraction of the limit by which a force must be below the limit to prove that a component is held.
 _AT_LIMIT = 1e-9
-# Distance of a force from its limit, as a fraction of the limit, that needs no closer inspection.
+# Fraction of the limit by which a force must be below the limit to need no closer inspection.
 _NEAR_LIMIT = 1e-4
 # Excess of the force over its limit that is accepted for a held component, as a fraction.
 _EXCESS = 1e-9
-# Number of solves with the factorization that start the interior-point method.
+# Number of refinement solves that compute the start of the interior-point method.
 _REFINEMENTS = 4
 # Number of exchanges after which another method is used.
 _MOST_EXCHANGES = 100
@@ -58,7 +58,7 @@ class Slip:
     """Search for the states of observations (held or slipping), and for the resulting field.
 
     With many slipping observations or a small penalty, a state that is only slightly wrong can
-    change the field much. At the end, all states must therefore be right within rounding error.
+    change the field considerably. At the end, all states must therefore be right within rounding error.
 
     Parameters
     ----------
@@ -119,8 +119,8 @@ class Slip:
 
     def _close_gap(self, d: Planes) -> None:
         """Find the states by the interior-point method, in place."""
-        # The start affects the rounding errors of the method, and the result of the exchanges
-        # depends on the tolerance. If that start fails, all observations are held at first.
+        # The rounding errors of the method depend on its start. If the method fails from the result
+        # of the exchanges, it starts again with all observations held.
         try:
             interior.solve(self._model, self._states, d, self._report)
         except ConvergenceError:
@@ -156,7 +156,7 @@ class Slip:
 
     @property
     def _resolved(self) -> bool:
-        """True if the last solution is unique; elastic tissue has been checked before."""
+        """True if the last solution is unique; elastic tissue was checked before."""
         return self._elastic or resolves(self._model)
 
     def _pull(self, d: Planes) -> Planes:
@@ -233,7 +233,7 @@ class Slip:
         refinement.set_energy(energy + states.cost(d))
 
     def _settle(self, d: Planes) -> float:
-        """Choose the least motion among all fields of least energy; return the force norm."""
+        """Choose the field of least motion among fields of least energy; return the norm of forces."""
         states, pull = self._states, self._pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
             quality = self._refinement.estimate, self._refinement.residual
@@ -243,7 +243,7 @@ class Slip:
         return forces
 
     def _clear(self, d: Planes) -> HeldPlanes:
-        """Return the components that are held without doubt, even before closer inspection."""
+        """Return a mask of the components that are held by a clear margin."""
         noise = _EXACT * max(1.0, float(np.abs(d).max())) * self._steepness
         return self._states.certain(self._pull(d), _NEAR_LIMIT, noise)
 

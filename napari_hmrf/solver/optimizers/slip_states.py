@@ -30,7 +30,7 @@ FreeMotion = Callable[[HeldPlanes], Planes | None]
 PATIENCE = 6
 # Distance from its observed position, in pixels, up to which a component is held.
 _AT_POSITION = 1e-7
-# Fraction of a step below which the step made no progress.
+# Fraction of a step up to which the step counts as no progress.
 _NO_STEP = 1e-6
 # Number of proximal gradient steps.
 _SWEEPS = 10
@@ -160,7 +160,7 @@ class ActiveSet(States):
     def exchange(
         self, d: Planes, pull: Planes, steepness: Planes, tolerance: float, free: FreeMotion
     ) -> bool:
-        """Release held components above their limit, and hold slipping ones that have passed y.
+        """Release held components above their limit; hold slipping components that have passed y.
 
         Parameters
         ----------
@@ -276,7 +276,7 @@ class ActiveSet(States):
         return np.asarray(np.where(self._slips == 0, excess, passed) > tolerance)
 
     def certain(self, pull: Planes, margin: float, noise: Planes | float = 0.0) -> HeldPlanes:
-        """Return a mask of the components that are held by less than their limit.
+        """Return a mask of the components that are held by a force below their limit.
 
         Their force is below the limit by at least the fraction `margin` of the limit, plus `noise`,
         the uncertainty of the force.
@@ -313,7 +313,7 @@ class ActiveSet(States):
         return off, side
 
     def step(self, d: Planes, before: Planes, way: Planes, pull: Planes, change: Planes) -> bool:
-        """Move `d` from `before` along `way` to the least energy, at most by the whole step.
+        """Move `d` from `before` along `way` to the least energy, within the step.
 
         Returns True if `d` is at the end of the step. `d` is changed in place.
 
@@ -330,7 +330,7 @@ class ActiveSet(States):
         """
         slope, bend = -float((pull * way).sum()), -float((change * way).sum())
         part = self._lowest(before, way, slope, bend)
-        # Components that the step would move back to y stay held until there is progress.
+        # Without progress, components that were released but are still at y stay held.
         slipped = self._slips != 0
         if part < 1:
             np.copyto(d, before + part * way)
