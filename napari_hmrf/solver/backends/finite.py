@@ -32,7 +32,7 @@ class FiniteModel(Protocol):
     rehearsed: tuple[HeldPlanes, float] | None
 
     def assemble(self, material: FiniteMaterial) -> None:
-        """Replace the material by a material on the same grid."""
+        """Replace the material; the grid must stay the same."""
         ...
 
     @property
@@ -126,8 +126,8 @@ class FiniteModel(Protocol):
         part : float
             Least ratio of a corner's Jacobian after the step to its present value.
         floor : float
-            Least Jacobian of a corner after the step. A corner that is below already must keep its
-            present value.
+            Least Jacobian of a corner after the step. A corner that is already below must keep
+            at least its present value.
         each : bool
             True to compute the largest step of each element, too.
 

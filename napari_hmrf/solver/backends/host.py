@@ -48,8 +48,8 @@ def _exact(axes: int = 2) -> Any:
 def prescribed(problem: Problem, start: WarmStart | None = None) -> tuple[Planes, HeldPlanes]:
     """Return the initial displacement of a solve and the mask of constrained components, as planes.
 
-    Observed components have the observed displacement, in pixels, and are constrained. The others
-    have the displacement of `start`, or zero.
+    Observed components have the observed displacement, in pixels, and are constrained. Other
+    components have the displacement of `start`, or zero.
 
     Parameters
     ----------

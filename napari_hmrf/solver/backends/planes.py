@@ -1,4 +1,4 @@
-"""Layout of fields on the host: planes, float64 arrays with a border of zeros, two sites wide."""
+"""Planes: fields on the host as float64 arrays with a border of zeros, two sites wide."""
 
 from __future__ import annotations
 
@@ -26,5 +26,5 @@ def inside(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def field(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a view of planes without the border, shape (H, W, 2) or (D, H, W, 3)."""
+    """Return a view of planes as a field without the border, shape (H, W, 2) or (D, H, W, 3)."""
     return np.moveaxis(inside(values), 0, -1)

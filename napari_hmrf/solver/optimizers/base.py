@@ -82,7 +82,7 @@ class Reach:
     least_jacobian : float
         Least Jacobian at any corner of a pixel, above 0; 0.5 means half the area.
     part : float
-        Completed fraction of the motion of the site that is furthest from its observed position; 1
+        Completed fraction of the motion of the site that is farthest from its observed position; 1
         if all observations are satisfied.
     missing : float
         Distance of that site from its observed position, in the unit of the spacing.

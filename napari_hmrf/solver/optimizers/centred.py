@@ -203,7 +203,7 @@ class _CentredStates(States):
 
     @property
     def exact(self) -> bool:
-        """True if systems must be solved exactly: exchanges did not end, or ended by chance."""
+        """True if systems must be solved exactly, because the exchanges did not end reliably."""
         return self._patience == 0
 
     def be_exact(self) -> None:
@@ -211,14 +211,14 @@ class _CentredStates(States):
         self._patience = 0
 
     def is_firm(self, d: Planes, pull: Planes) -> bool:
-        """Return whether all components are held by much less than their limits."""
-        # If stiff tissue slips that could also be held, a small residual proves nothing: other
-        # states may have a quite different field.
+        """Return whether all components are held by forces far below their limits."""
+        # If slipping stiff tissue could also be held, a small residual does not prove the states:
+        # the field of other states may be quite different.
         q = d.ravel()[self.at] - self.y + pull.ravel()[self.at]
         return not self.any_slip and bool((np.abs(q) < _FIRM * self.limit).all())
 
     def _improve(self, q: npt.NDArray[Any]) -> bool:
-        """Improve the selection of the minimum or, if it is optimal, that of the maximum."""
+        """Improve the selection of the minimum; if it is optimal, improve that of the maximum."""
         high = self._slips < 0
         least = _SURE * (1 + np.abs(q))
         low = ~high & np.where(self._slips > 0, q + self.limit < 0, q + self.limit < -least)
@@ -233,7 +233,7 @@ class _CentredStates(States):
 
 
 class _Refinement:
-    """Iterative refinement: residuals in double precision, corrections by cycles; with a bound."""
+    """Iterative refinement by cycles, with an error bound from a maximum principle."""
 
     def __init__(
         self, tolerance: float, max_iterations: int, model: LinearModel, report: Report

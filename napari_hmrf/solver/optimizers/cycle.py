@@ -91,7 +91,7 @@ class Cycle:
         self._smooth_up_to(usual)
 
     def use_safe_bound(self) -> bool:
-        """Raise the smoother's eigenvalue bound to that of any mixture; False if already done.
+        """Raise the smoother's eigenvalue bound to the safe bound; return False if already done.
 
         A smoother amplifies motions with eigenvalues above its bound. The preconditioner is then
         not positive definite, which conjugate gradients detect.

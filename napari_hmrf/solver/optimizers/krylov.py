@@ -34,8 +34,7 @@ _ATTAINED = 3e-7
 _FASTEST = 0.2
 # Upper limit of the least eigenvalue that an estimate assumes before `_RELIABLE_STEPS`.
 _USUAL_LEAST = 0.3
-# Ratio to the expected least eigenvalue up to which an eigenvalue is considered to be the expected
-# one.
+# Multiple of the expected least eigenvalue up to which an eigenvalue counts as the expected one.
 _MET = 1.2
 # Number of steps after which the estimate of the least eigenvalue is reliable.
 _RELIABLE_STEPS = 6
@@ -50,7 +49,7 @@ class Step:
     reach : float
         Estimated largest distance of any site from the solution, per unit of the norm of the
         residual. The estimate uses the correction of the last cycle and the least eigenvalue found
-        up to now.
+        so far.
     rest : float
         Norm of the residual after the step.
     gain : float
@@ -244,12 +243,14 @@ class ConjugateGradients:
         lasting = (1 - math.sqrt(least)) / (1 + math.sqrt(least))
         fall = max(math.sqrt(after / before), _FASTEST, lasting)
         if self._spectrum.run_least > _MET * self._expected:
-            fall = max(fall, 1 - self._expected)  # factor of a slow motion that is not found yet
+            fall = max(
+                fall, 1 - self._expected
+            )  # error reduction of a slow motion before it is found
         if self._spectrum.steps < _RELIABLE_STEPS:
             least = min(least, _USUAL_LEAST)
         self._step_count += 1
         if self._step_count < _RELIABLE_STEPS:
-            fall = max(fall, 1 - least)  # factor of a slow motion in early cycles
+            fall = max(fall, 1 - least)  # error reduction of slow motions in early cycles
         return Step(far * fall / least / rest, rest, gain)
 
 
@@ -314,7 +315,7 @@ class StabilisedGradients:
 
 
 class _Spectrum:
-    """Estimates of the least eigenvalue by conjugate gradients, from their Lanczos matrix."""
+    """Estimate of the least eigenvalue, from the Lanczos matrix of conjugate gradients."""
 
     def __init__(self, rounding: float = _LEAST) -> None:
         self.least, self._rounding = 1.0, rounding

@@ -57,8 +57,9 @@ _BLOCK_EXCHANGES = 30
 class Slip:
     """Search for the states of observations (held or slipping), and for the resulting field.
 
-    With many slipping observations or a small penalty, a state that is only slightly wrong can
-    change the field considerably. At the end, all states must therefore be right within rounding error.
+    With many slipping observations or a small penalty, a single wrong state can change the field
+    considerably, even if its contradiction is small. At the end, all states must therefore be right
+    within rounding errors.
 
     Parameters
     ----------
@@ -233,7 +234,7 @@ class Slip:
         refinement.set_energy(energy + states.cost(d))
 
     def _settle(self, d: Planes) -> float:
-        """Choose the field of least motion among fields of least energy; return the norm of forces."""
+        """Choose the least motion among fields of least energy; return the norm of the forces."""
         states, pull = self._states, self._pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
             quality = self._refinement.estimate, self._refinement.residual

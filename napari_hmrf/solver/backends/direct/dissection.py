@@ -10,7 +10,7 @@ S:
 
 The matrices S of two neighbouring boxes add up to the matrix F of their union (nested dissection:
 George, SIAM J. Numer. Anal. 10, 1973). Boxes within tiles of 16 x 16 elements have few different
-shapes, so that many boxes are condensed at once; their fixed components have 1 on the diagonal.
+shapes, so many boxes are condensed at once; their fixed components have 1 on the diagonal.
 Larger boxes contain free components only. On n x n sites, the work is about n^3 and the memory
 about n^2 log n, independent of the materials.
 """
@@ -115,7 +115,7 @@ class Dissection:
         if springs is not None:
             self._springs[:-1] = springs.ravel()
         # Each thread makes its own calls of BLAS. More threads within a call do not speed up small
-        # matrices, and are very slow if other programs use the cores.
+        # matrices, and would be very slow if other programs use the cores.
         with _one_thread(), ThreadPoolExecutor(_THREADS) as pool:
             self._steps, rest = self._condense((0, self._tiles[0], 0, self._tiles[1]), pool)
         if len(rest.ring):
@@ -294,7 +294,7 @@ class Dissection:
     def _factorise(
         self, a: Float64Array, b: Float64Array, places: tuple[Index, Index]
     ) -> SymmetricStep:
-        """Condense symmetric matrices by Cholesky factorization, more accurate than A^-1."""
+        """Condense symmetric matrices by Cholesky factorization, which is more accurate than A^-1."""
         pivots = a.diagonal(axis1=-2, axis2=-1)
         if not (pivots > 0).all():
             raise Singular

@@ -226,7 +226,7 @@ def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
 
 
 def can_deflate(bodies: list[BodySites], shape: tuple[int, ...]) -> bool:
-    """Return whether deflation fits the number of bodies and the grid; False in volumes."""
+    """Return whether deflation is affordable for these bodies and this grid; False in volumes."""
     # Each body has three motions; each motion needs a displacement field and a force field, with
     # two components each.
     values = 3 * 2 * 2 * len(bodies) * math.prod(shape)

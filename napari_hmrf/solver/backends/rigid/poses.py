@@ -42,7 +42,7 @@ class Poses:
     bodies : list of tuple of ndarray
         Indices of each body's sites along each axis.
     sides : tuple of float
-        Size of a pixel along the row axis and the column axis, in the unit of length of the solver.
+        Size of a pixel along the row axis and the column axis, in the solver's unit of length.
     held : ndarray of bool, planes
         Mask of the constrained components.
     """
@@ -143,7 +143,7 @@ class Poses:
 
 
 def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> Float64Array:
-    """Return all positions in the pose that brings some of them nearest to their targets."""
+    """Return all positions after the rigid motion that brings `some` nearest to their targets."""
     if not some.size:
         return places
     middle, goal = some.mean(axis=1, keepdims=True), wanted.mean(axis=1, keepdims=True)
