@@ -39,11 +39,11 @@ def grids(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def smoother_bounds(material: ElasticMaterial) -> tuple[float, float]:
-    """Return two upper bounds of the spectrum of D^-1 A: for usual materials, and for any.
+    """Return upper bounds of the spectrum of D^-1 A, for usual materials and for any materials.
 
-    The first is the bound for a uniform grid, from its symbol; mixtures of materials hardly exceed
-    it. The second is the bound for the worst single element, which no mixture exceeds. Both grow
-    with lambda / mu.
+    The first bound is that of a uniform grid, from its symbol; mixtures of materials hardly exceed
+    this bound. The second bound is that of the worst single element, which no mixture exceeds. Both
+    bounds increase with lambda / mu.
     """
     return _bounds(lame_ratio(material.largest_poisson, material.strain), material.shape)
 

@@ -50,7 +50,7 @@ class Turn:
         return self.series != self._queue.series
 
     def is_set(self) -> bool:
-        """Return whether to stop: the job was dropped, or exceeds its patience with one pending."""
+        """Return whether to stop: dropped, or out of patience while another job could start."""
         late = time.perf_counter() > self._started + self.patience
         return self.dropped or (late and self._queue.can_go_on)
 

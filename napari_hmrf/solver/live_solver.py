@@ -33,7 +33,7 @@ PATIENCE = 0.1
 # Time of a cold start per site on two cores, in seconds.
 _SITE_SECONDS = 2e-7
 
-# Least Jacobian determinant of a solution that is a warm start for large motion.
+# Least Jacobian determinant of a solution that is used as a warm start for large motion.
 _CRUSHED = 0.01
 
 _log = logging.getLogger("napari_hmrf")
@@ -76,10 +76,10 @@ Input = Problem | tuple[Problem, Prior]
 class LiveSolver:
     """Solver for a problem that is being edited: the latest edit wins, with a warm start.
 
-    Of several edits submitted during a solve, only the last is solved. The running solve is
-    completed and delivered first, so that tissue follows a drag without a pause. After its preview,
-    or after its `patience`, a newer edit cancels the solve. Whatever the timing, the last update
-    belongs to the last edit. All methods may be called from any thread. All methods except `wait`
+    Of several edits submitted during a solve, only the last is solved. By default the running solve
+    is completed and delivered first, so that tissue follows a drag without a pause. A newer edit
+    cancels the solve only after its preview was delivered, or after its `patience`. Whatever the
+    timing, the last update belongs to the last edit. All methods may be called from any thread. All methods except `wait`
     return immediately.
 
     Parameters

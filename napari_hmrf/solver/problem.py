@@ -273,7 +273,7 @@ def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
     """Raise an error for displacements far beyond the image, usually due to a wrong unit."""
     grid = y.shape[:-1]
     diagonal = math.hypot(*(size * step for size, step in zip(grid, spacing, strict=True)))
-    # Usually the largest component is sufficient; to compute all lengths takes ten times as long.
+    # Usually the largest component is sufficient; computing all lengths takes ten times as long.
     largest = max(float(y.max()), -float(y.min()))
     if math.sqrt(len(grid)) * largest <= MAX_REACH * diagonal:
         return

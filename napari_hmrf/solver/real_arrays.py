@@ -34,7 +34,7 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
 
 
 def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
-    """Copy `value` to a C-contiguous float32 array; raise an error if masked or too large."""
+    """Copy `value` to a C-contiguous float32 array; raise an error for masked or huge values."""
     array = as_numbers(field, value)
     if array.dtype.kind == "f" and array.dtype.itemsize > 4 and array.size:
         with np.errstate(invalid="ignore"):

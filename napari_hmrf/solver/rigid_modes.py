@@ -24,7 +24,8 @@ from napari_hmrf.solver.problem import Problem
 
 # Strength of a constraint that is rounding error, relative to the largest strength.
 _ROUNDING = 1e-9
-# Size of a piece's motion up to which the piece is at rest, relative to the largest motion.
+# Size of a piece's motion up to which the piece is at rest, relative to the largest motion of any
+# piece.
 _REST = 1e-6
 _STEPS = ("along the plane axis", "along the row axis", "along the column axis")
 
@@ -54,7 +55,7 @@ class HeldTissue(NamedTuple):
     strength: float = 0.0
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
-        """Return whether the same tissue has at least these constraints in `held`.
+        """Return whether the tissue is the same, and `held` includes all checked constraints.
 
         Parameters
         ----------
@@ -107,7 +108,7 @@ def holding_strength(problem: Problem) -> float:
     """Return a measure of the constraints on the least constrained rigid motion of tissue.
 
     The motion is scaled so that the farthest point of the tissue moves by about 1. The measure is
-    the sum of its squared displacements over all constrained components, divided by the approximate
+    the sum of the squared displacements of all constrained components, divided by the approximate
     size of the tissue's surface.
 
     Raises

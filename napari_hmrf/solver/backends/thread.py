@@ -153,7 +153,7 @@ class ComputeThread:
         return threading.current_thread() is self._thread
 
     def at_end(self, release: Callable[[], None]) -> None:
-        """Register a callback to release a resource on the compute thread before the thread ends."""
+        """Register a callback that releases a resource, called on the thread before it ends."""
         self._at_end.append(release)
 
     def stop(self, timeout: float = 2.0) -> bool:

@@ -243,14 +243,12 @@ class ConjugateGradients:
         lasting = (1 - math.sqrt(least)) / (1 + math.sqrt(least))
         fall = max(math.sqrt(after / before), _FASTEST, lasting)
         if self._spectrum.run_least > _MET * self._expected:
-            fall = max(
-                fall, 1 - self._expected
-            )  # error reduction of a slow motion before it is found
+            fall = max(fall, 1 - self._expected)  # reduction of a slow motion before it is found
         if self._spectrum.steps < _RELIABLE_STEPS:
             least = min(least, _USUAL_LEAST)
         self._step_count += 1
         if self._step_count < _RELIABLE_STEPS:
-            fall = max(fall, 1 - least)  # error reduction of slow motions in early cycles
+            fall = max(fall, 1 - least)  # reduction of slow motions in early cycles
         return Step(far * fall / least / rest, rest, gain)
 
 

@@ -1,5 +1,5 @@
 """NumPy implementation of the host's part of linear models, for shaders.
 
-It is used until the compiled loops of `backends.cpu` are available. Each module has a counterpart
-of the same name there. It is several times slower, but needs no compilation.
+These modules are used until the compiled loops of `backends.cpu` are available. Each module has a
+counterpart of the same name there, which is several times faster but requires compilation.
 """

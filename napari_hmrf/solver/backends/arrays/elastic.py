@@ -46,7 +46,7 @@ class ArrayElasticLevel(ArrayLevel):
 
 
 class ArrayElasticModel(ArrayModel):
-    """The host's part of `LinearModel` for elastic tissue.
+    """NumPy implementation of the host's part of `LinearModel` for elastic tissue.
 
     Parameters
     ----------

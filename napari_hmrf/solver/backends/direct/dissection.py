@@ -294,7 +294,7 @@ class Dissection:
     def _factorise(
         self, a: Float64Array, b: Float64Array, places: tuple[Index, Index]
     ) -> SymmetricStep:
-        """Condense symmetric matrices by Cholesky factorization, which is more accurate than A^-1."""
+        """Condense symmetric matrices by Cholesky factorization, for better accuracy than A^-1."""
         pivots = a.diagonal(axis1=-2, axis2=-1)
         if not (pivots > 0).all():
             raise Singular
