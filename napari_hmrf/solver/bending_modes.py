@@ -1,7 +1,7 @@
 """Check that the observations determine the motion in the paper's model (eq. 7).
 
-The cliques resist only the bending of each component. A constant component has no energy. In a piece
-of uniform stiffness, a component that varies linearly has no energy either. The observations
+The cliques resist only the bending of each component. A constant component has no energy. In a
+piece of uniform stiffness, a component that varies linearly has no energy either. The observations
 of each piece must prevent these motions; otherwise the solution is not unique.
 """
 

@@ -147,4 +147,4 @@ def _loose_pieces(problem: Problem) -> str:
     pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
     sites = "voxels" if problem.tissue.ndim == 3 else "pixels"
     subject = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
-    return f"{subject} no boundary ({pixels} {sites}): how it moves is not determined"
+    return f"{subject} no boundary ({pixels} {sites}): its motion is not determined"

@@ -98,7 +98,7 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
         if growth.shape not in [grid, *((*grid, size, size) for size in sizes)]:
             raise array_file.Invalid(f"its growth {growth.shape} and tissue disagree")
         if not np.isfinite(growth).all():
-            raise array_file.Invalid("its growth holds values that are not numbers")
+            raise array_file.Invalid("its growth contains values that are not numbers")
     if rigid is not None and rigid.shape != grid:
         raise array_file.Invalid(f"its rigid tissue {rigid.shape} and tissue disagree")
     return Elasticity(float(nu) if poisson is None else poisson, plane, finite, growth, rigid)

@@ -79,8 +79,9 @@ class LiveSolver:
     Of several edits submitted during a solve, only the last is solved. By default the running solve
     is completed and delivered first, so that tissue follows a drag without a pause. A newer edit
     cancels the solve only after its preview was delivered, or after its `patience`. Whatever the
-    timing, the last update belongs to the last edit. All methods may be called from any thread. All methods except `wait`
-    return immediately.
+    timing, the last update belongs to the last edit.
+
+    All methods may be called from any thread. All methods except `wait` return immediately.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ class Loads:
         object.__setattr__(self, "spacing", sizes)
 
     def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError("Loads are frozen. Create new ones")
+        raise AttributeError("Loads are immutable. Create new Loads")
 
     def __add__(self, other: Loads) -> Loads:
         """Add the growth and the forces of two loads."""
@@ -98,8 +98,8 @@ class Loads:
         if not _is_close(self.spacing, other.spacing):
             raise ProblemError(
                 "loads",
-                f"are made for pixels of {_sizes(self.spacing)} and of {_sizes(other.spacing)}. "
-                "Make both with the spacing of the problem.",
+                f"were computed for pixels of {_sizes(self.spacing)} and of {_sizes(other.spacing)}. "
+                "Compute both with the spacing of the problem.",
             )
         return Loads(
             growth=_sum_of_growth(self.growth, other.growth),
@@ -158,8 +158,8 @@ class Loads:
         if not _is_close(self.spacing, spacing):
             raise ProblemError(
                 "loads",
-                f"are made for pixels of {_sizes(self.spacing)}, but the problem has pixels of "
-                f"{_sizes(spacing)}. Make them with the spacing of the problem.",
+                f"were computed for pixels of {_sizes(self.spacing)}, but the problem has pixels of "
+                f"{_sizes(spacing)}. Compute them with the spacing of the problem.",
             )
         if self.force is not None:
             if self.force.shape != (*grid, axes):
@@ -172,8 +172,8 @@ class Loads:
             if nowhere.any():
                 raise ProblemError(
                     "force",
-                    f"has {how_many(nowhere)} that are on no tissue two pixels wide, the first at "
-                    f"{first_index(nowhere)}. Give 0 there, or that place a stiffness.",
+                    f"has {how_many(nowhere)} without tissue that is two pixels wide, the first at "
+                    f"{first_index(nowhere)}. Give 0 there, or give these pixels a stiffness.",
                 )
 
 
@@ -222,7 +222,7 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
         first = np.broadcast_to(direction, (*amount.shape, amount.ndim))[bad][0]
         raise ProblemError(
             "along",
-            f"is {shown(first.tolist())} at {first_index(bad)}, which is no direction. Give a "
+            f"is {shown(first.tolist())} at {first_index(bad)}, which is not a direction. Give a "
             "finite vector other than 0.",
         )
     norm = length[..., None]

@@ -22,7 +22,7 @@ _FROM_FEM = (
     "engineering, with Poisson's ratio 0.3 (0.02 s)."
 )
 _WHEN_PLANE: dict[Plane, str] = {
-    "stress": "Squeezed tissue can bulge out of the image, as in a thin cut.",
+    "stress": "Squeezed tissue can bulge out of the image, as in a thin section.",
     "strain": "Squeezed tissue can expand only within the image, as deep inside a body.",
 }
 _HOW_MUCH = (

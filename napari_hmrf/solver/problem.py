@@ -239,7 +239,8 @@ def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
         )
     if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
         raise ProblemError(
-            "spacing", f"is {values}. Choose a unit of length in which pixels are not so extreme."
+            "spacing",
+            f"is {values}. Choose a unit of length in which pixel sizes are less extreme.",
         )
     return values
 

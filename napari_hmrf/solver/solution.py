@@ -483,7 +483,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
     if len(spacing) != tissue.ndim or not all(0 < size < float("inf") for size in spacing):
         raise array_file.Invalid(f"its pixel spacing is {spacing}")
     if not array_file.is_finite(displacement):
-        raise array_file.Invalid("its displacement holds values that are not numbers")
+        raise array_file.Invalid("its displacement contains values that are not numbers")
     if len(energy) != max(1, sum(run.iterations for run in levels)):
         raise array_file.Invalid("its energies and iterations disagree")
     frame = header["frame"]

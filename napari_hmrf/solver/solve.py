@@ -367,7 +367,7 @@ def _announce(choice: Choice) -> None:
 def _announce_compilation() -> None:
     """Log that a solve waits for the compiler, which takes minutes, once per process."""
     _log.warning(
-        "compiling loops for this processor, once on a machine, which takes two to three minutes; "
+        "compiling loops for this processor, once per machine, which takes two to three minutes; "
         "solve(..., progress=print) shows the progress"
     )
 

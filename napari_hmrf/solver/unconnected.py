@@ -1,6 +1,6 @@
 """Small loose pieces of tissue, which are excluded from a solve.
 
-A problem in which elastic tissue can move freely has no unique solution, and raises an error.
+If elastic tissue can move freely, the solution is not unique, and the solver raises an error.
 However, a mask of tissue from an intensity threshold may contain specks. Such specks stay at rest
 instead.
 """

@@ -43,9 +43,9 @@ def check_memory(problem: Problem) -> None:
     raise ProblemError(
         "stiffness",
         f"is a volume, {grid_in_words(problem.shape)}, which needs {needed / _GIB:.2g} GiB of "
-        f"memory to solve, and {free / _GIB:.2g} GiB are free. As many voxels as in {side} x "
-        f"{side} x {side} would fit: crop it, or take every second voxel along each axis, which "
-        "needs an eighth of that.",
+        f"memory to solve, and {free / _GIB:.2g} GiB are free. A volume of {side} x "
+        f"{side} x {side} voxels would fit: crop the volume, or use every second voxel along each "
+        "axis, which needs an eighth of the memory.",
     )
 
 

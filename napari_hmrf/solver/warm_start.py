@@ -54,7 +54,7 @@ def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
         if (shape, spacing) != (problem.shape, problem.spacing):
             raise ArgumentError(
                 f"initial has a grid of {shape} pixels of size {spacing}, but the problem has a "
-                f"grid of {problem.shape} pixels of size {problem.spacing}. Leave it out"
+                f"grid of {problem.shape} pixels of size {problem.spacing}. Leave initial out"
             )
     displacements = tuple(solution.displacement for solution in solutions)
     blocks = _Blocks(problem, solutions)

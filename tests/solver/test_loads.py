@@ -476,7 +476,7 @@ MASK = np.ones((6, 6), bool)
         ("has shape", lambda m: growth(np.ones((5, 6)))),
         ("rigid tissue", lambda m: growth(np.ones((6, 6)))),
         ("has shape", lambda m: Loads(force=np.ones((6, 6)))),
-        ("on no tissue two pixels wide", lambda m: Loads(force=np.ones((6, 6, 2)))),
+        ("without tissue that is two pixels wide", lambda m: Loads(force=np.ones((6, 6, 2)))),
         ("type float", lambda m: 0.1),
         ("one grid", lambda m: growth(np.ones((6, 6))) + growth(np.ones((6, 5)), along=(1, 0))),
         ("no face of", lambda m: pressure(m, MASK & False, 1.0, spacing=1)),

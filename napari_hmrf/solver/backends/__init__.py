@@ -171,7 +171,7 @@ def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Back
 
 
 def _loops_are_ready(job: SolveJob) -> bool:
-    """Return whether the loops for a job are compiled and loaded."""
+    """Return whether the loops for a job can be used without a delay."""
     return loops.ready_for_volumes() if job.is_volume else loops.ready()
 
 

@@ -179,7 +179,7 @@ class Backend(Protocol[FieldType]):
         ...
 
     def release(self, *fields: FieldType) -> None:
-        """Release fields, which must not be used again."""
+        """Release fields; the caller must not use them again."""
         ...
 
     def close(self) -> None:

@@ -117,7 +117,7 @@ class FiniteModel(Protocol):
     def length(
         self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
     ) -> tuple[float, npt.NDArray[np.float64]]:
-        """Return the largest step along `way` within limits on the Jacobians of all corners.
+        """Return the largest step along `way` that satisfies limits on the corners' Jacobians.
 
         Parameters
         ----------

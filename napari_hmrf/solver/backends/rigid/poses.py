@@ -76,7 +76,7 @@ class Poses:
                 row, col = (float(index.mean() - 2) for index in body.at[1:])
                 raise ProblemError(
                     "observed",
-                    f"moves pixels of the rigid body around ({row:.0f}, {col:.0f}) against each "
+                    f"moves pixels of the rigid body around ({row:.0f}, {col:.0f}) relative to each "
                     f"other, by {off:.2g} px. Hold or move the body in one place only, move all of "
                     "it by one rotation and translation, or give it a finite stiffness.",
                 )
