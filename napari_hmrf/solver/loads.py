@@ -98,8 +98,8 @@ class Loads:
         if not _is_close(self.spacing, other.spacing):
             raise ProblemError(
                 "loads",
-                f"were computed for pixels of {_sizes(self.spacing)} and of {_sizes(other.spacing)}. "
-                "Compute both with the spacing of the problem.",
+                f"are for pixels of {_sizes(self.spacing)} and of {_sizes(other.spacing)}. "
+                "Make both with the spacing of the problem.",
             )
         return Loads(
             growth=_sum_of_growth(self.growth, other.growth),
@@ -158,8 +158,8 @@ class Loads:
         if not _is_close(self.spacing, spacing):
             raise ProblemError(
                 "loads",
-                f"were computed for pixels of {_sizes(self.spacing)}, but the problem has pixels of "
-                f"{_sizes(spacing)}. Compute them with the spacing of the problem.",
+                f"are for pixels of {_sizes(self.spacing)}, but the problem has pixels of "
+                f"{_sizes(spacing)}. Make them with the spacing of the problem.",
             )
         if self.force is not None:
             if self.force.shape != (*grid, axes):

@@ -240,7 +240,7 @@ def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
     if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
         raise ProblemError(
             "spacing",
-            f"is {values}. Choose a unit of length in which pixel sizes are less extreme.",
+            f"is {values}. Choose a unit of length with less extreme pixel sizes.",
         )
     return values
 

@@ -195,8 +195,8 @@ def explain_singular(
     return ConvergenceError(
         f"the tissue around {motion.centre} is barely held: the energy of one of its motions is "
         f"only {cost:.0e} of the energy of moving its sites one by one, but double precision "
-        f"requires at least {HELD:.0e}. Hold more of it, or reduce the ratio of the stiffest to the softest "
-        "tissue"
+        f"requires at least {HELD:.0e}. Hold more of it, or reduce the ratio of the stiffest to "
+        "the softest tissue"
     )
 
 

@@ -168,8 +168,8 @@ class Bodies:
                 around = ", ".join(f"{index:.0f}" for index in body.centre)
                 raise ProblemError(
                     "observed",
-                    f"moves pixels of the rigid body around ({around}) relative to each "
-                    f"other, by {off:.2g} px. Hold or move the body in one place only, move all of it "
+                    f"moves pixels of the rigid body around ({around}) relative to each other, by "
+                    f"{off:.2g} px. Hold or move the body in one place only, move all of it "
                     "evenly, or give it a finite stiffness.",
                 )
             moved = body.motions @ shares
