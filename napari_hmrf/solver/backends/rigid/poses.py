@@ -77,8 +77,8 @@ class Poses:
                 raise ProblemError(
                     "observed",
                     f"moves pixels of the rigid body around ({row:.0f}, {col:.0f}) relative to "
-                    f"each other, by {off:.2g} px. Hold or move the body in one place only, move all "
-                    "of it by one rotation and translation, or give it a finite stiffness.",
+                    f"each other, by {off:.2g} px. Hold or move the body in one place only, move "
+                    "all of it by one rotation and translation, or give it a finite stiffness.",
                 )
             stops = np.linalg.svd(_motions(found)[body.held.ravel()], compute_uv=False)
             if len(stops) == 3 and stops[-1] > _NOTHING * stops[0]:
