@@ -35,7 +35,8 @@ from napari_hmrf.solver.rigid_modes import holding_strength
 _TINY = 1e-300
 # Least ratio of a corner's Jacobian after an extrapolation to its value before.
 _EXTRAPOLATION_PART = 0.25
-# Least Jacobian of a returned field, in the unit of the spacing, as a fraction of `LEAST_JACOBIAN`.
+# Least Jacobian of a returned field, after its conversion to the unit of the spacing, as a fraction
+# of `LEAST_JACOBIAN`.
 _RETURNED_PART = 0.5
 # Distance up to which an observation is satisfied, as a fraction of the tolerance.
 _MET = 1.0

@@ -175,7 +175,7 @@ class Multigrid:
         )
 
     def _quality(self, start: WarmStart | None, model: LinearModel) -> Quality | None:
-        """Return the quality of the start; None if it is unknown, or if observations differ."""
+        """Return the quality of the start; None if unknown, or if the start misses observations."""
         if start is None or start.missing > _NEGLIGIBLE * self.tolerance:
             return None
         return model.earlier.quality(start)
