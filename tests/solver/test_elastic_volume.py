@@ -438,7 +438,7 @@ def test_a_volume_that_there_is_no_memory_for_is_refused_with_what_would_fit(mon
         available = 500 * ORDINARY / 0.9
 
     monkeypatch.setattr(psutil, "virtual_memory", Memory)
-    with pytest.raises(ProblemError, match="As many voxels as in 7 x 7 x 7 would fit: crop it"):
+    with pytest.raises(ProblemError, match="A volume of 7 x 7 x 7 voxels would fit: crop"):
         solve(problem)
 
 

@@ -573,5 +573,5 @@ def test_what_has_no_meaning_is_refused():
 
 def test_a_volume_that_cycles_are_not_sure_of_is_refused_as_it_has_no_factors():
     y, c, m, spacing, _ = random_volume(6)
-    with pytest.raises(ConvergenceError, match="no factors are available"):
+    with pytest.raises(ConvergenceError, match="no factorization is available"):
         solve(Problem(y, c, m, spacing=spacing), SeilerPrior(), optimizer=Multigrid(0.01))

@@ -50,5 +50,5 @@ def test_large_motion_that_ends_early_says_how_far_it_is_short():
     study = Study(Grid(SHAPE, 1, "mm"), Tissue(stiffness=np.ones(SHAPE)), motion, "large motion")
     solution = solve_study(study, backend="cpu")
     assert solution.reach.part < 1
-    (said,) = about(solution.notes, "could not go all the way")
+    (said,) = about(solution.notes, "could not move all the way")
     assert f"{solution.reach.missing:.3g} mm" in said

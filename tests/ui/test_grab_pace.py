@@ -325,10 +325,10 @@ def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
     open_beside, settle, qtbot, solver_at_work
 ):
     _, widget = open_beside()
-    compute_thread.stage = "cycle 16, 1.7e-11 px to go"
+    compute_thread.stage = "cycle 16, error 1.7e-11 px"
     widget.start()
     qtbot.waitUntil(lambda: "waiting for a computation" in widget.status, timeout=LONG_MS)
-    assert "only that can stop" in widget.status
+    assert "only that program can stop" in widget.status
     assert "cycle" not in widget.status
     compute_thread.stage = "compiling loops (3 of 10)"
     qtbot.waitUntil(lambda: "(compiling loops (3 of 10))" in widget.status, timeout=LONG_MS)

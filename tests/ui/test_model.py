@@ -428,7 +428,7 @@ def test_what_does_not_converge_is_told_and_nothing_shown(widget, small_sample, 
     monkeypatch.setattr(ModelChoice, "optimizer", hasty)
     assert run(widget) is None
     assert widget.status.startswith("No result: ")
-    assert "px from converged" in widget.status
+    assert "error of the field is still" in widget.status
     assert widget.status.endswith(".")
     assert not any("arrows" in name for name in names(widget))
 

@@ -750,7 +750,7 @@ def test_how_far_work_is_and_that_it_waits_for_the_compiler_is_said():
     assert progress(preparing) == "Deforming ..."
     compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
     edit = "Following the last edit"
-    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit}: 60 %"
+    assert progress(Monitor("cycle 8, error 0.0032 px", 0.6), edit) == f"{edit}: 60 %"
     assert progress(compiling) == "Deforming: compiling loops (3 of 10), about 18 s left."
 
 

@@ -40,7 +40,7 @@ def test_what_could_turn_or_drift_is_a_scrap_and_what_it_hangs_on_is_not():
     assert not found[17, 17], "the corner it hangs on is the block's"
     assert found.sum() == 6 + 3
     assert left_at_rest(found).startswith(
-        "2 pieces of tissue that too little holds stay where they"
+        "2 pieces of tissue with too few constraints stay at rest"
     )
     solution = solve(Problem(0.0 * held, 1.0 * held, 1.0 * (tissue & ~found)), ElasticPrior())
     assert not solution.displacement.any()
@@ -98,9 +98,7 @@ def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
     field = widget.solution.displacement
     assert field[10, 10] == pytest.approx((0, 2), abs=0.02)
     assert not field[22, 3].any()
-    assert (
-        "2 pieces of tissue that too little holds stay where they are (9 pixels)" in widget.warning
-    )
+    assert "2 pieces of tissue with too few constraints stay at rest (9 pixels)" in widget.warning
     assert by_name(person.viewer, "MR deformed, elastic").visible
 
 
@@ -138,22 +136,20 @@ def test_specks_do_not_keep_elastic_tissue_from_deforming(qtbot, run):
     widget.model = "elastic"
     outputs = run(widget)
     assert outputs is not None
-    assert (
-        "2 pieces of tissue that too little holds stay where they are (9 pixels)." in widget.warning
-    )
+    assert "2 pieces of tissue with too few constraints stay at rest (9 pixels)." in widget.warning
 
 
 def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):
     widget = painted(qtbot, moves=False)
     run(widget)
     assert widget.status == STILL
-    assert widget.warning.startswith("Nothing moves: have something on tissue move")
+    assert widget.warning.startswith("Nothing moves: mark tissue that moves")
     widget = painted(qtbot)
     moved = widget.rules[1]
     widget.rules = (widget.rules[0], replace(moved, confidence=(0.0, 0.0)))
     run(widget)
     assert widget.status == STILL
-    assert "Nothing moves: have something on tissue move" in widget.warning
+    assert "Nothing moves: mark tissue that moves" in widget.warning
     widget.rules = (widget.rules[0], moved)
     widget.tissue.data[8:13, 11:16] = 0
     widget.tissue.refresh()

@@ -136,7 +136,7 @@ def test_crushed_tissue_that_did_not_come_to_rest_is_named(tmp_path) -> None:
     assert problem.tissue[reach.unbalanced_at]
     assert not problem.known[reach.unbalanced_at].all(), "that is held"
     said = shortfall(reach, "mm")
-    assert f"{reach.unbalanced:.3g} mm from balance" in said
+    assert f"{reach.unbalanced:.3g} mm from equilibrium" in said
     assert str(reach.unbalanced_at) in said
     assert Solution.read(found.write(tmp_path / "crushed.npz")).reach == reach
 

@@ -208,7 +208,7 @@ def test_a_solve_is_told_about_and_can_be_stopped() -> None:
 
     with pytest.raises(Cancelled):
         solve(dragged(60, 4, 22), NeoHookeanPrior(), backend="cpu", progress=tell, cancel=stop)
-    assert any("px to pull" in each.message for each in said)
+    assert any("px left to pull" in each.message for each in said)
     assert all(0 <= each.fraction <= 1 for each in said)
 
 

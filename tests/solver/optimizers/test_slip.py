@@ -90,7 +90,9 @@ def test_a_row_that_tilts_at_no_cost_is_refused_whatever_rounding_makes_of_it(pe
     c[2, 0] = 1
     y[2, 0] = (0.14, 0.03)
     prior = SeilerPrior(penalty=penalty, conditional="blanket")
-    with pytest.raises(ProblemError, match=r"8 pixels around \(2, 1\) could still bend along col"):
+    with pytest.raises(
+        ProblemError, match=r"8 pixels around \(2, 1\) could still bend along the col"
+    ):
         solve(Problem(y, c, m), prior, optimizer=Multigrid(), backend="cpu")
     # A second mark in the row stops it.
     c[2, 2, 1] = 1

@@ -1,4 +1,4 @@
-"""Poses of rigid bodies in large motion: a translation and a rotation of any size."""
+"""Poses of rigid bodies in large motion: a translation and an arbitrarily large rotation."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.bodies import BodySites
 
 Float64Array = npt.NDArray[np.float64]
-# Sites of a body, rows and columns of planes.
+# Index of the sites of a body: components, rows and columns of planes.
 _Index = tuple[slice, npt.NDArray[np.intp], npt.NDArray[np.intp]]
 
-# Largest number of iterations for a pose, and change, in pixels, at which they end.
+# Largest number of iterations for a pose, and change, in pixels, at which the iteration ends.
 _STEPS, _EXACT = 30, 1e-12
 # Largest rotation of a body in one step, in radians.
 _TURN = 0.25
-# Relative singular value below which a motion counts as free.
+# Relative singular value below which a motion is free.
 _NOTHING = 1e-9
 # Largest distance of observations from a rigid motion: in pixels, and relative to the largest
 # observed value.
@@ -27,7 +27,7 @@ _OFF, _PART = 1e-3, 1e-5
 
 
 class _Body(NamedTuple):
-    """Sites of a body, their positions relative to its centre, and its held components."""
+    """Sites of a body, their positions relative to its centre, and its constrained components."""
 
     at: _Index
     places: Float64Array
@@ -35,16 +35,16 @@ class _Body(NamedTuple):
 
 
 class Poses:
-    """Poses of all bodies.
+    """Poses of all rigid bodies.
 
     Parameters
     ----------
     bodies : list of tuple of ndarray
         Indices of each body's sites along each axis.
     sides : tuple of float
-        Sides of a pixel along the rows' and the columns' axis, in pixels.
+        Size of a pixel along the row axis and the column axis, in the solver's unit of length.
     held : ndarray of bool, planes
-        Mask of the held components.
+        Mask of the constrained components.
     """
 
     def __init__(self, bodies: list[BodySites], sides: tuple[float, ...], held: HeldPlanes) -> None:
@@ -55,14 +55,14 @@ class Poses:
             self._bodies.append(_Body(at, places - places.mean(axis=1, keepdims=True), held[at]))
 
     def hold(self, y: Planes, held: HeldPlanes) -> None:
-        """Hold all components of each body that its held components already fix, in place.
+        """Constrain all components of each body whose pose is determined already, in place.
 
-        The held components in `y` are replaced by those of the fitted pose.
+        The constrained components in `y` are replaced by the values of the fitted pose.
 
         Raises
         ------
         ProblemError
-            If the held components of a body agree with no rigid motion.
+            If no rigid motion satisfies the constraints of a body.
         """
         for number, body in enumerate(self._bodies):
             if not body.held.any():
@@ -76,9 +76,9 @@ class Poses:
                 row, col = (float(index.mean() - 2) for index in body.at[1:])
                 raise ProblemError(
                     "observed",
-                    f"moves pixels of the rigid body around ({row:.0f}, {col:.0f}) against each "
-                    f"other, by {off:.2g} px. Hold or move the body in one place only, move all of "
-                    "it by one rotation and translation, or give it a finite stiffness.",
+                    f"moves pixels of the rigid body around ({row:.0f}, {col:.0f}) relative to "
+                    f"each other, by {off:.2g} px. Hold or move the body in one place only, move "
+                    "all of it by one rotation and translation, or give it a finite stiffness.",
                 )
             stops = np.linalg.svd(_motions(found)[body.held.ravel()], compute_uv=False)
             if len(stops) == 3 and stops[-1] > _NOTHING * stops[0]:
@@ -87,7 +87,7 @@ class Poses:
             y[body.at] = np.where(held[body.at], found - body.places, y[body.at])
 
     def make_rigid(self, d: Planes) -> None:
-        """Move each body to the pose nearest to `d`, in place; held components keep their value."""
+        """Move each body to the pose nearest to `d`, in place; keep constrained components."""
         for body in self._bodies:
             wanted = body.places + d[body.at]
             found = _nearest(body.places, wanted, body.places)
@@ -97,9 +97,9 @@ class Poses:
             d[body.at] = found - body.places
 
     def aim(self, d: Planes, y: Planes) -> Planes:
-        """Return an intermediate displacement between `d` and `y`.
+        """Return a displacement between `d` and `y`, with a limited rotation of each body.
 
-        Held bodies are rotated by at most 0.25 radians, so that they keep their shape on the way.
+        Fully constrained bodies rotate by at most 0.25 radians, and remain rigid on the way.
 
         Parameters
         ----------
@@ -126,9 +126,10 @@ class Poses:
         return made
 
     def extend(self, gap: Planes) -> Planes:
-        """Extend a displacement of held components to the whole of partly held bodies.
+        """Extend a displacement of constrained components to all components of their bodies.
 
-        The other components of such a body follow the small rigid motion nearest to its held ones.
+        Other components of a partly constrained body get the small rigid motion that is nearest to
+        the displacement of the constrained components.
         """
         made = gap.copy()
         for body in self._bodies:
@@ -142,7 +143,7 @@ class Poses:
 
 
 def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> Float64Array:
-    """Return all positions in the pose that brings some of them nearest to their goals."""
+    """Return all positions after the rigid motion that brings `some` nearest to their targets."""
     if not some.size:
         return places
     middle, goal = some.mean(axis=1, keepdims=True), wanted.mean(axis=1, keepdims=True)
@@ -150,7 +151,7 @@ def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> 
 
 
 def _angle(places: Float64Array, goals: Float64Array) -> float:
-    """Return the rotation around 0, in radians, that brings positions nearest to their goals."""
+    """Return the rotation around 0, in radians, that brings positions nearest to their targets."""
     (row, col), (to_row, to_col) = places, goals
     across, along = (row * to_col - col * to_row).sum(), (row * to_row + col * to_col).sum()
     return float(np.arctan2(across, along))
@@ -167,10 +168,10 @@ def _fit_pose(
     held: npt.NDArray[np.bool_],
     nearest: bool = True,
 ) -> Float64Array:
-    """Return the positions in a pose that has the held components at their goals.
+    """Return the positions in a pose that has the constrained components at their targets.
 
-    The search begins at the positions `begin`. If `nearest`, the pose with the other components
-    nearest to their goals is chosen.
+    The search starts at the positions `begin`. If `nearest`, the other components are as near to
+    their targets as possible.
     """
     now, stopped = begin, held.ravel()
     for _ in range(_STEPS):
@@ -190,9 +191,9 @@ def _fit_pose(
 
 
 def _motions(places: Float64Array) -> Float64Array:
-    """Return the translations, and the rotation around the centre, as columns.
+    """Return the two translations and the rotation around the centre, as columns.
 
-    The rows of the result are the row components of all sites, and then the column components.
+    The rows of the result are the row components of all sites, followed by the column components.
     """
     row, col = places - places.mean(axis=1, keepdims=True)
     ones, none = np.ones_like(row), np.zeros_like(row)
