@@ -61,7 +61,7 @@ def test_simpleitk_reproduces_the_deformed_image_from_the_written_field(files, c
     back = [transform.TransformPoint(tuple(to[::-1]))[::-1] for to in points.targets]
     off = np.linalg.norm(np.array(back) - points.points, axis=1)
     assert np.quantile(off, 0.9) < 0.005
-    assert off.max() < 0.1, "larger only where the motion bends within a pixel"
+    assert off.max() < 0.1, "larger errors are allowed only where the motion bends within a pixel"
     assert np.linalg.norm(points.targets - points.points, axis=1).max() > 0.5
 
 
@@ -100,7 +100,7 @@ def test_a_volume_is_deformed(tmp_path):
     field = sitk.ReadImage(str(tmp_path / "out" / "001" / "field.mha"))
     assert field.GetSize() == shape[::-1]
     assert 0.2 < np.abs(sitk.GetArrayFromImage(field)).max() < 0.51, (
-        "the amplitude is in mm, not in voxels"
+        "the amplitude should be in mm, not in voxels"
     )
 
 

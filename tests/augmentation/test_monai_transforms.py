@@ -38,7 +38,7 @@ def deformation(axes=2):
 
 def data(axes=2):
     image = np.random.default_rng(0).random((2, *labels(axes).shape), dtype=np.float32)
-    return {"image": image, "label": labels(axes)[None], "name": "somebody"}
+    return {"image": image, "label": labels(axes)[None], "name": "case 1"}
 
 
 def transform(axes=2, prob=1.0, seed=3, **more):
@@ -53,7 +53,7 @@ def transform(axes=2, prob=1.0, seed=3, **more):
 def test_image_and_labels_move_by_the_same_field(axes):
     given = data(axes)
     found = transform(axes)(given)
-    assert found["name"] == "somebody"
+    assert found["name"] == "case 1"
     assert found["image"].shape == given["image"].shape
     assert found["label"].dtype == np.uint8
     assert set(np.unique(found["label"])) == {0, 1}
@@ -99,7 +99,7 @@ def test_a_callable_chooses_the_deformation_of_each_dictionary():
 
     made = RandPhysicalDeformationd("image", deformation_of_case, prob=1.0)
     made(data())
-    assert asked == ["somebody"]
+    assert asked == ["case 1"]
 
 
 def test_a_missing_key_is_an_error_unless_it_is_allowed():

@@ -92,7 +92,7 @@ def test_no_field_folds_or_compresses_tissue_below_a_fifth_of_its_size(deformati
         assert not fold_mask(field, spacing=sample.spacing, tissue=tissue).any()
         assert smallest_determinant(field, sample.spacing, tissue)[tissue].min() > 0.199
         scales.append(sample.scale)
-    assert min(scales) < 1, "without scaling, some samples would be compressed too far"
+    assert min(scales) < 1, "some samples should have been scaled down"
 
 
 def test_a_scaled_sample_has_the_least_allowed_jacobian():
@@ -112,7 +112,7 @@ def test_a_half_turn_does_not_count_as_unfolded():
     assert largest_scale(turned, (1, 1), everywhere, 0.2) == pytest.approx(0.2211, abs=5e-4)
 
 
-def test_the_fold_limit_takes_no_differences_across_air():
+def test_the_fold_limit_ignores_differences_across_air():
     moved = np.zeros((6, 9, 2))
     moved[:, 5:, 1] = -4
     tissue = np.ones((6, 9), bool)
@@ -135,7 +135,9 @@ def test_bone_does_not_bend(deformation):
             bone
         ]
         turn = (gradient - np.eye(grid.ndim))[inside]
-        assert np.abs(turn + turn.swapaxes(-1, -2)).max() < 2e-3, "bone only translates and rotates"
+        assert np.abs(turn + turn.swapaxes(-1, -2)).max() < 2e-3, (
+            "bone should only translate and rotate"
+        )
         assert np.abs(sample.displacement[bone]).max() > 0.05
 
 
@@ -149,7 +151,7 @@ def test_air_stays_empty_and_the_outer_edge_does_not_move():
     hole = air & (np.hypot(*np.indices(image.shape) - np.array([32, 49])[:, None, None]) < 6)
     beside = np.abs(np.stack(np.nonzero(edge)) - np.array([[32], [49]])).max(axis=0).min() > 10
     assert hole.any()
-    assert beside, "the rim of the hole is not part of the outer edge"
+    assert beside, "the rim of the hole should not be part of the outer edge"
     moved = sample.labels(image)
     assert (moved == AIR).sum() == pytest.approx(air.sum(), rel=0.05)
 
@@ -324,7 +326,7 @@ def test_unit_solutions_use_single_precision_and_respect_the_memory_limit():
         RandomDeformation(labels(), MATERIALS, memory=3.5 * tissue * 8, spacing=1)
 
 
-def test_patches_are_in_soft_tissue_and_do_not_overlap():
+def test_patches_are_distinct_regions_of_soft_tissue():
     study = deformation_2d().sample(0).study
     patches, image = study.motion.labels, labels()
     assert set(image[patches > 0]) <= {MUSCLE, TUMOUR}

@@ -54,12 +54,12 @@ def test_directions_follow_a_transposed_or_flipped_view():
     viewer.dims.order = (1, 0)
     frame = frame_of(image, View.of(viewer.dims))
     assert directions_of(frame, viewer)[:2] == ("up", "right"), (
-        "the columns of the image are displayed as rows"
+        "the columns of the image should be displayed as rows"
     )
     camera = getattr(viewer, "scene", viewer).camera
     camera.orientation2d = ("up", "right")
     assert directions_of(frame, viewer) == Directions("down", "right"), (
-        "the flipped camera cancels the flipped columns"
+        "the flipped camera should cancel the flipped columns"
     )
 
 
@@ -93,9 +93,9 @@ def test_the_table_header_names_the_direction_of_its_arrows(widget, run):
     arrows = viewer.layers["t1 arrows, paper"]
     start, step = arrows.data[np.abs(arrows.data[:, 1]).max(axis=1).argmax()]
     seen = np.subtract(arrows.data_to_world(start + step), arrows.data_to_world(start))
-    assert seen[1] < -0.5, "to the left on the screen"
+    assert seen[1] < -0.5, "the arrow should point to the left on the screen"
     assert layer.metadata == {**layer.metadata, **layer_metadata(BOUNDARY, (rule,))}, (
-        "the stored rule does not change"
+        "the stored rule should not change"
     )
 
 
@@ -136,7 +136,7 @@ def test_tissue_of_a_rotated_layer_moves_in_the_direction_of_the_labels(open_bes
         assert head(widget._form.motion.boundary.table, column)
         assert table.model().setData(table.model().index(0, column), text)
     shown = [table.item(0, column).text() for column in (3, 4)]
-    assert shown == ["7", "-2"], "the table shows the values as typed"
+    assert shown == ["7", "-2"], "the table should show the values as typed"
     to = {"down": (7, -2), "up": (-7, 2)}[down]
     np.testing.assert_allclose(goes(table.rows[0].vector), to, atol=1e-6)
 
@@ -154,7 +154,7 @@ def test_a_single_direction_of_a_rotated_layer_refers_to_the_image_rows(open_bes
     settle(widget)
     assert fields.words.endswith("up and down only")
     assert fields.by_row.value == pytest.approx(4 * np.cos(np.pi / 6), abs=0.01), (
-        "the motion does not change"
+        "the motion should not change"
     )
 
 
@@ -165,7 +165,7 @@ def test_slice_numbers_match_the_slider():
     frame = frame_of(image, View.of(viewer.dims))
     assert frame.index[0] == 6
     assert frame.slice_seen == "slice 2"
-    assert frame.slice_name == "slice 6", "the stored name uses the data index"
+    assert frame.slice_name == "slice 6", "the stored name should use the data index"
     assert Frame.from_dict(frame.as_dict()) == frame
     spaced = viewer.add_image(np.zeros((9, 20, 30)), scale=(2, 1, 1))
     viewer.layers.remove(image)

@@ -167,7 +167,7 @@ def test_an_animation_runs_from_rest_to_the_full_motion_and_back(solved, tmp_pat
     path = write_movie(tmp_path / "photo.gif", solution, photo, frames=5)
     with Image.open(path) as moving:
         assert moving.n_frames == 8
-        assert moving.info["loop"] == 0, "the animation repeats forever"
+        assert moving.info["loop"] == 0, "the animation should repeat forever"
         frames = []
         for number in range(8):
             moving.seek(number)
@@ -178,7 +178,7 @@ def test_an_animation_runs_from_rest_to_the_full_motion_and_back(solved, tmp_pat
     # The colours are inexact because a .gif has only 256.
     assert abs(frames[0] - still).mean() < 20 < abs(frames[4] - still).mean()
     assert abs(frames[4] - moved).mean() < 20
-    assert np.array_equal(frames[3], frames[5]), "the way back mirrors the way there"
+    assert np.array_equal(frames[3], frames[5]), "the way back should mirror the way there"
 
 
 def test_an_animation_of_oblong_pixels_has_the_proportions_of_the_image(tmp_path):
@@ -208,10 +208,12 @@ def test_a_movie_is_a_standard_mp4_file(solved, tmp_path):
     study, solution = read_study(solved)
     path = write_movie(tmp_path / "a.mp4", solution, study.pictures.image, frames=4)
     assert b"ftyp" in path.read_bytes()[:12]
-    assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 6, "4 frames there and 2 back"
+    assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 6, (
+        "the movie should have 4 frames there and 2 back"
+    )
 
 
-def test_labels_may_be_whole_numbers_stored_as_floats():
+def test_labels_can_be_integers_stored_as_floats():
     solution, labels = stretched_tissue(), np.ones(SHAPE)
     (found,) = measure(solution, labels, names={1.0: "muscle"})
     assert (found.label, found.name) == (1, "muscle")

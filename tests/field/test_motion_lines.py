@@ -57,8 +57,8 @@ def test_marks_distinguish_fixed_moving_and_sliding_sites():
     by = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 0.0]])
     known = np.array([[True, True], [True, True], [False, True]])
     lines = motion_marks(at, by, known, apart=1.0)
-    assert is_at(ends(lines), 7, 5), "the head of the arrow"
+    assert is_at(ends(lines), 7, 5), "the arrow should end at the target"
     crossed = lines[np.isclose(lines[:, 0] + lines[:, 1] / 2, (1, 1)).all(axis=1)]
     assert len(crossed) == 2
     (shaft,) = lines[np.isclose(lines[:, 0] + lines[:, 1] / 2, (9, 9)).all(axis=1)]
-    assert shaft[1, 0] == 0, "only the column component is prescribed"
+    assert shaft[1, 0] == 0, "the line should be along the prescribed component"

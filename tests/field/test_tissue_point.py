@@ -40,7 +40,7 @@ def test_each_pixel_of_the_warped_image_maps_to_its_original_site(solution, frac
             asked += here
             expected = None if not here else at
             answer = None if found is None else found.site
-            if answer != expected:  # either is right halfway between two pixels
+            if answer != expected:  # either site is correct halfway between two pixels
                 apart = (
                     np.inf if None in (answer, expected) else np.abs(np.subtract(answer, at)).max()
                 )
@@ -90,7 +90,7 @@ def test_the_animation_caches_frames_within_a_memory_limit(solution, monkeypatch
     half = frame_at(0.5)
     assert motion.cached(0.5) is half
     monkeypatch.setattr("napari_hmrf.field.animation._KEPT", 2 * half.nbytes)
-    assert motion.finest == 0.5, "two frames fit into the cache"
+    assert motion.finest == 0.5, "two frames should fit into the cache"
     frame_at(0.6)
     frame_at(0.7)
     assert [motion.cached(part) is None for part in (0.5, 0.6, 0.7)] == [True, False, False]

@@ -187,7 +187,7 @@ def test_the_inverse_of_a_point_matches_the_inverse_map(seed):
     d, tissue = rough_field(seed), np.ones(SHAPE, bool)
     tissue[:5] = tissue[:, 8:, :4] = False
     origin, covered = inverse_map(d, spacing=SIZE, tissue=tissue)
-    outline = (np.abs(origin - np.rint(origin)) < 1e-9).any(axis=-1)  # and resting tissue
+    outline = (np.abs(origin - np.rint(origin)) < 1e-9).any(axis=-1)  # also excludes resting tissue
     asked = np.argwhere(covered & ~outline)[::11]
     assert len(asked) > 30
     for at in map(tuple, asked.tolist()):
@@ -342,7 +342,7 @@ def test_arrows_in_a_volume_prescribe_all_components_of_their_first_voxel():
     y, known, out, _ = arrow_observation(vectors, here, size, shape)
     assert np.argwhere(known).tolist() == [[1, 3, 2], [4, 4, 4]]
     np.testing.assert_allclose(y[1, 3, 2], np.multiply((1, -1, 0.5), size))
-    assert out == 0, "no arrow leaves a volume"
+    assert out == 0, "no arrow should leave the volume"
     with pytest.raises(ProblemError, match="outside the image of 14 x 16 x 15 pixels, the first"):
         arrow_observation(beyond, here, size, shape)
     film = Frame.at((1.0, *SIZE), ("s", "mm", "mm", "mm"), index=(2, 0, 0, 0), volume=True)

@@ -38,7 +38,7 @@ def solution(shape=SHAPE, frame=None):
 
 
 @pytest.mark.parametrize("plane", ORDERS)
-def test_a_volume_is_taken_in_the_axis_order_of_its_frame_and_put_back(plane):
+def test_a_volume_is_reordered_to_the_axes_of_its_frame_and_back(plane):
     data = np.arange(np.prod(SHAPE)).reshape(SHAPE)
     colours = np.stack([data, -data, 2 * data], axis=-1)
     frame = place(plane)
@@ -106,12 +106,12 @@ def test_a_slightly_shifted_volume_is_at_another_place():
     assert not place().same_place(away, SHAPE)
     assert not place().same_place(place((0, 2, 1)), SHAPE)
     first = Frame.at(SIZE, ("mm",) * 3)
-    assert not place().same_place(first, SHAPE), "a slice is not at the place of a volume"
+    assert not place().same_place(first, SHAPE), "a slice should not be at the place of a volume"
     assert not first.same_place(place(), SHAPE[1:])
     assert time_series(0).same_place(time_series(0), SHAPE)
     assert not time_series(0).same_place(time_series(1), SHAPE)
     assert place().same_place(time_series(1), SHAPE), (
-        "a volume without a time axis is at every time"
+        "a volume without a time axis should match every time"
     )
 
 

@@ -170,7 +170,7 @@ def test_saving_again_replaces_the_file(solution, path):
     assert os.listdir(path.parent) == [path.name]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
+@pytest.mark.skipif(os.name != "posix", reason="creating links on Windows requires privileges")
 def test_a_symbolic_link_is_followed_and_not_replaced(solution, path):
     link = path.with_name("link.npz")
     link.symlink_to(path)

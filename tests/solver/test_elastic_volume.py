@@ -457,7 +457,7 @@ def test_a_cycle_checks_for_cancellation_between_smoothing_steps():
     _, held = host.prescribed(problem)
     model.hold(held)
     level, before = model.levels[0], len(looks)
-    assert before >= 3  # during assembly and constraints
+    assert before >= 3  # checks during assembly and constraint setup
     level.load = level.vector(random(*level.inverse.shape).astype(np.float32))
     steps = chebyshev(0.02, 1.0, 20)
     level.relax(steps, from_zero=True)

@@ -101,7 +101,7 @@ def test_dropped_jobs_do_not_run_and_later_jobs_do(queue, occupied):
     assert first.dropped
     assert not second.dropped
     queue.drop()
-    assert second.dropped, "a finished job counts as dropped, too"
+    assert second.dropped, "a finished job should count as dropped, too"
 
 
 def test_the_next_job_runs_after_a_failed_job(queue, caplog):

@@ -254,7 +254,7 @@ def test_a_dropped_edit_delivers_no_result(updates, pause, end):
     live.submit(pulled_problem())
     assert live.busy
     getattr(live, end)()
-    assert not live.busy, "the solver is idle even while the thread is blocked"
+    assert not live.busy, "the solver should be idle even while the thread is blocked"
     pause.set()
     assert live.wait(LONG)
     assert updates == []

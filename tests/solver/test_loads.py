@@ -370,7 +370,7 @@ def test_the_support_of_a_rigid_body_bears_its_weight():
     np.testing.assert_allclose(
         holds.sum(axis=(0, 1)), -problem.loads.force.sum(axis=(0, 1)), atol=1e-4
     )
-    assert holds[5, 4:6, 0].sum() > 0.2, "the support pulls the body down"
+    assert holds[5, 4:6, 0].sum() > 0.2, "the support should pull the body down"
 
 
 def test_supports_too_weak_for_a_load_are_rejected_and_slip_is_in_equilibrium():

@@ -142,7 +142,7 @@ def test_a_weakly_pulled_patch_slips_into_equilibrium(penalty):
     assert np.abs(forces[~patch & ~edge]).max() < near
 
 
-def test_a_warm_start_after_a_small_edit_saves_cycles_only():
+def test_a_warm_start_after_a_small_edit_saves_cycles_without_changing_the_field():
     problem = phantom("mass-effect", 128).problem
     before = solve(problem, ElasticPrior(), optimizer=Multigrid(0.01))
     y = problem.observed.copy()

@@ -40,7 +40,7 @@ if __name__ == "__main__":
             found = pool.map_async(displacement, priors, 1).get(240)
         for one, other in zip(found, expected, strict=True):
             assert np.array_equal(one, other), method
-        assert np.array_equal(displacement(priors[0]), expected[0]), "the parent solves as before"
+        assert np.array_equal(displacement(priors[0]), expected[0]), "the parent has changed"
 """
 
 
@@ -125,7 +125,7 @@ def fork_and_solve():
 go_on.set()
 job.result()
 solve(problem, SeilerPrior(), backend="cpu")
-assert compute_thread.submit(fork_and_solve).result() == 0, "only the forking job was interrupted"
+assert compute_thread.submit(fork_and_solve).result() == 0, "the fork in a job failed"
 """
 
 

@@ -27,7 +27,7 @@ def test_the_root_is_one_site_and_each_level_halves(shape):
 
 
 @pytest.mark.parametrize("shape", [(300, 300), (7, 12), (1, 9)])
-def test_each_site_takes_a_pixel_that_it_covers(shape):
+def test_each_site_samples_a_pixel_that_it_covers(shape):
     for level in levels(shape):
         for size, pixels in zip(shape, nearest_pixels(level, shape), strict=True):
             sites = np.arange(len(pixels))

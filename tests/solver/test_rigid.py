@@ -97,7 +97,7 @@ def test_shaders_move_a_bone_rigidly():
     )
 
 
-def test_touching_bones_move_as_one_body_and_separate_bones_do_not():
+def test_touching_bones_form_one_body_and_separate_bones_do_not():
     touching, apart = disc(6, (14, 24)) | disc(6, (24, 24)), disc(5, (12, 24)) | disc(5, (34, 24))
     together = solve(tissue_with_bone(touching), PRIOR, optimizer=Multigrid(), backend="cpu")
     assert (

@@ -76,7 +76,7 @@ def test_methods_equal_the_functions_with_spacing_and_tissue(solution, tmp_path)
     assert np.allclose(solution.at(points)[1], d[10, 12])
     assert np.allclose(solution.move(points), points + solution.at(points) / SIZE)
     other = np.abs(warp(photo, d, spacing=1, tissue=solution.tissue) - solution.warp(photo))
-    assert other.max() > 0.1, "the test would detect a wrong spacing"
+    assert other.max() > 0.1, "the test should detect a wrong spacing"
     pytest.importorskip("SimpleITK")
     exported = solution.export(tmp_path / "a.mha", placed=False)
     assert exported == export_field(tmp_path / "b.mha", solution, placed=False)

@@ -66,8 +66,8 @@ def test_cancellation_is_checked_after_each_short_batch(monkeypatch):
     with pytest.raises(Cancelled):
         solve(problem, SeilerPrior(), optimizer=ICM(iterations=100), backend="cpu", cancel=cancel)
     shapes, updates = zip(*batches, strict=True)
-    assert shapes.count(problem.shape) == 1, "no batch starts after cancellation"
-    assert max(updates) * 10e-9 <= BATCH_SECONDS, "at 10 ns per site a batch is short enough"
+    assert shapes.count(problem.shape) == 1, "no batch should start after cancellation"
+    assert max(updates) * 10e-9 <= BATCH_SECONDS, "a batch should be short enough at 10 ns per site"
 
 
 def test_an_error_in_the_progress_callback_stops_the_solve():

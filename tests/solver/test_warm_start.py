@@ -149,7 +149,7 @@ def test_copied_or_modified_solutions_are_not_trusted_as_a_warm_start():
     )
     place = np.s_[30:36, 44:50]
     assert PROBLEM.tissue[place].all()
-    assert not PROBLEM.known[place].any(), "the modified pixels are not observed"
+    assert not PROBLEM.known[place].any(), "the modified pixels should not be observed"
     known[1].displacement[place] += 0.3
     found = solve(moved_problem(2), PRIOR, optimizer=TOLERANT, backend="cpu", initial=known)
     assert found.iterations > 0

@@ -85,7 +85,7 @@ def test_undo_restores_the_exact_earlier_state_and_redo_the_later_state(sequence
             future.clear()
         else:
             assert state(edits) == before
-        assert mirror == state(edits), "listeners receive every change"
+        assert mirror == state(edits), "listeners should receive every change"
         assert (edits.next_undo is not None, edits.next_redo is not None) == (
             bool(past),
             bool(future),

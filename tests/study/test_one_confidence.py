@@ -58,7 +58,7 @@ def test_a_problem_and_a_study_give_the_same_field_bit_for_bit(prior):
     found = solve(problem, prior, backend="cpu")
     of_study = solve_study(study_of(problem, prior), backend="cpu")
     np.testing.assert_array_equal(found.displacement, of_study.displacement)
-    assert 0.02 < found.displacement[11, 11, 1] < 2.5, "the uncertain observation slips"
+    assert 0.02 < found.displacement[11, 11, 1] < 2.5, "the uncertain observation should slip"
     assert found.provenance.parameters == of_study.provenance.parameters
     assert dict(found.provenance.inputs) == dict(of_study.provenance.inputs)
 
@@ -82,7 +82,9 @@ def test_the_field_is_exact_for_mixed_certain_and_uncertain_observations(seed):
     assert off <= found.convergence.error + 1e-6
     certain = problem.confidence == 1
     held = found.displacement[certain]
-    np.testing.assert_allclose(held, problem.observed[certain], atol=1e-6)  # rounding of the units
+    np.testing.assert_allclose(
+        held, problem.observed[certain], atol=1e-6
+    )  # rounding errors of the units
     slipped = (problem.confidence > 0) & ~certain
     assert np.abs(found.displacement - problem.observed)[slipped].max() > 0.1
 
@@ -129,7 +131,7 @@ def test_with_rigid_tissue_all_observations_are_exact_and_a_note_reports_it(kind
     assert note in of_study.notes
     np.testing.assert_array_equal(of_study.displacement, found.displacement)
     assert not solve(problem, kind(penalty=math.inf), backend="cpu").notes, (
-        "no note if exact observations were requested"
+        "no note is expected for exact observations"
     )
     assert not solve(uncertain_problem(), kind(), backend="cpu").notes
 
@@ -155,7 +157,7 @@ def test_a_given_penalty_replaces_the_default_rule():
     everything = solve(uncertain_problem(), ElasticPrior(penalty=math.inf), backend="cpu")
     np.testing.assert_allclose(everything.displacement[10:14, 10:14, 1], 3.0, atol=1e-6)
     number = solve(uncertain_problem(), ElasticPrior(penalty=1e-3), backend="cpu")
-    assert number.displacement[11, 11, 1] < 0.05, "a finite K limits the force to K c"
+    assert number.displacement[11, 11, 1] < 0.05, "a finite K should limit the force to K c"
 
 
 def test_live_solves_of_uncertain_observations_agree_with_a_cold_solve():

@@ -54,7 +54,7 @@ def test_pulled_tissue_moves_and_the_fixed_edge_does_not():
     assert found[10, 12] == pytest.approx((0, 2), abs=1e-3)
     assert np.abs(found[[0, -1]]).max() < 1e-3
     assert np.abs(found[:, [0, -1]]).max() < 1e-3
-    assert 0.1 < found[10, 18, 1] < 1.9, "tissue in between moves part of the way"
+    assert 0.1 < found[10, 18, 1] < 1.9, "tissue in between should move part of the way"
 
 
 @pytest.mark.parametrize(
@@ -134,9 +134,13 @@ def test_later_parts_of_a_motion_override_earlier_parts():
     labels[4:17, 10:15] = labels[0, 5] = 1
     rules = (BoundaryRule(1, "move", vector=(3.0, 0.0)),)
     stated = build_problem(pulled(motion=Motion(True, labels, rules, drawing=PULL))).problem
-    assert stated.observed[10, 12].tolist() == [0, 2], "the drawing overrides the painted rule"
+    assert stated.observed[10, 12].tolist() == [0, 2], (
+        "the drawing should override the painted rule"
+    )
     assert stated.observed[5, 12].tolist() == [3, 0]
-    assert stated.observed[0, 5].tolist() == [3, 0], "the painted rule overrides the fixed edge"
+    assert stated.observed[0, 5].tolist() == [3, 0], (
+        "the painted rule should override the fixed edge"
+    )
     assert stated.confidence[0].all()
     assert not np.delete(stated.observed[0], 5, axis=0).any()
 
@@ -280,7 +284,7 @@ def test_the_problem_of_another_study_is_rejected(grid):
         solve_study(other, stated=build_problem(pulled()))
 
 
-def test_labels_may_be_whole_numbers_stored_as_floats():
+def test_labels_can_be_integers_stored_as_floats():
     labels = np.ones(SHAPE, int)
     labels[5:9] = 2
     rows = Material(1, "brain", 1.0), Material(2, "tumour", 4.0)

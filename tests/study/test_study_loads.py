@@ -217,7 +217,7 @@ def test_the_shortfall_of_large_motion_is_reported_with_its_length_and_position(
     assert shortfall(solve_study(study(model="large motion")).reach, "mm") == ""
 
 
-def test_the_sample_tumour_grows_about_as_far_as_its_rim_is_pushed():
+def test_growth_moves_the_rim_of_the_sample_tumour_about_as_far_as_pushing_it():
     pushed = phantom("mass-effect", 60)
     grown = pushed.growing()
     rim = pushed.boundary_labels == 2

@@ -31,7 +31,7 @@ from napari_hmrf.ui.background_jobs import BackgroundJobs
 from tests.support.cancel_flags import AfterLooks
 from tests.support.timeouts import LONG
 
-#: Room for at least three slabs of four planes per core, for any number of threads in use.
+#: At least three slabs of four planes per core.
 SHAPE = (12 * numba.config.NUMBA_NUM_THREADS, 9, 8)
 #: Loops that process a volume slab by slab, with their modules.
 LOOPS = {

@@ -67,8 +67,8 @@ def test_a_thin_closed_shell_stays_closed_on_a_coarse_grid(step):
         grid, Tissue(stiffness=np.ones(shell.shape)), Motion(labels=2 * shell, rules=rules)
     )
     coarse = CoarseGrid(step).study(study).motion.labels
-    assert label(coarse == 0)[1] == 2, "one region inside the shell, one outside"
-    build_problem(CoarseGrid(step).study(study))  # raises no error about an open sheet
+    assert label(coarse == 0)[1] == 2, "the shell should separate its inside from its outside"
+    build_problem(CoarseGrid(step).study(study))  # an open sheet would raise an error
 
 
 def test_marks_keep_their_position_on_a_coarse_grid():

@@ -178,7 +178,7 @@ def test_the_displacement_does_not_depend_on_the_order_of_the_axes():
     assert np.abs(fields[0] - fields[1]).max() < 0.01
 
 
-def test_a_pull_in_a_volume_is_drawn_as_circles_in_the_slices_of_its_ball():
+def test_a_pull_in_a_volume_is_drawn_as_a_circle_in_each_slice_of_its_ball():
     pull = Arrow((6, 8, 7), (0.0, 2.0, 0.0), 3.0)
     lines, _ = arrow_lines(Drawing((pull,)), SPACING)
     at = lines[:, 0] * SPACING
@@ -199,7 +199,7 @@ def test_the_arrow_of_a_pull_perpendicular_to_the_slices_leaves_its_slice():
     lines, _ = arrow_lines(Drawing((pull,)), SPACING, across=1)
     circles = lines[np.isclose(lines[:, 1, 1], 0)]
     assert {6, 8, 10} <= {*circles[:, 0, 1].tolist()}, (
-        "circles lie in slices perpendicular to the second axis"
+        "circles should be in slices perpendicular to the second axis"
     )
 
 

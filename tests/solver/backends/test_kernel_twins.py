@@ -367,7 +367,7 @@ def test_splitting_a_pass_into_strips_does_not_change_the_result(stage, longest,
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_every_level_takes_the_nearest_pixels(stage, shape):
+def test_every_level_samples_the_nearest_pixels(stage, shape):
     given = example(shape)
 
     def projected(backend):

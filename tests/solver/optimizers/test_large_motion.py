@@ -168,7 +168,7 @@ def test_a_patch_that_is_pulled_far_causes_no_folds() -> None:
     assert (found.reach.part, found.reach.where) == (1.0, None)
 
 
-def test_a_prescribed_motion_that_is_too_large_is_followed_as_far_as_possible() -> None:
+def test_an_unreachable_prescribed_motion_is_followed_as_far_as_possible() -> None:
     c, y = np.zeros((2, 32, 32, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
     inside = np.zeros((32, 32), dtype=bool)

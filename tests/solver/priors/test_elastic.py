@@ -182,7 +182,7 @@ def test_the_number_of_cycles_does_not_depend_on_the_size():
 def test_compressed_tissue_bulges_according_to_its_poisson_ratio():
     shape = (41, 61)
     y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-    c[:, 0, 1] = c[:, -1, 1] = 1  # squeezed along columns, free to slide along rows
+    c[:, 0, 1] = c[:, -1, 1] = 1  # compressed along columns, free to slide along rows
     c[20, 0, 0] = 1
     y[:, -1, 1] = -3
     for poisson in (0.0, 0.25, 0.45):

@@ -113,7 +113,7 @@ def test_auto_uses_a_software_rasteriser_until_the_loops_are_compiled(cold):
     require_opengl()
     name, reason = opened_backend("auto")
     if reason == "a GPU is available":
-        pytest.skip("this machine uses its GPU")
+        pytest.skip("this machine has a GPU")
     assert (name, reason) == ("opengl", COMPILING)
     assert cold == [[sys.executable, "-m", compiler.COMPILER]]
     opened_backend("auto")

@@ -97,7 +97,7 @@ def test_a_conjugate_gradient_step_matches_the_loops(stage, shape, prior):
 
     loops, shaders = with_levels(stage, given, job)
     assert_same(shaders[1:], loops[1:])
-    scale = np.sqrt(loops[1] * (first[3] ** 2).sum())  # of a product that may be near 0
+    scale = np.sqrt(loops[1] * (first[3] ** 2).sum())  # the product may be near 0
     assert abs(shaders[0] - loops[0]) < 1e-5 * scale
 
 
@@ -145,7 +145,7 @@ def test_a_cycle_matches_the_loops(stage, equal_visits):
         (ElasticPrior(0.499, plane="strain"), 1.0, (1.0, 1.0)),
     ],
 )
-def test_torn_tissue_moves_as_with_the_loops(stage, prior, ratio, spacing, equal_visits):
+def test_the_field_of_torn_tissue_matches_the_loops(stage, prior, ratio, spacing, equal_visits):
     problem = torn(ratio=ratio, spacing=spacing)
     loops = solve(problem, prior, optimizer=Multigrid(5e-4), backend="cpu")
     shaders = solve(problem, prior, optimizer=Multigrid(5e-4), backend=f"opengl:{stage}")
@@ -158,7 +158,7 @@ def test_torn_tissue_moves_as_with_the_loops(stage, prior, ratio, spacing, equal
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-def test_a_phantom_moves_as_with_the_loops(stage, name, equal_visits):
+def test_the_field_of_a_phantom_matches_the_loops(stage, name, equal_visits):
     problem = phantom(name, 100).problem
     loops = solve(problem, ElasticPrior(), backend="cpu")
     shaders = solve(problem, ElasticPrior(), backend=f"opengl:{stage}")

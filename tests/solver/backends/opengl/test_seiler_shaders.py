@@ -148,7 +148,7 @@ def test_a_cycle_matches_the_loops(stage, prior):
 @pytest.mark.parametrize(
     "spacing", [pytest.param(SPACINGS[0], marks=pytest.mark.campaign), SPACINGS[1]]
 )
-def test_torn_tissue_moves_as_with_the_loops(by_cycles, stage, spacing, prior):
+def test_the_field_of_torn_tissue_matches_the_loops(by_cycles, stage, spacing, prior):
     problem = torn(20.0, (52, 70), spacing)
     loops = solve(problem, prior, optimizer=Multigrid(5e-4), backend="cpu")
     shaders = solve(problem, prior, optimizer=Multigrid(5e-4), backend=f"opengl:{stage}")
@@ -167,7 +167,7 @@ def test_torn_tissue_moves_as_with_the_loops(by_cycles, stage, spacing, prior):
     ("name", "size"),
     [("expansion", 64), pytest.param("mass-effect", 96, marks=pytest.mark.campaign)],
 )
-def test_a_phantom_moves_as_with_the_loops(by_cycles, stage, name, size, prior):
+def test_the_field_of_a_phantom_matches_the_loops(by_cycles, stage, name, size, prior):
     problem = phantom(name, size).problem
     loops = solve(problem, prior, optimizer=Multigrid(), backend="cpu")
     shaders = solve(problem, prior, optimizer=Multigrid(), backend=f"opengl:{stage}")
@@ -175,7 +175,7 @@ def test_a_phantom_moves_as_with_the_loops(by_cycles, stage, name, size, prior):
     assert abs(shaders.iterations - loops.iterations) <= 1
 
 
-def test_a_tumour_in_soft_tissue_moves_as_with_the_loops(stage):
+def test_the_field_of_a_tumour_in_soft_tissue_matches_the_loops(stage):
     # With ten times the stiffness, single precision might not converge.
     problem = torn(ratio=1e3)
     loops = solve(problem, CENTRED, optimizer=Multigrid(1e-3), backend="cpu")

@@ -178,7 +178,7 @@ def test_a_conjugate_gradient_step_matches_the_loops(given):
 
     loops, shaders = with_levels("compute", given, job)
     assert_same(shaders[:5] + shaders[7:], loops[:5] + loops[7:])
-    scale = np.sqrt(loops[0] * (first[3] ** 2).sum())  # of a product that may be near 0
+    scale = np.sqrt(loops[0] * (first[3] ** 2).sum())  # the product may be near 0
     assert abs(shaders[6] - loops[6]) < 1e-5 * scale
 
 
@@ -258,7 +258,7 @@ def pressed(n, free, seed=0):
 
 
 @pytest.mark.parametrize(("poisson", "free"), [(0.3, False), (0.45, True)], ids=str)
-def test_tissue_moves_as_with_the_loops(poisson, free):
+def test_the_field_of_a_volume_matches_the_loops(poisson, free):
     problem, prior = pressed(32, free), ElasticPrior(poisson)
     ours, theirs = (
         solve(problem, prior, optimizer=Multigrid(1e-3), backend=name) for name in ("opengl", "cpu")
@@ -422,7 +422,7 @@ def test_a_software_renderer_solves_volumes_until_the_loops_are_compiled(monkeyp
     assert on_compute_thread(choice) == ("opengl:compute", COMPILING)
     assert (wanted, waited) == (["volume"], [])
     large = on_compute_thread(lambda: choice((101, 100, 100)))
-    assert large[0] == "cpu", "compiling is faster than solving with a software renderer"
+    assert large[0] == "cpu", "large volumes should wait for the compiler"
     assert waited.pop() == 1
     monkeypatch.setattr(loops, "ready_for_volumes", lambda: True)
     name, reason = on_compute_thread(choice)
