@@ -364,7 +364,7 @@ def test_loops_are_stored_in_a_temporary_folder_if_no_other_is_writable(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("place", "redirected"), [("told", []), ("package", [""]), ("caches", ["here"])]
+    ("place", "redirected"), [("environment", []), ("package", [""]), ("caches", ["here"])]
 )
 def test_loops_are_not_stored_on_a_full_disk(place, redirected, tmp_path, monkeypatch):
     def usage(folder):
@@ -375,7 +375,7 @@ def test_loops_are_not_stored_on_a_full_disk(place, redirected, tmp_path, monkey
     monkeypatch.setattr(disk_cache, "_LOOPS", tmp_path / "package")
     monkeypatch.setattr(disk_cache, "_redirect_numba", told.append)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "told"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "environment"))
     found = disk_cache.folder.__wrapped__()
     assert found.is_relative_to(tmp_path / place)
     assert told == [str(found) if each == "here" else each for each in redirected]
