@@ -31,11 +31,11 @@ NOT_OURS = {
     "in the same order",
     "The command palette",
     "Show Orthogonal Views",
-    "The image is larger than what you see.",
+    "The image does not fit into the canvas.",
     "You want to move the view, not the tissue.",
     "Nothing moves when you drag.",
-    "It says that there is no tissue to take hold of there.",
-    "It warns of pixels where tissue is pushed through itself.",
+    "A message says that there is no tissue at that position.",
+    "A warning reports pixels where tissue is pushed through itself.",
 }
 
 pytestmark = pytest.mark.skipif(not PAGES, reason="looks at a checkout of the repository")
