@@ -374,8 +374,9 @@ def test_the_demo_of_a_volume_that_folds_says_where_that_comes_from():
     shown = demonstrate_volume(24, backend="cpu", progress=lambda _: None, growth=10.0)
     assert shown.folds == shown.solution.count_folds() > 0
     assert shown.note == (
-        f"the tissue folds over itself at {shown.folds} voxels, which no tissue does: the tumour "
-        "grows by too much (10 mm). From Python, head_phantom(24, growth=5) grows less."
+        f"the tissue folds over itself at {shown.folds} voxels, which real tissue cannot do: the "
+        "growth of the tumour (10 mm) is too large. In Python, use head_phantom(24, growth=5) "
+        "instead."
     )
 
 

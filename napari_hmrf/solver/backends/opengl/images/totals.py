@@ -17,8 +17,8 @@ from napari_hmrf.solver.backends.opengl.programs.programs import Program
 #: Side of the square block of texels that one invocation of the kernel ``sum`` adds.
 BLOCK = 8
 
-#: Largest number of shares per sweep that the host adds instead of a software renderer, where a pass
-#: takes at least 30 microseconds, but reading a small image takes one microsecond.
+#: Largest number of shares per sweep that the host adds instead of a software renderer, which takes
+#: at least 30 microseconds for a pass, but only one microsecond to read a small image.
 KEPT_SHARES = 2**16
 
 # Number of sweeps between two reads by the host.
