@@ -129,7 +129,7 @@ def test_a_smooth_curve_is_the_monotone_cubic():
         ({"points": 5}, "not a pair of numbers"),
         ({"points": (("a", 1), (1, 1))}, "not a pair of numbers"),
         ({"void_below": float("nan")}, "threshold of tissue that is"),
-        ({"void_below": "dark"}, "threshold of tissue that is no finite number"),
+        ({"void_below": "dark"}, "tissue threshold that is not a finite number"),
         ({"between": "wavy"}, "'wavy'"),
         ({"logarithmic": 1}, "True or False"),
         ({"unit": None}, "a string"),
