@@ -128,7 +128,7 @@ def test_a_smooth_curve_is_the_monotone_cubic():
         ({"points": ((0, 1), (1,))}, "not a pair of numbers"),
         ({"points": 5}, "not a pair of numbers"),
         ({"points": (("a", 1), (1, 1))}, "not a pair of numbers"),
-        ({"void_below": float("nan")}, "threshold of tissue that is"),
+        ({"void_below": float("nan")}, "tissue threshold that is"),
         ({"void_below": "dark"}, "tissue threshold that is not a finite number"),
         ({"between": "wavy"}, "'wavy'"),
         ({"logarithmic": 1}, "True or False"),
