@@ -1,4 +1,4 @@
-"""Displacement field of a registration as boundary condition, at the edges in an image.
+"""Registration field as a boundary condition, at the edges in an image.
 
 SimpleITK registers two images of the same brain. The registration does not model tissue: it bends
 bone, and its field is unreliable where the image has no features. The elastic model uses this field

@@ -1,7 +1,7 @@
 """Stretching of soft tissue around a stiff disc.
 
 The left edge is fixed, and the right edge is pulled 8 pixels to the right. The disc is twenty times
-as stiff as its surroundings, so it is hardly stretched.
+as stiff as its surroundings, so it hardly stretches.
 """
 
 import numpy as np

@@ -109,7 +109,7 @@ def growing_tumour(names: Names) -> Figure:
 
 
 def paper_beside_elastic(names: Names) -> Figure:
-    """Draw the difference of each field from finite elements."""
+    """Draw the difference between each field and finite elements."""
     tissue = names["problem"].tissue
     shown = []
     for solution in names["solutions"]:
@@ -126,7 +126,7 @@ def random_deformations(names: Names) -> Figure:
 
 
 def registration(names: Names) -> Figure:
-    """Draw the difference of both fields from the truth."""
+    """Draw the difference between each field and the true displacement."""
     truth, tissue = names["truth"].displacement, names["tissue"]
     shown = []
     for title, field in (("demons alone", "registered"), ("with tissue", "elastic")):

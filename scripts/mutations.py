@@ -3,8 +3,8 @@
     python scripts/mutations.py [number ...]
 
 Each mutation changes a sign, an index, a weight or a constant, with an effect that a user would
-notice, and names the tests of which at least one must fail. The mutations are applied one at a time
-to a copy of the package and its tests.
+notice. At least one of its tests must fail. The mutations are applied one at a time to a copy of
+the package and its tests.
 """
 
 from __future__ import annotations

@@ -297,7 +297,7 @@ class Line:
 
 
 def provide_for_report():
-    """Install the packages of the report, which names missing packages itself."""
+    """Install the packages of the report. The report lists packages that are missing."""
     if not provide_extra("report", "pyamg, SimpleITK"):
         say("The report will omit the packages that could not be installed (see above).")
 

@@ -88,7 +88,7 @@ def find_below(room: str, arrows: Mapping[str, set[str]]) -> set[str]:
 
 
 def arrange(arrows: Mapping[str, set[str]]) -> list[list[str]]:
-    """Arrange the subpackages in rows, from top to bottom, each above all its imports."""
+    """Arrange the subpackages in rows, with each subpackage above all its imports."""
     heights: dict[str, int] = {}
     left = set(arrows)
     while left:

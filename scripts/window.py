@@ -27,7 +27,7 @@ _FREQUENT = 24
 
 
 def wait(seconds: float) -> None:
-    """Process Qt events for some seconds."""
+    """Process Qt events for a number of seconds."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         QApplication.processEvents()
@@ -45,7 +45,7 @@ def wait_until(done: Callable[[], bool], seconds: float = 120.0, rest: float = 1
 
 
 class Person:
-    """Simulated user, who operates a window with the mouse and the keyboard.
+    """Simulated user that operates a window with the mouse and the keyboard.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def draw_pointer(picture: Image.Image, tip: tuple[int, int]) -> None:
 
 
 def palette_of(pictures: Sequence[Image.Image], greys: int, colours: int) -> Image.Image:
-    """Return an image with a palette of a few colours that represents pictures well.
+    """Return an image with a small palette that represents the given pictures.
 
     Tissue has many greys. The window has colours, and some of them cover only a few pixels, such as
     the colour of a label in a table. The usual methods lose greys or such colours.
@@ -287,5 +287,5 @@ def save_animation(frames: Iterable[Image.Image], path: Path, milliseconds: int)
 
 
 def kilobytes(path: Path) -> str:
-    """Return the size of a file in words, in kilobytes."""
+    """Return the size of a file as a text, in kilobytes."""
     return f"{path.stat().st_size / 1000:.0f} kB"

@@ -353,7 +353,7 @@ def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, caps
     ]
     assert measured["sample"] == "Head with a growing tumour, 38 x 48 x 38 voxels of 3.96 mm"
     assert measured["model"] == "elastic (Poisson's ratio 0.45), converged"
-    assert measured["growth"] == "by 2 mm, all around"
+    assert measured["growth"] == "by 2 mm in all directions"
     assert measured["folds"] == "0 voxels"
     assert "folds over itself" not in said
     before, after = (float(measured[f"tumour {when}"].split()[0]) for when in ("before", "after"))

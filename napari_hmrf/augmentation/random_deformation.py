@@ -229,13 +229,13 @@ class RandomDeformation:
         Unit of all lengths.
     amplitude : float or (float, float), optional
         Largest pull of a control patch, in the unit of `spacing`: one length for all samples, or
-        bounds (low, high) of a uniform distribution. The default is (0, a quarter of the mean
-        distance between neighbouring patches), and an eighth instead of a quarter in a volume. A
+        bounds (low, high) of a uniform distribution. The default is (0, r), where r is the mean
+        distance between neighbouring patches, divided by 4 in an image and by 8 in a volume. A
         sample that would compress tissue too much is scaled down. `RandomSample.amplitude` is the
         actual largest pull; if it is below the lower bound, a warning is logged.
     patches : int, optional
-        Maximum number of control patches; there are fewer if the tissue does not have room for
-        them. The default is 12 in an image and 8 in a volume.
+        Maximum number of control patches; fewer are used if the tissue does not have enough room.
+        The default is 12 in an image and 8 in a volume.
     radius : float, optional
         Radius of a control patch, in the unit of `spacing`. The default is 1/32 of the shortest
         side in an image and 1/16 in a volume.
@@ -490,7 +490,7 @@ def _range(amplitude: Any, usual: float) -> tuple[float, float]:
 
 
 def _distance_to_next(centres: Array, alone: float) -> float:
-    """Return the mean distance from a patch to its nearest patch, or `alone` for one patch."""
+    """Return the mean distance between nearest patches, or `alone` for a single patch."""
     if len(centres) == 1:
         return alone
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)

@@ -171,7 +171,7 @@ def control_patches(
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     count : int
-        Maximum number of patches; there are fewer if the tissue does not have room for them.
+        Maximum number of patches; fewer are used if the tissue does not have enough room.
     radius : float
         Radius of a patch, in the unit of the spacing.
     hold_edge : bool
@@ -207,8 +207,8 @@ def control_patches(
     room = depth[tuple(sites.T)].astype(np.float64)  # distance from edges, fixed and rigid tissue
     patches, centres = np.zeros(m.shape, dtype=np.int32), np.empty((0, m.ndim))
     axes = np.ogrid[tuple(map(slice, m.shape))]
-    # Place each patch at the site with the most room. Two patches share the distance between them
-    # equally.
+    # Place each patch at the site with the most room, which is at most half the distance to each
+    # existing patch.
     while len(centres) < count and room.max() > radius:
         centre = at[room.argmax()]
         centres = np.concatenate([centres, centre[None]])
@@ -310,8 +310,8 @@ def solve_units(
             f"enough for {int(allowed / needed * len(units))}. Crop the labels, use fewer patches, "
             "or allow more memory.",
         )
-    # No cause of a sample exceeds its unit, so the error of a linear combination is at most the sum
-    # of the errors of the unit solutions.
+    # The causes of a sample do not exceed the units, so the error of a linear combination is at most
+    # the sum of the errors of the unit solutions.
     tolerance = WRONG / len(units)
     displacements = np.empty((0, 0, n), dtype=np.float32)
     for number, unit in enumerate(units):

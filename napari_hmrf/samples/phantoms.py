@@ -1,8 +1,8 @@
 """Phantoms: synthetic images with their tissue and the motion of their boundaries.
 
 The phantoms are the brain of the paper's figure 1, which expands or is pushed by a growing tumour,
-and a bar of two tissues. Each phantom consists of label images and two small tables. The functions
-for painted layers also convert these tables and images to a `Problem`.
+and a bar of two tissues. Each phantom consists of label images and two small tables, which are
+converted to a `Problem` in the same way as painted layers.
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ def reference_displacement(name: str) -> npt.NDArray[np.float32]:
     """Return the finite-element displacement of ``phantom(name)`` from `sample_data`.
 
     The field was computed with bilinear quadrilaterals on the pixel grid, in plane stress and with
-    a Poisson's ratio of 0.3. It is stored with a resolution of 0.001 pixels.
+    a Poisson's ratio of 0.3. The values are stored with a resolution of 0.001 pixels.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ class VolumeDemonstration:
         near = solution.convergence
         return (
             ("sample", f"{self.head.title}, {size}"),
-            ("growth", f"by {self.head.growth:g} mm, all around"),
+            ("growth", f"by {self.head.growth:g} mm in all directions"),
             ("model", in_words(run.parameters)),
             ("renderer", f"{run.renderer} ({run.backend})"),
             ("iterations", f"{solution.iterations}"),

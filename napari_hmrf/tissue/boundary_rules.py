@@ -408,7 +408,7 @@ def quoted(row: Material | BoundaryRule) -> str:
 
 
 def unlisted(labels: npt.ArrayLike, rows: Iterable[Material | BoundaryRule]) -> list[int]:
-    """Return the labels of an image that have no row in a table, sorted."""
+    """Return the sorted labels of an image that are missing from a table."""
     return sorted({*np.unique(labels).tolist()} - {row.label for row in rows})
 
 

@@ -53,11 +53,11 @@ class Preset:
     def replace_materials(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
         """Replace the materials of a table by the materials of the preset.
 
-        A row is replaced by the preset's material with the same name. If there is none, the row is
-        replaced by the material with the same label, unless the name of that material matches
-        another row. The remaining materials of the preset are added. A row that is not replaced is
-        unchanged if it is void or rigid. If it is deformable, it gets the stiffness of the preset's
-        first tissue, because its old stiffness may be in another unit.
+        A row is replaced by the preset's material with the same name. If there is no such material,
+        the row is replaced by the material with the same label, unless the name of that material
+        matches another row. The remaining materials of the preset are added. A row that is not
+        replaced is unchanged if it is void or rigid. A deformable row that is not replaced gets the
+        stiffness of the preset's first tissue, because the old stiffness may be in another unit.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class Palette:
     Attributes
     ----------
     materials : tuple of Material
-        Materials, with a different label each.
+        Materials with distinct labels.
     unit : str
         Unit of stiffness; "" if it is unknown.
     unit_stiffness : float

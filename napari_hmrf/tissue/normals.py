@@ -28,7 +28,7 @@ _RIM = 2
 def outward_normals(
     mask: npt.NDArray[np.bool_], spacing: Sequence[float], name: str
 ) -> npt.NDArray[np.float32]:
-    """Return an outward unit normal for each pixel of a mask, from the outline of its part.
+    """Return the outward unit normal of each pixel, from the outline of its connected part.
 
     The normal of a pixel is the normal at the nearest pixel of the outline. All pixels of a ring
     have a normal. In a patch, only pixels of the rim have a normal, because an interior that moved

@@ -62,7 +62,7 @@ class NamedMaterials:
     unknown : mapping of int to str
         Names of the labels with unknown stiffness.
     tissues : mapping of int to KnownTissue
-        Known tissue of each material.
+        Known tissue for each label in `materials`.
     unit : str
         Unit of stiffness.
     name : str
@@ -107,9 +107,9 @@ class NamedMaterials:
     def replace_materials(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
         """Replace the materials of a table, label by label.
 
-        A row with an unknown label is unchanged if it is void or rigid. If it is deformable, it
-        gets the stiffness of the first known deformable material, because its old stiffness may be
-        in another unit.
+        A row with an unknown label is unchanged if it is void or rigid. A deformable row with an
+        unknown label gets the stiffness of the first known deformable material, because the old
+        stiffness may be in another unit.
 
         Parameters
         ----------

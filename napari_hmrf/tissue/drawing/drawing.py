@@ -340,7 +340,7 @@ def _points(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
-    """Return the head and base of an arrow or landmark; empty for other marks."""
+    """Return the head and base of an arrow or landmark, or an empty tuple for other marks."""
     if isinstance(mark, Arrow):
         return mark.head(spacing), mark.at
     if isinstance(mark, Landmark):

@@ -216,7 +216,7 @@ class Stroke(_Checked):
         Confidence of the displacement, from 0 (not observed) to 1 (certain).
     softness : float
         For "confidence": fraction of the radius, from 0 to 1, over which the confidence of the
-        stroke fades into that of earlier marks.
+        stroke fades into the confidence of earlier marks.
     label : int
         For "tissue": label of the tissue.
     components : {"both", "row", "col"}

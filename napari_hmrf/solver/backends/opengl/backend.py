@@ -1,4 +1,4 @@
-"""Solver backend with its kernels as OpenGL shaders."""
+"""Solver backend with OpenGL shaders as kernels."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class OpenGLBackend:
         return self.upload(np.zeros((*level.shape, 2), np.float32))
 
     def project(self, finest: GLField, level: Level) -> GLField:
-        """Project a field of level 0 to a coarser level by nearest neighbour."""
+        """Project a field of level 0 to a coarser level by nearest-neighbour sampling."""
         made = self._field(level.shape, finest.components)
         program = self._program("project", {"PAIRS": int(finest.components == 2)})
         program.set(

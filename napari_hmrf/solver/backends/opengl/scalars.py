@@ -9,9 +9,9 @@ ScalarType = TypeVar("ScalarType")
 
 
 class Ratio(NamedTuple, Generic[ScalarType]):
-    """Ratio of two scalars, which the kernel that reads the scalars computes."""
+    """Unevaluated ratio of two scalars on the device."""
 
-    # See ``scalars.glsl`` and ``volume_scalars.glsl``.
+    # Kernels compute the ratio with ``scalars.glsl`` or ``volume_scalars.glsl``.
     above: ScalarType
     below: ScalarType
 

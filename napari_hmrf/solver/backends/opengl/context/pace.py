@@ -18,7 +18,7 @@ _FIRST_GUESS = 1e-7
 
 
 class Pace:
-    """Divider of device work into batches, which waits for the device after each batch.
+    """Scheduler that divides device work into batches and waits after each batch.
 
     The work is measured in sites. A pair of sites in one texel counts as one site.
 
@@ -47,7 +47,7 @@ class Pace:
         self._since = 0.0
 
     def strips(self, grid: tuple[int, ...]) -> Iterator[tuple[int, int] | None]:
-        """Yield the range of rows (first, past) of each strip of a pass; None for all rows.
+        """Yield the rows (begin, end) of each strip of a pass, or None if the pass is not split.
 
         The work of a strip is recorded when the next strip is requested.
         """

@@ -25,7 +25,9 @@ _LIMITS = (
 
 
 def describe() -> dict[str, Any]:
-    """Describe and test the OpenGL device. Call this function on the compute thread only.
+    """Describe and test the OpenGL device.
+
+    Call this function on the compute thread only.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Base class of the levels of images, which is independent of the model, and its vectors.
+"""Base class of the levels of all image models, with its vectors and scalars.
 
 A vector has two textures: a kernel reads the first texture and writes the second. A scalar is a
 texture of one texel. When a vector or scalar is deleted, its textures become free for reuse, so

@@ -30,7 +30,7 @@ class Passes(DeviceResources):
     device : Device
     stage : {"fragment", "compute"}
     pace : Pace
-        Divider of the work into batches, which waits for the device.
+        Scheduler of batches, which waits for the device.
     """
 
     def __init__(self, device: Device, stage: Stage, pace: Pace) -> None:

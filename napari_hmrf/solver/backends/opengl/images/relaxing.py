@@ -20,8 +20,8 @@ from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 
 Float64Array = npt.NDArray[np.float64]
 
-# A single pass with a dense matrix replaces the smoothing steps if a level has at most this many
-# values and more than this many steps; otherwise separate passes are as fast.
+# On a level with at most `_FEW_VALUES` values, a single pass with a dense matrix replaces the
+# smoothing steps if there are more than `_FEW_STEPS` steps, because the single pass is faster.
 _FEW_VALUES = 128
 _FEW_STEPS = 2
 

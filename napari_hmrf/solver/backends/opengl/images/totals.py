@@ -59,7 +59,7 @@ class Totals(Protocol):
 
 
 class BlockTotals:
-    """Accumulator whose shares are added by blocks on the device.
+    """Accumulator that adds blocks of shares on the device.
 
     The sums of each sweep fill one strip of an atlas texture.
 
@@ -128,7 +128,7 @@ class BlockTotals:
 
 
 class PairTotals:
-    """Accumulator with a separate texture for each sweep, whose shares the host adds.
+    """Accumulator that adds shares on the host, with a separate texture for each sweep.
 
     Parameters
     ----------

@@ -133,7 +133,10 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         self._invert_diagonal("volume_spring", _numbers(most_pins=MOST_PINS, strength=SPRING))
 
     def _invert_diagonal(self, name: str, uniforms: Uniforms) -> None:
-        """Invert the diagonal for the pins in `_other`, and list the groups with free sites."""
+        """Invert the diagonal, and list the groups with free sites.
+
+        The vector `_other` contains the pins: the counts of prescribed components at each site.
+        """
         buffers = {"inverse": self.inverse, "pins": self._other.buffers, "springs": self._springs}
         self._run_everywhere(name, {**buffers, "shares": [self._shares]}, uniforms)
         count = self.everywhere.number

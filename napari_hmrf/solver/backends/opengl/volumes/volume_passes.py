@@ -58,7 +58,7 @@ class VolumePasses(DeviceResources):
     ----------
     device : Device
     pace : Pace
-        Divider of the work into batches, which waits for the device.
+        Scheduler of batches, which waits for the device.
     """
 
     def __init__(self, device: Device, pace: Pace) -> None:
