@@ -14,7 +14,7 @@
 //          straight, diagonal  stiffness ratios, no unit (ratios.glsl)
 //          weights       w, no unit
 // Border rule: a clique that extends beyond the image, or contains void, has two ratios of 0
-// (ratios.glsl) and does not contribute for any displacement.
+// (ratios.glsl) and never contributes.
 
 // Weight of each line for the (row, col) component: `napari_hmrf.solver.priors.line_weights`. The
 // weights of square pixels are constants, so the compiler removes terms with weight zero.

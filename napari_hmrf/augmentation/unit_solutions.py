@@ -310,8 +310,8 @@ def solve_units(
             f"enough for {int(allowed / needed * len(units))}. Crop the labels, use fewer patches, "
             "or allow more memory.",
         )
-    # The causes of a sample do not exceed the units, so the error of a linear combination is at most
-    # the sum of the errors of the unit solutions.
+    # The causes of a sample do not exceed the units, so the error of a linear combination is at
+    # most the sum of the errors of the unit solutions.
     tolerance = WRONG / len(units)
     displacements = np.empty((0, 0, n), dtype=np.float32)
     for number, unit in enumerate(units):
