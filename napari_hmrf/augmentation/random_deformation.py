@@ -100,7 +100,7 @@ class RandomSample:
 
     @cached_property
     def study(self) -> Study:
-        """Study whose solution is this displacement, for `solve_study` and `write_study`."""
+        """Study that has this displacement as its solution, for `solve_study` and `write_study`."""
         return self.case.study(self.causes)
 
     @cached_property
