@@ -353,7 +353,7 @@ def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, caps
     ]
     assert measured["sample"] == "Head with a growing tumour, 38 x 48 x 38 voxels of 3.96 mm"
     assert measured["model"] == "elastic (Poisson's ratio 0.45), converged"
-    assert measured["growth"] == "by 2 mm, all around"
+    assert measured["growth"] == "by 2 mm in all directions"
     assert measured["folds"] == "0 voxels"
     assert "folds over itself" not in said
     before, after = (float(measured[f"tumour {when}"].split()[0]) for when in ("before", "after"))
@@ -374,8 +374,9 @@ def test_the_demo_of_a_volume_that_folds_says_where_that_comes_from():
     shown = demonstrate_volume(24, backend="cpu", progress=lambda _: None, growth=10.0)
     assert shown.folds == shown.solution.count_folds() > 0
     assert shown.note == (
-        f"the tissue folds over itself at {shown.folds} voxels, which no tissue does: the tumour "
-        "grows by too much (10 mm). From Python, head_phantom(24, growth=5) grows less."
+        f"the tissue folds over itself at {shown.folds} voxels, which real tissue cannot do: the "
+        "growth of the tumour (10 mm) is too large. In Python, use head_phantom(24, growth=5) "
+        "instead."
     )
 
 

@@ -51,5 +51,5 @@ def test_each_folder_is_counted_with_and_without_those_below_it(script, tmp_path
     words = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["room", "1", "2", "2", "3"] in words
     assert ["room/corner", "1", "1"] in words
-    assert words[-1] == ["together", "2", "3"]
+    assert words[-1] == ["total", "2", "3"]
     assert script["main"]([str(tmp_path / "nowhere")]) == 1

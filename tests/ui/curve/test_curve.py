@@ -188,7 +188,7 @@ def test_what_is_no_curve_is_refused_and_put_back(editor, person, qtbot, text, w
     assert typed(qtbot, editor.points, text) == "50: 10; 100: 20; 200: 40"
     assert why in said[0]
     assert typed(qtbot, editor.void_below, "x") == "20"
-    assert "threshold of tissue that is no finite number" in said[1]
+    assert "tissue threshold that is not a finite number" in said[1]
     assert len(said) == 2
     assert not [each for each in said if "(" in each or "nan" in each or "void_below" in each]
     assert person.changed == []
