@@ -139,7 +139,9 @@ def test_the_demo_writes_pictures_and_a_result_that_can_be_read(tmp_path, capsys
     for name in drawn:
         with Image.open(tmp_path / "out" / name) as picture:
             assert min(picture.size) > 300
-            assert len(set(picture.convert("L").resize((64, 64)).tobytes())) > 3, "the page is empty"
+            assert len(set(picture.convert("L").resize((64, 64)).tobytes())) > 3, (
+                "the page is empty"
+            )
     solution = Solution.read(tmp_path / "out" / "solution.npz")
     assert solution.displacement.shape == (16, 48, 2)
     pull = solution.displacement[8, :, 1]
@@ -239,7 +241,9 @@ def test_an_invalid_phantom_size_is_refused_before_the_demo_starts(tmp_path, siz
     assert not (tmp_path / "out").exists()
 
 
-def test_an_output_folder_that_cannot_be_made_is_refused_before_the_solve(tmp_path, capsys, monkeypatch):
+def test_an_output_folder_that_cannot_be_made_is_refused_before_the_solve(
+    tmp_path, capsys, monkeypatch
+):
     (tmp_path / "out").write_text("a file is here")
     monkeypatch.setattr("napari_hmrf.samples.demo.solve", None)
     assert demo(tmp_path) == 1
@@ -258,7 +262,9 @@ def test_an_output_folder_that_cannot_be_made_is_refused_before_the_solve(tmp_pa
         ("win32", {"CI": "true"}, False),
     ],
 )
-def test_a_window_opens_only_with_a_display_and_outside_ci(monkeypatch, platform, variables, window):
+def test_a_window_opens_only_with_a_display_and_outside_ci(
+    monkeypatch, platform, variables, window
+):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "CI"):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
@@ -417,7 +423,9 @@ def test_slices_of_a_volume_are_drawn_through_one_point_with_the_head_up(
         (("--size", "20"), "at least 24"),
     ],
 )
-def test_the_volume_demo_refuses_options_without_effect_before_it_starts(tmp_path, capsys, option, said):
+def test_the_volume_demo_refuses_options_without_effect_before_it_starts(
+    tmp_path, capsys, option, said
+):
     assert demo(tmp_path, "--volume", *option) == 1
     printed = capsys.readouterr()
     assert said in printed.err

@@ -98,9 +98,7 @@ def run(line, capsys):
 
 
 @pytest.mark.parametrize("command", [f"{SOLVE} -o out", "replay a.study"])
-def test_the_shell_reports_the_progress_of_compiling(
-    files, capsys, monkeypatch, command
-):
+def test_the_shell_reports_the_progress_of_compiling(files, capsys, monkeypatch, command):
     grid = Grid(SHAPE, (1, 1))
     pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=3),))
     write_study("a.study", Study(grid, Tissue(), Motion(hold_edge=True, drawing=pull)))

@@ -322,7 +322,9 @@ def test_a_folder_in_use_is_refused_and_the_folder_of_a_dead_batch_is_taken_over
         assert main(["batch", str(table), "out", "--jobs", "1", *more]) == 1
         said = capsys.readouterr().err
         assert f"another batch, process {held.pid}, writes into this folder" in said
-    assert marks_in(out) == (mark,), "the lock or the unfinished work of the running batch was removed"
+    assert marks_in(out) == (mark,), (
+        "the lock or the unfinished work of the running batch was removed"
+    )
     assert (out / batch.UNFINISHED).exists()
     held.kill()
     held.wait()

@@ -202,7 +202,9 @@ def test_a_slice_of_a_stack_without_a_place_stores_its_number(tmp_path):
     assert read_case(given).grid.place.index == (2, 0, 0)
     saved = solve_case(given, tmp_path / "out", backend="cpu")
     assert place_of(saved.solution).origin == (0, 0, 2)
-    assert (tmp_path / "out" / "stack deformed.tif").exists(), "the deformed stack was not written; it requires no SimpleITK"
+    assert (tmp_path / "out" / "stack deformed.tif").exists(), (
+        "the deformed stack was not written; it requires no SimpleITK"
+    )
 
 
 @pytest.mark.parametrize(
@@ -514,7 +516,9 @@ def test_an_image_of_the_same_size_at_another_place_is_refused(files, capsys):
 
 
 def test_a_field_moves_a_sagittal_slice_of_a_volume(tmp_path):
-    side = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # The directions of a sagittal scan.
+    side = np.array(
+        [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    )  # The directions of a sagittal scan.
     place = Place((2.0, 0.5, 0.7), (3.0, 4.0, 5.0), side)
     write_image(tmp_path / "side.mha", ImageFile(np.ones((4, *SHAPE), np.uint8), place))
     d = np.zeros((4, *SHAPE, 3))

@@ -16,7 +16,9 @@ def test_text_that_looks_like_a_formula_is_written_as_text_and_read_back(tmp_pat
         titles, written = csv.reader(file)
     assert titles[0] == "'=title"
     assert written[:4] == ["'=1+2", "'+x", "'-brain", "'@SUM(A1)"]
-    assert written[5:] == ["'quoted", "plain", "-0.5", "-0.5", "3", ""], "a number was written as text"
+    assert written[5:] == ["'quoted", "plain", "-0.5", "-0.5", "3", ""], (
+        "a number was written as text"
+    )
     (_, titles), (_, cells) = read_cells(path, 1000)
     assert titles[0] == "=title"
     assert cells == ["" if cell is None else str(cell) for cell in CELLS]

@@ -277,7 +277,9 @@ def test_a_field_that_was_stored_incompletely_replaces_no_file(tmp_path, monkeyp
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_an_application_without_a_python_interpreter_reports_the_missing_interpreter(tmp_path, monkeypatch):
+def test_an_application_without_a_python_interpreter_reports_the_missing_interpreter(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(sys, "frozen", True, raising=False)
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     monkeypatch.setattr(sys, "exec_prefix", str(tmp_path))

@@ -57,7 +57,9 @@ def test_simpleitk_maps_each_point_to_the_origin_of_its_tissue(case, tmp_path):
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
 @pytest.mark.parametrize("forward", [False, True])
-def test_a_forward_or_backward_field_is_read_in_the_direction_it_was_written(case, suffix, forward, tmp_path):
+def test_a_forward_or_backward_field_is_read_in_the_direction_it_was_written(
+    case, suffix, forward, tmp_path
+):
     path = tmp_path / f"field{suffix}"
     if forward and suffix == ".h5":
         with pytest.raises(FileFormatError, match=r"field\.h5: this format does not store"):
@@ -65,7 +67,9 @@ def test_a_forward_or_backward_field_is_read_in_the_direction_it_was_written(cas
         assert not path.exists()
         return
     case.write(path, forward=forward)
-    for told in (False, True) if suffix != ".h5" else (False,):  # The direction stored in the file takes precedence.
+    for told in (
+        (False, True) if suffix != ".h5" else (False,)
+    ):  # The direction stored in the file takes precedence.
         field = read_field(path, forward=told)
         read = field.displacement
         if case.axes > case.n:  # A slice of a volume; three slices in NIfTI.

@@ -73,7 +73,9 @@ def writes(module):
             mode = given[1] if len(given) > 1 else "'r'"
             if set(mode) & set("wax+"):
                 yield node.lineno
-        elif called in _WAYS and not {"buffer", "file"} & set(given):  # These names denote buffers in memory.
+        elif called in _WAYS and not {"buffer", "file"} & set(
+            given
+        ):  # These names denote buffers in memory.
             yield node.lineno
 
 

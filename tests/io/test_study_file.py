@@ -208,7 +208,10 @@ def test_a_process_killed_while_saving_leaves_a_complete_file():
     assert done.returncode == 0, done.stdout + done.stderr
     told = [" ".join(line.split()) for line in done.stdout.splitlines()]
     assert "killed while packing 5 times; the file: first" in told
-    for left in ("first", "second"):  # The name of the file changes in one step, so both contents occur.
+    for left in (
+        "first",
+        "second",
+    ):  # The name of the file changes in one step, so both contents occur.
         assert any(re.match(rf"killed while writing \d+ times; the file: {left}", x) for x in told)
 
 

@@ -143,9 +143,7 @@ def test_the_field_of_a_volume_is_read_back_unchanged(solution, suffix, tmp_path
 
 
 @pytest.mark.parametrize("plane", list(permutations(range(3)))[1:])
-def test_the_place_of_a_field_does_not_depend_on_the_order_of_its_axes(
-    solution, plane, tmp_path
-):
+def test_the_place_of_a_field_does_not_depend_on_the_order_of_its_axes(solution, plane, tmp_path):
     sitk = pytest.importorskip("SimpleITK")
     turned = replace(
         solution,

@@ -29,7 +29,9 @@ def test_plugins_still_get_a_proxy():
     image = viewer.add_image(np.zeros((4, 4)))
     proxy = PublicOnlyProxy(viewer)
     assert compat.unwrapped(proxy) is compat.unwrapped(viewer) is viewer
-    assert proxy.layers[0] is not image, "the proxy returns the layers of the viewer, so unwrapping is unnecessary"
+    assert proxy.layers[0] is not image, (
+        "the proxy returns the layers of the viewer, so unwrapping is unnecessary"
+    )
 
 
 @pytest.mark.skipif(not PROJECT.exists(), reason="looks at a checkout of the repository")
@@ -86,7 +88,9 @@ def test_a_thumbnail_of_vectors_has_no_public_limit(monkeypatch):
     assert drawn == [], "few lines should all be drawn"
     compat.thin_thumbnail(layer, 8)
     layer.refresh()
-    assert drawn == [8], "lines are selected in another way; check whether drawing all is still slow"
+    assert drawn == [8], (
+        "lines are selected in another way; check whether drawing all is still slow"
+    )
     assert public(layer, "thumbnail") == ["thumbnail"], "check for a public way"
 
 
@@ -143,7 +147,9 @@ def test_textures_of_a_removed_layer_are_deleted_in_their_context(
         at_rest()
         return contexts
 
-    assert remove(above) != [canvas.context()] * 2, "the context is current, so CanvasContext can be removed"
+    assert remove(above) != [canvas.context()] * 2, (
+        "the context is current, so CanvasContext can be removed"
+    )
     viewer.add_image(np.eye(8))
     at_rest()
     context = compat.CanvasContext(viewer)

@@ -140,12 +140,12 @@ def test_a_field_is_weighted_by_a_mask_an_image_or_edges(tmp_path, dock_beside, 
     wait_for(lambda: not dock.busy)
     known = edge_confidence(layers[0].data) > 0
     away = np.linalg.norm(dock.solution.displacement - held, axis=-1)
-    assert away[known & dock.solution.tissue].max() < 0.01, "a site of full confidence does not follow the field"
+    assert away[known & dock.solution.tissue].max() < 0.01, (
+        "a site of full confidence does not follow the field"
+    )
 
 
-def test_a_zero_confidence_and_a_released_edge_are_reported(
-    tmp_path, dock_beside, wait_for
-):
+def test_a_zero_confidence_and_a_released_edge_are_reported(tmp_path, dock_beside, wait_for):
     write_field(tmp_path / "warp.mha", swirl(SHAPE, 1.0), spacing=(1, 1))
     empty = Layer.create(np.zeros(SHAPE, np.uint8), {"name": "mask", "units": ("mm", "mm")})
     dock, viewer = dock_beside(opened(tmp_path / "warp.mha"), photo(units=("mm", "mm")))
@@ -251,7 +251,9 @@ def test_the_distance_of_a_result_from_a_reference_is_reported_and_shown(pulled,
     np.testing.assert_allclose(seen, 0.5, atol=1e-4)
     dock.percent = 50
     wait_for(lambda: not dock.busy)
-    assert shown in viewer.layers, "the layer of differences is hidden, but should move with the tissue"
+    assert shown in viewer.layers, (
+        "the layer of differences is hidden, but should move with the tissue"
+    )
     dock.reference = None
     wait_for(lambda: not dock.busy)
     assert (dock.overlay, shown in viewer.layers) == ("nothing", False)

@@ -46,7 +46,9 @@ def test_only_pairs_on_the_displayed_slice_are_read():
         landmarks([[2, 1, 2]], [[2, 2, 2]], image, view)
 
 
-@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")  # The warning is raised by napari's thumbnail.
+@pytest.mark.filterwarnings(
+    "ignore:invalid value:RuntimeWarning"
+)  # The warning is raised by napari's thumbnail.
 @pytest.mark.parametrize(
     ("where", "should", "words"),
     [

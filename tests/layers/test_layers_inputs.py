@@ -98,7 +98,9 @@ def test_reading_again_detects_changed_layers():
     assert second.motion.labels is first.motion.labels, "an unchanged layer was copied again"
     wanted.boundary.data[6, 6] = 2
     copies.invalidate()
-    assert not second.same_as(study_from_layers(wanted, copies=copies)), "a change without an event was missed"
+    assert not second.same_as(study_from_layers(wanted, copies=copies)), (
+        "a change without an event was missed"
+    )
 
 
 def test_unchanged_arrows_give_an_equal_study():
@@ -127,7 +129,9 @@ def test_anisotropic_pixels_set_the_spacing_and_lengths_retain_their_unit():
     inputs = read_layers(request(scale=(0.5, 2.0), units=("mm", "mm")))
     assert inputs.problem.spacing == pytest.approx((0.5, 2.0))
     assert inputs.frame.unit == "millimeter"
-    np.testing.assert_array_equal(inputs.problem.observed[5, -3], [0, 3])  # 3 mm instead of 3 pixels.
+    np.testing.assert_array_equal(
+        inputs.problem.observed[5, -3], [0, 3]
+    )  # 3 mm instead of 3 pixels.
 
 
 def test_a_negative_scale_is_a_positive_spacing():
