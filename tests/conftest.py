@@ -59,7 +59,7 @@ _LONG = {
 }
 
 if _NO_DISPLAY:
-    # Qt would end the process without a display; single widgets do not need one.
+    # Qt would end the process without a display, but single widgets do not need a display.
     os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 

@@ -1,4 +1,4 @@
-"""Tests of errors for Python arguments of a wrong type, which name the argument and the right type."""
+"""Tests of errors for arguments of a wrong type, which name the argument and the right type."""
 
 import numpy as np
 import pytest

@@ -88,7 +88,7 @@ def test_a_file_without_a_field_is_left_to_other_readers(tmp_path):
 def test_a_field_with_its_own_grid_is_the_boundary_of_a_slice_of_a_volume(
     tmp_path, dock_beside, wait_for
 ):
-    """Convert the field of a volume, in millimetres on coarser pixels, to the pixels of the slice."""
+    """Convert the field of a volume, in mm on coarser voxels, to the pixels of the slice."""
     z, y, x = (np.indices((5, 30, 40)) * np.reshape([4.0, 2.0, 2.0], (3, 1, 1, 1))).astype(float)
     d = np.stack([0.2 + 0 * z, 0.02 * y + 0.01 * z, -0.01 * x], axis=-1)
     path = tmp_path / "warp.mha"
