@@ -153,7 +153,7 @@ def busy_thread():
 
 @pytest.fixture
 def small_sample():
-    """Return a function that adds a small example: tissue fixed at the left, pushed at the right."""
+    """Return a function that adds a painted example: tissue fixed left and pushed right."""
     from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, layer_metadata
     from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
