@@ -1,4 +1,4 @@
-"""What a dock remembers from one session to the next, and within one."""
+"""Tests of the settings that a dock restores, in the same session and in a later one."""
 
 from dataclasses import replace
 
@@ -17,18 +17,18 @@ def another(qtbot, viewer=None):
     return made
 
 
-def test_the_device_is_remembered(qtbot):
+def test_the_device_is_remembered_between_sessions(qtbot):
     another(qtbot).settings = replace(another(qtbot).settings, device="cpu")
     assert another(qtbot).settings.device == "cpu"
 
 
-def test_a_session_begins_with_the_layers_of_the_first_minute(qtbot):
+def test_a_session_starts_without_an_overlay(qtbot):
     first = another(qtbot)
     first.overlay = "magnitude"
     assert another(qtbot).overlay == "nothing"
 
 
-def test_what_is_computed_begins_with_elastic_tissue_each_time(qtbot):
+def test_a_session_starts_with_the_elastic_model(qtbot):
     first = another(qtbot)
     first.model = "paper"
     first.settings = replace(first.settings, sweeps=7)
@@ -36,7 +36,7 @@ def test_what_is_computed_begins_with_elastic_tissue_each_time(qtbot):
     assert (second.model, second.settings) == ("elastic", SolverDetails())
 
 
-def test_a_dock_that_is_opened_again_is_as_it_was_left(qtbot):
+def test_a_dock_opened_again_restores_its_settings(qtbot):
     first = another(qtbot)
     first.model = "elastic"
     first.plane = "strain"
@@ -51,7 +51,7 @@ def test_a_dock_that_is_opened_again_is_as_it_was_left(qtbot):
     assert (last.model, last.settings) == ("paper", SolverDetails(sweeps=7))
 
 
-def test_nonsense_in_the_file_is_left_alone(qtbot):
+def test_an_invalid_stored_setting_is_ignored(qtbot):
     store = QSettings(
         QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
     )

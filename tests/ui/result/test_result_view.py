@@ -454,7 +454,7 @@ def test_colours_show_the_displayed_part_of_the_motion_on_a_fixed_scale(look, se
 
 
 def lengths_of(solution, part):
-    """Return the displacement after a part of the motion, at the displayed position of the tissue."""
+    """Return the displacement after a part of the motion, at the displayed position of tissue."""
     lengths = part * np.linalg.norm(solution.displacement, axis=-1)
     lengths[~solution.tissue] = np.nan
     d = part * solution.displacement
