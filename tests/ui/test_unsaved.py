@@ -1,4 +1,4 @@
-"""What was done and is in no file is asked for before a window closes, and outlives a crash."""
+"""Tests of unsaved work: the question before closing, autosave and crash recovery."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ OTHER = Drawing((Arrow(at=(20, 40), by=(-3.0, 1.0), radius=4.0),))
 
 
 class Asked:
-    """Somebody who is asked, and what they answer."""
+    """Simulated answers to the questions of a dock."""
 
     def __init__(self, dock, *answers):
         self.questions, self._answers = [], list(answers)
@@ -39,7 +39,7 @@ class Asked:
 
 
 @pytest.fixture(autouse=True)
-def nobody_is_asked_by_napari():
+def no_question_of_napari():
     before = get_settings().application.confirm_close_window
     get_settings().application.confirm_close_window = False
     yield
@@ -47,7 +47,7 @@ def nobody_is_asked_by_napari():
 
 
 class Door(QObject):
-    """Stands between a window and its end, as napari's fixture wants to be who closes it."""
+    """Event filter that blocks and counts closing, because napari's fixture must close the window."""
 
     def __init__(self, window):
         super().__init__()
@@ -69,9 +69,9 @@ class Door(QObject):
 
 @pytest.fixture
 def window(unstyled, without_controls, make_napari_viewer, at_rest):
-    """A window with the dock beside an image of several slices, and the door it has to go by.
+    """Return a function that opens a window with an image of several slices, and the dock.
 
-    One that is not `shown` is closed as any other, but nothing of it is drawn.
+    The close events of the window are counted and blocked. With `shown=False` nothing is drawn.
     """
     doors = []
 
@@ -94,7 +94,7 @@ def window(unstyled, without_controls, make_napari_viewer, at_rest):
 
 @pytest.fixture
 def close(at_rest):
-    """Press the X of a window; whether it goes then."""
+    """Return a function that presses X and returns whether the window would close."""
 
     def pressed(dock):
         before = dock.door.passed
@@ -108,7 +108,7 @@ def close(at_rest):
 
 @pytest.fixture
 def beside(qtbot, wait_for):
-    """A dock beside a viewer without a window, at rest."""
+    """Return a function that makes an idle dock beside a viewer without a window."""
 
     def made(viewer):
         dock = SoftTissue(viewer)
@@ -121,17 +121,17 @@ def beside(qtbot, wait_for):
 
 
 def settings():
-    """Where is what is remembered for good."""
+    """Return the folder of the persistent settings."""
     kind = QSettings.Format.IniFormat, QSettings.Scope.UserScope
     return Path(QSettings(*kind, "napari-hmrf", "napari-hmrf").fileName()).parent
 
 
 def kept(place=None):
-    """The files that work is kept in against a crash, beside what is remembered for good."""
+    """Return the autosaved files, which lie beside the persistent settings."""
     return sorted(((place or settings()) / "unsaved").glob("*.study"))
 
 
-def test_nobody_is_asked_where_nothing_was_done(window, close):
+def test_closing_without_edits_asks_no_question(window, close):
     _, dock = window()
     asked = Asked(dock)
     assert not dock.unsaved
@@ -139,7 +139,7 @@ def test_nobody_is_asked_where_nothing_was_done(window, close):
     assert asked.questions == []
 
 
-def test_cancel_keeps_the_window_with_all_that_was_done(window, close, at_rest):
+def test_cancel_leaves_the_window_open_with_all_edits(window, close, at_rest):
     _, dock = window(shown=True)
     dock.drawing = DRAWING
     at_rest()
@@ -147,16 +147,16 @@ def test_cancel_keeps_the_window_with_all_that_was_done(window, close, at_rest):
     assert not close(dock)
     assert dock.drawing == DRAWING
     assert dock.unsaved
-    dock.native.window().close()  # as File > Close Window does
+    dock.native.window().close()  # File > Close Window calls this method.
     at_rest()
     assert dock.door.passed == 0
     assert close(dock)
-    assert len(asked.questions) == 3, "once each time"
+    assert len(asked.questions) == 3, "a press of X asked more or fewer than one question"
     assert "'MR slice 1'" in asked.questions[0]
     assert not kept()
 
 
-def test_a_window_that_is_closed_by_a_script_asks_nobody(window, at_rest):
+def test_a_window_closed_by_a_script_asks_no_question(window, at_rest):
     viewer, dock = window()
     dock.drawing = DRAWING
     at_rest()
@@ -167,7 +167,7 @@ def test_a_window_that_is_closed_by_a_script_asks_nobody(window, at_rest):
     assert not kept()
 
 
-def test_save_saves_where_somebody_says_and_then_where_it_was_saved(
+def test_save_asks_for_a_file_name_once_and_saves_there_again(
     window, close, at_rest, tmp_path, monkeypatch
 ):
     path, chosen = tmp_path / "case.study", ["", tmp_path / "case.study"]
@@ -175,19 +175,19 @@ def test_save_saves_where_somebody_says_and_then_where_it_was_saved(
     _, dock = window()
     dock.drawing = DRAWING
     Asked(dock, "save", "save", "save")
-    assert not close(dock), "no file was chosen"
+    assert not close(dock), "the window closed without a file name"
     dock.save_study(path)
     assert not dock.unsaved
     dock.undo()
     dock.redo()
-    assert not dock.unsaved, "it is as it was saved"
+    assert not dock.unsaved, "undo and redo changed the saved state"
     dock.drawing = OTHER
     assert close(dock)
     assert read_study(path).study.motion.drawing == OTHER
     assert not kept()
 
 
-def test_what_was_taken_back_is_not_asked_for_and_what_was_painted_is(window, close, at_rest):
+def test_undone_edits_are_not_unsaved_and_paint_is(window, close, at_rest):
     viewer, dock = window()
     dock.drawing = DRAWING
     dock.undo()
@@ -207,7 +207,7 @@ def test_what_was_taken_back_is_not_asked_for_and_what_was_painted_is(window, cl
     assert len(asked.questions) == 1
 
 
-def test_all_slices_are_saved_by_one_answer(window, close, at_rest, tmp_path, monkeypatch):
+def test_one_answer_saves_all_slices(window, close, at_rest, tmp_path, monkeypatch):
     names = []
 
     def choose(*given):
@@ -228,9 +228,7 @@ def test_all_slices_are_saved_by_one_answer(window, close, at_rest, tmp_path, mo
         assert read_study(tmp_path / name).study.motion.drawing == drawing
 
 
-def test_slices_of_two_orientations_are_saved_by_one_answer(
-    window, close, at_rest, tmp_path, monkeypatch
-):
+def test_one_answer_saves_slices_of_two_orientations(window, close, at_rest, tmp_path, monkeypatch):
     names = iter(["axial.study", "coronal.study"])
     monkeypatch.setattr(
         QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / next(names)), "")
@@ -248,7 +246,7 @@ def test_slices_of_two_orientations_are_saved_by_one_answer(
     assert (coronal.grid.shape, coronal.motion.drawing) == ((40, 64), OTHER)
 
 
-def test_of_two_windows_the_one_with_work_asks_and_quitting_asks_before_either_goes(
+def test_only_the_window_with_edits_asks_and_quitting_asks_before_any_window_closes(
     window, close, at_rest
 ):
     (_, first), (_, second) = window("one", shown=True), window("two", shown=True)
@@ -263,7 +261,7 @@ def test_of_two_windows_the_one_with_work_asks_and_quitting_asks_before_either_g
     assert other.questions == []
 
 
-def test_a_person_is_asked_by_a_box_with_three_answers(window, close, monkeypatch):
+def test_the_question_has_three_answers(window, close, monkeypatch):
     _, dock = window()
     dock.drawing = DRAWING
     shown = []
@@ -298,7 +296,7 @@ def test_the_question_names_the_file_that_saving_replaces(window, close, tmp_pat
     assert asked.questions[0].endswith("Save it before closing? Saving replaces 'case.study'.")
 
 
-def test_opening_a_study_loses_nothing_of_the_one_before(beside, wait_for, tmp_path):
+def test_opening_a_study_preserves_the_unsaved_edits_of_another_image(beside, wait_for, tmp_path):
     viewer, other = ViewerModel(), ViewerModel()
     other.add_image(np.full((40, 44), 90, np.uint8), name="saved")
     first = beside(other)
@@ -312,7 +310,7 @@ def test_opening_a_study_loses_nothing_of_the_one_before(beside, wait_for, tmp_p
     dock.open_study(path)
     wait_for(lambda: not dock.busy)
     assert dock.drawing == OTHER
-    assert dock.unsaved, "what was drawn before is in no file yet"
+    assert dock.unsaved, "the earlier drawing is not unsaved"
     dock.image = image
     wait_for(lambda: not dock.busy)
     assert dock.drawing == DRAWING
@@ -320,7 +318,7 @@ def test_opening_a_study_loses_nothing_of_the_one_before(beside, wait_for, tmp_p
     assert not dock.unsaved
 
 
-def test_work_is_kept_at_rest_and_never_while_a_button_is_down(window, at_rest, wait_for):
+def test_edits_are_autosaved_but_not_during_a_drag(window, at_rest, wait_for):
     viewer, dock = window(slices=0, shown=True)
     person = Person(viewer, None)
     dock.start()
@@ -365,7 +363,7 @@ app.exec()
 
 @pytest.fixture
 def killed(wait_for):
-    """A process with work that nobody has saved; it is killed in the end."""
+    """Return a context with a process that has unsaved work; the process is killed at the end."""
 
     @contextmanager
     def living():
@@ -388,11 +386,13 @@ def killed(wait_for):
 LEFT = "was not saved when napari ended"
 
 
-def test_what_a_killed_process_left_is_opened_and_kept_until_it_is_saved(
+def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
     killed, beside, wait_for, tmp_path
 ):
     with killed():
-        assert LEFT not in Screen(beside(ViewerModel())).words, "whoever lives has its work itself"
+        assert LEFT not in Screen(beside(ViewerModel())).words, (
+            "work of a running process is offered"
+        )
     (file,) = kept()
     dock = beside(ViewerModel())
     assert f" on 'photo' {LEFT}" in Screen(dock).words
@@ -404,12 +404,12 @@ def test_what_a_killed_process_left_is_opened_and_kept_until_it_is_saved(
     assert dock.unsaved
     (own,) = kept()
     assert own != file
-    assert LEFT not in Screen(beside(ViewerModel())).words, "it has an owner again"
+    assert LEFT not in Screen(beside(ViewerModel())).words, "recovered work is offered again"
     dock.save_study(tmp_path / "case")
     assert not kept()
 
 
-def test_what_a_killed_process_left_is_thrown_away_also_if_it_cannot_be_read(beside, monkeypatch):
+def test_unreadable_work_of_a_killed_process_can_be_discarded(beside, monkeypatch):
     over = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
     over.wait(LONG)
     with monkeypatch.context() as its:
@@ -424,6 +424,6 @@ def test_what_a_killed_process_left_is_thrown_away_also_if_it_cannot_be_read(bes
     assert "damaged" in dock.status
     assert kept() == [file]
     Screen(dock).press("Discard")
-    assert thrown == [str(file)], "where it can be had back from, if there is such a place"
+    assert thrown == [str(file)], "the file was not moved to the trash"
     assert not kept()
     assert LEFT not in Screen(dock).words
