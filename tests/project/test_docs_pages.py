@@ -1,4 +1,4 @@
-"""Pages of the documentation: links, commands, notebooks, pictures, and generated reference."""
+"""Tests of the documentation pages: links, commands, notebooks, pictures and generated reference."""
 
 import importlib.util
 import os.path
@@ -74,7 +74,7 @@ def test_sentences_are_about_software_and_begin_with_their_subject(conf):
     """Apply the rules for docstrings and messages to the pages that users read."""
     spec = importlib.util.spec_from_file_location("words_of_pages", ROOT / "scripts" / "words.py")
     words = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = words  # which dataclasses look up
+    sys.modules[spec.name] = words  # Dataclasses look the module up here.
     spec.loader.exec_module(words)
     folders = ("tutorials", "how-to", "concepts", "reference", "examples", "notebooks")
     pages = [page for folder in folders for page in DOCS.glob(f"{folder}/*.md")]
@@ -96,7 +96,7 @@ def test_sentences_are_about_software_and_begin_with_their_subject(conf):
 FRONTED = re.compile(r"(?:(?<=[.:!?] )|(?<=\n\n)|(?<=- ))(?:Whether|Have|Of (?!a patch))\b")
 
 
-def test_a_link_to_a_file_that_is_no_page_becomes_a_download(conf):
+def test_a_link_to_a_file_outside_the_docs_becomes_a_download(conf):
     text = "[shaders](../../shaders/README.md#x), [page](../index.md), [code](../../docs/conf.py)"
     assert conf.offer_files(text, "development/contributing") == text.replace(
         "../../shaders", "path:../../shaders"
@@ -216,7 +216,9 @@ def test_a_notebook_runs_and_stores_no_outputs(notebook, conf, monkeypatch, tmp_
 
 
 def _growing_sphere(names, printed):
-    assert names["error"] < 0.05 * names["exact"].max(), "as the closed form, but for its staircase"
+    assert names["error"] < 0.05 * names["exact"].max(), (
+        "the error exceeds that of the voxel staircase"
+    )
     assert 8 < names["ball"].size_change < names["free"]
     assert "voxels that fold: 0" in printed
 
@@ -229,7 +231,9 @@ def _landmarks(names, _):
 
     assert rms("on edges", "elastic") < rms("on edges", "paper, converged")
     assert rms("on edges", "paper, converged") < rms("on edges", "paper")
-    assert rms("anywhere", "paper, converged") < rms("anywhere", "elastic"), "as the text says"
+    assert rms("anywhere", "paper, converged") < rms("anywhere", "elastic"), (
+        "the order of the models differs from the text"
+    )
 
 
 def _augmentation(names, printed):

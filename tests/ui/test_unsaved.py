@@ -47,7 +47,7 @@ def no_question_of_napari():
 
 
 class Door(QObject):
-    """Event filter that blocks and counts closing, because napari's fixture must close the window."""
+    """Event filter that blocks and counts closing, because napari's fixture closes the window."""
 
     def __init__(self, window):
         super().__init__()
