@@ -1,4 +1,4 @@
-"""Tests of the documentation pages: links, commands, notebooks, pictures and generated reference."""
+"""Tests of the documentation pages: links, commands, notebooks, pictures and reference."""
 
 import importlib.util
 import os.path
