@@ -70,7 +70,7 @@ def pytest_collection_modifyitems(items):
         return
     for item in items:
         if _WINDOWS & set(item.fixturenames):
-            item.add_marker(pytest.mark.skip(reason="napari needs a display; make test brings one"))
+            item.add_marker(pytest.mark.skip(reason="napari needs a display; make test starts one"))
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -19,7 +19,7 @@ from napari_hmrf.io import figures
 from napari_hmrf.io.material_tables import write_preset
 from napari_hmrf.tissue.material_presets import PRESETS
 
-posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are of POSIX")
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions and FIFOs")
 
 
 @pytest.mark.parametrize(

@@ -150,7 +150,7 @@ def test_no_command_overwrites_a_file_without_force(files, capsys):
         assert run(f"{line} --force", capsys)[0] == 0, line
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/null"), reason="writes into a device")
+@pytest.mark.skipif(not os.path.exists("/dev/null"), reason="needs /dev/null")
 def test_a_device_is_written_without_force(files, capsys):
     assert run(f"{SOLVE} -o out", capsys)[0] == 0
     os.symlink("/dev/null", files / "none.csv")

@@ -214,7 +214,7 @@ PROBLEM = Problem(FIELD, HELD, IMAGE)
 MOVED = {"displacement": FIELD, "spacing": (1, 1), "tissue": None}
 
 
-def ruled(**of_the_rule):
+def images_of_rule(**of_the_rule):
     return boundary_images(LABELS, [BoundaryRule(**of_the_rule)], spacing=1)
 
 
@@ -277,8 +277,11 @@ CALLS_OF = {
         lambda **of: poisson_image(LABELS, [Material(1, "a", **of)]),
         {"stiffness": 1.0, "poisson": 0.3},
     ),
-    "a move": (ruled, {"label": 1, "action": "move", "vector": (1, 1), "confidence": (1, 1)}),
-    "an expansion": (ruled, {"label": 1, "action": "expand", "amount": 1.0}),
+    "a move": (
+        images_of_rule,
+        {"label": 1, "action": "move", "vector": (1, 1), "confidence": (1, 1)},
+    ),
+    "an expansion": (images_of_rule, {"label": 1, "action": "expand", "amount": 1.0}),
     "intensities": (StiffnessCurve(((0, 1), (1, 2))), {"intensities": IMAGE}),
     "percentiles": (StiffnessCurve.from_percentiles, {"intensities": np.arange(20.0)}),
     "a stored curve": (StiffnessCurve.from_dict, {"values": {"points": ((0, 1), (1, 2))}}),

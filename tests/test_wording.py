@@ -29,7 +29,7 @@ def messages(path):
             yield node.value
 
 
-def core():
+def core_modules():
     return [path for room in CORE for path in (PACKAGE / room).rglob("*.py")]
 
 
@@ -47,7 +47,7 @@ def test_a_setting_is_named_in_the_terms_of_the_interface():
 def test_every_setting_in_a_message_has_a_term_for_shell_and_window():
     found = {
         setting
-        for path in core()
+        for path in core_modules()
         for text in messages(path)
         for setting in re.findall(r"\(`([^`]+)`\)", text)
     }
@@ -57,7 +57,10 @@ def test_every_setting_in_a_message_has_a_term_for_shell_and_window():
 def test_no_message_of_the_core_names_a_control_of_the_window():
     window = re.compile(r"'Advanced'|\btick\b|under 'Ad|\bpress Deform|\bthe menu\b", re.IGNORECASE)
     found = [
-        f"{path.name}: {text}" for path in core() for text in messages(path) if window.search(text)
+        f"{path.name}: {text}"
+        for path in core_modules()
+        for text in messages(path)
+        if window.search(text)
     ]
     assert found == []
 
@@ -68,7 +71,7 @@ def test_extras_are_installed_from_a_copy_of_the_repository():
     assert set(get_args(Extra)) <= set(extras["project"]["optional-dependencies"])
 
 
-@pytest.mark.skipif(not (ROOT / "docs").exists(), reason="looks at a checkout of the repository")
+@pytest.mark.skipif(not (ROOT / "docs").exists(), reason="needs a checkout of the repository")
 def test_no_hint_installs_an_extra_from_a_registry():
     files = [
         path

@@ -44,7 +44,7 @@ def solved(tmp_path):
     return write_study(tmp_path / "case", study, solution), solution
 
 
-def by(solution):
+def field_arguments(solution):
     field = {"displacement": solution.displacement, "tissue": solution.tissue}
     return {**field, "spacing": solution.spacing}
 
@@ -75,11 +75,11 @@ def test_images_labels_and_films_are_warped(solved, tmp_path, capsys):
     assert main(["apply", str(path), str(tmp_path / "labels.png"), "--labels", "-o", out]) == 0
     assert "blended" not in capsys.readouterr().out
     read = {name: read_image(tmp_path / "out" / name).pixels for name in ("photo.png", "film.tif")}
-    np.testing.assert_array_equal(read["photo.png"], warp(photo, **by(solution)))
+    np.testing.assert_array_equal(read["photo.png"], warp(photo, **field_arguments(solution)))
     for frame, before in zip(read["film.tif"], film, strict=True):
-        np.testing.assert_array_equal(frame, warp(before, **by(solution)))
+        np.testing.assert_array_equal(frame, warp(before, **field_arguments(solution)))
     moved = read_image(tmp_path / "out" / "labels.png").pixels
-    np.testing.assert_array_equal(moved, warp(labels, order=0, **by(solution)))
+    np.testing.assert_array_equal(moved, warp(labels, order=0, **field_arguments(solution)))
     assert set(np.unique(moved)) <= set(np.unique(labels)) | {0}, "a new label appeared"
 
 

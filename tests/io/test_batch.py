@@ -374,7 +374,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 def test_a_killed_batch_is_resumed_without_solving_finished_cases_again(files):
     write_table(files, f"a,image.tif,{';'.join(map(str, range(1, 13)))}", more=",poisson")
     table = (files / "cases.csv").read_text().replace(";", ";0.0")
@@ -396,7 +396,7 @@ def test_a_killed_batch_is_resumed_without_solving_finished_cases_again(files):
     assert all(moved(files / "out", name) == pytest.approx(2) for name in rows)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 def test_a_killed_worker_process_fails_only_its_case(files):
     table = write_table(files, "a,image.tif,1;2;3;4", more=",amount:rim")
     killed = []

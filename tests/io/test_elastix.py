@@ -8,7 +8,7 @@ from tests.support.exchanged_fields import PLACES, FieldCase, check_field_file, 
 
 itk = pytest.importorskip("itk")
 if not hasattr(itk, "TransformixFilter"):
-    pytest.skip("itk is there without elastix", allow_module_level=True)
+    pytest.skip("itk is installed without elastix", allow_module_level=True)
 
 
 def transformix(case, field, image, folder, suffix="mha"):

@@ -34,7 +34,7 @@ def heap_objects(content):
         at += 16 + -(-struct.unpack_from("<Q", content, at + 8)[0] // 8) * 8
 
 
-def endless(path):
+def make_endless_transform(path):
     """Write a transform whose text objects have length 0, so that HDF5 reads without end."""
     make_foreign(path)
     content = bytearray(path.read_bytes())
@@ -43,7 +43,7 @@ def endless(path):
     path.write_bytes(content)
 
 
-def crashing(path):
+def make_crashing_transform(path):
     """Write a transform whose name claims to be longer than any file."""
     make_foreign(path)
     content = bytearray(path.read_bytes())
@@ -55,7 +55,7 @@ def crashing(path):
 @pytest.fixture
 def hanging(tmp_path):
     path = tmp_path / "hanging.h5"
-    endless(path)
+    make_endless_transform(path)
     return path
 
 
@@ -80,7 +80,7 @@ def test_a_file_that_is_read_without_end_is_tried_only_once(hanging, monkeypatch
 
 
 def test_a_file_that_crashes_its_decoder_is_refused(tmp_path):
-    crashing(tmp_path / "a.h5")
+    make_crashing_transform(tmp_path / "a.h5")
     with pytest.raises(FileFormatError, match=r"a\.h5: not a displacement field that can be read"):
         read_field(tmp_path / "a.h5")
 
@@ -105,7 +105,7 @@ def test_the_reader_of_the_window_reports_a_damaged_file(hanging):
 
 def test_a_device_or_a_pipe_is_refused_as_a_field_or_an_image(tmp_path):
     if os.name != "posix":
-        pytest.skip("POSIX alone has FIFOs with names")
+        pytest.skip("needs named pipes (POSIX)")
     os.mkfifo(tmp_path / "a.mha")
     os.symlink("/dev/zero", tmp_path / "b.h5")
     for name in ("a.mha", "b.h5"):
@@ -187,7 +187,7 @@ assert "SimpleITK" not in sys.modules, "100 MB of memory, and no protection"
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
 def test_a_forked_process_starts_its_own_decoder_and_loads_no_simpleitk(tmp_path):
     folders = [os.path.dirname(sys.modules["damaged_fields"].__file__), *sys.path]
     subprocess.run(

@@ -28,7 +28,7 @@ _WAYS = (
 )
 
 
-@pytest.mark.skipif(os.name != "posix", reason="the limit of a file's size is of POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="needs the POSIX limit of file sizes")
 @pytest.mark.parametrize("writer", full_disks.writers(), ids=lambda each: each.name)
 def test_a_full_disk_changes_no_earlier_file(writer, tmp_path):
     """Limit the size of a file; `python benchmarks/full_disks.py --commands` fills real disks."""

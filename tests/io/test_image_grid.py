@@ -91,7 +91,7 @@ def resampled(image, path):
     return sitk.GetArrayFromImage(moved)
 
 
-def made(kind, image, tmp_path):
+def image_and_array(kind, image, tmp_path):
     """Return the image in a form that `Grid.from_image` accepts, and its array."""
     if kind == "nibabel":
         given = nibabel_of(image)
@@ -106,7 +106,7 @@ def made(kind, image, tmp_path):
 @pytest.mark.parametrize("kind", ["simpleitk", "nibabel", ".mha", ".nrrd", ".nii.gz"])
 def test_simpleitk_and_warp_move_a_volume_alike(kind, tmp_path):
     image = scan()
-    given, pixels = made(kind, image, tmp_path)
+    given, pixels = image_and_array(kind, image, tmp_path)
     grid = Grid.from_image(given)
     assert (grid.shape, grid.unit) == (pixels.shape, "millimeter")
     np.testing.assert_allclose(sorted(grid.spacing), sorted(SPACING), rtol=1e-6)
@@ -128,7 +128,7 @@ def test_simpleitk_and_warp_move_a_volume_alike(kind, tmp_path):
 @pytest.mark.parametrize("kind", ["simpleitk", "nibabel"])
 def test_the_field_of_a_slice_moves_only_that_slice(kind, axis, tmp_path, capsys):
     image = scan()
-    given, pixels = made(kind, image, tmp_path)
+    given, pixels = image_and_array(kind, image, tmp_path)
     grid, seen = Grid.from_image(given, slice=3, axis=axis), pixels.take(3, axis)
     assert grid.shape == seen.shape
     solution = solved(grid)

@@ -79,7 +79,7 @@ def tissues(names):
         {"labels": {"background": 0, **{name: label for label, name in TOTAL.items()}}},
         {"labels": {"0": "background", **TOTAL}, "numTraining": 3, "name": "a data set"},
     ],
-    ids=["a class map", "one of several", "dataset.json", "an earlier dataset.json"],
+    ids=["a class map", "one of several maps", "dataset.json", "an earlier dataset.json"],
 )
 def test_a_class_map_of_totalsegmentator_is_read_as_tissue(tmp_path, content):
     path = tmp_path / "classes.json"

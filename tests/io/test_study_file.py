@@ -199,7 +199,7 @@ def test_a_study_is_replayed_bit_by_bit_in_a_new_process(tmp_path):
 KILLED = Path(__file__).parents[2] / "benchmarks" / "killed.py"
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
 def test_a_process_killed_while_saving_leaves_a_complete_file():
     """Test some steps; `python benchmarks/killed.py` kills at all steps and while writing large
     files."""
@@ -325,7 +325,7 @@ def test_an_array_is_expanded_without_a_second_copy(tmp_path):
     assert most < 1.5 * image.nbytes
 
 
-@pytest.mark.skipif(os.name != "posix", reason="devices and FIFOs are of POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX devices and FIFOs")
 def test_devices_and_pipes_are_refused_as_studies_and_tables(tmp_path):
     fifo, device = tmp_path / "a.study", tmp_path / "b.study"
     os.mkfifo(fifo)

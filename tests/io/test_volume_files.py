@@ -283,7 +283,7 @@ def test_pictures_and_movies_of_a_volume_are_refused(solution, tmp_path):
         write_movie(tmp_path / "a.gif", solution, smooth_image())
 
 
-def a_study(solution, **changes):
+def make_study(solution, **changes):
     tissue = Tissue(labels=solution.tissue.astype(np.uint8), materials=(Material(1, "brain", 3.0),))
     c = np.zeros((*SHAPE, 3), np.float32)
     c[0] = 1
@@ -298,7 +298,7 @@ def a_study(solution, **changes):
 
 
 def test_a_study_of_a_volume_is_read_back_unchanged(solution, tmp_path):
-    study = a_study(solution)
+    study = make_study(solution)
     path = write_study(tmp_path / "case", study, solution)
     assert is_study_file(path)
     saved = read_study(path)

@@ -18,7 +18,7 @@ from napari_hmrf.layers import compat
 PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 
 
-def public(thing, *words):
+def public_names_with(thing, *words):
     """Return the public names of an object that contain one of some words."""
     names = [name for name in dir(thing) if not name.startswith("_")]
     return [name for name in names if any(word in name for word in words)]
@@ -34,7 +34,7 @@ def test_plugins_still_get_a_proxy():
     )
 
 
-@pytest.mark.skipif(not PROJECT.exists(), reason="looks at a checkout of the repository")
+@pytest.mark.skipif(not PROJECT.exists(), reason="needs a checkout of the repository")
 def test_napari_versions_before_the_move_of_camera_and_overlays_are_allowed():
     listed = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]["dependencies"]
     (lowest,) = [each.partition(">=")[2] for each in listed if each.startswith("napari>=")]
@@ -77,7 +77,9 @@ def test_napari_has_no_public_list_of_undoable_paint():
     assert len(compat.paint_steps(layer, "redo")) == 1
     assert compat.paint_steps(Vectors(ndim=2), "undo") is None
     known = {"undo", "redo", "block_history"}
-    assert set(public(layer, "undo", "redo", "history")) <= known, "check for a public way"
+    assert set(public_names_with(layer, "undo", "redo", "history")) <= known, (
+        "check for a public way"
+    )
 
 
 def test_a_thumbnail_of_vectors_has_no_public_limit(monkeypatch):
@@ -91,7 +93,7 @@ def test_a_thumbnail_of_vectors_has_no_public_limit(monkeypatch):
     assert drawn == [8], (
         "lines are selected in another way; check whether drawing all is still slow"
     )
-    assert public(layer, "thumbnail") == ["thumbnail"], "check for a public way"
+    assert public_names_with(layer, "thumbnail") == ["thumbnail"], "check for a public way"
 
 
 def test_the_window_has_no_public_access_to_the_node_of_a_layer(make_napari_viewer):
@@ -101,20 +103,24 @@ def test_the_window_has_no_public_access_to_the_node_of_a_layer(make_napari_view
     assert compat.drawn_node(ViewerModel(), layer) is None
     assert compat.drawn_node(viewer, Vectors(ndim=2)) is None
     # `qt_viewer` was deprecated before a replacement existed.
-    assert set(public(viewer.window, "canvas", "viewer")) <= {"qt_viewer"}, "check for a public way"
+    assert set(public_names_with(viewer.window, "canvas", "viewer")) <= {"qt_viewer"}, (
+        "check for a public way"
+    )
 
     one, each = np.zeros(4, np.float32), np.zeros((3, 4), np.float32)
 
-    def kept(colours):
+    def reuses_program(colours):
         build = mesh._build_color_transform
         return build(colours) is build(colours + 1)
 
-    assert not kept(each), "vispy's meshes reuse their programs, so compile_once can be removed"
+    assert not reuses_program(each), (
+        "vispy's meshes reuse their programs, so compile_once can be removed"
+    )
     assert compat.compile_once(mesh)
-    assert kept(one)
-    assert kept(each)
+    assert reuses_program(one)
+    assert reuses_program(each)
     values = np.zeros((3, 1), np.float32)
-    assert not kept(values), "the function contains the limits of the values"
+    assert not reuses_program(values), "the function contains the limits of the values"
     layer.data = np.array([[[1.0, 1.0], [4.0, 4.0]]])
     assert not compat.compile_once(None)
     assert not compat.compile_once(object())

@@ -31,7 +31,7 @@ def swirl(shape, spacing):
     return np.stack([np.sin(rows) * np.cos(cols), 1.5 * np.sin(cols)], axis=-1) * spacing
 
 
-def opened(path):
+def open_file(path):
     """Return the layer that File > Open makes of a file."""
     ((data, attributes, kind),) = open_scan(str(path))(str(path))
     return Layer.create(data, attributes, kind)
@@ -62,7 +62,7 @@ def photo(**place):
 def test_a_field_file_is_opened_as_a_layer_at_its_place(tmp_path, ending):
     path, d = tmp_path / f"warp{ending}", swirl(SHAPE, 0.5)
     write_field(path, d, spacing=(0.5, 0.7), origin=(3.0, -4.0), direction=TURN)
-    layer = opened(path)
+    layer = open_file(path)
     assert layer.name == "warp"
     assert [str(unit) for unit in layer.units] == ["millimeter"] * 2
     x_first = [3.0, -4.0] + TURN @ [0.7 * 11, 0.5 * 20]
@@ -71,10 +71,10 @@ def test_a_field_file_is_opened_as_a_layer_at_its_place(tmp_path, ending):
     held = field_of(layer).field.displacement
     np.testing.assert_allclose(held[inner], (d / [0.5, 0.7])[inner], atol=0.02)
     assert 100 < len(layer.data) < 500, "too few or too many arrows"
-    assert opened_arrows_are_of_the_field(layer, held)
+    assert arrows_match_field(layer, held)
 
 
-def opened_arrows_are_of_the_field(layer, held):
+def arrows_match_field(layer, held):
     starts = layer.data[:, 0].astype(int)
     return np.allclose(layer.data[:, 1], held[tuple(starts.T)], atol=1e-5)
 
@@ -98,7 +98,7 @@ def test_a_field_with_its_own_grid_is_the_boundary_of_a_slice_of_a_volume(
         "image",
     )
     write_field(path, d, spacing=(4.0, 2.0, 2.0), origin=(1.0, 2.0, 3.0))
-    dock, viewer = dock_beside(volume, opened(path))
+    dock, viewer = dock_beside(volume, open_file(path))
     viewer.dims.set_current_step(0, 3)
     dock.boundary = viewer.layers["warp"]
     wait_for(lambda: not dock.busy)
@@ -124,7 +124,7 @@ def test_a_field_is_weighted_by_a_mask_an_image_or_edges(tmp_path, dock_beside, 
         Layer.create(sure, {"name": "sure", **place}, "image"),
     )
     layers[0].metadata = layer_metadata("image")
-    dock, viewer = dock_beside(opened(tmp_path / "warp.mha"), *layers)
+    dock, viewer = dock_beside(open_file(tmp_path / "warp.mha"), *layers)
     dock.image, dock.boundary = viewer.layers["photo"], viewer.layers["warp"]
     held = field_of(viewer.layers["warp"]).field.displacement
     for chosen, counts in (
@@ -148,7 +148,7 @@ def test_a_field_is_weighted_by_a_mask_an_image_or_edges(tmp_path, dock_beside, 
 def test_a_zero_confidence_and_a_released_edge_are_reported(tmp_path, dock_beside, wait_for):
     write_field(tmp_path / "warp.mha", swirl(SHAPE, 1.0), spacing=(1, 1))
     empty = Layer.create(np.zeros(SHAPE, np.uint8), {"name": "mask", "units": ("mm", "mm")})
-    dock, viewer = dock_beside(opened(tmp_path / "warp.mha"), photo(units=("mm", "mm")))
+    dock, viewer = dock_beside(open_file(tmp_path / "warp.mha"), photo(units=("mm", "mm")))
     viewer.add_layer(empty)
     dock.image = viewer.layers["photo"]
     Screen(dock).choose("warp")
@@ -167,7 +167,7 @@ def test_a_zero_confidence_and_a_released_edge_are_reported(tmp_path, dock_besid
 
 def test_a_field_in_pixels_is_applied_to_an_image_without_millimetres(tmp_path, dock_beside):
     write_field(tmp_path / "warp.mha", swirl(SHAPE, 0.5), spacing=(0.5, 0.5))
-    dock, viewer = dock_beside(photo(), opened(tmp_path / "warp.mha"))
+    dock, viewer = dock_beside(photo(), open_file(tmp_path / "warp.mha"))
     dock.boundary = viewer.layers["warp"]
     held = field_of(dock.boundary).field.displacement
     study = dock.study
@@ -178,11 +178,11 @@ def test_a_field_in_pixels_is_applied_to_an_image_without_millimetres(tmp_path, 
 def test_a_field_at_another_place_is_refused_by_name(tmp_path, dock_beside):
     write_field(tmp_path / "far.mha", swirl(SHAPE, 0.5), spacing=(0.5, 0.5), origin=(900, 900))
     write_field(tmp_path / "small.mha", swirl((20, 20), 0.5), spacing=(0.5, 0.5))
-    in_mm, viewer = dock_beside(photo(units=("mm", "mm")), opened(tmp_path / "far.mha"))
+    in_mm, viewer = dock_beside(photo(units=("mm", "mm")), open_file(tmp_path / "far.mha"))
     in_mm.boundary = viewer.layers["far"]
     with pytest.raises(ProblemError, match="'far' lies elsewhere than the image"):
         _ = in_mm.study
-    in_pixels, viewer = dock_beside(photo(), opened(tmp_path / "small.mha"))
+    in_pixels, viewer = dock_beside(photo(), open_file(tmp_path / "small.mha"))
     in_pixels.boundary = viewer.layers["small"]
     with pytest.raises(ProblemError, match="'small' is 20 x 20 in millimeter, but the image is 40"):
         _ = in_pixels.study
@@ -192,7 +192,7 @@ def test_a_dense_field_of_a_study_is_drawn_as_a_few_arrows(tmp_path, dock_beside
     write_field(tmp_path / "warp.mha", swirl((60, 60), 1.0), spacing=(1, 1))
     pixels = np.full((60, 60), 100, np.uint8)
     image = Layer.create(pixels, {"name": "photo", "units": ("mm", "mm")}, "image")
-    dock, viewer = dock_beside(image, opened(tmp_path / "warp.mha"))
+    dock, viewer = dock_beside(image, open_file(tmp_path / "warp.mha"))
     dock.boundary = viewer.layers["warp"]
     wait_for(lambda: not dock.busy)
     path = dock.save_study(tmp_path / "case")
@@ -208,7 +208,7 @@ def test_a_dense_field_of_a_study_is_drawn_as_a_few_arrows(tmp_path, dock_beside
 def test_a_rotated_field_on_its_own_pixels_is_read_unchanged(tmp_path, dock_beside):
     d = swirl(SHAPE, 0.5)
     write_field(tmp_path / "warp.mha", d, spacing=(0.5, 0.7), origin=(3, -4), direction=TURN)
-    field = opened(tmp_path / "warp.mha")
+    field = open_file(tmp_path / "warp.mha")
     place = {name: getattr(field, name) for name in ("scale", "affine", "units")}
     dock, viewer = dock_beside(photo(**place), field)
     dock.boundary = viewer.layers["warp"]

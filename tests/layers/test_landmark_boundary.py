@@ -29,10 +29,10 @@ def request(where, should, boundary=None, radius=None, confidence=1.0, points=No
         Points(np.array(where, dtype=float), name="is", size=1, **points),
         Points(np.array(should, dtype=float), name="ought", size=1, **points),
     )
-    return taken(*pair, boundary, radius=radius, confidence=confidence, **place)
+    return request_with_landmarks(*pair, boundary, radius=radius, confidence=confidence, **place)
 
 
-def taken(where, should, boundary=None, radius=None, confidence=1.0, **place):
+def request_with_landmarks(where, should, boundary=None, radius=None, confidence=1.0, **place):
     """Return a request for a block of gel in air with the landmarks of layers."""
     tissue = np.zeros(SHAPE, np.uint8)
     tissue[4:-4, 4:-4] = 1
@@ -241,15 +241,15 @@ def lines(*shapes, name="drawn", **place):
     return layer
 
 
-def of_lines(layer, radius=2.0, **place):
-    return taken(layer, None, radius=radius, **place)
+def request_with_lines(layer, radius=2.0, **place):
+    return request_with_landmarks(layer, None, radius=radius, **place)
 
 
 def test_a_line_or_path_moves_tissue_from_its_start_to_its_end():
     drawn = lines(
         ("line", [(12, 12), (15, 11)]), ("path", [(30, 36), (31, 30), (28, 36)]), scale=SIZE
     )
-    problem = read_layers(of_lines(drawn, scale=SIZE)).problem
+    problem = read_layers(request_with_lines(drawn, scale=SIZE)).problem
     np.testing.assert_allclose(problem.observed[12, 12], (1.5, -2), atol=1e-6)
     np.testing.assert_allclose(problem.observed[30, 36], (-1, 0), atol=1e-6)
 
@@ -268,7 +268,7 @@ def test_a_line_or_path_moves_tissue_from_its_start_to_its_end():
 )
 def test_unusable_shapes_are_refused_with_layer_and_number(shapes, words):
     with pytest.raises(ProblemError, match=words):
-        read_layers(of_lines(lines(*shapes)))
+        read_layers(request_with_lines(lines(*shapes)))
 
 
 def test_lines_are_imported_without_a_second_layer(widget, small_sample, run):

@@ -22,7 +22,7 @@ def frame(shape=SHAPE, **place):
     return frame_of(Image(np.zeros(shape), **place))
 
 
-def apart(first, second, shape=SHAPE):
+def differ(first, second, shape=SHAPE):
     """Return whether two places differ, by a comparison in both directions."""
     there, back = first.same_place(second, shape), second.same_place(first, shape)
     assert there == back
@@ -34,9 +34,9 @@ def apart(first, second, shape=SHAPE):
 def test_a_small_fraction_of_a_pixel_is_another_place(pixels, axis):
     offset = np.zeros(2)
     offset[axis] = pixels
-    assert apart(frame(), frame(translate=offset))
+    assert differ(frame(), frame(translate=offset))
     scale = np.array([0.5, 2.0])
-    assert apart(frame(scale=scale), frame(scale=scale, translate=offset * scale))
+    assert differ(frame(scale=scale), frame(scale=scale, translate=offset * scale))
 
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0), (1e-6, 1e-3), (1e4, 3.0)])
@@ -45,14 +45,14 @@ def test_rounding_in_a_header_is_not_another_place(scale):
     exact = frame((512, 512), scale=scale, translate=offset)
     rounded = frame((512, 512), scale=np.float32(scale), translate=np.float32(offset))
     assert exact != rounded
-    assert not apart(exact, rounded, (512, 512))
+    assert not differ(exact, rounded, (512, 512))
 
 
 def test_the_tolerance_does_not_depend_on_the_distance_from_the_origin():
     """Use world coordinates of a million pixels, as of a microscope stage."""
     far = np.array([1e6, -1e6])
-    assert apart(frame(translate=far), frame(translate=np.add(far, (0, 0.5))))
-    assert not apart(frame(translate=far), frame(translate=np.add(far, (0, 1e-5))))
+    assert differ(frame(translate=far), frame(translate=np.add(far, (0, 0.5))))
+    assert not differ(frame(translate=far), frame(translate=np.add(far, (0, 1e-5))))
 
 
 def test_the_tolerance_does_not_depend_on_steps_along_other_axes():
@@ -60,8 +60,8 @@ def test_the_tolerance_does_not_depend_on_steps_along_other_axes():
     for place in ({"scale": (1e6, 1.0, 1.0)}, {"translate": (1e7, 0.0, 0.0)}):
         first = frame((3, *SHAPE), **place)
         shifted = {**place, "translate": np.add(place.get("translate", (0, 0, 0)), (0, 0, 1.0))}
-        assert apart(first, frame((3, *SHAPE), **shifted))
-        assert not apart(first, frame((3, *SHAPE), **place))
+        assert differ(first, frame((3, *SHAPE), **shifted))
+        assert not differ(first, frame((3, *SHAPE), **place))
 
 
 def test_a_rotated_image_is_compared_along_its_own_pixels():
@@ -70,8 +70,8 @@ def test_a_rotated_image_is_compared_along_its_own_pixels():
         [[np.cos(np.pi / 6), -np.sin(np.pi / 6)], [np.sin(np.pi / 6), np.cos(np.pi / 6)]]
     )
     across = along @ (0, 0.005)  # Half of the narrow side of a pixel.
-    assert apart(frame(**place), frame(**place, translate=across))
-    assert not apart(frame(**place), frame(**place, translate=along @ (0.005, 0)))
+    assert differ(frame(**place), frame(**place, translate=across))
+    assert not differ(frame(**place), frame(**place, translate=along @ (0.005, 0)))
 
 
 def test_another_slice_is_another_place():
@@ -82,7 +82,7 @@ def test_another_slice_is_another_place():
     for step in (1, 2):
         viewer.dims.set_current_step(0, step)
         seen.append(frame_of(stack, View.of(viewer.dims)))
-    assert apart(*seen)
+    assert differ(*seen)
 
 
 @pytest.mark.filterwarnings("ignore")

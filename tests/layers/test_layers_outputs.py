@@ -252,7 +252,9 @@ def test_the_inputs_of_a_problem_are_shown_as_layers():
     layers = layers_of(outputs, ("stiffness", "observed", "confidence"))
     for name, given in (("stiffness", m), ("confidence", c.max(axis=-1))):
         moved = warp(given, solved.displacement, spacing=(1.0, 2.0), order=0, fill=np.nan)
-        np.testing.assert_allclose(layers[name].data, moved, err_msg="it moves with the tissue")
+        np.testing.assert_allclose(
+            layers[name].data, moved, err_msg="an input does not move with the tissue"
+        )
     assert layers["confidence"].contrast_limits == [0.0, 1.0]
     starts, steps = layers["observed"].data[:, 0], layers["observed"].data[:, 1]
     assert set(starts[:, 0]) == {0, 19}, "observations are not shown, or are shown elsewhere"

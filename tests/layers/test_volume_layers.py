@@ -31,7 +31,7 @@ def viewer():
     return viewer
 
 
-def whole(viewer):
+def volume_view(viewer):
     return View.of(viewer.dims, volume=True)
 
 
@@ -42,7 +42,7 @@ def test_a_whole_volume_is_read_at_any_displayed_slice(viewer):
     for order in ((0, 1, 2), (1, 0, 2), (2, 1, 0)):
         viewer.dims.order = order
         request = Request(
-            tissue=labels, image=image, materials=rows, view=whole(viewer), drawing=Drawing()
+            tissue=labels, image=image, materials=rows, view=volume_view(viewer), drawing=Drawing()
         )
         study = study_from_layers(request)
         assert study.grid.shape == SHAPE
@@ -56,7 +56,7 @@ def test_a_volume_in_time_is_read_at_the_displayed_time():
     data = np.arange(3 * np.prod(SHAPE)).reshape(3, *SHAPE).astype(np.float32)
     image = viewer.add_image(data)
     viewer.dims.set_point(0, 2)
-    study = study_from_layers(Request(image=image, view=whole(viewer), drawing=Drawing()))
+    study = study_from_layers(Request(image=image, view=volume_view(viewer), drawing=Drawing()))
     assert np.array_equal(study.pictures.image, data[2])
     assert study.grid.place.slice_name == "volume 2"
 
@@ -64,12 +64,14 @@ def test_a_volume_in_time_is_read_at_the_displayed_time():
 def test_a_two_dimensional_image_is_refused_as_a_volume(viewer):
     flat = Image(np.zeros(SHAPE[1:]))
     with pytest.raises(ProblemError, match="not a volume"):
-        frame_of(flat, whole(viewer))
+        frame_of(flat, volume_view(viewer))
 
 
 def test_layers_of_another_depth_are_refused(viewer):
     labels = Labels(np.ones((7, *SHAPE[1:]), int), scale=SCALE, units=UNITS, translate=(5, 6, 7))
-    request = Request(tissue=labels, image=viewer.layers[0], view=whole(viewer), drawing=Drawing())
+    request = Request(
+        tissue=labels, image=viewer.layers[0], view=volume_view(viewer), drawing=Drawing()
+    )
     with pytest.raises(ProblemError, match=r"lies elsewhere|8 x 12 x 10"):
         study_from_layers(request)
 
@@ -85,12 +87,12 @@ def test_layers_of_another_depth_are_refused(viewer):
 def test_the_displayed_slice_is_identified(viewer, order, point, expected):
     viewer.dims.order = order
     viewer.dims.point = point
-    frame = frame_of(viewer.layers[0], whole(viewer))
+    frame = frame_of(viewer.layers[0], volume_view(viewer))
     assert plane_shown(frame, View.of(viewer.dims)) == expected
 
 
 def test_steps_in_a_volume_are_described_as_displayed(viewer):
-    frame = frame_of(viewer.layers[0], whole(viewer))
+    frame = frame_of(viewer.layers[0], volume_view(viewer))
     ways = directions_of(frame, viewer)
     assert ways.step(ways.to_display((1.0, 2.0, -3.0))) == "1 deeper, 2 down, 3 left"
     viewer.dims.order = (1, 0, 2)
@@ -105,7 +107,7 @@ def test_steps_in_a_patient_are_described_by_anatomical_letters():
     viewer = ViewerModel()
     labels = ("superior", "posterior", "left")
     image = viewer.add_image(np.zeros(SHAPE), axis_labels=labels, units=UNITS)
-    frame = frame_of(image, whole(viewer))
+    frame = frame_of(image, volume_view(viewer))
     ways = directions_of(frame, viewer)
     assert ways.step(ways.to_display((1.0, -2.0, 3.0))) == "1 S, 2 A, 3 L"
 
@@ -122,7 +124,7 @@ def test_a_study_of_a_volume_is_converted_to_the_layers_it_was_read_from(viewer)
         boundary=Labels(boundary, **place),
         materials=(Material(1, "tissue", 2.0),),
         rules=rules,
-        view=whole(viewer),
+        view=volume_view(viewer),
     )
     study = study_from_layers(request)
     made = study_layers(study)
@@ -131,7 +133,7 @@ def test_a_study_of_a_volume_is_converted_to_the_layers_it_was_read_from(viewer)
             tissue=made["tissue"],
             image=made["image"],
             boundary=made["boundary"],
-            view=whole(viewer),
+            view=volume_view(viewer),
         )
     )
     assert again.grid == study.grid
@@ -143,7 +145,9 @@ def test_a_study_of_a_volume_is_converted_to_the_layers_it_was_read_from(viewer)
 def test_the_result_of_a_volume_lies_at_the_place_of_the_volume(viewer):
     image = viewer.layers[0]
     pull = Arrow((4, 6, 5), (0.0, 1.0, 1.0), 2.0)
-    request = Request(image=image, view=whole(viewer), hold_edge=True, drawing=Drawing((pull,)))
+    request = Request(
+        image=image, view=volume_view(viewer), hold_edge=True, drawing=Drawing((pull,))
+    )
     study = study_from_layers(request)
     solution = solve_study(study)
     outputs = result_layers(solution, study.grid.place, study.pictures)
@@ -161,10 +165,10 @@ def test_the_result_of_a_volume_lies_at_the_place_of_the_volume(viewer):
 
 
 def test_a_landmark_in_a_volume_may_have_its_target_on_another_slice(viewer):
-    frame = frame_of(viewer.layers[0], whole(viewer))
+    frame = frame_of(viewer.layers[0], volume_view(viewer))
     where = Points([[2.0, 3, 4], [5, 6, 7]], scale=SCALE, units=UNITS, translate=(5, 6, 7))
     should = Points([[3.0, 3, 4], [5, 6, 8]], scale=SCALE, units=UNITS, translate=(5, 6, 7))
-    marks = read_landmarks(where, should, frame, SHAPE, whole(viewer))
+    marks = read_landmarks(where, should, frame, SHAPE, volume_view(viewer))
     assert [mark.target for mark in marks] == [(3, 3, 4), (5, 6, 8)]
     study = Study(
         Grid(SHAPE, SCALE),

@@ -10,11 +10,11 @@ import pytest
 TESTS = Path(__file__).resolve().parents[1]
 PAGE = TESTS.parent / "docs" / "development" / "capabilities.md"
 
-pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="looks at a checkout of the repository")
+pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="needs a checkout of the repository")
 
 
 @cache
-def in_file(file: str) -> dict[str, ast.FunctionDef]:
+def tests_in(file: str) -> dict[str, ast.FunctionDef]:
     """Return the tests of a file by name."""
     tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
     return {
@@ -24,7 +24,7 @@ def in_file(file: str) -> dict[str, ast.FunctionDef]:
     }
 
 
-def looks_behind(test: ast.FunctionDef) -> bool:
+def uses_private_names(test: ast.FunctionDef) -> bool:
     """Return whether a test accesses a private attribute."""
     names = [node.attr for node in ast.walk(test) if isinstance(node, ast.Attribute)]
     return any(name.startswith("_") and not name.startswith("__") for name in names)
@@ -47,7 +47,7 @@ def test_every_row_names_existing_tests():
     for what, named in rows():
         for each in named:
             file, _, test = each.partition("::")
-            if not (TESTS / file).is_file() or test not in in_file(file):
+            if not (TESTS / file).is_file() or test not in tests_in(file):
                 missing.append(f"{what}: {each}")
         if not named:
             missing.append(f"{what}: no test")
@@ -58,7 +58,7 @@ def test_every_capability_is_tested_through_the_public_interface():
     behind = []
     for what, named in rows():
         parts = [each.split("::") for each in named]
-        if all(looks_behind(in_file(file)[test]) for file, test in parts):
+        if all(uses_private_names(tests_in(file)[test]) for file, test in parts):
             behind.append(what)
     assert behind == []
 

@@ -29,7 +29,7 @@ WITH_BLOCKS = [
 AT_THE_TOP = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
 
 pytestmark = pytest.mark.skipif(
-    not (DOCS / "tutorials").exists(), reason="looks at a checkout of the repository"
+    not (DOCS / "tutorials").exists(), reason="needs a checkout of the repository"
 )
 
 

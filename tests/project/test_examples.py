@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(not EXAMPLES.exists(), reason="needs a checkout 
 
 
 @pytest.fixture
-def said(monkeypatch, capsys, tmp_path):
+def run_example(monkeypatch, capsys, tmp_path):
     """Return a function that runs an example in a temporary folder and returns its output."""
 
     def run(name: str) -> str:
@@ -33,15 +33,15 @@ def number(pattern: str, text: str) -> float:
     return float(found)
 
 
-def test_a_stiff_disc_is_hardly_strained_and_moves_half_of_the_distance(said):
-    text = said("stiff_disc")
+def test_a_stiff_disc_is_hardly_strained_and_moves_half_of_the_distance(run_example):
+    text = run_example("stiff_disc")
     within = number("mean within the disc: # %", text)
     assert 0 < within < 0.2 * number("mean around the disc: # %", text)
     assert number("# to the right", text) == pytest.approx(4, abs=0.3)
 
 
-def test_a_growing_tumour_compresses_the_surrounding_tissue(said, tmp_path):
-    text = said("growing_tumour")
+def test_a_growing_tumour_compresses_the_surrounding_tissue(run_example, tmp_path):
+    text = run_example("growing_tumour")
     assert number("area of the tumour: # %", text) > 120
     assert number("area of the ventricles: # %", text) < 100
     assert number("area of the normal tissue: # %", text) < 100
@@ -55,7 +55,7 @@ def test_a_growing_tumour_compresses_the_surrounding_tissue(said, tmp_path):
 
 
 def test_a_sphere_grows_in_slice_and_volume_and_its_files_have_the_place_of_the_scan(
-    said, tmp_path
+    run_example, tmp_path
 ):
     sitk = pytest.importorskip("SimpleITK")
     away = np.linalg.norm((np.indices((16, 20, 24)).T - (8, 10, 12)) * (3, 2, 2), axis=-1).T
@@ -63,7 +63,7 @@ def test_a_sphere_grows_in_slice_and_volume_and_its_files_have_the_place_of_the_
     scan.SetSpacing((2, 2, 3))
     scan.SetOrigin((-10, 20, 30))
     sitk.WriteImage(scan, str(tmp_path / "scan.nii.gz"))
-    text = said("growing_sphere")
+    text = run_example("growing_sphere")
     assert 20 < number("slice: the tumour grows by # %", text) < 44, (
         "unconstrained, the area grows by 44 %"
     )
@@ -81,8 +81,8 @@ def test_a_sphere_grows_in_slice_and_volume_and_its_files_have_the_place_of_the_
     assert (tmp_path / "slice-field.nii.gz").exists()
 
 
-def test_landmarks_in_millimetres_reach_their_targets(said):
-    text = said("slice_in_millimetres")
+def test_landmarks_in_millimetres_reach_their_targets(run_example):
+    text = run_example("slice_in_millimetres")
     moves = re.findall(r"moves (-?[\d.]+) mm down and (-?[\d.]+) mm to the right", text)
     # Two rows of 1.5 mm, four columns of 0.75 mm, and no motion.
     expected = [(3, 0), (0, 3), (0, 0)]
@@ -91,8 +91,10 @@ def test_landmarks_in_millimetres_reach_their_targets(said):
     assert number("further than # mm", text) == pytest.approx(3, abs=0.05)
 
 
-def test_the_converged_and_the_elastic_fields_are_closer_to_finite_elements_than_the_paper(said):
-    text = said("paper_beside_elastic")
+def test_the_converged_and_the_elastic_fields_are_closer_to_finite_elements_than_the_paper(
+    run_example,
+):
+    text = run_example("paper_beside_elastic")
     paper = number("^paper: # px", text)
     converged, elastic = number("paper, converged: # px", text), number("elastic: # px", text)
     assert elastic < 0.005 < converged < 0.5 * paper
@@ -100,26 +102,26 @@ def test_the_converged_and_the_elastic_fields_are_closer_to_finite_elements_than
 
 
 def test_a_tissue_model_improves_a_registration_and_leaves_bone_unstrained(
-    said,
+    run_example,
 ):
     pytest.importorskip("SimpleITK")
-    text = said("registration")
+    text = run_example("registration")
     by = {name: number(f"{name}: # px", text) for name in ("demons alone", "with tissue")}
     assert by["with tissue"] < 0.75 * by["demons alone"]
     strained = [float(found) for found in re.findall(r"strained by ([\d.]+) %", text)]
     assert strained[1] < 0.2 < 3 < strained[0]
 
 
-def test_warm_starts_give_the_field_of_cold_starts_with_fewer_iterations(said):
-    text = said("drag")
+def test_warm_starts_give_the_field_of_cold_starts_with_fewer_iterations(run_example):
+    text = run_example("drag")
     apart = [float(found) for found in re.findall(r"([\d.]+) px from a cold start", text)]
     assert len(apart) == 8
     assert max(apart) < 0.003, "each field has the tolerance 0.001 px"
     assert number("# iterations in all", text) < number("each time, #", text)
 
 
-def test_a_growing_tumour_compresses_the_surrounding_volume(said):
-    text = said("volume")
+def test_a_growing_tumour_compresses_the_surrounding_volume(run_example):
+    text = run_example("volume")
     volumes = {name: float(share) for name, share in re.findall(r"(\w+): .* is ([\d.]+) %", text)}
     assert volumes["tumour"] > 130
     assert max(volumes["brain"], volumes["ventricles"]) < 100
@@ -128,9 +130,9 @@ def test_a_growing_tumour_compresses_the_surrounding_volume(said):
     assert number("within # px", text) <= 0.001
 
 
-def test_ventricles_shrink_with_the_growth_and_the_stiffness_of_the_tumour(said):
+def test_ventricles_shrink_with_the_growth_and_the_stiffness_of_the_tumour(run_example):
     found = re.findall(
-        r"growth-tumour-([\d.]+)_stiffness-tumour-(\d+): ventricles (.*) %", said("sweep")
+        r"growth-tumour-([\d.]+)_stiffness-tumour-(\d+): ventricles (.*) %", run_example("sweep")
     )
     narrower = {(growth, stiffness): float(change) for growth, stiffness, change in found}
     assert len(narrower) == 6
@@ -139,8 +141,10 @@ def test_ventricles_shrink_with_the_growth_and_the_stiffness_of_the_tumour(said)
     assert narrower["0.1", "30"] < narrower["0.1", "3"] < 0
 
 
-def test_random_deformations_do_not_fold_leave_bone_rigid_and_match_full_solves(said, tmp_path):
-    text = said("random_deformations")
+def test_random_deformations_do_not_fold_leave_bone_rigid_and_match_full_solves(
+    run_example, tmp_path
+):
+    text = run_example("random_deformations")
     assert number("folds at # pixels", text) == 0
     assert 0.5 < number("moved up to # px", text) <= 5.5
     assert number("strained by # %", text) < 0.3, (

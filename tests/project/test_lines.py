@@ -7,7 +7,7 @@ import pytest
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "lines.py"
 
-pytestmark = pytest.mark.skipif(not SCRIPT.exists(), reason="looks at a checkout of the repository")
+pytestmark = pytest.mark.skipif(not SCRIPT.exists(), reason="needs a checkout of the repository")
 
 MODULE = '''"""What this is.
 

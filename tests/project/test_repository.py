@@ -47,9 +47,8 @@ ROOMS = (
         *("resources", "wording"),
     },
 )
-#: Modules that import rooms above their own, in functions or for types only: a `Solution` has the
-#: methods that take a displacement with its spacing and tissue, so that these cannot be forgotten,
-#: and a `Grid` is made from the image that it is the grid of.
+#: Modules that import from higher levels, in functions or for types only. A `Solution` has methods
+#: for functions of a displacement, which supply spacing and tissue; a `Grid` is made from an image.
 LATE = {
     "solver/solution.py": {"field", "io", "study"},
     "study/study.py": {"io"},
@@ -60,7 +59,7 @@ LATE = {
 ENTRIES = {"__init__", "__main__", "cli", "command_line", "compiling", "contributions"}
 
 pytestmark = pytest.mark.skipif(
-    not (ROOT / "pyproject.toml").exists(), reason="looks at a checkout of the repository"
+    not (ROOT / "pyproject.toml").exists(), reason="needs a checkout of the repository"
 )
 
 
@@ -69,7 +68,7 @@ def tracked_files() -> list[Path]:
         command = ["git", "ls-files", "-z"]
         listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
-        pytest.skip("this is no git checkout")
+        pytest.skip("needs a git checkout")
     files = [ROOT / name for name in listed.stdout.split("\0") if name]
     return [file for file in files if file.is_file()]
 
@@ -106,7 +105,7 @@ def is_private(name: str) -> bool:
 
 
 @cache
-def named_here(module: Path) -> frozenset[str]:
+def private_names_defined_in(module: Path) -> frozenset[str]:
     """Return the private names that a module defines: functions, classes, attributes, constants."""
     found = set()
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
@@ -119,15 +118,15 @@ def named_here(module: Path) -> frozenset[str]:
     return frozenset(filter(is_private, found))
 
 
-def private_names_of_others(module: Path) -> list[str]:
+def foreign_private_names(module: Path) -> list[str]:
     """Return the private names of foreign objects used by a module, as `line: name`.
 
     A private name is foreign unless this module defines it. Behind `self`, it is foreign unless any
     module of the package defines it, because it may be inherited. The public methods of named
     tuples that begin with an underscore are allowed.
     """
-    ours = named_here(module) | {"_replace", "_asdict", "_fields", "_make"}
-    inherited = ours.union(*map(named_here, MODULES))
+    ours = private_names_defined_in(module) | {"_replace", "_asdict", "_fields", "_make"}
+    inherited = ours.union(*map(private_names_defined_in, MODULES))
     found = []
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Attribute):
@@ -172,7 +171,7 @@ def test_only_listed_modules_import_napari_qt_and_opengl(module):
 @pytest.mark.parametrize("module", MODULES, ids=part)
 def test_only_one_module_uses_private_names_of_napari_vispy_and_qt(module):
     if part(module).startswith(("layers/", "ui/")) and part(module) != "layers/compat.py":
-        assert private_names_of_others(module) == []
+        assert foreign_private_names(module) == []
 
 
 @pytest.mark.parametrize("module", MODULES, ids=part)
@@ -209,7 +208,7 @@ def test_an_import_in_a_function_states_its_reason(module):
             assert rooms == {name}, where
             assert name in LATE[part(module)], where
             continue
-        assert name in reached_by(node), f"{where} imports no {name}"
+        assert name in modules_loaded_by(node), f"{where} imports no {name}"
         known = extra_modules() if reason == "optional" else {*HEAVY, *LATER, *HEAVY_FOLDERS}
         assert name in known, f"{where}: {name} is not {reason}"
 
@@ -233,7 +232,7 @@ def names_of(node: ast.Import | ast.ImportFrom) -> set[str]:
     return {f"{node.module}.{alias.name}" for alias in node.names}
 
 
-def reached_by(node: ast.Import | ast.ImportFrom) -> set[str]:
+def modules_loaded_by(node: ast.Import | ast.ImportFrom) -> set[str]:
     """Return the libraries and modules of the package that an import loads."""
     found, todo = set(), list(names_of(node))
     while todo:

@@ -38,7 +38,7 @@ NOT_OURS = {
     "It warns of pixels where tissue is pushed through itself.",
 }
 
-pytestmark = pytest.mark.skipif(not PAGES, reason="looks at a checkout of the repository")
+pytestmark = pytest.mark.skipif(not PAGES, reason="needs a checkout of the repository")
 
 
 def words(page):

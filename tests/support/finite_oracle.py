@@ -15,7 +15,7 @@ _SIGNS = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, 1]], dtype=float)
 
 
 def bar(height: int, width: int, end: Field, m: npt.ArrayLike = 1.0) -> Problem:
-    """Return a bar with a fixed left end and the right end displaced by `end`, shape (height, 2)."""
+    """Return a bar with a fixed left end and a right end displaced by `end` (height, 2)."""
     c = np.zeros((height, width, 2))
     c[:, 0] = c[:, -1] = 1
     y = np.zeros_like(c)

@@ -148,7 +148,7 @@ def assert_the_coarsest_is_alike(stage, given: Example, take_steps):
 
 
 def assert_a_ratio_is_nothing_unless_both_are_positive(stage, given: Example):
-    """Check ratios of scalar products with positive, negative and zero values, as a step uses them."""
+    """Check that a ratio of scalar products is 0 unless both products are positive."""
     (host, *_) = host_levels(given)
     values = given.planes(host)
 

@@ -128,7 +128,7 @@ class Cell:
         return self._index.data()
 
     def colour(self, selected):
-        """Return the RGB colour, from 0 to 1, of the square in a cell of a selected or other row."""
+        """Return the RGB colour (0 to 1) of the square in a cell of a selected or other row."""
         mode = QIcon.Mode.Selected if selected else QIcon.Mode.Normal
         square = self._index.data(Qt.ItemDataRole.DecorationRole).pixmap(QSize(14, 14), mode)
         return square.toImage().pixelColor(5, 5).getRgbF()[:3]

@@ -92,11 +92,12 @@ class Touch:
 
 
 class Frame:
-    """A viewer without a canvas, and the frame that a dock is put into, and taken out of again.
+    """Viewer without a canvas, with a frame to which docks are added.
 
     Parameters
     ----------
-    qtbot
+    qtbot : pytestqt.qtbot.QtBot
+        Closes the frame after the test.
     """
 
     def __init__(self, qtbot):

@@ -36,7 +36,7 @@ def viewer():
 
 
 @pytest.fixture
-def deform(viewer, qtbot):
+def dock_without_live_mode(viewer, qtbot):
     """Return the dock with live mode off, and its visible texts."""
     dock = SoftTissue(viewer)
     qtbot.addWidget(dock.native)
@@ -46,7 +46,7 @@ def deform(viewer, qtbot):
 
 
 @pytest.fixture
-def grab(viewer, qtbot, wait_for):
+def pulling_dock(viewer, qtbot, wait_for):
     """Return the dock with the *Pull* tool active beside a chequered image, and its texts."""
     rows, cols = np.indices((48, 56))
     viewer.add_image((120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8), name="MR")
@@ -60,7 +60,7 @@ def grab(viewer, qtbot, wait_for):
 
 
 @pytest.fixture
-def pulled(wait_for):
+def draw_and_wait(wait_for):
     """Return a function that draws marks, waits and returns the displacement field."""
 
     def draw(dock, *marks):
@@ -76,10 +76,10 @@ def pulled(wait_for):
 
 
 @pytest.fixture
-def look(deform, viewer, small_sample, run, wait_for):
+def dock_with_result(dock_without_live_mode, viewer, small_sample, run, wait_for):
     """Return the dock with a result, a block of gel pushed 3 px right, and its texts."""
     small_sample(viewer)
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     run(dock)
     wait_for(lambda: not dock.busy)
     return dock, screen
@@ -117,8 +117,10 @@ def test_one_dock_contains_tissue_motion_and_result(
 # Tissue
 
 
-def test_layers_to_paint_on_are_made_and_a_click_on_a_row_starts_painting(deform, viewer):
-    dock, screen = deform
+def test_layers_to_paint_on_are_made_and_a_click_on_a_row_starts_painting(
+    dock_without_live_mode, viewer
+):
+    dock, screen = dock_without_live_mode
     image = viewer.add_image(np.zeros((30, 40)), name="T1", scale=(0.5, 2.0))
     screen.press("Layers to paint on")
     tissue, boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
@@ -137,9 +139,9 @@ def test_layers_to_paint_on_are_made_and_a_click_on_a_row_starts_painting(deform
 
 
 def test_a_valid_number_in_a_table_is_accepted_and_an_invalid_number_is_reset(
-    deform, viewer, small_sample, wait_for
+    dock_without_live_mode, viewer, small_sample, wait_for
 ):
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     small_sample(viewer)
     screen.cell(GEL, "Stiffness").write("12,5")
     assert dock.materials[1].stiffness == 12.5
@@ -156,8 +158,8 @@ def test_a_valid_number_in_a_table_is_accepted_and_an_invalid_number_is_reset(
     wait_for(lambda: refused not in screen.words)
 
 
-def test_stiffness_has_a_unit_only_if_the_unit_is_known(deform, viewer):
-    dock, screen = deform
+def test_stiffness_has_a_unit_only_if_the_unit_is_known(dock_without_live_mode, viewer):
+    dock, screen = dock_without_live_mode
     viewer.add_image(np.full((30, 40), 200, np.uint8), name="MR")
     screen.press("Layers to paint on")
     table = dock.native.findChildren(QTableView)[0]
@@ -173,8 +175,8 @@ def test_stiffness_has_a_unit_only_if_the_unit_is_known(deform, viewer):
         assert "unit" not in tissue["metadata"][METADATA]
 
 
-def test_dark_surroundings_are_void_unless_the_option_is_off(deform, viewer, run):
-    dock, screen = deform
+def test_dark_surroundings_are_void_unless_the_option_is_off(dock_without_live_mode, viewer, run):
+    dock, screen = dock_without_live_mode
     picture = np.zeros((30, 40), np.uint8)
     picture[8:22, 10:30] = 200
     viewer.add_image(picture, name="CT")
@@ -190,8 +192,8 @@ def test_dark_surroundings_are_void_unless_the_option_is_off(deform, viewer, run
     assert run(dock).solution.tissue.all()
 
 
-def test_one_button_derives_tissue_from_brightness(deform, viewer, wait_for):
-    dock, screen = deform
+def test_one_button_derives_tissue_from_brightness(dock_without_live_mode, viewer, wait_for):
+    dock, screen = dock_without_live_mode
     rows, cols = np.indices((24, 30))
     inside = np.hypot((rows - 12) / 10, (cols - 15) / 12) < 1
     viewer.add_image(np.where(inside, 60 + 5 * cols, 2).astype(np.uint8), name="MR")
@@ -208,9 +210,9 @@ def test_one_button_derives_tissue_from_brightness(deform, viewer, wait_for):
 
 
 def test_materials_are_copied_from_layers_and_files_and_saved(
-    deform, viewer, small_sample, monkeypatch, tmp_path
+    dock_without_live_mode, viewer, small_sample, monkeypatch, tmp_path
 ):
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     small_sample(viewer)
     tissue, before = dock.tissue, dock.materials
     path = str(tmp_path / "table.json")
@@ -230,8 +232,10 @@ def test_materials_are_copied_from_layers_and_files_and_saved(
     assert dock.materials[1] == Material(1, "liver", 5.4, 0.49)
 
 
-def test_materials_of_a_result_are_copied(deform, viewer, small_sample, run, tmp_path):
-    dock, _ = deform
+def test_materials_of_a_result_are_copied(
+    dock_without_live_mode, viewer, small_sample, run, tmp_path
+):
+    dock, _ = dock_without_live_mode
     small_sample(viewer)
     arrows = run(dock).layers["arrows"]
     (path,) = write_solution(str(tmp_path / "gel.npz"), arrows.data, arrows.attributes)
@@ -246,8 +250,10 @@ def test_materials_of_a_result_are_copied(deform, viewer, small_sample, run, tmp
 # Boundary conditions
 
 
-def test_live_mode_follows_the_table_of_boundaries(deform, viewer, small_sample, wait_for):
-    dock, screen = deform
+def test_live_mode_follows_the_table_of_boundaries(
+    dock_without_live_mode, viewer, small_sample, wait_for
+):
+    dock, screen = dock_without_live_mode
     small_sample(viewer)
     screen.tick("Live")
     wait_for(lambda: dock.solution is not None and not dock.busy)
@@ -260,7 +266,7 @@ def test_live_mode_follows_the_table_of_boundaries(deform, viewer, small_sample,
 
 
 @pytest.fixture
-def points(deform, viewer, small_sample):
+def points(dock_without_live_mode, viewer, small_sample):
     """Return two layers of points on the sample: landmarks and their targets."""
     small_sample(viewer)
     where = viewer.add_points([[8.0, 8.0], [14.0, 14.0]], name="is", size=1)
@@ -269,10 +275,10 @@ def points(deform, viewer, small_sample):
 
 
 def test_pairs_of_points_become_landmarks_and_a_missing_partner_is_reported(
-    deform, points, viewer, wait_for
+    dock_without_live_mode, points, viewer, wait_for
 ):
     where, should = points
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     screen.tick("Live")
     screen.choose("is")
     screen.press("Take as landmarks")
@@ -324,23 +330,27 @@ def test_a_click_pins_tissue_and_space_moves_the_view(without_controls, pulling,
     assert mark.by == pytest.approx((0, 0), abs=1e-9)
 
 
-def test_the_edge_of_the_tissue_is_fixed_unless_the_option_is_off(grab, pulled, wait_for):
-    dock, screen = grab
+def test_the_edge_of_the_tissue_is_fixed_unless_the_option_is_off(
+    pulling_dock, draw_and_wait, wait_for
+):
+    dock, screen = pulling_dock
     pull, hold = Arrow((24, 28), (0, 4), 4.0), Arrow((10, 10), (0, 0), 2.0)
-    moved = pulled(dock, pull, hold)
+    moved = draw_and_wait(dock, pull, hold)
     assert np.abs(moved[24, -1]).max() < 1e-6
     screen.tick("hold the edge of the tissue", False)
-    assert pulled(dock)[24, -1, 1] > 1
+    assert draw_and_wait(dock)[24, -1, 1] > 1
 
 
-def test_a_painted_boundary_is_combined_with_pulled_tissue(grab, pulled, viewer, wait_for):
-    dock, _ = grab
+def test_a_painted_boundary_is_combined_with_pulled_tissue(
+    pulling_dock, draw_and_wait, viewer, wait_for
+):
+    dock, _ = pulling_dock
     walls = np.zeros((48, 56), np.uint8)
     walls[:, 38:41] = 1
     walls[24:30, 8:12] = 1
     dock.boundary = viewer.add_labels(walls, name="Walls")
     wait_for(lambda: not dock.busy)
-    moved = pulled(dock, Arrow((24, 28), (0, 4), 4.0), Arrow((27, 10), (2, 0), 4.0))
+    moved = draw_and_wait(dock, Arrow((24, 28), (0, 4), 4.0), Arrow((27, 10), (2, 0), 4.0))
     assert np.abs(moved[walls > 0][:, 1]).max() < 1e-4
     assert moved[27, 10] == pytest.approx((2, 0), abs=1e-3), (
         "the arrow does not replace the painted boundary"
@@ -348,9 +358,9 @@ def test_a_painted_boundary_is_combined_with_pulled_tissue(grab, pulled, viewer,
     assert np.abs(moved[4:-4, 36]).max() > 0.05
 
 
-def test_all_marks_are_removed_by_one_button_and_restored_by_undo(grab, pulled):
-    dock, screen = grab
-    pulled(dock, Arrow((24, 28), (0, 4), 4.0), Stroke("pin", (((10, 10), (10, 20)),), 2.0))
+def test_all_marks_are_removed_by_one_button_and_restored_by_undo(pulling_dock, draw_and_wait):
+    dock, screen = pulling_dock
+    draw_and_wait(dock, Arrow((24, 28), (0, 4), 4.0), Stroke("pin", (((10, 10), (10, 20)),), 2.0))
     drawing = dock.drawing
     screen.press("Remove all")
     assert not dock.drawing.marks
@@ -359,21 +369,23 @@ def test_all_marks_are_removed_by_one_button_and_restored_by_undo(grab, pulled):
     assert dock.drawing == drawing
 
 
-def test_points_of_two_layers_are_combined_with_pulled_tissue(grab, pulled, viewer):
-    dock, _ = grab
-    pulled(dock, Arrow((8, 44), (0, 2), 2.0))
+def test_points_of_two_layers_are_combined_with_pulled_tissue(pulling_dock, draw_and_wait, viewer):
+    dock, _ = pulling_dock
+    draw_and_wait(dock, Arrow((8, 44), (0, 2), 2.0))
     viewer.add_points([[20, 20], [30, 34]], name="is")
     viewer.add_points([[23, 20], [30, 36]], name="ought")
     dock.take_landmarks(viewer.layers["is"], viewer.layers["ought"])
-    moved = pulled(dock)
+    moved = draw_and_wait(dock)
     assert moved[20, 20] == pytest.approx((3, 0), abs=0.02)
     assert moved[30, 34] == pytest.approx((0, 2), abs=0.02)
     assert moved[8, 44] == pytest.approx((0, 2), abs=0.02)
 
 
-def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_for, tmp_path):
-    dock, _ = grab
-    moved = pulled(dock, Arrow((24, 28), (0, 4), 4.0))
+def test_a_pulled_result_is_saved_with_its_drawing(
+    pulling_dock, draw_and_wait, viewer, wait_for, tmp_path
+):
+    dock, _ = pulling_dock
+    moved = draw_and_wait(dock, Arrow((24, 28), (0, 4), 4.0))
     wait_for(lambda: any(each.name.startswith("MR arrows, elastic") for each in viewer.layers))
     arrows = layer(viewer, "MR arrows, elastic")
     attributes = {"name": arrows.name, "metadata": arrows.metadata}
@@ -385,9 +397,9 @@ def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_fo
 
 
 def test_edits_of_tables_and_drawings_are_undone_in_one_order(
-    deform, viewer, small_sample, wait_for
+    dock_without_live_mode, viewer, small_sample, wait_for
 ):
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     small_sample(viewer)
     screen.cell(GEL, "Stiffness").write("33")
     dock.drawing = Drawing((Arrow((10, 12), (1, 0), 3.0),))
@@ -409,8 +421,8 @@ def test_edits_of_tables_and_drawings_are_undone_in_one_order(
 # Display
 
 
-def test_a_slider_shows_a_part_of_the_deformation(look, viewer, wait_for):
-    dock, screen = look
+def test_a_slider_shows_a_part_of_the_deformation(dock_with_result, viewer, wait_for):
+    dock, screen = dock_with_result
     solution = layer(viewer, "MR arrows").metadata["napari-hmrf"]["solution"]
     assert "100 %: tissue moved up to 3 px" in screen.words
     screen.slider.setValue(50)
@@ -424,8 +436,8 @@ def test_a_slider_shows_a_part_of_the_deformation(look, viewer, wait_for):
     assert "50 %: tissue moved up to 1.5 px" in screen.words
 
 
-def test_the_deformation_is_played_until_it_is_paused(look, viewer, wait_for):
-    dock, screen = look
+def test_the_deformation_is_played_until_it_is_paused(dock_with_result, viewer, wait_for):
+    dock, screen = dock_with_result
     moved = layer(viewer, "MR deformed")
     whole = moved.data.copy()
     screen.press("Play")
@@ -439,8 +451,8 @@ def test_the_deformation_is_played_until_it_is_paused(look, viewer, wait_for):
     assert f"{dock.percent} %: tissue moved" in screen.words
 
 
-def test_a_pressed_button_shows_the_undeformed_image(look, viewer):
-    _, screen = look
+def test_a_pressed_button_shows_the_undeformed_image(dock_with_result, viewer):
+    _, screen = dock_with_result
     image, moved, arrows = viewer.layers["MR"], layer(viewer, "MR deformed"), layer(viewer, "MR a")
     screen.hold("Hold: before")
     assert (image.visible, moved.visible, arrows.visible) == (True, False, False)
@@ -449,8 +461,8 @@ def test_a_pressed_button_shows_the_undeformed_image(look, viewer):
     assert arrows.visible
 
 
-def test_inputs_are_shown_as_layers(look, viewer, wait_for):
-    dock, screen = look
+def test_inputs_are_shown_as_layers(dock_with_result, viewer, wait_for):
+    dock, screen = dock_with_result
     given = {}
     for words, kind in (
         ("given: stiffness", "stiffness (kPa)"),

@@ -27,15 +27,15 @@ COMMANDS = PluginManifest.from_distribution("napari-hmrf").contributions.command
 
 
 @pytest.fixture
-def choose(at_rest):
+def run_command(at_rest):
     """Return a function that runs a command as a menu or the command palette does."""
     from napari._app_model import get_app_model
 
-    def chosen(name):
+    def run(name):
         get_app_model().commands.execute_command(f"napari-hmrf.{name}").result()
         at_rest()
 
-    return chosen
+    return run
 
 
 @pytest.fixture
@@ -187,38 +187,38 @@ def test_each_tool_has_an_icon_a_tool_tip_and_a_key_and_the_active_tool_is_check
     assert len(pictures) == len(TOOLS)
 
 
-def test_the_menu_hides_a_visible_dock_and_shows_a_hidden_dock(window, choose):
-    choose("soft_tissue")
+def test_the_menu_hides_a_visible_dock_and_shows_a_hidden_dock(window, run_command):
+    run_command("soft_tissue")
     (inner,) = docks_of(window)
     assert is_seen(inner)
-    choose("soft_tissue")
+    run_command("soft_tissue")
     assert not is_seen(inner), "the menu did not hide the visible dock"
-    choose("soft_tissue")
+    run_command("soft_tissue")
     assert docks_of(window) == [inner]
     assert is_seen(inner)
 
 
-def test_the_menu_and_the_palette_use_the_same_dock(window, choose):
-    choose("live")
+def test_the_menu_and_the_palette_use_the_same_dock(window, run_command):
+    run_command("live")
     (inner,) = docks_of(window)
-    choose("soft_tissue")
+    run_command("soft_tissue")
     assert docks_of(window) == [inner]
 
 
-def test_a_floating_dock_remains_floating(window, choose):
-    choose("soft_tissue")
+def test_a_floating_dock_remains_floating(window, run_command):
+    run_command("soft_tissue")
     frame_of(dock()).setFloating(True)
-    choose("live")
+    run_command("live")
     assert frame_of(dock()).isFloating()
     assert len(docks_of(window)) == 1
 
 
-def test_a_closed_dock_can_be_opened_again(window, choose, at_rest):
-    choose("soft_tissue")
+def test_a_closed_dock_can_be_opened_again(window, run_command, at_rest):
+    run_command("soft_tissue")
     window.remove_dock_widget(frame_of(dock()))
     at_rest()
     assert not docks_of(window)
-    choose("soft_tissue")
+    run_command("soft_tissue")
     (inner,) = docks_of(window)
     assert is_seen(inner)
     assert inner.image.name == "MR"
@@ -231,7 +231,7 @@ def test_each_viewer_has_its_own_dock(unstyled, without_controls, make_napari_vi
 
 
 @pytest.mark.campaign
-def test_each_command_runs_in_a_window(window, choose, qtbot):
+def test_each_command_runs_in_a_window(window, run_command, qtbot):
     samples = {"sample_mass_effect": "mass-effect"}
     words = [
         each.id.removeprefix("napari-hmrf.") for each in COMMANDS if each.id not in WITH_A_FILE
@@ -240,29 +240,29 @@ def test_each_command_runs_in_a_window(window, choose, qtbot):
         if "sample" in word:  # Samples are large images, so close the docks.
             for inner in docks_of(window):
                 window.remove_dock_widget(inner.native)
-        choose(samples.get(word, word.removeprefix("sample_")))
+        run_command(samples.get(word, word.removeprefix("sample_")))
         for inner in docks_of(window):
             qtbot.waitUntil(lambda inner=inner: not inner.busy, timeout=LONG_MS)
 
 
-def test_commands_have_the_described_effect(window, choose, qtbot):
-    choose("pull")
+def test_commands_have_the_described_effect(window, run_command, qtbot):
+    run_command("pull")
     inner = dock()
     assert inner.active
     qtbot.waitUntil(lambda: not inner.busy, timeout=LONG_MS)
-    choose("pull")
+    run_command("pull")
     assert not inner.active
     before = inner.live
-    choose("live")
+    run_command("live")
     assert inner.live != before
     with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
-        choose("deform_now")
+        run_command("deform_now")
     inner.drawing = Drawing((Arrow((20, 20), (2, 0), 3.0),))
     with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
-        choose("deform_now")
-    choose("play")
+        run_command("deform_now")
+    run_command("play")
     assert inner.playing
-    choose("play")
+    run_command("play")
     assert not inner.playing
 
 
@@ -310,15 +310,15 @@ def test_the_palette_finds_commands_by_their_usual_names(window, at_rest):
     palette.hide()
 
 
-def test_undo_in_the_palette_undoes_a_drawing(window, choose, qtbot):
-    choose("pull")
+def test_undo_in_the_palette_undoes_a_drawing(window, run_command, qtbot):
+    run_command("pull")
     inner = dock()
     qtbot.waitUntil(lambda: not inner.busy, timeout=LONG_MS)
     drawn = Drawing((Arrow((20, 20), (2, 0), 3.0),))
     inner.drawing = drawn
-    choose("undo")
+    run_command("undo")
     assert inner.drawing == Drawing()
-    choose("redo")
+    run_command("redo")
     assert inner.drawing == drawn
 
 

@@ -14,7 +14,7 @@ LARGER = np.full((64, 48, 3), 200, np.uint8)
 
 
 @pytest.fixture
-def two(small_sample):
+def two_images(small_sample):
     """Return a viewer with a painted sample behind a larger image, and both images."""
     viewer = ViewerModel()
     lower, *_ = small_sample(viewer)
@@ -22,7 +22,7 @@ def two(small_sample):
 
 
 @pytest.fixture
-def opened(qtbot):
+def open_dock(qtbot):
     """Return a function that opens the dock beside a viewer without a window."""
 
     def dock(viewer):
@@ -33,42 +33,42 @@ def opened(qtbot):
     return dock
 
 
-def test_a_dock_selects_the_image_that_is_selected_in_the_viewer(opened, two):
-    viewer, lower, upper = two
-    dock = opened(viewer)
+def test_a_dock_selects_the_image_that_is_selected_in_the_viewer(open_dock, two_images):
+    viewer, lower, upper = two_images
+    dock = open_dock(viewer)
     assert dock.image is upper
     assert (dock.tissue, dock.boundary) == (None, None), (
         "the layers of the other image were selected"
     )
     viewer.layers.selection = {lower}
-    dock = opened(viewer)
+    dock = open_dock(viewer)
     assert dock.image is lower
     assert (dock.tissue.name, dock.image.name) == ("Tissue", "MR")
 
 
-def test_a_dock_selects_the_topmost_visible_image_if_none_is_selected(opened, two):
-    viewer, lower, upper = two
+def test_a_dock_selects_the_topmost_visible_image_if_none_is_selected(open_dock, two_images):
+    viewer, lower, upper = two_images
     viewer.layers.selection = {viewer.layers["Boundary"]}
-    assert opened(viewer).image is upper
+    assert open_dock(viewer).image is upper
     upper.visible = False
-    assert opened(viewer).image is lower
+    assert open_dock(viewer).image is lower
 
 
-def test_a_later_selection_in_the_viewer_does_not_change_the_image(opened, two):
-    viewer, lower, upper = two
-    dock = opened(viewer)
+def test_a_later_selection_in_the_viewer_does_not_change_the_image(open_dock, two_images):
+    viewer, lower, upper = two_images
+    dock = open_dock(viewer)
     viewer.layers.selection = {lower}
     assert dock.image is upper
 
 
-def test_a_new_dock_selects_the_image_with_a_drawing(opened, two):
-    viewer, lower, _ = two
+def test_a_new_dock_selects_the_image_with_a_drawing(open_dock, two_images):
+    viewer, lower, _ = two_images
     viewer.layers.selection = {lower}
-    first = opened(viewer)
+    first = open_dock(viewer)
     first.start()
     first.drawing = Drawing((Arrow((10, 12), (10, 14), 4.0),))
     viewer.layers.selection = {viewer.layers["astronaut"]}
-    assert opened(viewer).image is lower
+    assert open_dock(viewer).image is lower
 
 
 def test_a_new_dock_selects_the_image_with_a_result(frame, small_sample, run, settle):
@@ -83,14 +83,14 @@ def test_a_new_dock_selects_the_image_with_a_result(frame, small_sample, run, se
     assert second.solution is not None
 
 
-def test_a_message_reports_a_covered_image(opened, two, settle):
-    viewer, lower, upper = two
+def test_a_message_reports_a_covered_image(open_dock, two_images, settle):
+    viewer, lower, upper = two_images
     said = "The image is covered by 'astronaut': hide that one, or choose it here."
-    dock = opened(viewer)
+    dock = open_dock(viewer)
     assert dock.status == START
     upper.visible = False
     viewer.layers.selection = {lower}
-    dock = opened(viewer)
+    dock = open_dock(viewer)
     assert dock.status == START
     upper.visible = True
     dock.start()
@@ -108,17 +108,17 @@ def test_a_message_reports_a_covered_image(opened, two, settle):
         {"visible": False},
     ],
 )
-def test_a_partly_visible_image_is_not_reported_as_covered(opened, two, look):
-    viewer, lower, upper = two
+def test_a_partly_visible_image_is_not_reported_as_covered(open_dock, two_images, look):
+    viewer, lower, upper = two_images
     viewer.layers.remove(upper)
     viewer.add_image(LARGER, rgb=True, **look)
     viewer.layers.selection = {lower}
-    assert opened(viewer).status == START
+    assert open_dock(viewer).status == START
 
 
-def test_the_message_about_a_covered_image_follows_visibility_and_order(opened, two):
-    viewer, lower, upper = two
-    dock = opened(viewer)
+def test_the_message_about_a_covered_image_follows_visibility_and_order(open_dock, two_images):
+    viewer, lower, upper = two_images
+    dock = open_dock(viewer)
     dock.image = lower
     dock.show_message("")
     for shown in (False, True):

@@ -26,7 +26,7 @@ def pulled(by):
     return Drawing((Arrow((20, 20), (0, by), 4),))
 
 
-class Following:
+class Follower:
     """Engine that follows drawings on an image, and the results it has shown."""
 
     def __init__(self, image, **how):
@@ -47,22 +47,22 @@ def image():
 
 
 @pytest.fixture
-def following(qtbot):
+def make_follower(qtbot):
     """Return a function that makes a follower of drawings on an image."""
     made = []
 
-    def of(image, **how):
-        made.append(Following(image, **how))
+    def make(image, **how):
+        made.append(Follower(image, **how))
         return made[-1]
 
-    yield of
+    yield make
     for each in made:
         each.engine.release()
 
 
 @pytest.fixture
-def follower(image, following):
-    return following(image)
+def follower(image, make_follower):
+    return make_follower(image)
 
 
 @pytest.fixture
@@ -76,17 +76,17 @@ def solver_at_work():
 
 
 @pytest.fixture
-def rest(at_rest):
+def wait_for_follower(at_rest):
     """Return a function that waits until a follower has shown the last drawing."""
-    return lambda following: at_rest.until(lambda: not following.engine.at_work)
+    return lambda follower: at_rest.until(lambda: not follower.engine.at_work)
 
 
-def test_the_newest_drawing_is_shown_last(follower, rest):
+def test_the_newest_drawing_is_shown_last(follower, wait_for_follower):
     for by in range(40):
         follower.follow(pulled(by / 10))
         if by % 7 == 0:
             QApplication.processEvents()
-    rest(follower)
+    wait_for_follower(follower)
     seen = follower.shown[-1]
     assert seen.study.motion.drawing == pulled(3.9)
     assert seen.solution.displacement[20, 20] == pytest.approx((0, 3.9), abs=0.02)
@@ -94,24 +94,26 @@ def test_the_newest_drawing_is_shown_last(follower, rest):
     assert order == sorted(order), "an older drawing was shown after a newer one"
 
 
-def test_only_the_last_of_the_drawings_made_during_a_solve_is_solved(follower, rest, monkeypatch):
+def test_only_the_last_of_the_drawings_made_during_a_solve_is_solved(
+    follower, wait_for_follower, monkeypatch
+):
     solved, first_begun, others_drawn = [], threading.Event(), threading.Event()
     check = Problem.__init__
 
-    def noted(self, y, *rest, **options):
+    def recorded(self, y, *wait_for_follower, **options):
         solved.append(round(float(y.max()), 1))
         if solved[-1] == 0.1:
             first_begun.set()
             assert others_drawn.wait(LONG)
-        check(self, y, *rest, **options)
+        check(self, y, *wait_for_follower, **options)
 
-    monkeypatch.setattr(Problem, "__init__", noted)
+    monkeypatch.setattr(Problem, "__init__", recorded)
     follower.follow(pulled(0.1))
     assert first_begun.wait(LONG)
     for by in range(2, 10):
         follower.follow(pulled(by / 10))
     others_drawn.set()
-    rest(follower)
+    wait_for_follower(follower)
     first, last = 0.1, 0.9
     assert [by for by in solved if by not in (0, 1)] == [first, last], (
         "compilation solves for 0 and 1"
@@ -119,69 +121,73 @@ def test_only_the_last_of_the_drawings_made_during_a_solve_is_solved(follower, r
     assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(0.1), pulled(0.9)]
 
 
-def test_a_newer_drawing_waits_until_the_earlier_result_is_painted(follower, rest):
+def test_a_newer_drawing_waits_until_the_earlier_result_is_painted(follower, wait_for_follower):
     follower.follow(pulled(1))
     assert compute_thread.submit(lambda: True).result(LONG)
     follower.follow(pulled(2))
     assert compute_thread.submit(lambda: True).result(LONG)
     assert follower.engine.busy, "the engine is idle although the result is not painted"
     assert not follower.shown
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(1), pulled(2)]
 
 
-def test_a_slow_drawing_is_replaced_by_a_newer_one(follower, rest, monkeypatch, solver_at_work):
+def test_a_slow_drawing_is_replaced_by_a_newer_one(
+    follower, wait_for_follower, monkeypatch, solver_at_work
+):
     monkeypatch.setattr(engine, "patience_for", lambda *_: 0.0)
     follower.follow(pulled(1))
     follower.follow(pulled(2))
     solver_at_work.set()
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(2)]
 
 
-def test_a_removed_drawing_is_not_shown_after_its_solve(image, rest, following):
-    follower = following(image, hold_edge=False)
+def test_a_removed_drawing_is_not_shown_after_its_solve(image, wait_for_follower, make_follower):
+    follower = make_follower(image, hold_edge=False)
     follower.follow(pulled(2))
     follower.follow(Drawing())
-    rest(follower)
+    wait_for_follower(follower)
     assert follower.shown[-1].solution is None
     assert np.array_equal(follower.shown[-1].image, image.data)
     follower.follow(pulled(2))
-    rest(follower)
+    wait_for_follower(follower)
     assert follower.shown[-1].solution is not None, "the next drawing was not solved"
 
 
-def test_an_error_is_shown_only_if_the_drawing_is_still_current(follower, rest, solver_at_work):
+def test_an_error_is_shown_only_if_the_drawing_is_still_current(
+    follower, wait_for_follower, solver_at_work
+):
     beyond = Drawing((Arrow((20, 20), (0, 1e6), 4),))
     follower.follow(beyond)
     follower.follow(pulled(1))
     solver_at_work.set()
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.error for seen in follower.shown] == [None]
     follower.follow(beyond)
-    rest(follower)
+    wait_for_follower(follower)
     assert "the image is only" in str(follower.shown[-1].error)
     follower.follow(pulled(2))
-    rest(follower)
+    wait_for_follower(follower)
     assert follower.shown[-1].solution is not None
 
 
-def test_a_cancelled_result_is_not_shown(follower, rest):
+def test_a_cancelled_result_is_not_shown(follower, wait_for_follower):
     follower.follow(pulled(1))
     compute_thread.submit(lambda: None).result(LONG)
     follower.engine.cancel()
     assert not follower.engine.busy
-    rest(follower)
+    wait_for_follower(follower)
     assert not follower.shown
     follower.follow(pulled(2))
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(2)]
 
 
 def test_an_error_while_showing_a_result_does_not_stop_the_next_drawing(
-    image, following, rest, monkeypatch, qtbot
+    image, make_follower, wait_for_follower, monkeypatch, qtbot
 ):
-    follower = following(image)
+    follower = make_follower(image)
     show, failures = follower.shown.append, [RuntimeError("a layer of another plugin")]
 
     def fail_once(state):
@@ -192,25 +198,25 @@ def test_an_error_while_showing_a_result_does_not_stop_the_next_drawing(
     monkeypatch.setattr(follower.engine, "_show", fail_once)
     with qtbot.captureExceptions() as raised:
         follower.follow(pulled(1))
-        rest(follower)
+        wait_for_follower(follower)
     assert len(raised) == 1
     follower.follow(pulled(2))
-    rest(follower)
+    wait_for_follower(follower)
     assert [answer.study.motion.drawing for answer in follower.shown] == [pulled(2)]
 
 
 def test_an_error_while_warping_an_image_does_not_stop_the_next_drawing(
-    follower, rest, monkeypatch
+    follower, wait_for_follower, monkeypatch
 ):
     from napari_hmrf.field.live_warp import Warper
 
     with monkeypatch.context() as broken:
         broken.setattr(Warper, "__call__", lambda *_: 1 / 0)
         follower.follow(pulled(1))
-        rest(follower)
+        wait_for_follower(follower)
     assert isinstance(follower.shown[-1].error, ZeroDivisionError)
     follower.follow(pulled(2))
-    rest(follower)
+    wait_for_follower(follower)
     assert follower.shown[-1].study.motion.drawing == pulled(2)
 
 
@@ -301,7 +307,7 @@ def test_arrows_retain_their_colours_while_they_move(pulling, settle, qtbot):
 
 
 @pytest.mark.parametrize("confidence", [1.0, 0.5])
-def test_the_first_drag_compiles_nothing(rest, following, confidence):
+def test_the_first_drag_compiles_nothing(wait_for_follower, make_follower, confidence):
     from napari.layers import Image
 
     from napari_hmrf.field.interpolation import look_up
@@ -312,12 +318,12 @@ def test_the_first_drag_compiles_nothing(rest, following, confidence):
         return [sorted(map(str, each)) for each in kernels], set(preparation._prepared)
 
     image = Image(np.random.default_rng(2).normal(size=(40, 44)).astype(np.float32))
-    follower = following(image, hold_edge=False)
+    follower = make_follower(image, hold_edge=False)
     follower.engine.rehearse(follower.study)
-    rest(follower)
+    wait_for_follower(follower)
     before = compiled()
     follower.follow(Drawing((Arrow((20, 20), (0, 2), 4, confidence),)))
-    rest(follower)
+    wait_for_follower(follower)
     assert compiled() == before
 
 
@@ -341,13 +347,13 @@ def test_a_waiting_user_is_told_the_reason_and_a_way_to_stop(
 
 
 def test_unconstrained_tissue_is_ready_after_compilation(
-    image, rest, following, solver_at_work, at_rest
+    image, wait_for_follower, make_follower, solver_at_work, at_rest
 ):
-    follower = following(image, hold_edge=False)
+    follower = make_follower(image, hold_edge=False)
     follower.follow(Drawing())
     at_rest(thread=False)
     assert follower.engine.busy
     assert not follower.shown
     solver_at_work.set()
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.solution for seen in follower.shown] == [None]

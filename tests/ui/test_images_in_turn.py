@@ -31,7 +31,7 @@ def brain(viewer, size=32):
     return open_sample(viewer, phantom_layers(phantom("expansion", size)))
 
 
-def chosen(widget):
+def chosen_layers(widget):
     return [widget.image, widget.tissue, widget.boundary]
 
 
@@ -41,16 +41,24 @@ def test_a_new_sample_does_not_replace_the_sample_with_a_drawing(viewer, widget,
     widget.drawing = MARKS_OF_VOLUME
     flat = brain(viewer)
     settle(widget)
-    assert (chosen(widget), widget.extent, widget.drawing) == (head, "volume", MARKS_OF_VOLUME)
+    assert (chosen_layers(widget), widget.extent, widget.drawing) == (
+        head,
+        "volume",
+        MARKS_OF_VOLUME,
+    )
     widget.image = flat[0]
     settle(widget)
-    assert (chosen(widget), widget.extent) == (flat, "slice")
+    assert (chosen_layers(widget), widget.extent) == (flat, "slice")
     assert widget.study.grid.shape == (32, 32)
     widget.image = head[0]
     settle(widget)
-    assert (chosen(widget), widget.extent, widget.drawing) == (head, "volume", MARKS_OF_VOLUME)
+    assert (chosen_layers(widget), widget.extent, widget.drawing) == (
+        head,
+        "volume",
+        MARKS_OF_VOLUME,
+    )
     widget.undo()
-    assert (chosen(widget), widget.drawing) == (head, Drawing()), (
+    assert (chosen_layers(widget), widget.drawing) == (head, Drawing()), (
         "the choice of an image added an undo step"
     )
 
@@ -62,19 +70,19 @@ def test_each_of_two_samples_has_its_own_paint_and_edge(viewer, widget, settle, 
     widget.boundary = None
     assert widget.hold_edge
     second = brain(viewer, size)
-    assert chosen(widget) == [*first[:2], None], "a layer of the other sample was selected"
+    assert chosen_layers(widget) == [*first[:2], None], "a layer of the other sample was selected"
     for _ in range(2):
         widget.image = second[0]
         settle(widget)
-        assert (chosen(widget), widget.hold_edge) == (second, False)
+        assert (chosen_layers(widget), widget.hold_edge) == (second, False)
         assert not widget.drawing.marks
         widget.image = first[0]
         settle(widget)
-        assert (chosen(widget), widget.hold_edge) == ([*first[:2], None], True)
+        assert (chosen_layers(widget), widget.hold_edge) == ([*first[:2], None], True)
         assert widget.drawing == MARKS
     widget.undo()
     widget.undo()
-    assert chosen(widget) == first
+    assert chosen_layers(widget) == first
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -82,24 +90,26 @@ def test_a_dock_opened_later_selects_the_paint_of_the_front_image(frame, which):
     both = [brain(frame.viewer) for _ in range(2)]
     frame.viewer.layers.selection.active = both[which][0]
     dock = frame.open()
-    assert chosen(dock) == both[which]
+    assert chosen_layers(dock) == both[which]
     dock.image = both[1 - which][0]
-    assert chosen(dock) == both[1 - which]
+    assert chosen_layers(dock) == both[1 - which]
 
 
 def test_layers_of_another_place_are_deselected_when_their_image_is_removed(viewer, widget, settle):
     first = brain(viewer)
     viewer.layers.remove(first[0])
     settle(widget)
-    assert chosen(widget) == [None, *first[1:]]
+    assert chosen_layers(widget) == [None, *first[1:]]
     same = viewer.add_image(np.ones((32, 32)), name="same")
-    assert chosen(widget) == [same, *first[1:]], "the paint was not selected for an equal new image"
+    assert chosen_layers(widget) == [same, *first[1:]], (
+        "the paint was not selected for an equal new image"
+    )
     widget.drawing = MARKS
     other = viewer.add_image(np.ones((40, 40)), name="other")
     assert widget.image is same
     viewer.layers.remove(same)
     settle(widget)
-    assert (chosen(widget), widget.hold_edge) == ([other, None, None], True)
+    assert (chosen_layers(widget), widget.hold_edge) == ([other, None, None], True)
     assert widget.study.grid.shape == (40, 40)
 
 
@@ -137,13 +147,13 @@ def test_without_an_image_no_result_is_solved_or_shown(viewer, widget, small_sam
     widget.image = None
     settle(widget)
     assert widget.status.startswith("No image is chosen.")
-    assert chosen(widget) == [None] * 3
+    assert chosen_layers(widget) == [None] * 3
     assert (result.visible, viewer.layers["MR deformed, paper"].visible) == (False, False)
     assert run(widget) is None
     assert widget.status == CHOOSE
     widget.image = image
     settle(widget)
-    assert (chosen(widget), widget.result) == ([image, *paint], result)
+    assert (chosen_layers(widget), widget.result) == ([image, *paint], result)
     assert [layer for layer in viewer.layers if layer.visible] == seen
     assert widget.solution is not None
 
@@ -226,16 +236,16 @@ def test_a_drawing_is_displayed_again_with_its_image(viewer, widget, settle):
 
 @pytest.mark.parametrize("sample", [False, True])
 def test_a_newly_opened_image_is_chosen_until_the_first_edit(viewer, widget, settle, sample):
-    def another():
+    def open_image():
         return brain(viewer)[0] if sample else viewer.add_image(np.ones((20, 24)), name="photo")
 
     for _ in range(2):
-        newest = another()
+        newest = open_image()
         settle(widget)
         assert widget.image is newest
     widget.plane = "strain"
     assert widget.image is newest
-    later = another()
+    later = open_image()
     later.opacity = 0.5
     settle(widget)
     assert widget.image is newest

@@ -27,7 +27,7 @@ def by_name(widget, name):
     return viewer_of(widget).layers[name]
 
 
-def cold(widget):
+def cold_start(widget):
     """Return the solution that a script computes for the same layers."""
     stated = build_problem(widget.study)
     near = Multigrid(1e-4) if isinstance(stated.optimizer, Multigrid) else stated.optimizer
@@ -36,7 +36,7 @@ def cold(widget):
 
 def assert_newest(widget):
     """Assert that the displayed result belongs to the current layers."""
-    found, expected = widget.solution, cold(widget)
+    found, expected = widget.solution, cold_start(widget)
     assert found.displacement == pytest.approx(expected.displacement, abs=0.02)
     for layer in viewer_of(widget).layers:
         known = metadata_of(layer)
@@ -47,7 +47,7 @@ def assert_newest(widget):
 
 
 @pytest.fixture
-def living(widget, small_sample, run):
+def live_dock(widget, small_sample, run):
     """Return the dock in live mode with a result, and the layers of its study."""
     layers = small_sample(viewer_of(widget))
     widget.model = "elastic"
@@ -61,8 +61,8 @@ def paint(layer, places, label):
     layer.data_setitem(tuple(np.array(places).T), label)
 
 
-def test_live_mode_follows_paint_tables_and_model(living, settle):
-    widget, (_, tissue, boundary) = living
+def test_live_mode_follows_paint_tables_and_model(live_dock, settle):
+    widget, (_, tissue, boundary) = live_dock
     before = widget.solution
     layers = [id(layer) for layer in viewer_of(widget).layers]
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
@@ -103,8 +103,8 @@ def test_live_mode_follows_edits_with_the_paper_model(widget, small_sample, run,
     assert_newest(widget)
 
 
-def test_live_mode_follows_a_replaced_stiffness_image(living, settle):
-    widget, (_, tissue, _) = living
+def test_live_mode_follows_a_replaced_stiffness_image(live_dock, settle):
+    widget, (_, tissue, _) = live_dock
     stiff = np.where(tissue.data > 0, 5.0, 0.0).astype(np.float32)
     widget.tissue = viewer_of(widget).add_image(stiff, name="E")
     settle(widget)
@@ -121,8 +121,8 @@ def test_live_mode_follows_a_replaced_stiffness_image(living, settle):
     assert_newest(widget)
 
 
-def test_the_newest_of_many_edits_is_shown_last(living, settle, at_rest):
-    widget, (_, _, boundary) = living
+def test_the_newest_of_many_edits_is_shown_last(live_dock, settle, at_rest):
+    widget, (_, _, boundary) = live_dock
     seen = []
     widget.result_drawn.connect(seen.append)
     for col in range(5, 20):
@@ -136,8 +136,8 @@ def test_the_newest_of_many_edits_is_shown_last(living, settle, at_rest):
     assert_newest(widget)
 
 
-def test_an_error_preserves_the_last_result_and_is_reported_once(living, settle, monkeypatch):
-    widget, _ = living
+def test_an_error_preserves_the_last_result_and_is_reported_once(live_dock, settle, monkeypatch):
+    widget, _ = live_dock
     popups = []
     for kind in ("show_error", "show_warning"):
         monkeypatch.setattr(f"napari_hmrf.ui.controller.{kind}", popups.append)
@@ -160,8 +160,8 @@ def test_an_error_preserves_the_last_result_and_is_reported_once(living, settle,
     assert_newest(widget)
 
 
-def test_without_paint_the_undeformed_image_is_shown(living, settle):
-    widget, (image, _, boundary) = living
+def test_without_paint_the_undeformed_image_is_shown(live_dock, settle):
+    widget, (image, _, boundary) = live_dock
     painted = boundary.data.copy()
     boundary.data = np.zeros_like(painted)
     settle(widget)
@@ -176,8 +176,8 @@ def test_without_paint_the_undeformed_image_is_shown(living, settle):
     assert_newest(widget)
 
 
-def test_an_error_of_the_solver_names_the_layer(living, settle):
-    widget, (_, _, boundary) = living
+def test_an_error_of_the_solver_names_the_layer(live_dock, settle):
+    widget, (_, _, boundary) = live_dock
     before = widget.solution
     data = np.zeros_like(boundary.data)
     data[10, 10] = 2
@@ -188,8 +188,8 @@ def test_an_error_of_the_solver_names_the_layer(living, settle):
     assert "could still move" in widget.status
 
 
-def test_cancel_stops_a_solve_and_the_next_edit_is_followed(living, settle, busy_thread, qtbot):
-    widget, (_, _, boundary) = living
+def test_cancel_stops_a_solve_and_the_next_edit_is_followed(live_dock, settle, busy_thread, qtbot):
+    widget, (_, _, boundary) = live_dock
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     qtbot.waitUntil(lambda: widget._form.footer.cancel.enabled, timeout=LONG_MS)
@@ -230,8 +230,8 @@ def test_an_undo_with_a_cancelled_solve_remains_and_is_reported_until_deform(
     assert widget.status == STILL
 
 
-def test_edits_are_followed_only_while_live_mode_is_on(living, settle):
-    widget, (_, _, boundary) = living
+def test_edits_are_followed_only_while_live_mode_is_on(live_dock, settle):
+    widget, (_, _, boundary) = live_dock
     widget.live = False
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
@@ -251,8 +251,8 @@ def test_a_painted_sample_is_solved_at_once(widget, small_sample, settle):
     assert widget.status.startswith("Tissue moved up to")
 
 
-def test_the_removal_of_the_image_is_reported(living, settle, at_rest):
-    widget, (image, *_) = living
+def test_the_removal_of_the_image_is_reported(live_dock, settle, at_rest):
+    widget, (image, *_) = live_dock
     viewer = viewer_of(widget)
     settle(widget)
     viewer.layers.remove(image)
@@ -271,8 +271,8 @@ def test_the_removal_of_the_image_is_reported(living, settle, at_rest):
     assert widget.status.startswith("Open an image first")
 
 
-def test_another_image_is_solved_as_soon_as_it_is_chosen(living, small_sample, settle):
-    widget, (first, *_) = living
+def test_another_image_is_solved_as_soon_as_it_is_chosen(live_dock, small_sample, settle):
+    widget, (first, *_) = live_dock
     viewer = viewer_of(widget)
     image, other, boundary = small_sample(viewer)
     assert widget.image is first, "an image with edits was deselected"
@@ -280,11 +280,11 @@ def test_another_image_is_solved_as_soon_as_it_is_chosen(living, small_sample, s
     assert (widget.image, widget.tissue) == (image, other)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
-    assert widget.solution.displacement == pytest.approx(cold(widget).displacement, abs=0.02)
+    assert widget.solution.displacement == pytest.approx(cold_start(widget).displacement, abs=0.02)
     there = widget.solution
     widget.image = first
     settle(widget)
-    expected = cold(widget).displacement
+    expected = cold_start(widget).displacement
     assert widget.solution.displacement == pytest.approx(expected, abs=0.02)
     assert np.abs(expected - there.displacement).max() > 0.5, (
         "the boundary of the other image was used"
@@ -313,8 +313,8 @@ def test_live_mode_is_on_up_to_1200_by_1200_pixels(widget, at_rest, size, follow
     assert widget.live is followed
 
 
-def test_layers_can_be_renamed_and_removed_during_a_solve(living, settle, busy_thread, at_rest):
-    widget, (image, tissue, boundary) = living
+def test_layers_can_be_renamed_and_removed_during_a_solve(live_dock, settle, busy_thread, at_rest):
+    widget, (image, tissue, boundary) = live_dock
     viewer = viewer_of(widget)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     at_rest(thread=False)
@@ -337,8 +337,8 @@ def test_layers_can_be_renamed_and_removed_during_a_solve(living, settle, busy_t
     assert tissue in viewer.layers
 
 
-def test_removing_the_image_during_a_solve_shows_no_result(living, settle, busy_thread, at_rest):
-    widget, (image, _, boundary) = living
+def test_removing_the_image_during_a_solve_shows_no_result(live_dock, settle, busy_thread, at_rest):
+    widget, (image, _, boundary) = live_dock
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     at_rest(thread=False)
     viewer_of(widget).layers.remove(image)
@@ -374,9 +374,9 @@ def test_the_painted_slice_of_a_stack_is_followed(widget, small_sample, run, set
 
 
 def test_a_press_of_deform_during_a_solve_does_not_restore_an_older_result(
-    living, settle, busy_thread, qtbot, at_rest
+    live_dock, settle, busy_thread, qtbot, at_rest
 ):
-    widget, (_, _, boundary) = living
+    widget, (_, _, boundary) = live_dock
     widget.deform()
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     at_rest(thread=False)
@@ -426,7 +426,9 @@ def test_a_closed_dock_follows_no_edit(frame, small_sample, run, settle, at_rest
 
 
 @pytest.fixture
-def at_work(unstyled, without_controls, make_napari_viewer, small_sample, run, qtbot, at_rest):
+def user_in_live_mode(
+    unstyled, without_controls, make_napari_viewer, small_sample, run, qtbot, at_rest
+):
     """Return a simulated user with a brush in a window, and a dock in live mode."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
@@ -438,8 +440,8 @@ def at_work(unstyled, without_controls, make_napari_viewer, small_sample, run, q
     return Person(viewer, qtbot), dock
 
 
-def test_tissue_follows_during_a_stroke_of_the_brush(at_work, settle):
-    person, dock = at_work
+def test_tissue_follows_during_a_stroke_of_the_brush(user_in_live_mode, settle):
+    person, dock = user_in_live_mode
     viewer = person.viewer
     boundary = viewer.layers["Boundary"]
     Cell(dock._form.motion.boundary.table, 0).click()
@@ -478,8 +480,8 @@ def test_tissue_follows_during_a_stroke_of_the_brush(at_work, settle):
 # Undo
 
 
-def test_edits_of_tables_are_undone_and_followed(living, settle):
-    widget, (_, _, boundary) = living
+def test_edits_of_tables_are_undone_and_followed(live_dock, settle):
+    widget, (_, _, boundary) = live_dock
     footer = widget._form.footer
     assert not footer.undo.enabled
     rules, materials = widget.rules, widget.materials
@@ -503,8 +505,8 @@ def test_edits_of_tables_are_undone_and_followed(living, settle):
     assert widget.rules != rules
 
 
-def test_rows_added_for_painted_labels_are_no_undo_steps(living, settle):
-    widget, (_, tissue, _) = living
+def test_rows_added_for_painted_labels_are_no_undo_steps(live_dock, settle):
+    widget, (_, tissue, _) = live_dock
     paint(tissue, [(8, 8)], 5)
     settle(widget)
     widget._form.tissue.table.refresh()
@@ -531,8 +533,8 @@ def test_undo_keys_work_in_the_dock_and_a_removed_layer_removes_its_undo_steps(
     assert not widget._form.footer.undo.enabled
 
 
-def test_undo_restores_the_edited_table_of_a_layer_used_as_tissue_and_boundary(living):
-    widget, (_, tissue, _) = living
+def test_undo_restores_the_edited_table_of_a_layer_used_as_tissue_and_boundary(live_dock):
+    widget, (_, tissue, _) = live_dock
     widget.boundary = tissue
     before = widget.materials, widget.rules
     Cell(widget._form.tissue.table, 1, 2).write("33")
@@ -540,8 +542,8 @@ def test_undo_restores_the_edited_table_of_a_layer_used_as_tissue_and_boundary(l
     assert (widget.materials, widget.rules) == before
 
 
-def test_undo_of_a_hidden_table_changes_the_metadata_of_its_layer(living):
-    widget, (_, tissue, _) = living
+def test_undo_of_a_hidden_table_changes_the_metadata_of_its_layer(live_dock):
+    widget, (_, tissue, _) = live_dock
     before = widget.materials
     Cell(widget._form.tissue.table, 1, 2).write("33")
     image, widget.image = widget.image, viewer_of(widget).add_image(np.ones((9, 9)))
@@ -575,8 +577,8 @@ def test_undo_of_a_curve_restores_its_stiffness_layer(widget, small_sample, wait
     assert widget.curve not in (before, None), "redo did not restore the curve"
 
 
-def test_the_selected_result_is_the_newest_result(living, settle):
-    widget, (_, _, boundary) = living
+def test_the_selected_result_is_the_newest_result(live_dock, settle):
+    widget, (_, _, boundary) = live_dock
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
     assert widget.result is by_name(widget, "MR arrows, elastic")

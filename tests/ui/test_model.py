@@ -91,15 +91,15 @@ def test_only_settings_of_the_chosen_model_are_shown(docked, small_sample):
     papers = {"reading", "penalty"}
     sweeps = {"method", "sweeps", "energy_change"}
 
-    def asked():
+    def visible_settings():
         return {field.name for field in form.in_detail if not field.native.isHidden()}
 
-    assert asked() == always | papers | sweeps
+    assert visible_settings() == always | papers | sweeps
     docked.model = "paper, converged"
-    assert asked() == always | papers | {"accuracy"}
+    assert visible_settings() == always | papers | {"accuracy"}
     assert form.plane.native.isHidden()
     elastic(docked)
-    assert asked() == always | {"accuracy", "grip"}
+    assert visible_settings() == always | {"accuracy", "grip"}
     assert not form.plane.native.isHidden()
     assert form.poisson.native.isHidden()  # The table has the ratios.
     docked.tissue = image
@@ -123,7 +123,7 @@ def test_the_plane_condition_is_chosen_by_an_icon(widget):
 RIGID = "'Tissue' has rigid tissue ('gel'), which the paper's model does not support"
 
 
-def be_rigid(widget):
+def make_rigid(widget):
     Cell(widget._form.tissue.table, 1, 2).write("rigid")
 
 
@@ -131,7 +131,7 @@ def test_an_error_of_the_paper_model_with_rigid_tissue_is_shown_without_a_solve(
     widget, small_sample, wait_for
 ):
     small_sample(viewer_of(widget))
-    be_rigid(widget)
+    make_rigid(widget)
     wait_for(lambda: RIGID in widget.status)
     widget.model = "elastic"
     wait_for(lambda: widget.status == READY)
@@ -145,7 +145,7 @@ def test_deform_refuses_rigid_tissue_in_the_paper_model_before_the_solve(
     widget, small_sample, busy_thread
 ):
     small_sample(viewer_of(widget))
-    be_rigid(widget)
+    make_rigid(widget)
     said = []
     widget.finished.connect(said.append)
     widget.deform()
@@ -187,7 +187,7 @@ def test_a_boundary_that_would_deform_a_rigid_body_is_refused_by_name(widget, sm
 def test_a_new_error_is_shown_in_spite_of_an_earlier_result(widget, small_sample, run, wait_for):
     small_sample(viewer_of(widget))
     assert run(widget) is not None
-    be_rigid(widget)
+    make_rigid(widget)
     wait_for(lambda: RIGID in widget.status)
     widget.undo()
     wait_for(lambda: "Tissue moved up to" in widget.status)
@@ -264,7 +264,7 @@ def test_the_table_has_poisson_ratios_only_for_deformable_tissue_and_elastic_mod
     small_sample(viewer_of(widget))
     table = widget._form.tissue.table
     assert [Cell(table, row, POISSON).text() for row in (0, 1)] == ["", "0.45"]
-    be_rigid(widget)
+    make_rigid(widget)
     assert table.isColumnHidden(POISSON)
 
 

@@ -7,7 +7,7 @@ from qtpy.QtCore import QSettings
 from napari_hmrf.study.models import SolverDetails
 
 
-def another(qtbot, viewer=None):
+def open_dock(qtbot, viewer=None):
     from napari.components import ViewerModel
 
     from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -18,36 +18,36 @@ def another(qtbot, viewer=None):
 
 
 def test_the_device_is_remembered_between_sessions(qtbot):
-    another(qtbot).settings = replace(another(qtbot).settings, device="cpu")
-    assert another(qtbot).settings.device == "cpu"
+    open_dock(qtbot).settings = replace(open_dock(qtbot).settings, device="cpu")
+    assert open_dock(qtbot).settings.device == "cpu"
 
 
 def test_a_session_starts_without_an_overlay(qtbot):
-    first = another(qtbot)
+    first = open_dock(qtbot)
     first.overlay = "magnitude"
-    assert another(qtbot).overlay == "nothing"
+    assert open_dock(qtbot).overlay == "nothing"
 
 
 def test_a_session_starts_with_the_elastic_model(qtbot):
-    first = another(qtbot)
+    first = open_dock(qtbot)
     first.model = "paper"
     first.settings = replace(first.settings, sweeps=7)
-    second = another(qtbot)
+    second = open_dock(qtbot)
     assert (second.model, second.settings) == ("elastic", SolverDetails())
 
 
 def test_a_dock_opened_again_restores_its_settings(qtbot):
-    first = another(qtbot)
+    first = open_dock(qtbot)
     first.model = "elastic"
     first.plane = "strain"
     first.poisson = 0.3
     first.settings = replace(first.settings, accuracy=1e-4)
-    again = another(qtbot, first._viewer)
+    again = open_dock(qtbot, first._viewer)
     assert (again.model, again.plane, again.poisson) == ("elastic", "strain", 0.3)
     assert again.settings == SolverDetails(accuracy=1e-4)
     again.model = "paper"
     again.settings = replace(again.settings, sweeps=7)
-    last = another(qtbot, first._viewer)
+    last = open_dock(qtbot, first._viewer)
     assert (last.model, last.settings) == ("paper", SolverDetails(sweeps=7))
 
 
@@ -57,4 +57,4 @@ def test_an_invalid_stored_setting_is_ignored(qtbot):
     )
     store.setValue("deform/device", "abacus")
     store.sync()
-    assert another(qtbot).settings.device == "auto"
+    assert open_dock(qtbot).settings.device == "auto"

@@ -43,7 +43,7 @@ DRAWING = Drawing(
 
 
 @pytest.fixture
-def made(qtbot, wait_for):
+def make_dock(qtbot, wait_for):
     """Return a function that makes an idle dock beside a viewer."""
 
     def make(viewer):
@@ -81,14 +81,14 @@ def stack():
     return viewer
 
 
-def test_a_study_is_opened_as_it_was_saved(made, wait_for, tmp_path):
-    first = made(stack())
+def test_a_study_is_opened_as_it_was_saved(make_dock, wait_for, tmp_path):
+    first = make_dock(stack())
     first.drawing, first.model, first.plane = DRAWING, "elastic", "strain"
     wait_for(lambda: not first.busy)
     path = first.save_study(tmp_path / "case")
     assert first.status == "Saved case.study."
     other = ViewerModel()
-    second = made(other)
+    second = make_dock(other)
     second.open_study(path)
     wait_for(lambda: not second.busy)
     assert {"t1", "Organs", "Probe"} <= {layer.name for layer in other.layers}
@@ -106,11 +106,11 @@ def test_a_study_is_opened_as_it_was_saved(made, wait_for, tmp_path):
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2)])
-def test_studies_of_several_slices_are_opened_at_their_places(made, wait_for, tmp_path, order):
+def test_studies_of_several_slices_are_opened_at_their_places(make_dock, wait_for, tmp_path, order):
     viewer, paths, drawings = ViewerModel(), {}, {}
     pixels = np.random.default_rng(0).random((30, 36, 44))
     viewer.add_image(pixels, name="t1", scale=(3.0, 0.5, 0.8), units=("mm",) * 3)
-    first = made(viewer)
+    first = make_dock(viewer)
     viewer.dims.order = order
     for at in (0, 2):
         viewer.dims.set_current_step(order[0], at)
@@ -120,7 +120,7 @@ def test_studies_of_several_slices_are_opened_at_their_places(made, wait_for, tm
         wait_for(lambda: not first.busy)
         paths[at] = first.save_study(tmp_path / f"slice{at}")
     other = ViewerModel()
-    second = made(other)
+    second = make_dock(other)
     for at in (0, 2):
         second.open_study(paths[at])
         wait_for(lambda: not second.busy)
@@ -133,14 +133,14 @@ def test_studies_of_several_slices_are_opened_at_their_places(made, wait_for, tm
     assert second.drawing == drawings[0], "the drawing of the displayed slice was lost"
 
 
-def test_a_study_without_an_image_is_opened_beside_an_image(made, wait_for, tmp_path):
+def test_a_study_without_an_image_is_opened_beside_an_image(make_dock, wait_for, tmp_path):
     labels = np.ones(SHAPE, np.uint8)
     tissue = Tissue(labels=labels, materials=(Material(1, "gel", 1.0),))
     study = Study(Grid(SHAPE, (1.0, 1.0)), tissue, Motion(hold_edge=True, drawing=DRAWING))
     path = write_study(tmp_path / "gel", study)
     viewer = ViewerModel()
     viewer.add_image(np.random.default_rng(0).random(SHAPE), name="photo")
-    dock = made(viewer)
+    dock = make_dock(viewer)
     dock.open_study(path)
     wait_for(lambda: not dock.busy)
     assert (dock.image, dock.drawing) == (None, DRAWING)
@@ -148,10 +148,10 @@ def test_a_study_without_an_image_is_opened_beside_an_image(made, wait_for, tmp_
 
 
 def test_a_study_read_directly_after_a_change_of_slice_has_the_drawing_of_that_slice(
-    made, wait_for
+    make_dock, wait_for
 ):
     viewer = stack()
-    dock = made(viewer)
+    dock = make_dock(viewer)
     dock.drawing = DRAWING
     wait_for(lambda: not dock.busy)
     viewer.dims.set_current_step(0, 2)
@@ -160,18 +160,18 @@ def test_a_study_read_directly_after_a_change_of_slice_has_the_drawing_of_that_s
 
 @pytest.mark.parametrize("moves", [True, False])
 def test_opening_a_study_adds_no_undo_step_and_shows_paint_only_without_motion(
-    made, wait_for, tmp_path, moves
+    make_dock, wait_for, tmp_path, moves
 ):
     viewer = ViewerModel()
     viewer.add_image(np.random.default_rng(0).random(SHAPE), name="photo")
-    first = made(viewer)
+    first = make_dock(viewer)
     first.tissue_from_intensity()
     if moves:
         first.drawing = DRAWING
     wait_for(lambda: not first.busy)
     path = first.save_study(tmp_path / "case")
     other = ViewerModel()
-    second = made(other)
+    second = make_dock(other)
     second.open_study(path)
     wait_for(lambda: not second.busy)
     assert second.curve == first.curve
@@ -189,15 +189,15 @@ def test_opening_a_study_adds_no_undo_step_and_shows_paint_only_without_motion(
 
 
 def test_a_slice_opened_and_saved_again_retains_its_place_in_the_volume(
-    made, run, wait_for, tmp_path
+    make_dock, run, wait_for, tmp_path
 ):
-    first = made(stack())
+    first = make_dock(stack())
     run(first)
     path = first.save_study(tmp_path / "case")
     assert read_study(path).study.grid.place.index[0] == 1, (
         "the slice does not store its number in the stack"
     )
-    second = made(ViewerModel())
+    second = make_dock(ViewerModel())
     second.open_study(path)
     wait_for(lambda: not second.busy)
     run(second)
@@ -209,8 +209,8 @@ def test_a_slice_opened_and_saved_again_retains_its_place_in_the_volume(
         np.testing.assert_allclose(place.spacing, (3.0, 0.5, 0.8))
 
 
-def test_a_field_of_a_cold_start_is_replayed_bit_by_bit(made, run, wait_for, tmp_path):
-    dock = made(stack())
+def test_a_field_of_a_cold_start_is_replayed_bit_by_bit(make_dock, run, wait_for, tmp_path):
+    dock = make_dock(stack())
     run(dock)
     path = dock.save_study(tmp_path / "case")
     saved = read_study(path).solution
@@ -218,10 +218,12 @@ def test_a_field_of_a_cold_start_is_replayed_bit_by_bit(made, run, wait_for, tmp
     assert np.array_equal(replay(path).displacement, saved.displacement)
 
 
-def test_a_field_of_a_warm_start_is_replayed_within_its_tolerance(made, wait_for, tmp_path, capsys):
+def test_a_field_of_a_warm_start_is_replayed_within_its_tolerance(
+    make_dock, wait_for, tmp_path, capsys
+):
     viewer = ViewerModel()
     viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
-    dock = made(viewer)
+    dock = make_dock(viewer)
     for col in (14, 20, 23):
         dock.drawing = Drawing((Arrow(at=(18, col), by=(0.5, 2.0), radius=2.0),))
         wait_for(lambda: not dock.busy)
@@ -248,12 +250,14 @@ def test_a_field_of_a_warm_start_is_replayed_within_its_tolerance(made, wait_for
     ],
     ids=["curve", "stiffness", "image"],
 )
-def test_a_study_made_in_python_is_opened_in_the_window(made, wait_for, tmp_path, tissue, model):
+def test_a_study_made_in_python_is_opened_in_the_window(
+    make_dock, wait_for, tmp_path, tissue, model
+):
     image = np.random.default_rng(0).integers(50, 200, SHAPE, dtype=np.uint8)
     motion = Motion(hold_edge=True, drawing=Drawing(DRAWING.marks[:1]))
     grid = Grid(SHAPE, (0.5, 0.8), "millimeter")
     study = Study(grid, tissue, motion, model=model, pictures=Pictures(image, name="photo"))
-    dock = made(ViewerModel())
+    dock = make_dock(ViewerModel())
     dock.open_study(write_study(tmp_path / "case", study))
     wait_for(lambda: not dock.busy)
     assert dock.model == model
@@ -265,7 +269,7 @@ def test_a_study_made_in_python_is_opened_in_the_window(made, wait_for, tmp_path
     np.testing.assert_array_equal(read.pictures.image, image)
 
 
-def test_an_observed_field_is_opened_as_arrows_with_its_confidence(made, wait_for, tmp_path):
+def test_an_observed_field_is_opened_as_arrows_with_its_confidence(make_dock, wait_for, tmp_path):
     y = np.random.default_rng(1).normal(size=(*SHAPE, 2)).astype(np.float32)
     c = np.zeros(SHAPE, np.float32)
     c[::6, ::6] = 0.5
@@ -273,7 +277,7 @@ def test_an_observed_field_is_opened_as_arrows_with_its_confidence(made, wait_fo
     study = Study(
         Grid(SHAPE, (1.0, 1.0)), motion=Motion(observed=y, confidence=c), pictures=Pictures(image)
     )
-    dock = made(ViewerModel())
+    dock = make_dock(ViewerModel())
     dock.open_study(write_study(tmp_path / "case", study))
     wait_for(lambda: not dock.busy)
     read = dock.study.motion
@@ -283,7 +287,7 @@ def test_an_observed_field_is_opened_as_arrows_with_its_confidence(made, wait_fo
     assert not read.confidence[~there].any()
 
 
-def test_a_study_with_an_invalid_place_adds_no_layer(made, tmp_path):
+def test_a_study_with_an_invalid_place_adds_no_layer(make_dock, tmp_path):
     grid = Grid(SHAPE, (1.0, 1.0), "mm", Frame.at((1.0, 1.0), ("mm", "mm")))
     path = write_study(tmp_path / "case", Study(grid, pictures=Pictures(np.ones(SHAPE))))
     with np.load(path) as parts:
@@ -291,7 +295,7 @@ def test_a_study_with_an_invalid_place_adds_no_layer(made, tmp_path):
         header["grid"]["place"]["plane"] = [0, 7]
         with open(tmp_path / "case.study", "wb") as file:
             np.savez(file, **{**parts, "header": np.array(json.dumps(header))})
-    dock = made(ViewerModel())
+    dock = make_dock(ViewerModel())
     with pytest.raises(FileFormatError, match=r"case\.study: not a valid .*: not the place"):
         dock.open_study(path)
     assert not dock._viewer.layers
@@ -314,10 +318,10 @@ def test_opening_a_study_file_in_napari_fills_the_dock(make_napari_viewer, at_re
     assert Screen(dock).button("Save study ...").isEnabled()
 
 
-def test_a_message_reports_landmarks_that_were_not_imported_before_saving(made, tmp_path):
+def test_a_message_reports_landmarks_that_were_not_imported_before_saving(make_dock, tmp_path):
     viewer = ViewerModel()
     viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
-    dock = made(viewer)
+    dock = make_dock(viewer)
     dock.live = False
     viewer.add_points([[10, 10], [20, 30]], name="is")
     viewer.add_points([[11, 10], [20, 32]], name="ought")
@@ -339,9 +343,9 @@ def test_a_message_reports_landmarks_that_were_not_imported_before_saving(made, 
     )
 
 
-def test_a_study_is_saved_before_it_has_a_result(made, wait_for, tmp_path, monkeypatch):
+def test_a_study_is_saved_before_it_has_a_result(make_dock, wait_for, tmp_path, monkeypatch):
     viewer, path = ViewerModel(), tmp_path / "begun.study"
-    dock = made(viewer)
+    dock = make_dock(viewer)
     screen = Screen(dock)
     assert not screen.button("Save study ...").isEnabled()
     viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")

@@ -56,7 +56,7 @@ def results_of(widget):
 
 
 @pytest.fixture
-def popped_up():
+def notified():
     """Return a list of napari's notifications during the test."""
     found = []
     notification_manager.notification_ready.connect(found.append)
@@ -107,7 +107,7 @@ def test_tissue_and_image_move_in_the_direction_of_the_pushed_boundary(widget, s
     assert picture[tissue_before.max() + 2] != 0 or picture[tissue_before.max() + 3] != 0
 
 
-def see_all(widget, at_rest):
+def show_all(widget, at_rest):
     """Show an overlay and wait until it is drawn."""
     widget.overlay = "magnitude"
     at_rest.until(lambda: not widget.busy)
@@ -116,7 +116,7 @@ def see_all(widget, at_rest):
 def test_all_layers_of_a_result_can_be_shown(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
     run(widget)
-    see_all(widget, at_rest)
+    show_all(widget, at_rest)
     assert [name for name in names(viewer_of(widget)) if name != "Motion"] == [
         "MR",
         "MR deformed, paper",
@@ -134,7 +134,7 @@ def test_all_layers_of_a_result_can_be_shown(widget, small_sample, run, at_rest)
 def test_a_second_press_of_deform_updates_the_layers_in_place(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
     run(widget)
-    see_all(widget, at_rest)
+    show_all(widget, at_rest)
     before = state(viewer_of(widget))
     arrows = by_name(widget, "MR arrows, paper")
     arrows.edge_color = "red"
@@ -523,7 +523,7 @@ def test_results_have_the_place_and_the_units_of_the_image(widget, small_sample,
     }
     image, _, _ = small_sample(viewer_of(widget), **place)
     outputs = run(widget)
-    see_all(widget, at_rest)
+    show_all(widget, at_rest)
     assert outputs.solution.spacing == pytest.approx((0.5, 2.0))
     farthest = widget.status.removesuffix(".")
     assert farthest.endswith(" mm"), "a length in pixels is undefined for non-square pixels"
@@ -691,7 +691,7 @@ def test_a_painted_boundary_releases_the_edge_and_a_new_boundary_fixes_it(widget
     ids=["unpainted", "all void", "elsewhere", "size", "image size"],
 )
 def test_invalid_input_causes_one_error_and_changes_no_layer(
-    widget, small_sample, run, spoil, said, popped_up
+    widget, small_sample, run, spoil, said, notified
 ):
     viewer = viewer_of(widget)
     small_sample(viewer)
@@ -699,7 +699,7 @@ def test_invalid_input_causes_one_error_and_changes_no_layer(
     spoil(viewer)
     before = state(viewer)
     assert run(widget) is None
-    assert [each.severity for each in popped_up] == ["warning"], (
+    assert [each.severity for each in notified] == ["warning"], (
         "the notification is not a warning, which disappears by itself"
     )
     assert said in widget.status
@@ -708,7 +708,7 @@ def test_invalid_input_causes_one_error_and_changes_no_layer(
 
 
 def test_an_error_during_the_solve_is_reported_and_changes_no_layer(
-    widget, small_sample, run, monkeypatch, popped_up
+    widget, small_sample, run, monkeypatch, notified
 ):
     viewer = viewer_of(widget)
     small_sample(viewer)
@@ -720,7 +720,7 @@ def test_an_error_during_the_solve_is_reported_and_changes_no_layer(
     monkeypatch.setattr("napari_hmrf.solver.live_solver.run_here", fail)
     assert run(widget) is None
     assert "MemoryError: no room" in widget.status
-    assert [each.severity for each in popped_up] == ["error"], (
+    assert [each.severity for each in notified] == ["error"], (
         "the notification is not an error, which remains"
     )
     assert state(viewer) == before
@@ -912,7 +912,7 @@ def test_two_docks_solve_one_after_the_other(qtbot, small_sample, wait_for):
 def test_result_layers_have_the_expected_types(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
     run(widget)
-    see_all(widget, at_rest)
+    show_all(widget, at_rest)
     kinds = [type(layer) for layer in results_of(widget)]
     assert kinds == [Image, Image, Vectors]
 

@@ -26,7 +26,7 @@ TURNED = TILTED[:3, :3] / SIZE
 pytestmark = pytest.mark.filterwarnings("ignore:Non-orthogonal slicing")
 
 
-def numbered():
+def numbered_slices():
     """Return a volume in which the intensity of each slice is its number along the first axis."""
     return np.broadcast_to(np.arange(SHAPE[0], dtype=np.uint8)[:, None, None], SHAPE).copy()
 
@@ -39,7 +39,7 @@ def drawn_at(pixel):
 @pytest.fixture
 def tilted(open_beside, settle):
     """Return a simulated user with *Pull* at a slice of a tilted volume, and the dock."""
-    person, widget = open_beside(numbered(), contrast_limits=(0, 8), **PLACE)
+    person, widget = open_beside(numbered_slices(), contrast_limits=(0, 8), **PLACE)
     Screen(widget).choose("the whole volume")
     person.viewer.dims.set_point(0, 4)
     settle(widget)
@@ -48,7 +48,7 @@ def tilted(open_beside, settle):
     return person, widget
 
 
-def number_seen(viewer):
+def displayed_number(viewer):
     """Return the number of the drawn slice, read from the intensity of its thumbnail."""
     (picture,) = (layer for layer in viewer.layers if layer.name == "MR")
     return round(float(picture.thumbnail[..., 0].max()) / 255 * 8)
@@ -56,16 +56,16 @@ def number_seen(viewer):
 
 def test_the_slice_reported_as_displayed_is_the_drawn_slice():
     viewer = ViewerModel()
-    image = viewer.add_image(numbered(), name="MR", contrast_limits=(0, 8), **PLACE)
+    image = viewer.add_image(numbered_slices(), name="MR", contrast_limits=(0, 8), **PLACE)
     frame, seen = frame_of(image, View.of(viewer.dims, volume=True)), set()
     for depth in (-1, 1.5, 4, 6, 9):
         viewer.dims.set_point(0, depth)
         view = View.of(viewer.dims)
-        assert plane_shown(frame, view) == (0, number_seen(viewer))
-        seen.add(number_seen(viewer))
+        assert plane_shown(frame, view) == (0, displayed_number(viewer))
+        seen.add(displayed_number(viewer))
         # The inverse: the position of the slider that shows this slice.
-        viewer.dims.set_point(0, view.point_at(frame, (number_seen(viewer), 0, 0))[0])
-        assert plane_shown(frame, View.of(viewer.dims)) == (0, number_seen(viewer))
+        viewer.dims.set_point(0, view.point_at(frame, (displayed_number(viewer), 0, 0))[0])
+        assert plane_shown(frame, View.of(viewer.dims)) == (0, displayed_number(viewer))
     assert len(seen) > 3
 
 
@@ -74,7 +74,7 @@ def test_the_tissue_under_the_pointer_is_pulled(tilted, settle):
     here, there = np.array((9.0, 14.0)), np.array((12.0, 14.0))
     person.drag(drawn_at(here), drawn_at(there))
     settle(widget)
-    mark, number = only(widget), number_seen(person.viewer)
+    mark, number = only(widget), displayed_number(person.viewer)
     np.testing.assert_allclose(mark.at, (number, *here), atol=0.01)
     np.testing.assert_allclose(mark.by, (0, *np.subtract(there, here) * SIZE[1]), atol=0.01)
     moved = widget.solution.displacement[number, 9, 14]
@@ -86,7 +86,7 @@ def test_the_tissue_under_the_pointer_is_pulled(tilted, settle):
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 0, 1)])
 def test_components_are_parallel_to_the_axes_of_the_patient(order):
     viewer = ViewerModel()
-    image = viewer.add_image(numbered(), **PLACE)
+    image = viewer.add_image(numbered_slices(), **PLACE)
     viewer.dims.order = order
     ways = directions_of(frame_of(image, View.of(viewer.dims, volume=True)), viewer)
     by = TURNED.T @ (0, -3.1, 6.35)  # Along the axes of the image.
@@ -102,7 +102,7 @@ def test_a_warning_reports_that_the_tilt_is_ignored(tilted, settle):
     person.drag(drawn_at((9.0, 14.0)), drawn_at((11.0, 14.0)))
     settle(widget)
     assert "as if it were not tilted out of its slices" in widget.warning
-    level = Image(numbered())
+    level = Image(numbered_slices())
     assert not View.of(person.viewer.dims).tilts(level)
 
 

@@ -15,7 +15,7 @@ Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
 
 
 @pytest.fixture
-def at_hand(frame, small_sample, at_rest):
+def pointer_and_dock(frame, small_sample, at_rest):
     """Return a simulated pointer at a small sample without a window, and the dock."""
     small_sample(frame.viewer)
     dock = quick(frame.open())
@@ -24,7 +24,7 @@ def at_hand(frame, small_sample, at_rest):
 
 
 @pytest.fixture
-def seated(unstyled, without_controls, make_napari_viewer, small_sample, qtbot, at_rest):
+def user_in_window(unstyled, without_controls, make_napari_viewer, small_sample, qtbot, at_rest):
     """Return a simulated user before a window with a small sample, and the dock."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer)
@@ -33,8 +33,8 @@ def seated(unstyled, without_controls, make_napari_viewer, small_sample, qtbot, 
     return Person(viewer, qtbot), dock
 
 
-def test_a_typed_number_is_undone_by_the_key_on_the_canvas(seated):
-    person, dock = seated
+def test_a_typed_number_is_undone_by_the_key_on_the_canvas(user_in_window):
+    person, dock = user_in_window
     tissue, materials = dock.tissue, dock.materials
     screen = Screen(dock)
     screen.click_row("gel")
@@ -50,8 +50,8 @@ def test_a_typed_number_is_undone_by_the_key_on_the_canvas(seated):
     assert dock.status == "There is nothing to take back."
 
 
-def test_paint_and_typed_numbers_are_undone_in_reverse_order(seated):
-    person, dock = seated
+def test_paint_and_typed_numbers_are_undone_in_reverse_order(user_in_window):
+    person, dock = user_in_window
     tissue, materials = dock.tissue, dock.materials
     screen = Screen(dock)
     clean = tissue.data.copy()
@@ -72,8 +72,8 @@ def test_paint_and_typed_numbers_are_undone_in_reverse_order(seated):
     assert (tissue.data != painted).any()
 
 
-def test_the_undo_button_undoes_paint_in_order_and_reports_it(at_hand):
-    person, dock = at_hand
+def test_the_undo_button_undoes_paint_in_order_and_reports_it(pointer_and_dock):
+    person, dock = pointer_and_dock
     tissue, screen = dock.tissue, Screen(dock)
     clean = tissue.data.copy()
     screen.click_row("gel")
@@ -112,8 +112,8 @@ def test_paint_from_before_the_dock_is_undone_after_later_edits(frame, small_sam
     assert (tissue.data == clean).all()
 
 
-def test_a_closed_dock_releases_the_undo_keys(at_hand, frame):
-    _, dock = at_hand
+def test_a_closed_dock_releases_the_undo_keys(pointer_and_dock, frame):
+    _, dock = pointer_and_dock
     viewer = frame.viewer
     tissue = dock.tissue
     Screen(dock).click_row("gel")
@@ -141,8 +141,8 @@ def test_undo_keys_of_a_deleted_owner_are_released():
     assert not viewer.keymap
 
 
-def test_undo_keys_remain_bound_while_one_of_two_docks_is_open(at_hand, frame):
-    _, first = at_hand
+def test_undo_keys_remain_bound_while_one_of_two_docks_is_open(pointer_and_dock, frame):
+    _, first = pointer_and_dock
     keys = {each for each in frame.viewer.keymap if str(each) in ("Ctrl+Z", "Ctrl+Y")}
     assert len(keys) == 2
     second = quick(frame.open())
@@ -152,8 +152,8 @@ def test_undo_keys_remain_bound_while_one_of_two_docks_is_open(at_hand, frame):
     assert not keys & frame.viewer.keymap.keys()
 
 
-def test_arrows_and_typed_numbers_are_undone_in_reverse_order(at_hand, at_rest):
-    person, dock = at_hand
+def test_arrows_and_typed_numbers_are_undone_in_reverse_order(pointer_and_dock, at_rest):
+    person, dock = pointer_and_dock
     materials = dock.materials
     dock.start()
     at_rest.until(lambda: not dock.busy)

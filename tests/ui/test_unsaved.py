@@ -26,7 +26,7 @@ DRAWING = Drawing((Arrow(at=(30, 30), by=(2.0, 5.0), radius=4.0),))
 OTHER = Drawing((Arrow(at=(20, 40), by=(-3.0, 1.0), radius=4.0),))
 
 
-class Asked:
+class Answers:
     """Simulated answers to the questions of a dock."""
 
     def __init__(self, dock, *answers):
@@ -46,7 +46,7 @@ def no_question_of_napari():
     get_settings().application.confirm_close_window = before
 
 
-class Door(QObject):
+class CloseBlocker(QObject):
     """Event filter that blocks and counts closing, because napari's fixture closes the window."""
 
     def __init__(self, window):
@@ -77,7 +77,7 @@ def window(unstyled, without_controls, make_napari_viewer, at_rest):
 
     def opened(name="MR", slices=3, shown=False):
         viewer = make_napari_viewer(show=shown)
-        doors.append(Door(viewer.window._qt_window))
+        doors.append(CloseBlocker(viewer.window._qt_window))
         rows, cols = np.indices((64, 64))
         data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
         viewer.add_image(np.stack([data] * slices) if slices else data, name=name)
@@ -93,7 +93,7 @@ def window(unstyled, without_controls, make_napari_viewer, at_rest):
 
 
 @pytest.fixture
-def close(at_rest):
+def press_close(at_rest):
     """Return a function that presses X and returns whether the window would close."""
 
     def pressed(dock):
@@ -107,7 +107,7 @@ def close(at_rest):
 
 
 @pytest.fixture
-def beside(qtbot, wait_for):
+def dock_beside(qtbot, wait_for):
     """Return a function that makes an idle dock beside a viewer without a window."""
 
     def made(viewer):
@@ -126,68 +126,68 @@ def settings():
     return Path(QSettings(*kind, "napari-hmrf", "napari-hmrf").fileName()).parent
 
 
-def kept(place=None):
+def autosaved_files(place=None):
     """Return the autosaved files, which lie beside the persistent settings."""
     return sorted(((place or settings()) / "unsaved").glob("*.study"))
 
 
-def test_closing_without_edits_asks_no_question(window, close):
+def test_closing_without_edits_asks_no_question(window, press_close):
     _, dock = window()
-    asked = Asked(dock)
+    asked = Answers(dock)
     assert not dock.unsaved
-    assert close(dock)
+    assert press_close(dock)
     assert asked.questions == []
 
 
-def test_cancel_leaves_the_window_open_with_all_edits(window, close, at_rest):
+def test_cancel_leaves_the_window_open_with_all_edits(window, press_close, at_rest):
     _, dock = window(shown=True)
     dock.drawing = DRAWING
     at_rest()
-    asked = Asked(dock, "cancel", "cancel", "discard")
-    assert not close(dock)
+    asked = Answers(dock, "cancel", "cancel", "discard")
+    assert not press_close(dock)
     assert dock.drawing == DRAWING
     assert dock.unsaved
     dock.native.window().close()  # File > Close Window calls this method.
     at_rest()
     assert dock.door.passed == 0
-    assert close(dock)
+    assert press_close(dock)
     assert len(asked.questions) == 3, "a press of X asked more or fewer than one question"
     assert "'MR slice 1'" in asked.questions[0]
-    assert not kept()
+    assert not autosaved_files()
 
 
 def test_a_window_closed_by_a_script_asks_no_question(window, at_rest):
     viewer, dock = window()
     dock.drawing = DRAWING
     at_rest()
-    asked = Asked(dock)
+    asked = Answers(dock)
     dock.door.remove()
     viewer.close()
     assert asked.questions == []
-    assert not kept()
+    assert not autosaved_files()
 
 
 def test_save_asks_for_a_file_name_once_and_saves_there_again(
-    window, close, at_rest, tmp_path, monkeypatch
+    window, press_close, at_rest, tmp_path, monkeypatch
 ):
     path, chosen = tmp_path / "case.study", ["", tmp_path / "case.study"]
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(chosen.pop(0)), ""))
     _, dock = window()
     dock.drawing = DRAWING
-    Asked(dock, "save", "save", "save")
-    assert not close(dock), "the window closed without a file name"
+    Answers(dock, "save", "save", "save")
+    assert not press_close(dock), "the window closed without a file name"
     dock.save_study(path)
     assert not dock.unsaved
     dock.undo()
     dock.redo()
     assert not dock.unsaved, "undo and redo changed the saved state"
     dock.drawing = OTHER
-    assert close(dock)
+    assert press_close(dock)
     assert read_study(path).study.motion.drawing == OTHER
-    assert not kept()
+    assert not autosaved_files()
 
 
-def test_undone_edits_are_not_unsaved_and_paint_is(window, close, at_rest):
+def test_undone_edits_are_not_unsaved_and_paint_is(window, press_close, at_rest):
     viewer, dock = window()
     dock.drawing = DRAWING
     dock.undo()
@@ -202,12 +202,12 @@ def test_undone_edits_are_not_unsaved_and_paint_is(window, close, at_rest):
     assert not dock.unsaved
     dock.redo()
     assert dock.unsaved
-    asked = Asked(dock, "discard")
-    assert close(dock)
+    asked = Answers(dock, "discard")
+    assert press_close(dock)
     assert len(asked.questions) == 1
 
 
-def test_one_answer_saves_all_slices(window, close, at_rest, tmp_path, monkeypatch):
+def test_one_answer_saves_all_slices(window, press_close, at_rest, tmp_path, monkeypatch):
     names = []
 
     def choose(*given):
@@ -220,15 +220,17 @@ def test_one_answer_saves_all_slices(window, close, at_rest, tmp_path, monkeypat
         viewer.dims.set_current_step(0, number)
         dock.drawing = drawing
     viewer.dims.set_current_step(0, 1)
-    asked = Asked(dock, "save")
-    assert close(dock)
+    asked = Answers(dock, "save")
+    assert press_close(dock)
     assert len(asked.questions) == 1
     assert names == ["MR slice 0.study", "MR slice 2.study"]
     for name, drawing in zip(names, (DRAWING, OTHER), strict=True):
         assert read_study(tmp_path / name).study.motion.drawing == drawing
 
 
-def test_one_answer_saves_slices_of_two_orientations(window, close, at_rest, tmp_path, monkeypatch):
+def test_one_answer_saves_slices_of_two_orientations(
+    window, press_close, at_rest, tmp_path, monkeypatch
+):
     names = iter(["axial.study", "coronal.study"])
     monkeypatch.setattr(
         QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / next(names)), "")
@@ -238,8 +240,8 @@ def test_one_answer_saves_slices_of_two_orientations(window, close, at_rest, tmp
     viewer.dims.order = (1, 0, 2)
     at_rest()
     dock.drawing = OTHER
-    asked = Asked(dock, "save")
-    assert close(dock)
+    asked = Answers(dock, "save")
+    assert press_close(dock)
     assert len(asked.questions) == 1
     axial, coronal = (read_study(tmp_path / f"{each}.study").study for each in ("axial", "coronal"))
     assert (axial.grid.shape, axial.motion.drawing) == ((64, 64), DRAWING)
@@ -247,21 +249,21 @@ def test_one_answer_saves_slices_of_two_orientations(window, close, at_rest, tmp
 
 
 def test_only_the_window_with_edits_asks_and_quitting_asks_before_any_window_closes(
-    window, close, at_rest
+    window, press_close, at_rest
 ):
     (_, first), (_, second) = window("one", shown=True), window("two", shown=True)
     first.drawing = DRAWING
-    mine, other = Asked(first, "cancel", "discard"), Asked(second)
+    mine, other = Answers(first, "cancel", "discard"), Answers(second)
     second.native.window().close(quit_app=True)
     at_rest()
     assert first.door.passed == second.door.passed == 0
-    assert close(second)
-    assert close(first)
+    assert press_close(second)
+    assert press_close(first)
     assert len(mine.questions) == 2
     assert other.questions == []
 
 
-def test_the_question_has_three_answers(window, close, monkeypatch):
+def test_the_question_has_three_answers(window, press_close, monkeypatch):
     _, dock = window()
     dock.drawing = DRAWING
     shown = []
@@ -271,16 +273,18 @@ def test_the_question_has_three_answers(window, close, monkeypatch):
         return QMessageBox.StandardButton.Cancel
 
     monkeypatch.setattr(QMessageBox, "question", answer)
-    assert not close(dock)
+    assert not press_close(dock)
     ((question, offered),) = shown
     assert question == "What was done on 'MR slice 1' is in no file yet. Save it before closing?"
     buttons = QMessageBox.StandardButton
     assert offered == buttons.Save | buttons.Discard | buttons.Cancel
-    Asked(dock, "discard")
-    assert close(dock)
+    Answers(dock, "discard")
+    assert press_close(dock)
 
 
-def test_the_question_names_the_file_that_saving_replaces(window, close, tmp_path, monkeypatch):
+def test_the_question_names_the_file_that_saving_replaces(
+    window, press_close, tmp_path, monkeypatch
+):
     _, dock = window()
     dock.drawing = DRAWING
     path = dock.save_study(tmp_path / "case")
@@ -291,19 +295,21 @@ def test_the_question_names_the_file_that_saving_replaces(window, close, tmp_pat
     )
     Screen(dock).press("Save study ...")
     assert offered == [str(path)]
-    asked = Asked(dock, "discard")
-    assert close(dock)
+    asked = Answers(dock, "discard")
+    assert press_close(dock)
     assert asked.questions[0].endswith("Save it before closing? Saving replaces 'case.study'.")
 
 
-def test_opening_a_study_preserves_the_unsaved_edits_of_another_image(beside, wait_for, tmp_path):
+def test_opening_a_study_preserves_the_unsaved_edits_of_another_image(
+    dock_beside, wait_for, tmp_path
+):
     viewer, other = ViewerModel(), ViewerModel()
     other.add_image(np.full((40, 44), 90, np.uint8), name="saved")
-    first = beside(other)
+    first = dock_beside(other)
     wait_for(lambda: not first.busy)
     first.drawing = OTHER
     path = first.save_study(tmp_path / "other")
-    dock = beside(viewer)
+    dock = dock_beside(viewer)
     image = viewer.add_image(np.full((64, 64), 100, np.uint8), name="photo")
     wait_for(lambda: not dock.busy)
     dock.drawing = DRAWING
@@ -323,21 +329,21 @@ def test_edits_are_autosaved_but_not_during_a_drag(window, at_rest, wait_for):
     person = Person(viewer, None)
     dock.start()
     at_rest()
-    assert not kept()
+    assert not autosaved_files()
     person.press(30, 30)
     person.move(36, 38)
     at_rest()
-    assert not kept()
+    assert not autosaved_files()
     person.release(36, 38)
-    at_rest.until(lambda: len(kept()) == 1)
-    study, _ = read_study(kept()[0])
+    at_rest.until(lambda: len(autosaved_files()) == 1)
+    study, _ = read_study(autosaved_files()[0])
     assert study.motion.drawing == dock.drawing
     dock.clear()
     dock.undo()
-    at_rest.until(lambda: read_study(kept()[0]).study.motion.drawing == dock.drawing)
+    at_rest.until(lambda: read_study(autosaved_files()[0]).study.motion.drawing == dock.drawing)
     person.key(Qt.Key.Key_Z, CTRL)
     assert not dock.drawing.marks
-    at_rest.until(lambda: not kept())
+    at_rest.until(lambda: not autosaved_files())
 
 
 CRASHED = """
@@ -362,7 +368,7 @@ app.exec()
 
 
 @pytest.fixture
-def killed(wait_for):
+def killed_process(wait_for):
     """Return a context with a process that has unsaved work; the process is killed at the end."""
 
     @contextmanager
@@ -371,7 +377,7 @@ def killed(wait_for):
         command = [sys.executable, "-c", CRASHED, str(place.parent)]
         process = subprocess.Popen(command, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"})
         try:
-            wait_for(lambda: bool(kept(place)) or process.poll() is not None)
+            wait_for(lambda: bool(autosaved_files(place)) or process.poll() is not None)
             assert process.poll() is None
             yield
         finally:
@@ -379,7 +385,7 @@ def killed(wait_for):
             process.wait(LONG)
 
     if not hasattr(signal, "SIGKILL"):
-        pytest.skip("no such way to end a process")
+        pytest.skip("needs SIGKILL")
     return living
 
 
@@ -387,14 +393,14 @@ LEFT = "was not saved when napari ended"
 
 
 def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
-    killed, beside, wait_for, tmp_path
+    killed_process, dock_beside, wait_for, tmp_path
 ):
-    with killed():
-        assert LEFT not in Screen(beside(ViewerModel())).words, (
+    with killed_process():
+        assert LEFT not in Screen(dock_beside(ViewerModel())).words, (
             "work of a running process is offered"
         )
-    (file,) = kept()
-    dock = beside(ViewerModel())
+    (file,) = autosaved_files()
+    dock = dock_beside(ViewerModel())
     assert f" on 'photo' {LEFT}" in Screen(dock).words
     Screen(dock).press("Open it")
     wait_for(lambda: not dock.busy)
@@ -402,14 +408,14 @@ def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
     assert dock.drawing == DRAWING
     assert dock.image.name == "photo"
     assert dock.unsaved
-    (own,) = kept()
+    (own,) = autosaved_files()
     assert own != file
-    assert LEFT not in Screen(beside(ViewerModel())).words, "recovered work is offered again"
+    assert LEFT not in Screen(dock_beside(ViewerModel())).words, "recovered work is offered again"
     dock.save_study(tmp_path / "case")
-    assert not kept()
+    assert not autosaved_files()
 
 
-def test_unreadable_work_of_a_killed_process_can_be_discarded(beside, monkeypatch):
+def test_unreadable_work_of_a_killed_process_can_be_discarded(dock_beside, monkeypatch):
     over = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
     over.wait(LONG)
     with monkeypatch.context() as its:
@@ -417,13 +423,13 @@ def test_unreadable_work_of_a_killed_process_can_be_discarded(beside, monkeypatc
         file = recovery.new_file(settings() / "unsaved")
     study = Study(Grid((20, 24), (1.0, 1.0)), motion=Motion(drawing=DRAWING))
     file.write_bytes(write_study(file, study).read_bytes()[:200])
-    dock = beside(ViewerModel())
+    dock = dock_beside(ViewerModel())
     thrown = []
     monkeypatch.setattr(QFile, "moveToTrash", lambda each: bool(thrown.append(each.fileName())))
     Screen(dock).press("Open it")
     assert "damaged" in dock.status
-    assert kept() == [file]
+    assert autosaved_files() == [file]
     Screen(dock).press("Discard")
     assert thrown == [str(file)], "the file was not moved to the trash"
-    assert not kept()
+    assert not autosaved_files()
     assert LEFT not in Screen(dock).words

@@ -30,10 +30,10 @@ def blocks():
 
 
 @pytest.fixture
-def in_the_middle(settle):
+def show_middle_slice(settle):
     """Return a function that shows the middle slice of a volume with the *Pull* tool active."""
 
-    def looking(person, widget):
+    def show(person, widget):
         person.viewer.dims.set_point(0, 12 * SCALE[0])
         Screen(widget).choose("the whole volume")
         settle(widget)
@@ -42,19 +42,19 @@ def in_the_middle(settle):
         settle(widget)
         return person, widget
 
-    return looking
+    return show
 
 
 @pytest.fixture
-def volume(open_window, in_the_middle):
+def volume(open_window, show_middle_slice):
     """Return a simulated user before a window with a slice of a volume, and the dock."""
-    return in_the_middle(*open_window(blocks(), scale=SCALE))
+    return show_middle_slice(*open_window(blocks(), scale=SCALE))
 
 
 @pytest.fixture
-def volume_beside(open_beside, in_the_middle):
+def volume_beside(open_beside, show_middle_slice):
     """Return a simulated user at a slice of a volume without a window, and the dock."""
-    return in_the_middle(*open_beside(blocks(), scale=SCALE))
+    return show_middle_slice(*open_beside(blocks(), scale=SCALE))
 
 
 def go_to(person, number):
@@ -342,7 +342,7 @@ def both_extents(volume_beside, settle):
     settle(widget)
     Screen(widget).choose("this slice")
     settle(widget)
-    assert seen_of(person.viewer) <= {"slice 12"}, (
+    assert visible_slices(person.viewer) <= {"slice 12"}, (
         "the result of the volume is displayed for its slice"
     )
     assert widget.result is None
@@ -351,13 +351,13 @@ def both_extents(volume_beside, settle):
     return person, widget
 
 
-def seen_of(viewer):
+def visible_slices(viewer):
     """Return the slices of visible results, with "" for the volume."""
     made = [layer for layer in viewer.layers if layer.visible and "source" in metadata_of(layer)]
     return {metadata_of(layer)["slice"] for layer in made}
 
 
-def kinds_seen(viewer):
+def visible_kinds(viewer):
     """Return the kinds of visible result layers."""
     return {metadata_of(layer).get("kind") for layer in viewer.layers if layer.visible} & {
         *EVERYTHING
@@ -370,19 +370,19 @@ def test_the_result_of_the_chosen_extent_is_displayed(both_extents, settle):
     for extent, where in (("slice", "slice 12"), ("volume", ""), ("slice", "slice 12")):
         widget.extent = extent
         settle(widget)
-        assert seen_of(viewer) == {where}
-        assert kinds_seen(viewer) == EVERYTHING
+        assert visible_slices(viewer) == {where}
+        assert visible_kinds(viewer) == EVERYTHING
         assert metadata_of(widget.result)["slice"] == where
         widget.before = True
-        assert seen_of(viewer) == set()
+        assert visible_slices(viewer) == set()
         widget.before = False
         widget.percent = 50
         settle(widget)
-        assert seen_of(viewer) == {where}
+        assert visible_slices(viewer) == {where}
     widget.undo()
     settle(widget)
-    assert seen_of(viewer) == {""}
-    assert kinds_seen(viewer) == EVERYTHING
+    assert visible_slices(viewer) == {""}
+    assert visible_kinds(viewer) == EVERYTHING
 
 
 def test_selecting_the_arrows_of_another_extent_does_not_show_its_result(both_extents, settle):
@@ -394,7 +394,7 @@ def test_selecting_the_arrows_of_another_extent_does_not_show_its_result(both_ex
     viewer.layers.selection.active = held[""]
     settle(widget)
     assert metadata_of(widget.result)["slice"] == "slice 12"
-    assert seen_of(viewer) == {"slice 12"}
+    assert visible_slices(viewer) == {"slice 12"}
 
 
 def test_painting_on_a_volume_shows_the_original_image(both_extents, settle):
@@ -403,7 +403,7 @@ def test_painting_on_a_volume_shows_the_original_image(both_extents, settle):
     widget.make_layers()
     settle(widget)
     widget.hand_brush(widget.boundary)
-    assert seen_of(viewer) == set()
+    assert visible_slices(viewer) == set()
     assert widget.status == MEANWHILE
 
 
@@ -439,7 +439,7 @@ def test_a_cancelled_solve_of_a_volume_restores_the_last_result(cancelled, settl
     before = picture.data.copy()
     cancel()
     assert np.array_equal(picture.data, before)
-    assert kinds_seen(person.viewer) == EVERYTHING
+    assert visible_kinds(person.viewer) == EVERYTHING
     assert metadata_of(picture)["inputs_changed"]
     assert len(widget.drawing.marks) == 2
     assert widget.status.startswith("Cancelled")
@@ -454,11 +454,11 @@ def test_a_cancelled_solve_of_a_volume_restores_the_last_result(cancelled, settl
 def test_a_cancelled_first_pull_of_a_volume_shows_no_result(cancelled, settle):
     person, widget, cancel = cancelled
     cancel()
-    assert kinds_seen(person.viewer) == set()
+    assert visible_kinds(person.viewer) == set()
     person.drag((20, 20), (21, 21))
     settle(widget)
     assert len(widget.drawing.marks) == 2
-    assert kinds_seen(person.viewer) == {"image", "arrows"}
+    assert visible_kinds(person.viewer) == {"image", "arrows"}
 
 
 def test_the_status_bar_reads_no_earlier_result_during_a_drag_in_a_volume(

@@ -143,7 +143,7 @@ def test_a_double_click_adds_a_point_and_a_right_click_removes_the_point(editor,
     assert editor.curve.points == CURVE.points[1:], "fewer than two points remain"
 
 
-def typed(qtbot, field, text):
+def type_text(qtbot, field, text):
     """Type a text and Return into a field; return the new value of the field."""
     field.native.clear()
     qtbot.keyClicks(field.native, text)
@@ -156,12 +156,12 @@ def test_fields_show_and_edit_the_curve(editor, person, qtbot):
     editor.refusal.connect(said.append)
     assert editor.points.value == "50: 10; 100: 20; 200: 40"
     assert (editor.void_below.value, editor.unit.value) == ("20", "kPa")
-    typed(qtbot, editor.points, "50:10;200 : 40 ; 100: 30,5;0:0.001")
+    type_text(qtbot, editor.points, "50:10;200 : 40 ; 100: 30,5;0:0.001")
     assert editor.curve.points == ((0, 0.001), (50, 10), (100, 30.5), (200, 40))
     for text, void_below in (("7", 7), ("", None), ("7,5", 7.5)):
-        typed(qtbot, editor.void_below, text)
+        type_text(qtbot, editor.void_below, text)
         assert editor.curve.void_below == void_below
-    typed(qtbot, editor.unit, "MPa")
+    type_text(qtbot, editor.unit, "MPa")
     assert editor.curve.unit == "MPa"
     editor.joined.value = "smooth", False
     assert (editor.curve.between, editor.curve.logarithmic) == ("smooth", False)
@@ -185,9 +185,9 @@ def test_fields_show_and_edit_the_curve(editor, person, qtbot):
 def test_an_invalid_curve_is_refused_and_the_field_is_reset(editor, person, qtbot, text, why):
     said = []
     editor.refusal.connect(said.append)
-    assert typed(qtbot, editor.points, text) == "50: 10; 100: 20; 200: 40"
+    assert type_text(qtbot, editor.points, text) == "50: 10; 100: 20; 200: 40"
     assert why in said[0]
-    assert typed(qtbot, editor.void_below, "x") == "20"
+    assert type_text(qtbot, editor.void_below, "x") == "20"
     assert "threshold of tissue that is no finite number" in said[1]
     assert len(said) == 2
     assert not [each for each in said if "(" in each or "nan" in each or "void_below" in each]
@@ -236,20 +236,20 @@ def grey(shape=(24, 30)):
     return np.broadcast_to(one, shape).copy()
 
 
-def made(widget, pixels=None, **place):
+def show_stiffness(widget, pixels=None, **place):
     viewer = widget._viewer
     image = viewer.add_image(grey() if pixels is None else pixels, name="MR", **place)
     widget._form.intensity.native.click()
-    return viewer, image, shown(viewer)
+    return viewer, image, stiffness_layer(viewer)
 
 
-def shown(viewer):
+def stiffness_layer(viewer):
     """Return the layer that shows the stiffness of an image, or None if there is none."""
     return next((layer for layer in viewer.layers if "stiffness" in layer.name), None)
 
 
 def test_one_button_derives_tissue_from_brightness_and_shows_its_stiffness(widget):
-    viewer, image, layer = made(widget, scale=(0.5, 0.5), units="mm")
+    viewer, image, layer = show_stiffness(widget, scale=(0.5, 0.5), units="mm")
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)"]
     assert widget.image is image
     assert widget.tissue == "brightness"
@@ -274,7 +274,7 @@ def test_stiffness_is_shown_at_the_place_of_its_image_with_transparent_air(widge
         "axis_labels": ("t", "y", "x"),
     }
     here = {name: values[-len(shape) :] for name, values in place.items()}
-    viewer, image, layer = made(widget, grey(shape), rotate=20.0, **here)
+    viewer, image, layer = show_stiffness(widget, grey(shape), rotate=20.0, **here)
     corner = (0, 23, 29)[-len(shape) :]
     viewer.dims.set_current_step(0, 0)
     widget.tissue_from_intensity()
@@ -286,7 +286,7 @@ def test_stiffness_is_shown_at_the_place_of_its_image_with_transparent_air(widge
 
 
 def test_dragging_a_point_updates_the_stiffness_layer_and_is_one_undo_step(docked, qtbot, wait_for):
-    _, image, layer = made(docked)
+    _, image, layer = show_stiffness(docked)
     person = Person(qtbot, docked._form.tissue.editor)
     QApplication.sendEvent(person.plot, QShowEvent())
     first = docked.curve
@@ -307,7 +307,7 @@ def test_dragging_a_point_updates_the_stiffness_layer_and_is_one_undo_step(docke
 
 
 def test_the_stiffness_layer_follows_the_curve_and_retains_its_appearance(widget, wait_for):
-    _, image, layer = made(widget)
+    _, image, layer = show_stiffness(widget)
     layer.opacity, layer.colormap = 0.9, "gray"
     widget.curve = softer = StiffnessCurve(((0, 1), (255, 10)))
     wait_for(lambda: np.array_equal(layer.data, softer(image.data)))
@@ -318,7 +318,7 @@ def test_the_stiffness_layer_follows_the_curve_and_retains_its_appearance(widget
 
 
 def test_the_stiffness_layer_is_not_updated_for_an_unchanged_slice_and_curve(widget, wait_for):
-    _, _, layer = made(widget)
+    _, _, layer = show_stiffness(widget)
     told = []
     layer.events.data.connect(told.append)
     widget.live = True
@@ -330,17 +330,17 @@ def test_the_stiffness_layer_is_not_updated_for_an_unchanged_slice_and_curve(wid
 
 
 def test_the_stiffness_layer_is_removed_if_tissue_is_chosen_from_another_layer(widget, wait_for):
-    viewer, image, _ = made(widget)
+    viewer, image, _ = show_stiffness(widget)
     labels = viewer.add_labels(np.ones((24, 30), np.uint8), name="painted")
     curve = widget.curve
     for other in (labels, image, None):
         widget.tissue = other
         assert widget.curve is None
         assert widget._form.tissue.editor.native.isHidden()
-        wait_for(lambda: shown(viewer) is None)
+        wait_for(lambda: stiffness_layer(viewer) is None)
         widget.tissue = "brightness"
         assert widget.curve == curve
-        wait_for(lambda: shown(viewer) is not None)
+        wait_for(lambda: stiffness_layer(viewer) is not None)
     widget.curve = None
     assert widget.tissue is None
     viewer.layers.remove(image)
@@ -348,18 +348,18 @@ def test_the_stiffness_layer_is_removed_if_tissue_is_chosen_from_another_layer(w
 
 
 def test_each_image_has_its_own_curve(widget, wait_for):
-    viewer, image, _ = made(widget)
+    viewer, image, _ = show_stiffness(widget)
     first = widget.curve
     other = viewer.add_image(255 - grey(), name="CT")
     widget.image = other
     assert widget.curve is None
-    wait_for(lambda: shown(viewer) is None)
+    wait_for(lambda: stiffness_layer(viewer) is None)
     widget.curve = CURVE
-    wait_for(lambda: shown(viewer) is not None)
-    assert shown(viewer).name == "CT stiffness (kPa)"
+    wait_for(lambda: stiffness_layer(viewer) is not None)
+    assert stiffness_layer(viewer).name == "CT stiffness (kPa)"
     widget.image = image
     assert widget.curve == first
-    wait_for(lambda: shown(viewer).name == "MR stiffness (relative)")
+    wait_for(lambda: stiffness_layer(viewer).name == "MR stiffness (relative)")
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)", "CT"]
     widget.image = other
     assert widget.curve == CURVE
@@ -367,18 +367,18 @@ def test_each_image_has_its_own_curve(widget, wait_for):
 
 def test_a_closed_dock_leaves_no_stiffness_layer(frame, wait_for):
     closed = quick(frame.open())
-    viewer, _, _ = made(closed)
+    viewer, _, _ = show_stiffness(closed)
     curve = closed.curve
     frame.close(closed)
-    assert shown(viewer) is None
+    assert stiffness_layer(viewer) is None
     again = frame.open()
     assert again._viewer is viewer
     assert again.tissue_from_intensity() == curve, "the curve of the image was lost"
-    wait_for(lambda: shown(viewer) is not None)
+    wait_for(lambda: stiffness_layer(viewer) is not None)
 
 
 def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
-    viewer, _, layer = made(widget)
+    viewer, _, layer = show_stiffness(widget)
     widget._form.make.native.click()
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)", "Boundary"]
     assert widget.tissue == "brightness", "the tissue was replaced by a layer to paint on"
@@ -399,7 +399,7 @@ def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
 def test_pulled_tissue_follows_a_change_of_its_curve(widget, wait_for):
     image = widget._viewer.add_image(grey(), name="MR")
     curve = widget.tissue_from_intensity()
-    layer = shown(widget._viewer)
+    layer = stiffness_layer(widget._viewer)
     widget.live = True
     widget.start()
     assert not layer.visible
@@ -432,14 +432,14 @@ def test_the_stiffness_of_a_slice_of_any_image_follows_its_pixels(widget, dtype,
         viewer.dims.set_current_step(axis, 1)
     curve = widget.tissue_from_intensity()
     seen = luminance(pixels) if coloured else pixels[(1,) * image_axes]
-    np.testing.assert_array_equal(np.squeeze(shown(viewer).data), curve(seen))
+    np.testing.assert_array_equal(np.squeeze(stiffness_layer(viewer).data), curve(seen))
     np.testing.assert_array_equal(Ground.of(widget.study).stiffness, curve(seen))
 
 
 def test_the_stiffness_of_the_displayed_slice_of_a_stack_is_shown(widget, wait_for):
     stack = grey((3, 24, 30))
     stack[1] = 255 - stack[1]
-    viewer, _, layer = made(widget, stack)
+    viewer, _, layer = show_stiffness(widget, stack)
     for number in (1, 2):
         viewer.dims.set_current_step(0, number)
         expected = widget.curve(stack[number])
@@ -507,7 +507,7 @@ def test_a_missing_image_causes_an_error_with_a_hint(widget):
 
 
 def test_the_stiffness_layer_is_not_offered_in_menus(widget):
-    _, image, layer = made(widget)
+    _, image, layer = show_stiffness(widget)
     for choice in (widget._form.image, widget._form.tissue.choice):
         assert layer not in choice.offered
         assert image in choice.offered
@@ -639,7 +639,7 @@ def test_materials_of_a_saved_result_are_copied_to_another_image(
 
 
 def test_a_result_stores_the_curve_of_its_tissue(widget, run):
-    made(widget)
+    show_stiffness(widget)
     widget.make_layers()
     widget.boundary.data[12, 6] = 1
     widget.boundary.data[12, 24] = 2
@@ -652,7 +652,7 @@ def test_a_result_stores_the_curve_of_its_tissue(widget, run):
 
 @pytest.mark.parametrize("shape", [(24, 30), (3, 24, 30)])
 def test_the_status_bar_shows_the_stiffness_derived_from_intensity(widget, run, wait_for, shape):
-    viewer, *_ = made(widget, grey(shape))
+    viewer, *_ = show_stiffness(widget, grey(shape))
     widget.make_layers()
     widget.boundary.data[..., 12, 6] = 1
     widget.boundary.data[..., 12, 24] = 2

@@ -59,7 +59,7 @@ class Notes(Tool):
         return None
 
 
-def seen_paint(person):
+def displayed_paint(person):
     """Return the image of painted strokes, or zeros if there is no layer of strokes."""
     layers = person.viewer.layers
     return layers["Motion, painted"].data if "Motion, painted" in layers else np.zeros((64, 64))
@@ -80,7 +80,7 @@ def outward(widget):
 
 
 @pytest.fixture
-def narrow(settle):
+def narrow_brush(settle):
     """Return a function that sets a narrow brush and pulls a wide patch to the right."""
 
     def given(person, widget):
@@ -93,24 +93,24 @@ def narrow(settle):
 
 
 @pytest.fixture
-def brushing(pulling, narrow):
+def brushing(pulling, narrow_brush):
     """Return a simulated user and the dock with a narrow brush, in a window."""
-    return narrow(*pulling)
+    return narrow_brush(*pulling)
 
 
 @pytest.fixture
-def brushing_beside(pulling_beside, narrow):
+def brushing_beside(pulling_beside, narrow_brush):
     """Return a simulated user and the dock with a narrow brush, without a window."""
-    return narrow(*pulling_beside)
+    return narrow_brush(*pulling_beside)
 
 
 def test_paint_is_displayed_before_the_solve(brushing, busy_thread, qtbot):
     person, _ = brushing
     person.key(PIN)
     person.press(20, 20)
-    assert seen_paint(person)[20, 20] == number_of("pin"), "paint is not displayed at once"
+    assert displayed_paint(person)[20, 20] == number_of("pin"), "paint is not displayed at once"
     person.move(20, 36)
-    qtbot.waitUntil(lambda: seen_paint(person)[20, 28] == number_of("pin"), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: displayed_paint(person)[20, 28] == number_of("pin"), timeout=LONG_MS)
     assert not busy_thread.is_set()
     person.release(20, 36)
 
@@ -125,8 +125,8 @@ def test_pinned_tissue_does_not_move(brushing_beside, settle):
     person.release(20, 36)
     settle(widget)
     assert displacement(widget)[20, 22:35] == pytest.approx(0, abs=0.02)
-    assert seen_paint(person)[20, 28] == number_of("pin")
-    assert seen_paint(person)[26, 28] == 0
+    assert displayed_paint(person)[20, 28] == number_of("pin")
+    assert displayed_paint(person)[26, 28] == 0
     assert widget.study_model.next_undo.word == "held tissue"
 
 
@@ -137,7 +137,7 @@ def test_freed_tissue_is_unconstrained(brushing_beside, settle):
     person.paint((44, 40), (44, 46))
     settle(widget)
     assert np.abs(displacement(widget)).max() < 0.02, "the arrow still has an effect"
-    assert set(np.unique(seen_paint(person))) == {0, number_of("free")}, (
+    assert set(np.unique(displayed_paint(person))) == {0, number_of("free")}, (
         "the region is not drawn with stripes"
     )
 
@@ -149,8 +149,8 @@ def test_a_moved_region_moves_tissue_and_is_drawn_at_its_target(brushing_beside,
     person.paint((20, 20), (20, 26))
     settle(widget)
     assert displacement(widget)[20, 22] == pytest.approx((-4, 0), abs=0.02)
-    assert seen_paint(person)[16, 22] == number_of("move")
-    assert seen_paint(person)[22, 22] == 0, "the region is still drawn at its origin"
+    assert displayed_paint(person)[16, 22] == number_of("move")
+    assert displayed_paint(person)[22, 22] == 0, "the region is still drawn at its origin"
     widget.fields.by_row.value = 2.0
     settle(widget)
     assert displacement(widget)[20, 22] == pytest.approx((2, 0), abs=0.02), (
@@ -182,7 +182,7 @@ def test_a_patch_grows_without_a_tear(pulling_beside, settle, amount):
     area = jacobian_determinant(displacement(widget), spacing=1)
     assert area[26:39, 26:40] == pytest.approx((1 + amount / 10) ** 2, rel=0.15)
     assert not widget.warning
-    assert seen_paint(person)[32, 32], "a painted pixel is not displayed"
+    assert displayed_paint(person)[32, 32], "a painted pixel is not displayed"
 
 
 def test_undo_and_redo_select_a_stroke_and_show_its_settings(pulling_beside, settle):
@@ -219,7 +219,7 @@ def test_an_open_line_that_expands_is_refused_with_a_message(pulling_beside, set
     settle(widget)
     assert not widget.drawing.marks
     assert "no outside" in widget.status
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
 
 
 def test_an_open_line_shows_a_message_while_it_is_painted(pulling_beside, qtbot):
@@ -259,7 +259,7 @@ def test_an_unfinished_ring_is_removed_by_delete(pulling_beside, settle):
     settle(widget)
     assert not widget.drawing.marks
     assert not widget.study_model.drawing_in_progress
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
 
 
 def test_a_soft_brush_paints_confidence_over_moved_tissue(brushing_beside, settle):
@@ -279,7 +279,7 @@ def test_a_soft_brush_paints_confidence_over_moved_tissue(brushing_beside, settl
     assert len(np.unique(shown[shown < 1].round(3))) > 12, (
         "the displayed confidence has too few values"
     )
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
 
 
 def test_the_layer_of_strokes_is_removed_with_the_last_stroke_and_restored_by_redo(
@@ -297,7 +297,7 @@ def test_the_layer_of_strokes_is_removed_with_the_last_stroke_and_restored_by_re
         assert widget.active, "the tool was deactivated"
         person.key(Qt.Key.Key_Y, CTRL)
         settle(widget)
-        assert seen_paint(person)[20, 22] == number_of("pin")
+        assert displayed_paint(person)[20, 22] == number_of("pin")
     person.key(Qt.Key.Key_Z, CTRL)
     person.key(CONFIDENCE)
     person.paint((30, 30), (30, 34))
@@ -314,12 +314,14 @@ def test_stiffness_motion_and_confidence_are_painted_and_shown_as_layers(pulling
     fields.material.value = 0
     person.paint((50, 10), (50, 20))
     settle(widget)
-    assert seen_paint(person)[50, 15] == number_of("tissue", label=0)
+    assert displayed_paint(person)[50, 15] == number_of("tissue", label=0)
     person.key(MOVE)
     person.paint((30, 28), (30, 34))
     person.paint((30, 31), (26, 31))
     settle(widget)
-    assert seen_paint(person)[26, 31] == number_of("move"), "the stroke is not drawn at its target"
+    assert displayed_paint(person)[26, 31] == number_of("move"), (
+        "the stroke is not drawn at its target"
+    )
     steps = by_name(viewer, "Motion").data[:, 1]
     assert steps[:, 0].min() == pytest.approx(-4, abs=0.6), (
         "the arrows do not show the displacement"
@@ -677,7 +679,7 @@ def test_undo_and_redo_apply_to_all_tools(pulling, settle):
     settle(widget)
     widget.clear()
     settle(widget)
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
     assert not by_name(person.viewer, "Motion").data.any()
 
 
@@ -758,7 +760,7 @@ def test_escape_cancels_a_stroke(brushing_beside, settle):
     person.release(20, 40)
     settle(widget)
     assert (widget.drawing, widget.status) == (before, "Cancelled; everything is as before.")
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
 
 
 def test_changing_the_slice_during_a_stroke_ends_the_stroke(open_beside, settle):
@@ -776,12 +778,12 @@ def test_changing_the_slice_during_a_stroke_ends_the_stroke(open_beside, settle)
     person.release(30, 30)
     settle(widget)
     assert not widget.drawing.marks
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
     viewer.dims.set_current_step(0, 1)
     settle(widget)
     assert only(widget).lines[0][-1] == pytest.approx((24, 30), abs=0.6)
-    assert seen_paint(person).shape == (1, 48, 64)
-    assert seen_paint(person)[0, 22, 30] == number_of("pin")
+    assert displayed_paint(person).shape == (1, 48, 64)
+    assert displayed_paint(person)[0, 22, 30] == number_of("pin")
 
 
 def test_removing_or_renaming_result_layers_does_not_interrupt_a_stroke(brushing, settle):
@@ -803,7 +805,7 @@ def test_removing_or_renaming_result_layers_does_not_interrupt_a_stroke(brushing
         person.release(row, 30)
         settle(widget)
         assert widget.drawing.marks[number].lines[0][-1] == pytest.approx((row, 30), abs=0.6), gone
-        assert seen_paint(person)[row, 25] == number_of("pin"), gone
+        assert displayed_paint(person)[row, 25] == number_of("pin"), gone
 
 
 @pytest.mark.parametrize(

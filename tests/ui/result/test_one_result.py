@@ -21,7 +21,7 @@ from tests.support.windowless import Touch
 pytestmark = pytest.mark.usefixtures("unstyled", "without_controls")
 
 
-def told_when(dock):
+def without_live_mode(dock):
     """Set the dock to the elastic model on the CPU, without live mode; return the dock."""
     dock.settings = replace(dock.settings, device="cpu")
     dock.live = False
@@ -29,20 +29,20 @@ def told_when(dock):
 
 
 @pytest.fixture
-def in_window(make_napari_viewer, small_sample, qtbot, at_rest):
+def user_in_window(make_napari_viewer, small_sample, qtbot, at_rest):
     """Return a simulated user before a window with a small sample, and the dock."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
-    dock = told_when(dock_in(viewer))
+    dock = without_live_mode(dock_in(viewer))
     at_rest()
     return Person(viewer, qtbot), dock
 
 
 @pytest.fixture
-def at_hand(frame, small_sample, at_rest):
+def pointer_and_dock(frame, small_sample, at_rest):
     """Return a simulated pointer on a small sample without a window, and the dock."""
     small_sample(frame.viewer, (48, 64))
-    dock = told_when(frame.open())
+    dock = without_live_mode(frame.open())
     at_rest()
     return Touch(frame.viewer), dock
 
@@ -61,12 +61,12 @@ def drag_a_patch(person, dock, settle):
     settle(dock)
 
 
-def seen(viewer):
+def visible_names(viewer):
     """Return the names of the visible layers except the image."""
     return {layer.name for layer in viewer.layers if layer.visible} - {"MR"}
 
 
-def pictures(viewer):
+def deformed_images(viewer):
     """Return the names of the layers that show the deformed image."""
     return [layer.name for layer in viewer.layers if metadata_of(layer).get("kind") == "image"]
 
@@ -79,21 +79,21 @@ def parts(viewer, kind):
     return [layer for layer in viewer.layers if metadata_of(layer).get("kind") == kind]
 
 
-def test_pulling_continues_from_the_deformed_result(at_hand, run, settle):
-    person, dock = at_hand
+def test_pulling_continues_from_the_deformed_result(pointer_and_dock, run, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     run(dock)
-    assert seen(viewer) >= DEFORMED
+    assert visible_names(viewer) >= DEFORMED
     grab(dock)
     settle(dock)
-    assert seen(viewer) == {*DEFORMED, "Motion"}, "visible paint tints the result"
+    assert visible_names(viewer) == {*DEFORMED, "Motion"}, "visible paint tints the result"
     person.drag((24, 30), (28, 36))
     settle(dock)
-    assert seen(viewer) == {*DEFORMED, "Motion"}
+    assert visible_names(viewer) == {*DEFORMED, "Motion"}
 
 
-def test_the_newer_of_a_pulled_and_a_deformed_result_is_displayed(in_window, run, settle):
-    person, dock = in_window
+def test_the_newer_of_a_pulled_and_a_deformed_result_is_displayed(user_in_window, run, settle):
+    person, dock = user_in_window
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     picture = viewer.layers["MR deformed, elastic"]
@@ -111,8 +111,8 @@ def test_the_newer_of_a_pulled_and_a_deformed_result_is_displayed(in_window, run
     assert len(parts(viewer, "arrows")) == 1
 
 
-def test_activating_the_motion_layer_activates_the_tool(at_hand, settle):
-    person, dock = at_hand
+def test_activating_the_motion_layer_activates_the_tool(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     pulled = viewer.layers["MR deformed, elastic"].data.copy()
@@ -123,8 +123,8 @@ def test_activating_the_motion_layer_activates_the_tool(at_hand, settle):
     assert np.array_equal(viewer.layers["MR deformed, elastic"].data, pulled)
 
 
-def test_visibility_chosen_by_the_user_is_preserved(at_hand, settle):
-    person, dock = at_hand
+def test_visibility_chosen_by_the_user_is_preserved(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     arrows = viewer.layers["MR arrows, elastic"]
@@ -135,8 +135,8 @@ def test_visibility_chosen_by_the_user_is_preserved(at_hand, settle):
         assert arrows.visible == shown
 
 
-def test_the_status_bar_reads_the_displayed_result_while_pulling(at_hand, run, settle):
-    person, dock = at_hand
+def test_the_status_bar_reads_the_displayed_result_while_pulling(pointer_and_dock, run, settle):
+    person, dock = pointer_and_dock
     run(dock)
     settle(dock)
     assert dock.at((24.0, 40.0)).displacement[0] == pytest.approx(0, abs=0.05)
@@ -150,9 +150,9 @@ def test_the_status_bar_reads_the_displayed_result_while_pulling(at_hand, run, s
 
 
 @pytest.fixture
-def pulled(at_hand, run, settle):
+def pulled(pointer_and_dock, run, settle):
     """Return the viewer and the dock after a deformation and a pull."""
-    person, dock = at_hand
+    person, dock = pointer_and_dock
     run(dock)
     drag_a_patch(person, dock, settle)
     return person.viewer, dock
@@ -161,7 +161,7 @@ def pulled(at_hand, run, settle):
 def test_a_pulled_image_can_be_shown_before_its_motion(pulled):
     viewer, dock = pulled
     dock.before = True
-    assert seen(viewer) <= {"Motion"}
+    assert visible_names(viewer) <= {"Motion"}
     dock.before = False
     assert viewer.layers["MR deformed, elastic"].visible
 
@@ -211,9 +211,9 @@ def test_an_overlay_is_never_displayed_over_a_newer_image(pulled, run, settle, n
 
 
 @pytest.fixture
-def two_images(at_hand, settle):
+def two_images(pointer_and_dock, settle):
     """Return the viewer and the dock with two pulled images."""
-    person, dock = at_hand
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     dock.image = viewer.add_image(viewer.layers["MR"].data // 2, name="CT")
@@ -263,8 +263,10 @@ def test_all_layers_can_be_removed_at_once(two_images, settle, wait_for):
     assert dock.result is None
 
 
-def test_a_new_pull_resets_a_partial_motion_to_the_full_motion(at_hand, frame, settle, wait_for):
-    person, dock = at_hand
+def test_a_new_pull_resets_a_partial_motion_to_the_full_motion(
+    pointer_and_dock, frame, settle, wait_for
+):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     dock.percent, dock.overlay = 50, "grid"
@@ -285,38 +287,38 @@ def test_a_new_pull_resets_a_partial_motion_to_the_full_motion(at_hand, frame, s
     assert np.array_equal(picture.data, whole), "the image of the full motion was not restored"
 
 
-def test_layers_hidden_by_the_user_remain_hidden(at_hand, run, settle):
-    person, dock = at_hand
+def test_layers_hidden_by_the_user_remain_hidden(pointer_and_dock, run, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     run(dock)
     viewer.layers["MR arrows, elastic"].visible = False
     drag_a_patch(person, dock, settle)
     dock.rules = (dock.rules[0], BoundaryRule(2, "move", vector=(0.0, 2.0)))
     run(dock)
-    assert seen(viewer) == {"MR deformed, elastic", "Motion"}
+    assert visible_names(viewer) == {"MR deformed, elastic", "Motion"}
 
 
 def test_a_new_result_does_not_change_results_of_other_slices(frame, small_sample, run, settle):
     viewer = frame.viewer
     small_sample(viewer, (3, 20, 24))
-    dock = told_when(frame.open())
+    dock = without_live_mode(frame.open())
     viewer.dims.set_current_step(0, 0)
     run(dock)
-    before = seen(viewer) - {"Boundary", "Tissue"}
+    before = visible_names(viewer) - {"Boundary", "Tissue"}
     viewer.dims.set_current_step(0, 2)
     assert dock.start()
     dock.drawing = Drawing().with_mark(Arrow((10, 12), (2, 2), 3))
     settle(dock)
-    assert seen(viewer) >= before
+    assert visible_names(viewer) >= before
     dock.clear()
     settle(dock)
-    assert seen(viewer) >= before
+    assert visible_names(viewer) >= before
 
 
 def test_the_result_of_the_displayed_slice_is_selected(frame, small_sample, run, settle):
     viewer = frame.viewer
     small_sample(viewer, (3, 20, 24))
-    dock = told_when(frame.open())
+    dock = without_live_mode(frame.open())
     for number in (0, 2):
         viewer.dims.set_current_step(0, number)
         run(dock)
@@ -326,20 +328,20 @@ def test_the_result_of_the_displayed_slice_is_selected(frame, small_sample, run,
         assert metadata_of(dock.result)["slice"] == f"slice {number}"
 
 
-def test_a_reopened_dock_replaces_the_existing_result(in_window, run):
-    person, first = in_window
+def test_a_reopened_dock_replaces_the_existing_result(user_in_window, run):
+    person, first = user_in_window
     viewer = person.viewer
     run(first)
     viewer.window.remove_dock_widget(first.native)
     for _ in range(2):
-        dock = told_when(dock_in(viewer))
+        dock = without_live_mode(dock_in(viewer))
         run(dock)
-        assert pictures(viewer) == ["MR deformed, elastic"]
+        assert deformed_images(viewer) == ["MR deformed, elastic"]
         viewer.window.remove_dock_widget(dock.native)
 
 
-def test_a_reopened_dock_restores_live_mode(at_hand, frame, run, settle):
-    _, first = at_hand
+def test_a_reopened_dock_restores_live_mode(pointer_and_dock, frame, run, settle):
+    _, first = pointer_and_dock
     viewer = frame.viewer
     run(first)
     frame.close(first)
@@ -350,11 +352,13 @@ def test_a_reopened_dock_restores_live_mode(at_hand, frame, run, settle):
     second.rules = (second.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     settle(second)
     assert (viewer.layers["MR deformed, elastic"].data != before).any()
-    assert pictures(viewer) == ["MR deformed, elastic"]
+    assert deformed_images(viewer) == ["MR deformed, elastic"]
 
 
-def test_edits_made_without_a_dock_are_applied_when_a_dock_is_opened(at_hand, frame, run, settle):
-    _, first = at_hand
+def test_edits_made_without_a_dock_are_applied_when_a_dock_is_opened(
+    pointer_and_dock, frame, run, settle
+):
+    _, first = pointer_and_dock
     run(first)
     assert first.solution.tissue[35, 30]
     frame.close(first)
@@ -364,14 +368,16 @@ def test_edits_made_without_a_dock_are_applied_when_a_dock_is_opened(at_hand, fr
     assert not second.solution.tissue[35, 30]
 
 
-def test_a_closed_dock_stops_pulling_and_a_new_dock_continues_with_its_layers(in_window, settle):
-    person, first = in_window
+def test_a_closed_dock_stops_pulling_and_a_new_dock_continues_with_its_layers(
+    user_in_window, settle
+):
+    person, first = user_in_window
     viewer = person.viewer
     drag_a_patch(person, first, settle)
     told = []
     first.deformation_changed.connect(told.append)
     viewer.window.remove_dock_widget(first.native)
-    second = told_when(dock_in(viewer))
+    second = without_live_mode(dock_in(viewer))
     grab(second)
     settle(second)
     assert len(second.drawing.marks) == 1
@@ -380,7 +386,7 @@ def test_a_closed_dock_stops_pulling_and_a_new_dock_continues_with_its_layers(in
     settle(second)
     assert len(second.drawing.marks) == 2
     assert not told
-    assert pictures(viewer) == ["MR deformed, elastic"]
+    assert deformed_images(viewer) == ["MR deformed, elastic"]
     names = [layer.name for layer in viewer.layers]
     assert len(names) == len({name.partition(" [")[0] for name in names}), names
     person.key(Qt.Key.Key_Z, CTRL)
@@ -388,15 +394,15 @@ def test_a_closed_dock_stops_pulling_and_a_new_dock_continues_with_its_layers(in
     assert not told
 
 
-def test_a_closed_dock_leaves_no_duplicate_overlays(at_hand, frame, run, settle):
-    _, dock = at_hand
+def test_a_closed_dock_leaves_no_duplicate_overlays(pointer_and_dock, frame, run, settle):
+    _, dock = pointer_and_dock
     viewer = frame.viewer
     run(dock)
     for _ in range(2):
         dock.overlay = "magnitude"
         settle(dock)
         frame.close(dock)
-        dock = told_when(frame.open())
+        dock = without_live_mode(frame.open())
         run(dock)
         settle(dock)
         assert dock.overlay == "magnitude", "the new dock did not restore the overlay"
@@ -405,12 +411,12 @@ def test_a_closed_dock_leaves_no_duplicate_overlays(at_hand, frame, run, settle)
     assert not any("[1]" in layer.name for layer in viewer.layers)
 
 
-def test_a_closed_dock_does_not_edit_the_tables_of_layers(at_hand, frame, qtbot, at_rest):
-    _, first = at_hand
+def test_a_closed_dock_does_not_edit_the_tables_of_layers(pointer_and_dock, frame, qtbot, at_rest):
+    _, first = pointer_and_dock
     boundary = frame.viewer.layers["Boundary"]
     old = first.rules
     frame.close(first)
-    second = told_when(frame.open())
+    second = without_live_mode(frame.open())
     second.rules = (second.rules[0],)
     boundary.data[20:24, 30:34] = 5
     boundary.refresh()
@@ -420,7 +426,7 @@ def test_a_closed_dock_does_not_edit_the_tables_of_layers(at_hand, frame, qtbot,
     assert rows_of(boundary, BOUNDARY) == second.rules
     rules = second.rules
     frame.close(second)
-    assert told_when(frame.open()).rules == rules
+    assert without_live_mode(frame.open()).rules == rules
 
 
 # Layers of earlier results
@@ -481,7 +487,7 @@ def test_an_overlay_that_was_switched_off_shows_no_earlier_result(folding, run, 
     folding.overlay = "nothing"
     pull(folding, 1.0)
     run(folding)
-    assert "MR deformed, paper" in seen(viewer)
+    assert "MR deformed, paper" in visible_names(viewer)
     assert not parts(viewer, "labels")
     folding.overlay = "labels"
     settle(folding)
@@ -563,7 +569,7 @@ def test_a_new_action_replaces_the_status(pulling_beside, settle):
 
 
 def test_pulling_starts_only_on_request_and_with_an_image(frame, small_sample, at_rest):
-    viewer, widget = frame.viewer, told_when(frame.open())
+    viewer, widget = frame.viewer, without_live_mode(frame.open())
     Screen(widget).press("Pull")
     assert "image" in widget.status
     small_sample(viewer)
@@ -575,20 +581,20 @@ def test_pulling_starts_only_on_request_and_with_an_image(frame, small_sample, a
 # Painting
 
 
-def test_painting_shows_the_image_before_its_motion(at_hand, settle):
-    person, dock = at_hand
+def test_painting_shows_the_image_before_its_motion(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     Screen(dock).click_row("gel")
-    assert not any(viewer.layers[name].visible for name in pictures(viewer))
+    assert not any(viewer.layers[name].visible for name in deformed_images(viewer))
     assert viewer.layers["MR"].visible
     grab(dock)
     settle(dock)
     assert viewer.layers["MR deformed, elastic"].visible
 
 
-def test_a_new_result_is_not_displayed_during_a_stroke(at_hand, settle):
-    person, dock = at_hand
+def test_a_new_result_is_not_displayed_during_a_stroke(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     dock.live = True
@@ -600,7 +606,7 @@ def test_a_new_result_is_not_displayed_during_a_stroke(at_hand, settle):
     settle(dock)  # The result is ready and the mouse does not move.
     assert found, "there is no new result"
     assert dock.before
-    assert not any(viewer.layers[name].visible for name in pictures(viewer))
+    assert not any(viewer.layers[name].visible for name in deformed_images(viewer))
     person.release(20, 30)
     settle(dock)
     assert not dock.before
@@ -609,8 +615,8 @@ def test_a_new_result_is_not_displayed_during_a_stroke(at_hand, settle):
     )
 
 
-def test_clicking_a_cell_to_type_a_number_activates_no_brush(at_hand, settle):
-    person, dock = at_hand
+def test_clicking_a_cell_to_type_a_number_activates_no_brush(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     drag_a_patch(person, dock, settle)
     Screen(dock).cell("gel", "Stiffness").click()
     assert dock.active, "the tool was deactivated"
@@ -618,8 +624,8 @@ def test_clicking_a_cell_to_type_a_number_activates_no_brush(at_hand, settle):
     assert not dock.active
 
 
-def test_undo_of_the_only_pull_removes_the_result(at_hand, settle):
-    person, dock = at_hand
+def test_undo_of_the_only_pull_removes_the_result(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     dock.boundary = dock.tissue = None
     drag_a_patch(person, dock, settle)
     assert dock.at((28, 36)) is not None
@@ -649,8 +655,8 @@ def test_undo_selects_the_image_of_the_undone_drawing(two_images, settle):
     )
 
 
-def test_undo_in_the_dock_undoes_paint_if_it_is_the_last_edit(at_hand, settle):
-    person, dock = at_hand
+def test_undo_in_the_dock_undoes_paint_if_it_is_the_last_edit(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     drag_a_patch(person, dock, settle)
     Screen(dock).click_row("gel")
     layer = person.viewer.layers.selection.active
@@ -677,8 +683,8 @@ def test_new_layers_to_paint_on_do_not_change_the_result(pulling_beside, settle)
     assert dock.solution.displacement == pytest.approx(before.displacement, abs=0.01)
 
 
-def test_the_drawing_may_change_while_its_layer_is_hidden(at_hand, settle):
-    person, puller = at_hand
+def test_the_drawing_may_change_while_its_layer_is_hidden(pointer_and_dock, settle):
+    person, puller = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, puller, settle)
     puller.tool = "move"
@@ -698,8 +704,10 @@ def test_the_drawing_may_change_while_its_layer_is_hidden(at_hand, settle):
     assert len(arrows.edge_color) == len(arrows.data)
 
 
-def test_the_status_bar_is_not_changed_without_a_pointer_on_the_canvas(at_hand, run, settle):
-    person, dock = at_hand
+def test_the_status_bar_is_not_changed_without_a_pointer_on_the_canvas(
+    pointer_and_dock, run, settle
+):
+    person, dock = pointer_and_dock
     run(dock)
     settle(dock)
     person.viewer.mouse_over_canvas = False
@@ -707,8 +715,8 @@ def test_the_status_bar_is_not_changed_without_a_pointer_on_the_canvas(at_hand, 
     assert person.viewer.status == "Brain"
 
 
-def test_a_long_status_is_limited_to_the_available_lines(at_hand):
-    _, dock = at_hand
+def test_a_long_status_is_limited_to_the_available_lines(pointer_and_dock):
+    _, dock = pointer_and_dock
     footer = dock._form.footer
     label = footer._status.native
     for count, seen in ((1, 1), (40, 9), (5, 5)):

@@ -41,7 +41,7 @@ def result(qtbot, small_sample, run, wait_for):
 
 
 @pytest.fixture
-def moved(wait_for):
+def move_layers(wait_for):
     """Return a function that moves layers along with a result and returns the new layers."""
 
     def move(dock, viewer, *layers):
@@ -53,7 +53,7 @@ def moved(wait_for):
 
 
 @pytest.fixture
-def asked(monkeypatch):
+def set_save_path(monkeypatch):
     """Return a function that sets the answer of the save dialog."""
 
     def answer(path):
@@ -65,7 +65,7 @@ def asked(monkeypatch):
 # Layers moved along
 
 
-def test_labels_and_channels_are_warped_without_new_values(result, moved):
+def test_labels_and_channels_are_warped_without_new_values(result, move_layers):
     dock, viewer = result(**MM)
     rng = np.random.default_rng(0)
     cells = viewer.add_labels(rng.choice([0, 3, 7, 90], (20, 24)), name="cells", **MM)
@@ -73,7 +73,7 @@ def test_labels_and_channels_are_warped_without_new_values(result, moved):
     colours = viewer.add_image(
         rng.integers(0, 255, (20, 24, 3), dtype=np.uint8), name="H&E", rgb=True, **MM
     )
-    found = moved(dock, viewer, cells, other, colours)
+    found = move_layers(dock, viewer, cells, other, colours)
     d, tissue, spacing = dock.solution.displacement, dock.solution.tissue, (0.5, 0.8)
     for layer, new, order in zip((cells, other, colours), found, (0, 1, 1), strict=True):
         low = 0 if order == 0 or layer.rgb else layer.data.min()
@@ -93,7 +93,7 @@ def test_labels_and_channels_are_warped_without_new_values(result, moved):
     assert dock.image.name == "MR", "a moved layer was selected as the image"
 
 
-def test_points_and_shapes_move_with_the_tissue(result, moved):
+def test_points_and_shapes_move_with_the_tissue(result, move_layers):
     dock, viewer = result(**MM)
     at = np.array([[9.5, 6.0], [10.0, 20.5], [400.0, 3.0]])
     points = viewer.add_points(at, name="cells", features={"kind": [1, 2, 3]}, **MM)
@@ -107,7 +107,7 @@ def test_points_and_shapes_move_with_the_tissue(result, moved):
         name="regions",
         **MM,
     )
-    new, drawn = moved(dock, viewer, points, shapes)
+    new, drawn = move_layers(dock, viewer, points, shapes)
     d, spacing = dock.solution.displacement, (0.5, 0.8)
     np.testing.assert_allclose(new.data[:2], moved_points(at[:2], d, spacing=spacing))
     np.testing.assert_array_equal(new.data[2], at[2])
@@ -121,7 +121,7 @@ def test_points_and_shapes_move_with_the_tissue(result, moved):
     np.testing.assert_allclose(drawn.data[1][[0, 8]], corners, atol=1e-5)
 
 
-def test_all_frames_of_a_film_and_only_one_slice_of_a_volume_are_moved(result, moved):
+def test_all_frames_of_a_film_and_only_one_slice_of_a_volume_are_moved(result, move_layers):
     dock, viewer = result(
         more=(5,), units=("mm",) * 3, scale=(2.0, 0.5, 0.8), axis_labels=("z", "y", "x")
     )
@@ -136,7 +136,7 @@ def test_all_frames_of_a_film_and_only_one_slice_of_a_volume_are_moved(result, m
                             scale=(1, 2.0, 0.5, 0.8))  # fmt: skip
     at = np.array([[2.2, 10, 20], [4.0, 10, 20]])
     points = viewer.add_points(at, name="cells", units=("mm",) * 3, scale=(2.0, 0.5, 0.8))
-    found = moved(dock, viewer, volume, finer, film, points)
+    found = move_layers(dock, viewer, volume, finer, film, points)
     solution = dock.solution
     how = {"spacing": solution.spacing, "tissue": solution.tissue}
 
@@ -153,15 +153,15 @@ def test_all_frames_of_a_film_and_only_one_slice_of_a_volume_are_moved(result, m
     np.testing.assert_array_equal(found[3].data[1], at[1])
 
 
-def test_a_stack_with_an_unknown_axis_is_moved_as_a_whole(result, moved):
+def test_a_stack_with_an_unknown_axis_is_moved_as_a_whole(result, move_layers):
     dock, viewer = result()
     stack = np.random.default_rng(2).random((3, 2, 20, 24))
     layer = viewer.add_image(stack, name="channels")
-    (new,) = moved(dock, viewer, layer)
+    (new,) = move_layers(dock, viewer, layer)
     assert (new.data != stack).any(axis=(-2, -1)).all()
 
 
-def test_an_image_on_another_grid_moves_with_the_tissue(result, moved):
+def test_an_image_on_another_grid_moves_with_the_tissue(result, move_layers):
     """Move a blob and a point on a grid that is finer, rotated by 90 degrees and larger."""
     dock, viewer = result(**MM)
     rows, cols = np.indices((90, 120))
@@ -171,7 +171,7 @@ def test_an_image_on_another_grid_moves_with_the_tissue(result, moved):
     layer = viewer.add_image(blob, name="fine", **turned)
     labels = viewer.add_labels((blob > 0.5).astype(int) * 5, name="spot", **turned)
     points = viewer.add_points(at, name="mark", **turned)
-    image, spot, mark = moved(dock, viewer, layer, labels, points)
+    image, spot, mark = move_layers(dock, viewer, layer, labels, points)
     world = np.array(layer.data_to_world(at[0])) / [0.5, 0.8]
     to = moved_points([world], dock.solution.displacement, spacing=(0.5, 0.8))[0] * [0.5, 0.8]
     np.testing.assert_allclose(mark.data_to_world(mark.data[0]), to, atol=1e-6)
@@ -190,14 +190,14 @@ def test_a_layer_with_other_units_is_refused_by_name(result):
         dock.more.move_along(in_pixels)
 
 
-def test_a_layer_moved_again_replaces_the_earlier_layer(result, moved, run, wait_for):
+def test_a_layer_moved_again_replaces_the_earlier_layer(result, move_layers, run, wait_for):
     dock, viewer = result()
     cells = viewer.add_labels(np.arange(480).reshape(20, 24), name="cells")
-    (first,) = moved(dock, viewer, cells)
+    (first,) = move_layers(dock, viewer, cells)
     dock.model = "paper"
     run(dock)
     wait_for(lambda: not dock.busy)
-    (second,) = moved(dock, viewer, cells)
+    (second,) = move_layers(dock, viewer, cells)
     assert first not in viewer.layers
     assert (first.data != second.data).any()
 
@@ -220,9 +220,9 @@ def test_the_menu_offers_the_layers_that_can_be_moved(result, wait_for):
 # Measurements
 
 
-def test_measurements_are_shown_and_saved_in_the_unit_of_the_image(result, asked, tmp_path):
+def test_measurements_are_shown_and_saved_in_the_unit_of_the_image(result, set_save_path, tmp_path):
     dock, _ = result(**MM)
-    asked(tmp_path / "table.csv")
+    set_save_path(tmp_path / "table.csv")
     (gel,) = dock.more.measure()
     assert gel == measure(dock.solution, dock.study.tissue.labels, names={1: "gel"})[0]
     assert gel.largest_displacement == pytest.approx(3.0, abs=0.01), (
@@ -293,11 +293,13 @@ def test_each_direction_of_the_field_has_its_own_menu_entry_and_file_name(result
 
 
 @pytest.mark.parametrize("ending", [".mha", ".nrrd", ".nii.gz", ".h5"])
-def test_the_menu_saves_the_field_in_each_direction(result, asked, wait_for, tmp_path, ending):
+def test_the_menu_saves_the_field_in_each_direction(
+    result, set_save_path, wait_for, tmp_path, ending
+):
     pytest.importorskip("SimpleITK")
     dock, _ = result(**MM)
     screen, path = Screen(dock), tmp_path / f"back{ending}"
-    asked(path)
+    set_save_path(path)
     screen.entry("More", "Save field for images").trigger()
     wait_for(lambda: not dock.busy)
     assert dock.status.startswith(f"Saved back{ending}: the backward field, which moves images. ")
@@ -308,7 +310,7 @@ def test_the_menu_saves_the_field_in_each_direction(result, asked, wait_for, tmp
     np.testing.assert_allclose(read_field(path).field.backward, back.displacement, atol=1e-5)
     assert f"{back.residual:.2g} px" in dock.status
     path = tmp_path / f"forth{ending}"
-    asked(path)
+    set_save_path(path)
     screen.entry("More", "Save field for points").trigger()
     wait_for(lambda: not dock.busy)
     if ending == ".h5":
@@ -319,7 +321,9 @@ def test_the_menu_saves_the_field_in_each_direction(result, asked, wait_for, tmp
     np.testing.assert_allclose(read, solution.displacement, atol=1e-5)
 
 
-def test_a_failure_to_save_is_reported_in_a_plain_sentence(result, asked, wait_for, tmp_path):
+def test_a_failure_to_save_is_reported_in_a_plain_sentence(
+    result, set_save_path, wait_for, tmp_path
+):
     pytest.importorskip("SimpleITK")
     dock, _ = result(**MM)
     (tmp_path / "folder.mha").mkdir()
@@ -327,16 +331,16 @@ def test_a_failure_to_save_is_reported_in_a_plain_sentence(result, asked, wait_f
         ("gone/a.mha", "its folder does not exist. Create the folder first, or choose another."),
         ("folder.mha", "it is a folder. Give the name of a file."),
     ):
-        asked(tmp_path / name)
+        set_save_path(tmp_path / name)
         Screen(dock).entry("More", "Save field for images").trigger()
         wait_for(lambda: not dock.busy)
         assert dock.status.endswith(f"cannot save the file: {why}")
         assert "Errno" not in dock.status
 
 
-def test_the_menu_saves_a_film(result, asked, wait_for, tmp_path, monkeypatch):
+def test_the_menu_saves_a_film(result, set_save_path, wait_for, tmp_path, monkeypatch):
     dock, _ = result()
-    asked(tmp_path / "gel.gif")
+    set_save_path(tmp_path / "gel.gif")
     Screen(dock).entry("More", "Save as film").trigger()
     wait_for(lambda: not dock.busy)
     assert dock.status == "Saved gel.gif."
@@ -350,10 +354,10 @@ def test_the_menu_saves_a_film(result, asked, wait_for, tmp_path, monkeypatch):
 
 
 def test_an_unsupported_format_or_a_missing_result_is_reported(
-    result, asked, wait_for, tmp_path, widget
+    result, set_save_path, wait_for, tmp_path, widget
 ):
     dock, _ = result()
-    asked(tmp_path / "field.txt")
+    set_save_path(tmp_path / "field.txt")
     Screen(dock).entry("More", "Save field for images").trigger()
     wait_for(lambda: not dock.busy)
     assert dock.status.startswith("field.txt: fields are not written in such a format")

@@ -481,7 +481,7 @@ def test_the_canvas_names_the_quantity_and_unit_of_an_overlay(look, set_to):
     set_to(look, overlay="equivalent")
     layer = viewer_of(look).layers["MR equivalent in-plane strain (%), paper"]
     if not hasattr(layer, "name_overlay"):
-        pytest.skip("napari before 0.9 writes no layer's name on the canvas")
+        pytest.skip("napari before 0.9 draws no layer names on the canvas")
     assert layer.name_overlay.visible
     assert layer.name_overlay.position == layer.colorbar.position
     set_to(look, overlay="observed")
