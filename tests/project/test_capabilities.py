@@ -14,7 +14,7 @@ pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="needs a checkout of t
 
 
 @cache
-def tests_in(file: str) -> dict[str, ast.FunctionDef]:
+def named_tests(file: str) -> dict[str, ast.FunctionDef]:
     """Return the tests of a file by name."""
     tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
     return {
@@ -47,7 +47,7 @@ def test_every_row_names_existing_tests():
     for what, named in rows():
         for each in named:
             file, _, test = each.partition("::")
-            if not (TESTS / file).is_file() or test not in tests_in(file):
+            if not (TESTS / file).is_file() or test not in named_tests(file):
                 missing.append(f"{what}: {each}")
         if not named:
             missing.append(f"{what}: no test")
@@ -58,7 +58,7 @@ def test_every_capability_is_tested_through_the_public_interface():
     behind = []
     for what, named in rows():
         parts = [each.split("::") for each in named]
-        if all(uses_private_names(tests_in(file)[test]) for file, test in parts):
+        if all(uses_private_names(named_tests(file)[test]) for file, test in parts):
             behind.append(what)
     assert behind == []
 

@@ -113,7 +113,7 @@ def away(shape, row, col, rows=1.0, cols=1.0):
 
 
 def brain(shape=(52, 60)):
-    """Return an image of a brain in dark air, its labels (air, normal, soft, tumour) and its rim."""
+    """Return an image of a brain in dark air, its labels (air to tumour) and its rim."""
     rows, cols = shape
     body = away(shape, rows / 2, cols / 2, 0.44 * rows, 0.42 * cols)
     tissue = np.where(body < 1, 1, 0).astype(np.uint8)
