@@ -24,7 +24,7 @@ def public_names_with(thing, *words):
     return [name for name in names if any(word in name for word in words)]
 
 
-def test_plugins_still_get_a_proxy():
+def test_plugins_receive_a_proxy_of_the_viewer():
     viewer = ViewerModel()
     image = viewer.add_image(np.zeros((4, 4)))
     proxy = PublicOnlyProxy(viewer)

@@ -52,7 +52,7 @@ def conf():
 
 
 @pytest.mark.parametrize("page", markdown_files(), ids=name)
-def test_relative_links_lead_to_files(page):
+def test_relative_links_point_to_existing_files(page):
     text = re.sub(r"```.*?```|`[^`\n]*`", "", read(page), flags=re.DOTALL)
     for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", text):
         assert Path(os.path.normpath(page.parent / target)).exists(), target
@@ -261,7 +261,7 @@ def test_a_notebook_becomes_a_page_with_its_code(conf):
         assert f"({notebook.name})" in listed
 
 
-def test_links_of_notebooks_lead_to_files(conf):
+def test_links_of_notebooks_point_to_existing_files(conf):
     for notebook in NOTEBOOKS:
         text = conf.notebook_page(read(notebook))
         for target in re.findall(r"\]\((?!https?:)([^)#\s]+\.(?:md|png|ipynb))", text):

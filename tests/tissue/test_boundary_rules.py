@@ -88,7 +88,7 @@ def test_the_text_of_a_stiffness_is_rigid_instead_of_inf():
 
 
 @pytest.mark.parametrize("labels", [np.ones((3, 3)), np.ones((3, 3, 3, 3), int)])
-def test_labels_must_be_an_image_of_whole_numbers(labels):
+def test_labels_must_be_an_image_of_integers(labels):
     with pytest.raises(ProblemError):
         stiffness_image(labels, TISSUES)
     with pytest.raises(ProblemError):

@@ -307,7 +307,7 @@ def test_arrows_retain_their_colours_while_they_move(pulling, settle, qtbot):
 
 
 @pytest.mark.parametrize("confidence", [1.0, 0.5])
-def test_the_first_drag_compiles_nothing(wait_for_follower, make_follower, confidence):
+def test_the_first_drag_compiles_no_loop(wait_for_follower, make_follower, confidence):
     from napari.layers import Image
 
     from napari_hmrf.field.interpolation import look_up

@@ -245,7 +245,7 @@ def test_an_edit_returns_a_new_drawing():
             two.without(number)
 
 
-def test_an_arrow_is_picked_up_at_its_head_or_its_base():
+def test_an_arrow_is_hit_at_its_head_or_its_base():
     drawing = Drawing(
         (
             Arrow((10, 10), (4, 8), radius=2),

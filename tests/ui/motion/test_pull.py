@@ -61,7 +61,7 @@ def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(drag, model):
     assert not model.drawing.marks
 
 
-def test_a_click_holds_tissue_where_it_is_seen(drag, model):
+def test_a_click_pins_tissue_at_its_displayed_position(drag, model):
     settings = {**GRIP, "confidence": 0.5}
     assert drag((10, 10), settings=settings, origin=lambda _: (8.0, 11.0)) == "drew an arrow"
     assert model.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
