@@ -145,7 +145,7 @@ def test_the_demo_writes_pictures_and_a_result_that_can_be_read(tmp_path, capsys
     solution = Solution.read(tmp_path / "out" / "solution.npz")
     assert solution.displacement.shape == (16, 48, 2)
     pull = solution.displacement[8, :, 1]
-    assert pull[0] < pull[24] < pull[-1], "the bar is pulled to the right"
+    assert pull[0] < pull[24] < pull[-1], "the bar is not pulled to the right"
 
 
 def test_pictures_preserve_the_proportions_of_non_square_pixels():

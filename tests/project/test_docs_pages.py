@@ -33,7 +33,7 @@ def name(file):
 
 
 def markdown_files():
-    """Return all Markdown files of the repository, without built and installed ones."""
+    """Return all Markdown files of the repository, except built and installed files."""
     skipped = {"_build", "build", "dist", "node_modules"}
     return [
         path
@@ -44,7 +44,7 @@ def markdown_files():
 
 @pytest.fixture(scope="module")
 def conf():
-    """Return the configuration of the site; it needs no Sphinx."""
+    """Return the module that configures the site; loading it does not require Sphinx."""
     spec = importlib.util.spec_from_file_location("conf_of_the_site", DOCS / "conf.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -92,7 +92,7 @@ def test_sentences_are_about_software_and_begin_with_their_subject(conf):
     assert found == []
 
 
-#: Beginnings of sentences that hide the subject.
+#: Sentence openings that hide the subject.
 FRONTED = re.compile(r"(?:(?<=[.:!?] )|(?<=\n\n)|(?<=- ))(?:Whether|Have|Of (?!a patch))\b")
 
 
@@ -107,7 +107,7 @@ def test_a_link_to_a_file_outside_the_docs_becomes_a_download(conf):
 
 
 def shell_lines():
-    """Yield each command line of the documentation that starts `napari-hmrf`, with its page."""
+    """Yield each command line in the documentation that starts with `napari-hmrf`, and its page."""
     for page in [*DOCS.rglob("*.md"), ROOT / "README.md"]:
         if "_build" not in page.parts:
             for block in re.findall(r"```sh\n(.*?)```", read(page), flags=re.DOTALL):
@@ -178,7 +178,7 @@ def test_the_cheat_sheet_has_each_key_that_is_bound():
 
 
 class _Anything:
-    """Object with any attribute, in place of a pointer: only the names of its keys matter."""
+    """Object with any attribute, used as a pointer of which only the names of keys are read."""
 
     def __getattr__(self, name):
         return name if name.startswith("__") else self._do
@@ -243,7 +243,7 @@ def _augmentation(names, printed):
         assert set(labels.ravel()) <= {0, 1, 2, 3}
 
 
-#: What the text of each notebook claims about its results.
+#: Checks of the claims that the text of each notebook makes about its results.
 CLAIMS = {
     "growing-sphere": _growing_sphere,
     "landmarks": _landmarks,

@@ -27,7 +27,7 @@ events.QTimer = _Noted
 
 
 class AtRest:
-    """Runs all posted events, computations and delayed calls at once.
+    """Helper that runs all posted events, computations and delayed calls at once.
 
     Timers of delayed calls fire immediately. Timers that are restarted repeatedly are left alone.
     """

@@ -30,7 +30,7 @@ _KEYS = {
 class Touch:
     """Simulated pointer at a viewer without a window, moved in world coordinates.
 
-    Calls the functions of napari that a canvas calls for mouse and keyboard events. A test takes a
+    It calls the functions of napari that a canvas calls for mouse and keyboard events. A test takes a
     fifth of the time of a window; tests of Qt, the canvas or the screen need a `Person`.
     """
 

@@ -36,7 +36,7 @@ def model():
 
 @pytest.fixture
 def brush(model):
-    """Return the brush with an action."""
+    """Return a function that makes the brush of an action."""
     return lambda action: BY_NAME[action](model, SPACING, SHAPE)
 
 
@@ -47,7 +47,7 @@ def landmark(model):
 
 @pytest.fixture
 def drag(model):
-    """Drag a tool; return the name of the undo step, or "" if there is none."""
+    """Return a function that drags a tool and returns the undo step, or "" if there is none."""
 
     def done(tool, settings, *points, reach=1.0, **options):
         before = model.next_undo

@@ -40,7 +40,7 @@ def pull(model):
 
 @pytest.fixture
 def drag(pull, model):
-    """Drag the tool; return the name of the undo step, or "" if there is none."""
+    """Return a function that drags the tool and returns the undo step, or "" if there is none."""
 
     def done(*points, reach=1.0, settings=GRIP, **options):
         before = model.next_undo
