@@ -36,7 +36,7 @@ class Screen:
         return one
 
     def press(self, words):
-        """Click a button after a check that it is enabled."""
+        """Assert that a button is enabled, and click it."""
         button = self.button(words)
         assert button.isEnabled(), f"{words!r} is disabled"
         button.click()

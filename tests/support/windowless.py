@@ -30,8 +30,9 @@ _KEYS = {
 class Touch:
     """Simulated pointer at a viewer without a window, moved in world coordinates.
 
-    It calls the functions of napari that a canvas calls for mouse and keyboard events. A test takes a
-    fifth of the time of a window; tests of Qt, the canvas or the screen need a `Person`.
+    It calls the functions of napari that a canvas calls for mouse and keyboard events. Such a test
+    is five times as fast as a test with a window. Tests of Qt, the canvas or the screen need a
+    `Person`.
     """
 
     def __init__(self, viewer, frame=None):

@@ -49,7 +49,7 @@ def test_pieces_that_could_rotate_or_translate_are_excluded():
         solve(Problem(0.0 * held, 1.0 * held, 1.0 * tissue), ElasticPrior())
 
 
-def test_the_largest_piece_is_not_excluded():
+def test_a_large_piece_with_few_observations_is_not_excluded():
     tissue, held = block_and_specks()
     held[:] = False
     held[10, 10] = True

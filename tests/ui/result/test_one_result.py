@@ -694,7 +694,7 @@ def test_the_drawing_may_change_while_its_layer_is_hidden(pointer_and_dock, sett
     viewer.layers["Motion"].visible = False
     puller.drawing = Drawing(
         puller.drawing.marks[1:]
-    )  # Fewer lines raised an IndexError in napari at this call.
+    )  # With fewer lines than before, code of napari failed here.
     settle(puller)
     assert len(viewer.layers["Motion"].data) < drawn
     puller.drawing = Drawing((Arrow((20, 20), (2, 2), 6.0),))
