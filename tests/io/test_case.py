@@ -1,4 +1,4 @@
-"""A case is solved from files in the shell, as it would be from arrays."""
+"""Tests of cases, which are solved from files in the shell."""
 
 import os
 import re
@@ -47,7 +47,10 @@ PLACE = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), TURN)
 
 @pytest.fixture
 def files(tmp_path):
-    """A scan of three slices with labels, tables and a painted boundary."""
+    """Write a scan of three slices with labels, tables and a painted boundary.
+
+    Return the folder and the arrays of scan, labels and rim.
+    """
     scan = np.random.default_rng(1).integers(1, 200, (3, *SHAPE), dtype=np.int16)
     labels = np.ones(SHAPE, np.uint8)
     labels[10:20, 12:24] = 2
@@ -67,7 +70,7 @@ def case(folder, **more):
     return Case(image=folder / "scan.nii.gz", slice=1, **more)
 
 
-def test_tables_are_read_as_spreadsheets_write_them(files):
+def test_tables_saved_by_a_spreadsheet_are_read(files):
     folder, *_ = files
     assert read_materials(folder / "m.csv") == (
         Material(1, "brain", 3.0, 0.49),
@@ -105,13 +108,13 @@ def test_tables_are_read_as_spreadsheets_write_them(files):
         ),
     ],
 )
-def test_what_is_wrong_with_a_table_is_said_by_its_line(tmp_path, text, sentence):
+def test_an_error_in_a_table_of_materials_names_its_line(tmp_path, text, sentence):
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(FileFormatError, match=sentence):
         read_materials(tmp_path / "t.csv")
 
 
-def test_the_shell_takes_growth_pressure_and_large_motion(tmp_path, capsys):
+def test_the_shell_solves_growth_pressure_and_large_motion(tmp_path, capsys):
     labels, paint = np.ones((24, 24), np.uint8), np.zeros((24, 24), np.uint8)
     labels[8:16, 8:16], paint[-1], paint[0, 6:18] = 2, 1, 2
     write_image(tmp_path / "labels.png", ImageFile(labels))
@@ -128,11 +131,11 @@ def test_the_shell_takes_growth_pressure_and_large_motion(tmp_path, capsys):
     study, solution = read_study(tmp_path / "out" / "labels.study")
     assert study.model_name == "large motion"
     assert study.tissue.materials[1].growth == (0.0, 0.4)
-    assert solution.displacement[0, 12, 0] > 1  # pressed downwards
+    assert solution.displacement[0, 12, 0] > 1  # The pressure pushes the tissue down.
     assert solution.reach.least_jacobian > 0
 
 
-def test_a_pressed_label_without_a_surface_is_named(files, capsys, monkeypatch):
+def test_a_pressed_label_without_a_surface_is_refused_by_name(files, capsys, monkeypatch):
     folder, *_ = files
     monkeypatch.chdir(folder)
     paint = np.zeros(SHAPE, np.uint8)
@@ -147,7 +150,7 @@ def test_a_pressed_label_without_a_surface_is_named(files, capsys, monkeypatch):
     )
 
 
-def test_the_shell_solves_what_python_would(files, capsys):
+def test_the_shell_and_python_give_the_same_field(files, capsys):
     folder, scan, labels, rim = files
     out = folder / "out"
     command = ["solve", folder / "scan.nii.gz", "--slice", 1, "--labels", folder / "labels.png"]
@@ -170,13 +173,13 @@ def test_the_shell_solves_what_python_would(files, capsys):
     assert main(["replay", str(out / "scan.study")]) == 0
 
 
-def test_a_slice_knows_its_number_and_is_exported_where_it_lies_in_the_volume(files):
+def test_a_slice_stores_its_number_and_is_exported_at_its_place_in_the_volume(files):
     folder, *_ = files
     before = read_case(case(folder, hold_edge=True))
     assert before.grid.place.index == (1, 0, 0)
     pull = Drawing((Arrow((12, 14), (1.0, 2.0), 2.0),))
     before = replace(before, motion=replace(before.motion, drawing=pull))
-    # Saved without a field: what is solved afterwards lies in the same place.
+    # Saved without a field: a later solution lies in the same place.
     study = read_study(write_study(folder / "a.study", before)).study
     assert study.grid.place.index == (1, 0, 0)
     path = write_study(folder / "b.study", study, solve_study(study, backend="cpu"))
@@ -189,7 +192,7 @@ def test_a_slice_knows_its_number_and_is_exported_where_it_lies_in_the_volume(fi
     assert field.GetSpacing() == pytest.approx(volume.GetSpacing())
 
 
-def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
+def test_a_slice_of_a_stack_without_a_place_stores_its_number(tmp_path):
     stack = np.random.default_rng(0).integers(1, 200, (4, *SHAPE), dtype=np.uint8)
     write_image(tmp_path / "stack.tif", ImageFile(stack))
     write_image(tmp_path / "pulled.tif", ImageFile((np.indices(SHAPE)[0] == 9).astype(np.uint8)))
@@ -199,7 +202,9 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
     assert read_case(given).grid.place.index == (2, 0, 0)
     saved = solve_case(given, tmp_path / "out", backend="cpu")
     assert place_of(saved.solution).origin == (0, 0, 2)
-    assert (tmp_path / "out" / "stack deformed.tif").exists(), "which takes no SimpleITK"
+    assert (tmp_path / "out" / "stack deformed.tif").exists(), (
+        "the deformed stack was not written; it requires no SimpleITK"
+    )
 
 
 @pytest.mark.parametrize(
@@ -248,13 +253,13 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
         ("label,action,dx\n1,move,1\n", r"there is no column 'dx'\. Did you mean 'col'\?"),
     ],
 )
-def test_what_is_wrong_with_rules_is_said_by_their_line(tmp_path, text, sentence):
+def test_an_error_in_a_table_of_rules_names_its_line(tmp_path, text, sentence):
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(FileFormatError, match=sentence):
         read_rules(tmp_path / "t.csv")
 
 
-def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(tmp_path):
+def test_unused_columns_of_a_rule_may_contain_their_defaults(tmp_path):
     (tmp_path / "t.csv").write_text("label,action,row,col,amount,confidence\n1,press,0,0,3,1\n")
     assert read_rules(tmp_path / "t.csv") == (BoundaryRule(1, "press", amount=3.0),)
 
@@ -286,7 +291,7 @@ def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(t
         ("--hold-edge --labels empty.png", "it is empty. Images end in .png"),
     ],
 )
-def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
+def test_options_without_effect_and_unsuitable_files_are_refused_in_the_shell(
     files, capsys, monkeypatch, options, sentence
 ):
     folder, *_ = files
@@ -306,7 +311,7 @@ def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
     assert not (folder / "out").exists() or "0 everywhere" in sentence
 
 
-def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files, capsys):
+def test_options_that_a_study_contains_are_refused_and_guesses_cause_a_note(files, capsys):
     folder, *_ = files
     command = ["solve", folder / "rim.png", "--labels", folder / "rim.png", "--hold-edge"]
     (folder / "part.csv").write_text("label,stiffness\n0,3\n1,3\n")
@@ -347,7 +352,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
         (("replay", "gone.study"), "gone.study: there is no such file or folder. Check its name."),
     ],
 )
-def test_what_the_system_says_of_files_is_said_plainly(
+def test_file_system_errors_are_reported_in_plain_sentences(
     files, capsys, monkeypatch, command, sentence
 ):
     folder, *_ = files
@@ -360,7 +365,7 @@ def test_what_the_system_says_of_files_is_said_plainly(
     assert "Errno" not in said
 
 
-def test_a_mask_is_labels_and_of_what_folds_the_shell_says_so(files, capsys):
+def test_a_mask_is_read_as_labels_and_folds_cause_a_note(files, capsys):
     folder, _, labels, _ = files
     write_image(folder / "mask.tif", ImageFile(labels > 1))
     (folder / "m01.csv").write_text("label,stiffness\n0,3\n1,9\n")
@@ -374,24 +379,24 @@ def test_a_mask_is_labels_and_of_what_folds_the_shell_says_so(files, capsys):
     np.testing.assert_array_equal(study.tissue.labels, labels > 1)
 
 
-def test_maps_of_how_likely_tissues_are_say_where_they_are(files):
+def test_probability_maps_determine_the_labels(files):
     folder, *_ = files
     maps = np.zeros((2, 3, *SHAPE), np.uint8)
     maps[0, :, :20], maps[1, :, 15:] = 200, 255
-    maps[0, :, :, :5] = 90  # less likely than none of them
-    maps[:, :, 10:, -5:] = np.reshape((100, 110), (2, 1, 1, 1))  # where tissues meet
+    maps[0, :, :, :5] = 90  # Less likely than no tissue.
+    maps[:, :, 10:, -5:] = np.reshape((100, 110), (2, 1, 1, 1))  # Two tissues meet here.
     paths = [folder / "gm.nii.gz", folder / "wm.nii.gz"]
     for path, values in zip(paths, maps, strict=True):
         write_image(path, ImageFile(values, PLACE))
     labels = read_case(case(folder, maps=paths, hold_edge=True)).tissue.labels
     assert set(np.unique(labels[:10, 5:])) == {1}
     assert set(np.unique(labels[15:])) == {2}
-    assert set(np.unique(labels[10:, -5:])) == {2}, "no hole where tissues meet"
+    assert set(np.unique(labels[10:, -5:])) == {2}, "there is a hole where two tissues meet"
     assert set(np.unique(labels[:10, :5])) == {0}
 
 
-def test_a_tumour_grows_in_a_head_by_the_shell_alone_as_simpleitk_sees_it(tmp_path, capsys):
-    """A stand-in for the MRI of `python benchmarks/mri.py`, with its rows from back to front."""
+def test_a_tumour_in_a_head_grows_in_the_shell_as_in_simpleitk(tmp_path, capsys):
+    """Test the steps of `python benchmarks/mri.py` on a small stand-in for the MRI."""
     rows, cols = np.indices((90, 80))
     share = np.hypot((rows - 45) / 36, (cols - 40) / 30)
     planes = [share < 1, (share < 0.75) & (abs(cols - 40) > 3)]
@@ -410,9 +415,9 @@ def test_a_tumour_grows_in_a_head_by_the_shell_alone_as_simpleitk_sees_it(tmp_pa
     assert {"t1.study", "field.mha", "measured.csv", "tumour.png"} <= set(os.listdir(out))
 
 
-def test_landmarks_lead_tissue_where_the_patient_has_them(files):
+def test_landmarks_in_physical_units_move_the_tissue(files):
     folder, *_ = files
-    # BigWarp's points are in the images' units, from the first pixel on.
+    # BigWarp's points are in the unit of the image, relative to the first pixel.
     local = [np.array(each) * PLACE.spacing for each in ([[1.0, 10, 12]], [[1.0, 11, 13]])]
     write_points(folder / "pairs.csv", *local)
     study = read_case(case(folder, boundary=folder / "pairs.csv", hold_edge=True))
@@ -422,7 +427,7 @@ def test_landmarks_lead_tissue_where_the_patient_has_them(files):
     assert mark == Drawing((Landmark(mark.source, mark.target, radius),)).marks[0]
 
 
-def test_a_registration_s_field_is_observed_where_the_image_has_edges(files):
+def test_a_registration_field_is_observed_at_the_edges_of_the_image(files):
     folder, scan, *_ = files
     d = np.zeros((*SHAPE, 2))
     d[..., 1] = np.sin(np.linspace(0, np.pi, SHAPE[0]))[:, None]
@@ -436,9 +441,9 @@ def test_a_registration_s_field_is_observed_where_the_image_has_edges(files):
     assert 0.05 < counts.mean() < 0.15
 
 
-def test_a_volume_s_field_is_observed_on_the_slice_that_is_solved(files):
+def test_a_field_of_a_volume_is_observed_on_the_solved_slice(files):
     folder, *_ = files
-    # A field on other voxels of the same place: it grows from slice to slice.
+    # The field has other voxels at the same place and grows from slice to slice.
     other = Place((2.0, 1.0, 1.0), PLACE.origin, PLACE.direction)
     d = np.zeros((3, 18, 30, 3))
     d[..., 1] = 0.5 * np.arange(3)[:, None, None]
@@ -457,7 +462,7 @@ def test_a_volume_s_field_is_observed_on_the_slice_that_is_solved(files):
         read_case(case(folder, boundary=folder / "far" / "Warp.mha"))
 
 
-def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
+def test_a_field_in_millimetres_moves_an_image_without_unit_in_pixels(tmp_path):
     d = np.zeros((*SHAPE, 2))
     d[..., 0], d[..., 1] = 1.0, -0.5
     for name, size in (("photo.png", 1.0), ("scan.mha", 0.5)):
@@ -466,7 +471,7 @@ def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
     write_field(tmp_path / "mm.mha", d, spacing=(0.5, 0.25), forward=True)
     study = read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "mm.mha"))
     np.testing.assert_allclose(study.motion.observed, np.broadcast_to((2.0, -2.0), d.shape))
-    # Where both have millimetres it counts where they lie: the field has half of the columns.
+    # If both have millimetres, their places count: the field covers half of the columns.
     study = read_case(Case(tmp_path / "scan.mha", boundary=tmp_path / "mm.mha"))
     known = study.motion.confidence > 0
     assert known[:, :18].all()
@@ -479,7 +484,7 @@ def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
         read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "small.mha"))
 
 
-def test_a_field_of_a_picture_moves_a_scan_of_its_pixels(tmp_path):
+def test_a_field_of_a_picture_moves_a_scan_with_the_same_pixels(tmp_path):
     pull = Drawing((Arrow((12, 14), (1.0, 2.0), 2.0),))
     grid, motion = Grid(SHAPE, (1.0, 1.0)), Motion(hold_edge=True, drawing=pull)
     study = Study(grid, Tissue(stiffness=np.ones(SHAPE)), motion)
@@ -491,7 +496,7 @@ def test_a_field_of_a_picture_moves_a_scan_of_its_pixels(tmp_path):
     np.testing.assert_allclose(observed, 0.5 * solution.displacement, atol=1e-5)
 
 
-def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsys):
+def test_an_image_of_the_same_size_at_another_place_is_refused(files, capsys):
     folder, scan, *_ = files
     far = PLACE._replace(origin=(0.0, 0.0, 0.0))
     write_image(folder / "far.nii.gz", ImageFile(np.ones(scan.shape, np.uint8), far))
@@ -510,8 +515,10 @@ def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsy
     assert "flat.nrrd: lies elsewhere than the field" in capsys.readouterr().err
 
 
-def test_a_field_moves_a_slice_of_a_volume_that_was_cut_from_the_side(tmp_path):
-    side = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # as sagittal scans lie
+def test_a_field_moves_a_sagittal_slice_of_a_volume(tmp_path):
+    side = np.array(
+        [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    )  # The directions of a sagittal scan.
     place = Place((2.0, 0.5, 0.7), (3.0, 4.0, 5.0), side)
     write_image(tmp_path / "side.mha", ImageFile(np.ones((4, *SHAPE), np.uint8), place))
     d = np.zeros((4, *SHAPE, 3))
@@ -523,7 +530,7 @@ def test_a_field_moves_a_slice_of_a_volume_that_was_cut_from_the_side(tmp_path):
     np.testing.assert_allclose(study.motion.observed, d[2, ..., 1:], atol=1e-6)
 
 
-def test_an_edge_is_where_the_image_is_steep():
+def test_edge_confidence_is_set_at_steps_of_the_image():
     image = np.zeros((40, 40), np.uint8)
     image[:, 20:] = 100
     assert set(np.flatnonzero(edge_confidence(image).any(axis=0))) == {18, 19, 20, 21}
@@ -537,7 +544,7 @@ def test_an_edge_is_where_the_image_is_steep():
         ({"boundary": "one.csv"}, r"one\.csv: holds landmarks without target positions"),
     ],
 )
-def test_what_does_not_fit_is_said_by_the_file_s_name(files, more, sentence):
+def test_an_unsuitable_file_is_refused_by_name(files, more, sentence):
     folder, *_ = files
     write_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
     write_points(folder / "one.csv", np.ones((2, 2)))
