@@ -361,7 +361,7 @@ class _Claim(NamedTuple):
         return np.broadcast_to(np.zeros((), self.dtype), self.shape)
 
     def read(self, archive: zipfile.ZipFile) -> npt.NDArray[Any]:
-        """Decompress the array and verify its checksum."""
+        """Read the values of the array and verify its checksum."""
         values = np.empty(self.shape, self.dtype, self.order)
         flat = values.ravel(order="K").view(np.uint8) if values.size else np.empty(0, np.uint8)
         with archive.open(self.info) as stream:

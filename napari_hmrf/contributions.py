@@ -155,7 +155,7 @@ def open_study(path: PathOrPaths) -> Callable[[PathOrPaths], list[tuple[None]]] 
 
 def _open_study(path: PathOrPaths) -> list[tuple[None]]:
     dock().open_study(str(path))
-    return [(None,)]  # tells napari that there are no layers to add: the dock has added them
+    return [(None,)]  # no layers for napari to add, because the dock has added them
 
 
 def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:

@@ -274,12 +274,15 @@ def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):
     path = write_study(tmp_path / "v.study", study, solve_study(study, backend="cpu"))
     code, out, _ = run(f"play {path} {tmp_path / 'a.gif'}", capsys)
     assert code == 0
-    assert "note: slice 3 of 0 to 5, in the middle; --slice selects another\n" in out
+    assert (
+        "note: showing slice 3, the middle of slices 0 to 5; use --slice to select another slice\n"
+        in out
+    )
     with Image.open(tmp_path / "a.gif") as film:
         assert film.size == (10, 8)
         assert film.n_frames > 10
     assert run(f"play {path} {tmp_path / 'b.gif'} --slice 6", capsys)[2].startswith(
-        "napari-hmrf: the volume has slices 0 to 5, and --slice is 6"
+        "napari-hmrf: --slice is 6, but the volume has slices 0 to 5. Give one of these."
     )
     assert run(f"play {path} {tmp_path / 'b.gif'} --slice 2", capsys)[:2] == (
         0,
