@@ -245,9 +245,7 @@ def apply_field(
         for number in range(len(pixels)):
             moved[number] = _warp_pixels(field, pixels[number], order)
         if len(pixels) > 1:
-            note = (
-                f"{name} has no place, so all its {len(pixels)} slices were moved in the same way"
-            )
+            note = f"{name} has no place, so all {len(pixels)} slices were moved in the same way"
     notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
     return Applied(write_image(target, image._replace(pixels=moved)), "; ".join(notes))
 
