@@ -153,7 +153,7 @@ def checked_path(path: Any) -> str:
 def nearest_word(
     word: str, known: Iterable[str], synonyms: Mapping[str, str] | None = None
 ) -> str | None:
-    """Return the known word that is most similar to a misspelt word, or has it as a synonym.
+    """Return the known word that a misspelt word or a synonym most likely refers to.
 
     Parameters
     ----------

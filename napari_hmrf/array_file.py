@@ -235,7 +235,7 @@ def read(path: str | os.PathLike[str], form: Format[T]) -> T:
 
 
 def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
-    """Return whether a file has a format, according to its header.
+    """Return whether the header of a file states a given format.
 
     Only the header is read. The result is therefore also True if the arrays are damaged, or if the
     file was written by a later version of the package; `read` then raises an error.
@@ -311,7 +311,7 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
             if f"{name}.npy" in members
         }
         if sum(claim.info.file_size for claim in claims.values()) > _MAX_TOTAL:
-            raise Invalid("its arrays claim more bytes than such a file may hold")
+            raise Invalid("its arrays claim more bytes than such a file may contain")
         if form.precheck is not None:
             form.precheck(header, {name: claim.zeros() for name, claim in claims.items()})
         arrays = {name: claim.read(archive) for name, claim in claims.items()}
@@ -343,7 +343,10 @@ def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
     missing, odd = needed - set(names), set(names) - {f"{_HEADER}.npy", *known}
     if missing or odd or len(names) != len(set(names)):
         faults = [f"lacks {name!r}" for name in sorted(missing)]
-        faults += [f"holds {name!r}, which no {form.kind_name} does" for name in sorted(odd)]
+        faults += [
+            f"contains {name!r}, which does not belong to a {form.kind_name}"
+            for name in sorted(odd)
+        ]
         raise Invalid(f"it {faults[0]}" if faults else "two of its members have the same name")
 
 
@@ -384,7 +387,7 @@ def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
     if info.file_size > cap or (info.file_size > _HARMLESS_BYTES and ratio > _MAX_RATIO):
         raise Invalid(
             f"its {member} claims {info.file_size} bytes from {info.compress_size}, more than "
-            "such a file may hold"
+            "such a file may contain"
         )
     if info.header_offset + info.compress_size > archive.start_dir:
         raise Invalid("it is damaged or incomplete")  # else zipfile would allocate this size

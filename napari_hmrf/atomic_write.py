@@ -138,7 +138,9 @@ def _replace(target: Path, content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         if temporary.read_bytes() != content:
-            raise OSError(f"cannot save {target.name!r}: the disk returns other content on reading")
+            raise OSError(
+                f"cannot save {target.name!r}: the content read back from the disk differs"
+            )
         if exists:
             shutil.copymode(target, temporary)
         _rename(temporary, target)
@@ -166,7 +168,7 @@ def _rename(temporary: Path, target: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Flush the folder's entry of a new file to disk; does nothing except on POSIX systems."""
+    """Flush the folder's entry of a new file to disk, on POSIX systems only."""
     if os.name != "posix":
         return
     with suppress(OSError):

@@ -284,7 +284,7 @@ def _replay(options: argparse.Namespace) -> int:
     for each in (now, before):
         allowed += 0.0 if each.convergence is None else each.convergence.error
     if difference == 0:
-        result = "bit by bit the same field"
+        result = "the fields are identical, bit by bit"
     elif difference <= allowed:
         result = (
             f"the same field within its tolerance: the fields differ by at most {difference:.2g} "
@@ -292,7 +292,7 @@ def _replay(options: argparse.Namespace) -> int:
             "live, or was solved while loops were still being compiled)"
         )
     else:
-        result = f"fields differ by at most {difference:.3g} px"
+        result = f"the fields differ by at most {difference:.3g} px"
     print(f"{result}; the saved field was solved on {before.provenance.backend}")
     return int(difference > allowed and now.provenance.backend == before.provenance.backend)
 

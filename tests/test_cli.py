@@ -118,7 +118,7 @@ def test_the_demo_goes_on_to_convergence_when_asked(tmp_path, capsys):
 @pytest.mark.parametrize("option", [("--poisson", "0.3"), ("--plane", "strain")])
 def test_the_papers_prior_has_no_poisson_ratio_to_give(tmp_path, capsys, option):
     assert demo(tmp_path, "--size", "40", "--model", "paper", *option) == 1
-    assert f"{option[0]} has no effect here: the paper's" in capsys.readouterr().err
+    assert f"{option[0]} has no effect: the paper's" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -412,8 +412,8 @@ def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        (("--plane", "strain"), "--plane has no effect here: a volume is"),
-        (("--model", "paper", "--poisson", "0.3"), "--poisson has no effect here: the paper"),
+        (("--plane", "strain"), "--plane has no effect: plane stress"),
+        (("--model", "paper", "--poisson", "0.3"), "--poisson has no effect: the paper"),
         (("--size", "20"), "at least 24"),
     ],
 )

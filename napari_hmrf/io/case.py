@@ -409,7 +409,8 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
     if file.targets is None:
         raise ProblemError(
             path.name,
-            "holds landmarks without target positions. Give pairs of landmarks, as BigWarp writes.",
+            "contains landmarks without target positions. Give pairs of landmarks, as written by "
+            "BigWarp.",
         )
     _, place = _part(whole, case)
     # BigWarp's coordinates refer to the axes in the file, before they are reordered by `upright`.
@@ -421,10 +422,10 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
     if point_place is not file_place and n == 2 and case.slice is not None:
         ends = [
             at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends
-        ]  # from the volume to the slice
+        ]  # convert from volume to slice coordinates
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(
-            path.name, "contains points in other slices than that of the image. Remove them."
+            path.name, "contains points that are not in the slice of the image. Remove them."
         )
     sources, last = ends[0][:, -n:], np.array(grid.shape) - 1
     if not len(sources):

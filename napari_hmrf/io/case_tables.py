@@ -204,7 +204,7 @@ def _sweep_of_named(kind: str) -> str:
 
 
 def _title(cell: str) -> str:
-    """Return a normalised column title; the case of a name after a colon is preserved."""
+    """Return a normalised column title; the capitalisation of a name after a colon is preserved."""
     kind, colon, of = cell.partition(":")
     return f"{kind.strip().casefold().replace('_', '-')}{colon}{of.strip()}"
 

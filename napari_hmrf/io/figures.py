@@ -39,7 +39,7 @@ _ARROW_COLOUR = "#e8590c"
 _FIXED_COLOUR = "#4dabf7"
 _GRID_COLOUR = "#0b7285"
 # Title of figures that show a quantity at the original positions of the tissue.
-_BEFORE_TITLE = "{}\n(drawn on the tissue before it moves)"
+_BEFORE_TITLE = "{}\n(at the original positions of the tissue)"
 
 
 def write_pictures(
@@ -215,7 +215,7 @@ def grid_picture(solution: Solution) -> Figure:
     """Draw a regular grid that is deformed with the tissue (figure 4)."""
     from matplotlib.collections import LineCollection  # heavy: matplotlib
 
-    figure, (axes,) = _figure(solution.spacing, "a regular grid, moved with the tissue")
+    figure, (axes,) = _figure(solution.spacing, "a regular grid, deformed with the tissue")
     height, width = solution.tissue.shape
     every = pixels_between(GRID_LINES, solution.tissue.shape, solution.spacing)
     segments = deformation_grid(

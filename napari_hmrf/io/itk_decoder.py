@@ -79,7 +79,14 @@ class Decoder:
             sitk.WriteImage(image, request["path"], useCompression=True)
 
     def _head(self, image: Any, components: int = 0) -> dict[str, Any]:
-        """Return the header of an image, or of an image reader with the number of components."""
+        """Return the header of an image or an image reader.
+
+        Parameters
+        ----------
+        image : SimpleITK.Image or SimpleITK.ImageFileReader
+        components : int
+            Number of values per pixel, required for a reader.
+        """
         metadata = {}
         for key in image.GetMetaDataKeys():
             with suppress(UnicodeError, RuntimeError):  # the text is damaged

@@ -63,7 +63,7 @@ def _changed(study: Study, change: Change) -> Study:
         prior, optimizer = parts_of(change.value)
         return replace(study, prior=prior, optimizer=optimizer)
     if change.what == "poisson" and not isinstance(study.prior, Elastic):
-        raise HmrfError("poisson is for elastic tissue: the paper's model has no Poisson's ratio")
+        raise HmrfError("poisson requires elastic tissue: the paper's model has no Poisson's ratio")
     if change.what in OF_BOUNDARIES:
         motion = study.motion
         rules = _edited(motion.rules, change, lambda rule: _with_amount(rule, change.value))

@@ -59,7 +59,7 @@ def arrow_lines(
 
 
 def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
-    """Return the data of an empty Vectors layer for arrows, in the place of a frame."""
+    """Return the data of an empty Vectors layer for arrows, with the transform of a frame."""
     look = {
         "vector_style": "line",
         "opacity": 1.0,

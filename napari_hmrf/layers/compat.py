@@ -35,7 +35,7 @@ def text_of(viewer: Any) -> Any:
 
 
 def show_name(layer: Any, corner: str) -> None:
-    """Show the name of a layer next to its colour bar; does nothing before napari 0.9.
+    """Show the name of a layer next to its colour bar, since napari 0.9.
 
     Parameters
     ----------

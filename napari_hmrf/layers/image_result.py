@@ -245,7 +245,7 @@ class Result:
     def leave(self) -> None:
         """Hide the overlay, because another result is selected."""
         self.set_wanted("overlay", False)
-        # The image of a result from a file does not belong to an image layer, so hide it, too.
+        # A result from a file has no image layer as its anchor, so hide its deformed image, too.
         if self.anchor() is self.layer("arrows"):
             self.set_wanted("image", False)
 

@@ -36,7 +36,7 @@ class ShownDeformation(NamedTuple):
 
 
 class PaintedOverlay:
-    """Overlay of paint for an `Engine`; must only be used on the compute thread."""
+    """Overlay of paint for an `Engine`, for use on the compute thread only."""
 
     def __init__(self) -> None:
         self._canvas: Canvas | None = None

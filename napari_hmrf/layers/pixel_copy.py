@@ -87,7 +87,7 @@ class LayerCopies:
 
 
 class _Copies:
-    """Copies of one layer."""
+    """Cached copies of the data of one layer."""
 
     def __init__(self, layer: Any) -> None:
         self._slices: deque[tuple[Any, npt.NDArray[Any]]] = deque(maxlen=_MOST_COPIES)

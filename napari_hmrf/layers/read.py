@@ -104,7 +104,7 @@ class Request:
 
     @classmethod
     def of(cls, model: StudyModel, view: View, preset: Preset | None = None) -> Request:
-        """Return the request for the selected image of a model.
+        """Return the request for the image that is selected in a model.
 
         Parameters
         ----------

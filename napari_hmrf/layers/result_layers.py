@@ -123,7 +123,7 @@ class PlacedSolution:
     def layer(
         self, kind: str, data: Array, what: str, look: Facts, sort: str = "image", source: str = ""
     ) -> LayerData:
-        """Create a layer of a part of the result, in the place of the solution.
+        """Create a layer of a part of the result, with the transform of the solution.
 
         Parameters
         ----------
@@ -237,7 +237,7 @@ def result_layers(
 
 
 def _arrow_layer(answer: PlacedSolution) -> LayerData:
-    """Create the layer of arrows, with the result in its metadata, which are in memory only."""
+    """Create the layer of arrows, with the result in its metadata (in memory only)."""
     solution = answer.solution
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     pick_arrows = arrows_apart if tissue.ndim == 2 else arrows_in_slices
@@ -271,7 +271,7 @@ def picture_layer(frame: Frame, pictures: Pictures, picture: Array, parameters: 
 def layer_on(
     frame: Frame, data: Array, name: str, known: Facts, look: Facts, sort: str = "image"
 ) -> LayerData:
-    """Create the data of a layer in the place of a frame.
+    """Create the data of a layer with the transform of a frame.
 
     Parameters
     ----------
@@ -428,4 +428,4 @@ def _motion_layer(answer: PlacedSolution) -> LayerData | None:
     arrows = np.stack([starts, steps], axis=1).astype(np.float32)
     width = max(answer.shape) / 300
     look = {"vector_style": "arrow", "edge_color": label_colours.OBSERVED, "edge_width": width}
-    return answer.layer("observed", arrows, "motion given where tissue was", look, "vectors")
+    return answer.layer("observed", arrows, "given motion", look, "vectors")

@@ -190,9 +190,8 @@ def _index_on(
         if extents and not 0 <= index[axis] < extents[axis]:
             raise LayerError(
                 layer,
-                f"does not contain the visible slice, which would be slice {index[axis]} of its "
-                f"{extents[axis]} slices along axis {axis}. Move the slider to a slice of this "
-                "layer.",
+                f"has {extents[axis]} slices along axis {axis}, but the visible slice would be "
+                f"slice {index[axis]}. Move the slider to a slice of this layer.",
             )
     return tuple(index)
 

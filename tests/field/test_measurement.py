@@ -142,8 +142,8 @@ def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("grey.png", "grey.png: looks like a picture: it has "),
-        ("photo.png", "photo.png: is in colours"),
+        ("grey.png", "grey.png: is probably not a label image: it has "),
+        ("photo.png", "photo.png: has colours"),
     ],
 )
 def test_a_picture_is_refused_as_labels(solved, tmp_path, capsys, name, said):
@@ -194,7 +194,7 @@ def test_what_is_no_moving_picture_is_refused(solved, tmp_path):
     study, solution = read_study(solved)
     photo = study.pictures.image
     with pytest.raises(
-        FileFormatError, match=r"a\.png: animations are not written .* \.gif or \.mp4"
+        FileFormatError, match=r"a\.png: animations cannot be written .* \.gif or \.mp4"
     ):
         write_movie(tmp_path / "a.png", solution, photo)
     with pytest.raises(ArgumentError, match=r"frames must be at least 2, not 1"):

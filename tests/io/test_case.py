@@ -91,7 +91,7 @@ def test_tables_are_read_as_spreadsheets_write_them(files):
         ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label is 'x'\. Give a whole"),
         ("label,stiffness\n1,\n", r"t\.csv: line 2 has no value in 'stiffness'"),
         ("label,stiffness\n1,0\n", r"t\.csv has no stiffness above 0"),
-        ("label,stiffness\n", r"t\.csv has no line below the column titles"),
+        ("label,stiffness\n", r"t\.csv has no lines below the column titles"),
         ("label,stiffness\n\n1,3\n\n1,4\n", r"t\.csv: line 5: label 1 occurs twice"),
         ("label,stiffness\n1,3,4\n", r"t\.csv: line 2 has more cells than there are columns"),
         ("label;stiffness\n1;3\n", r"t\.csv: line 1: the cells are separated by semicolons"),
@@ -226,11 +226,11 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
         ),
         (
             "label,action,row,col\n1,move,3,\n",
-            r"line 2: move has no value in 'col'\. Give 0 for no motion",
+            r"line 2: move has no value in 'col'\. Give 0 if it has no",
         ),
         (
             "label,action,amount\n1,fixed,3\n",
-            r"line 2: amount has no effect on fixed, which uses no length\. Leave the cell empty",
+            r"line 2: amount has no effect on fixed, which does not use a length\.",
         ),
         (
             "label,action,row,col,amount\n1,move,1,0,3\n",
@@ -263,27 +263,33 @@ def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(t
     ("options", "sentence"),
     [
         ("", "no motion of the tissue is given. Give a --boundary that moves"),
-        ("--hold-edge --materials m.csv", "--materials is for the tissues of --labels or --maps"),
+        ("--hold-edge --materials m.csv", "--materials requires --labels or --maps"),
         ("--hold-edge --labels labels.png --maps rim.png", "--labels cannot be used with --maps"),
-        ("--hold-edge --rules r.csv", "--rules is for a --boundary that is an image of labels"),
-        ("--boundary pairs.csv --rules r.csv", "--rules is for a --boundary that is an image of"),
-        ("--hold-edge --confidence edges", "--confidence is for a --boundary that is a field"),
-        ("--hold-edge --slice 1", "--slice is for volumes, and rim.png is not"),
-        ("--boundary labels.png", "If it is an image of labels, give --rules, too."),
+        ("--hold-edge --rules r.csv", "--rules requires a --boundary that is a label image"),
+        (
+            "--boundary pairs.csv --rules r.csv",
+            "--rules requires a --boundary that is a label image",
+        ),
+        ("--hold-edge --confidence edges", "--confidence requires a --boundary that is a field"),
+        ("--hold-edge --slice 1", "--slice requires a volume, but rim.png is not"),
+        ("--boundary labels.png", "If it is a label image, also give --rules."),
         ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing determines how"),
         ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but the"),
-        ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image with one"),
-        ("--boundary none.csv", "none.csv: holds no active landmarks. Give at least one"),
-        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Keep one per"),
-        ("--hold-edge --labels complex.tif", "complex.tif: an image of complex64 values. Give an"),
-        ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Give them in"),
+        ("--hold-edge --labels colours.png", "colours.png: has colours. Give an image with one"),
+        ("--boundary none.csv", "none.csv: contains no active landmarks. Give at least one"),
+        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Remove one"),
+        (
+            "--hold-edge --labels complex.tif",
+            "complex.tif: the image has complex64 values. Give an",
+        ),
+        ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Check that"),
         ("--hold-edge --labels gone.png", "gone.png: there is no such file or folder. Check its"),
         (
             "--hold-edge --labels .",
-            "the folder holds no DICOM file. Give a folder with one series.",
+            "the folder contains no DICOM file. Give a folder with one series.",
         ),
         ("--hold-edge --labels labels.png --materials .", "it is a folder. Name a file in it."),
-        ("--hold-edge --labels empty.png", "it is empty. Images end in .png"),
+        ("--hold-edge --labels empty.png", "it is empty. Supported suffixes are .png"),
     ],
 )
 def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
@@ -317,7 +323,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     assert "note: label 2 of 'rim.png' is not in the table and got stiffness 3" in said
     study = str(folder / "out" / "rim.study")
     assert main(["solve", study, "-o", str(folder / "out"), "--hold-edge", "--model", "paper"]) == 1
-    assert "Leave out --hold-edge, --model, or give the image" in capsys.readouterr().err
+    assert "Leave out --hold-edge, --model, or give an image" in capsys.readouterr().err
     assert main(["replay", study, "--image", str(folder / "rim.png")]) == 1
     assert "rim.study contains its own image. Leave out --image." in capsys.readouterr().err
     assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
@@ -405,7 +411,7 @@ def test_a_tumour_grows_in_a_head_by_the_shell_alone_as_simpleitk_sees_it(tmp_pa
     assert mri.main([str(tmp_path), "--slice", "1", "--size", "8", "-o", str(out)]) == 0
     said = capsys.readouterr().out
     assert "other slices change by at most 0\n" in said
-    assert "bit by bit the same field" in said
+    assert "the fields are identical, bit by bit" in said
     assert "moved by up to 3.00 mm" in said
     assert {"t1.study", "field.mha", "measured.csv", "tumour.png"} <= set(os.listdir(out))
 
@@ -495,11 +501,11 @@ def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsy
     folder, scan, *_ = files
     far = PLACE._replace(origin=(0.0, 0.0, 0.0))
     write_image(folder / "far.nii.gz", ImageFile(np.ones(scan.shape, np.uint8), far))
-    with pytest.raises(ProblemError, match=r"far\.nii\.gz: lies elsewhere than the image"):
+    with pytest.raises(ProblemError, match=r"far\.nii\.gz: is not in the same place as the image"):
         read_case(case(folder, labels=folder / "far.nii.gz"))
     write_field(folder / "f.mha", np.zeros((*scan.shape, 3)), **PLACE._asdict())
     assert main(["apply", *(str(folder / each) for each in ("f.mha", "far.nii.gz"))]) == 1
-    assert "far.nii.gz: lies elsewhere than the field" in capsys.readouterr().err
+    assert "far.nii.gz: is not in the same place as the field" in capsys.readouterr().err
     how = {"boundary": folder / "rim.png", "rules": folder / "r.csv"}
     saved = solve_case(case(folder, hold_edge=True, **how), folder / "out", backend="cpu")
     assert saved.study.grid.unit == "millimeter"
@@ -507,7 +513,7 @@ def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsy
     write_image(folder / "flat.nrrd", labels)
     study = folder / "out" / "scan.study"
     assert main(["measure", str(study), "--labels", str(folder / "flat.nrrd")]) == 1
-    assert "flat.nrrd: lies elsewhere than the field" in capsys.readouterr().err
+    assert "flat.nrrd: is not in the same place as the field" in capsys.readouterr().err
 
 
 def test_a_field_moves_a_slice_of_a_volume_that_was_cut_from_the_side(tmp_path):
@@ -534,7 +540,7 @@ def test_an_edge_is_where_the_image_is_steep():
     [
         ({"slice": 3}, r"scan\.nii\.gz: is a volume of 3 slices\. Give --slice 0 to 2"),
         ({"labels": "small.png"}, r"small\.png: is 4 x 5, but the image is 30 x 36"),
-        ({"boundary": "one.csv"}, r"one\.csv: holds landmarks without target positions"),
+        ({"boundary": "one.csv"}, r"one\.csv: contains landmarks without target positions"),
     ],
 )
 def test_what_does_not_fit_is_said_by_the_file_s_name(files, more, sentence):

@@ -136,7 +136,7 @@ ANSWER = 'sys.stdin.buffer.readline(); print("{\\"refused\\": \\"fine\\"}", flus
         ("sys.stdin.buffer.readline(); os._exit(0)", "crashes"),
         ("while True: pass", "did not finish"),
         ("sys.stdin.buffer.readline(); kept = b'a' * 2**28; time.sleep(99)", "more memory"),
-        ("time.sleep(99)", "does not answer"),
+        ("time.sleep(99)", "does not respond"),
         (CLAIM, "claims more pixels"),
         (ANSWER, "fine"),
     ],
@@ -282,5 +282,5 @@ def test_a_program_without_a_python_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     monkeypatch.setattr(sys, "exec_prefix", str(tmp_path))
     (tmp_path / "file").write_bytes(b"some")
-    with pytest.raises(itk_files.HmrfError, match="no Python was found"):
+    with pytest.raises(itk_files.HmrfError, match="no Python interpreter was found"):
         DecoderProcess().decode(tmp_path / "file", "pixels")

@@ -138,7 +138,7 @@ def test_a_gap_beside_what_stays_is_closed_by_its_rim():
             "field.txt",
             {},
             FileFormatError,
-            r"field\.txt: fields are not written in such a format\. End",
+            r"field\.txt: fields cannot be written in this format\. Use",
         ),
         ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\)\. Give"),
         ("f.mha", {"displacement": np.zeros((4, 5, 3))}, ProblemError, r"has shape \(4, 5, 3\)"),
@@ -151,7 +151,7 @@ def test_a_gap_beside_what_stays_is_closed_by_its_rim():
         ),
         ("f.mha", {"spacing": (1, 1, 1, 1)}, ProblemError, r"Give 2 or 3 lengths"),
         ("f.mha", {"origin": (1, 2, 3)}, ProblemError, r"origin: is \(1, 2, 3\)\. Give 2 lengths"),
-        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "at right angles"),
+        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "Give an orthogonal"),
     ],
 )
 def test_what_is_wrong_is_one_sentence_and_nothing_is_written(
@@ -210,7 +210,7 @@ def test_where_a_field_folds_it_is_said_that_it_has_no_inverse(tmp_path, capsys)
     folds = count_folds(d, spacing=1)
     assert folds > 5
     said = capsys.readouterr().out
-    assert f"But tissue folds over itself at {folds} pixels, and has no inverse there" in said
+    assert f"However, the tissue folds over itself at {folds} pixels, where no inverse" in said
     write_field(tmp_path / "folded.mha", d / 20, spacing=(1, 1), forward=True)
     assert main(["export", *files, "--force"]) == 0
     assert "folds" not in capsys.readouterr().out
@@ -220,7 +220,7 @@ def test_what_is_no_field_is_refused(tmp_path):
     path = tmp_path / "image.mha"
     sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 5))), str(path))
     with pytest.raises(
-        FileFormatError, match=r"image\.mha: not a displacement field: 2 axes need 2"
+        FileFormatError, match=r"image\.mha: not a displacement field: 2 axes require 2"
     ):
         read_field(path)
     path.write_bytes(b"nothing of the kind")

@@ -162,7 +162,7 @@ def test_a_packed_file_with_a_flipped_bit_is_not_said_to_be_cut_short(tmp_path):
     content = bytearray(gzip.compress(nifti(FieldCase("slice"), by_matrix=True)))
     content[-8] ^= 1  # of the checksum of all bytes, which are there
     path.write_bytes(content)
-    with pytest.raises(FileFormatError, match=r"it is damaged or cut short"):
+    with pytest.raises(FileFormatError, match=r"it is damaged or truncated"):
         read_field(path)
 
 

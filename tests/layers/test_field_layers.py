@@ -110,7 +110,7 @@ def test_a_field_on_a_grid_of_its_own_is_the_boundary_of_a_slice_of_a_volume(
     assert inside[:, 5:40].all()
     expected = np.stack([0.02 * at_y + 0.01 * at_z, 0.01 * at_x], axis=-1)
     np.testing.assert_allclose(motion.observed[inside], expected[inside], atol=0.02)
-    assert any("leads out of the slice" in note for note in dock.study.notes)
+    assert any("displacements out of the slice" in note for note in dock.study.notes)
 
 
 def test_a_field_counts_where_a_mask_an_image_or_edges_say(tmp_path, dock_beside, wait_for):

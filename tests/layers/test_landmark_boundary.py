@@ -156,7 +156,7 @@ def test_the_menus_appear_with_points_and_know_the_other_layer(chosen):
     widget._viewer.layers.remove(should)
     assert found.targets.value is None
     found.take_button.changed.emit(True)
-    assert "'is' holds positions without targets. Choose another Points layer" in widget.status
+    assert "'is' contains positions without targets. Choose another Points layer" in widget.status
 
 
 def test_without_points_there_are_no_menus_for_them(widget):
@@ -202,7 +202,7 @@ def test_landmarks_that_are_taken_are_undone_changed_and_taken_again(chosen, set
     widget.undo()
     widget.undo()
     assert widget.drawing.marks == (own,)
-    assert widget.status == "Took back: took landmarks from 'is'."
+    assert widget.status == "Undone: took landmarks from 'is'."
 
 
 @pytest.mark.usefixtures("unstyled", "without_controls")

@@ -186,7 +186,7 @@ def test_layers_of_different_size_are_refused_with_both_sizes():
 def test_layers_that_lie_elsewhere_are_refused_with_both_names(place):
     error = refusal(request(boundary=Labels(boundary_labels(), name="Boundary", **place)))
     assert error.field == "Boundary"
-    assert "lies elsewhere than 'MR'" in error.message
+    assert "is not on the grid of 'MR'" in error.message
 
 
 def test_the_same_place_said_differently_is_the_same_place():
@@ -301,7 +301,7 @@ def test_an_extreme_stiffness_ratio_is_refused():
 def test_no_boundary_at_all_is_refused_by_layer():
     error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
     assert str(error) == (
-        "'Boundary' has no paint yet. Choose a row, then paint a region that is fixed or moves."
+        "'Boundary' has no paint yet. Choose a row, then paint a region that is fixed or moved."
     )
 
 
@@ -541,7 +541,7 @@ def test_arrows_out_of_the_slice_do_not_hold_the_tissue_but_are_counted():
     assert inputs.problem.confidence[6, 3].all()
     np.testing.assert_array_equal(inputs.problem.observed[6, 3], (1, 0))
     assert inputs.problem.confidence[7, 3].all()
-    assert inputs.notes == ("'arrows' also leads out of the slice, which is ignored",)
+    assert inputs.notes == ("'arrows' also has displacements out of the slice, which are ignored",)
 
 
 def test_arrows_that_agree_merge():

@@ -395,7 +395,7 @@ def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
     wait_for(lambda: "changed label 1" in screen.button("Undo").toolTip())
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
-    assert "Took back: changed label 1" in screen.words
+    assert "Undone: changed label 1" in screen.words
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 0)
     screen.press("Undo")
@@ -454,7 +454,7 @@ def test_what_was_given_is_seen_as_layers(look, viewer, wait_for):
     given = {}
     for words, kind in (
         ("given: stiffness", "stiffness (kPa)"),
-        ("given: motion", "motion given where tissue was"),
+        ("given: motion", "given motion"),
         ("given: confidence", "confidence (0 to 1)"),
     ):
         screen.choose(words)

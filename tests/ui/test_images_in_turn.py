@@ -108,7 +108,7 @@ def test_a_layer_that_was_chosen_and_lies_elsewhere_is_refused_with_the_cure(
     widget.boundary = viewer.add_labels(np.ones((32, 32), int), name="wall")
     settle(widget)
     widget.start()
-    assert "'wall' lies elsewhere than 'MR'" in widget.status
+    assert "'wall' is not on the grid of 'MR'" in widget.status
     assert "----- for none" in widget.status
     widget.boundary = None
     assert widget.start()
@@ -198,7 +198,7 @@ def test_what_is_undone_on_another_image_is_seen(viewer, widget, settle):
     assert widget.image is first[0]
     assert first[0].visible
     assert not second[0].visible
-    assert widget.status.startswith(f"Took back on '{first[0].name}': took over a drawing.")
+    assert widget.status.startswith(f"Undone on '{first[0].name}': took over a drawing.")
 
 
 def test_layers_to_paint_on_are_called_by_the_names_they_have(viewer, widget):

@@ -176,7 +176,7 @@ def test_what_is_opened_is_nothing_to_take_back_and_paint_is_seen_only_where_not
     (map_of_stiffness,) = (each for each in other.layers if "stiffness" in each.name)
     assert map_of_stiffness.visible != moves
     second.undo()
-    assert second.status == "There is nothing to take back."
+    assert second.status == "There is nothing to undo."
     assert second.drawing == first.drawing
     labels = Tissue(labels=np.ones(SHAPE, np.uint8), materials=(Material(1, "gel", 1.0),))
     motion = Motion(hold_edge=True, drawing=DRAWING if moves else Drawing())

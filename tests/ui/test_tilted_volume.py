@@ -101,7 +101,7 @@ def test_that_its_places_are_said_as_if_it_were_not_is_said(tilted, settle):
     person, widget = tilted
     person.drag(drawn_at((9.0, 14.0)), drawn_at((11.0, 14.0)))
     settle(widget)
-    assert "as if it were not tilted out of its slices" in widget.warning
+    assert "does not display the tilt of" in widget.warning
     level = Image(numbered())
     assert not View.of(person.viewer.dims).tilts(level)
 

@@ -352,6 +352,6 @@ def test_what_cannot_be_saved_is_said(result, asked, wait_for, tmp_path, widget)
     asked(tmp_path / "field.txt")
     Screen(dock).entry("More", "Save field for images").trigger()
     wait_for(lambda: not dock.busy)
-    assert dock.status.startswith("field.txt: fields are not written in such a format")
+    assert dock.status.startswith("field.txt: fields cannot be written in this format")
     with pytest.raises(HmrfError, match="There is no result to look at yet"):
         widget.more.measure()
