@@ -37,7 +37,9 @@ Pixels = npt.NDArray[Any]
 #: Displacement in a file below which a component is considered to be zero, in mm.
 _ROUNDING = 1e-4
 #: Sentence for fields without a position in space.
-_NO_PLACE = " Its image has no place, so the field is at the origin, and its spacing is assumed to be in mm."
+_NO_PLACE = (
+    " Its image has no place, so the field is at the origin, with its spacing assumed to be in mm."
+)
 #: Largest number of distinct values, and largest value, of an image that may contain labels.
 _MOST_LABELS, _LARGEST_LABEL = 16, 99
 #: Largest distance between a point and the centre of its slice, in slices.

@@ -14,7 +14,7 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.regular_file import read_at_most
 
-#: Ending of the files.
+#: Suffix of the files.
 ENDING = ".csv"
 #: Characters at the beginning of a cell that a spreadsheet interprets as a formula.
 _FORMULA = "=+-@\t\r"

@@ -36,8 +36,8 @@ class Change(NamedTuple):
         New value, as in a `Material` or `BoundaryRule`. For the actions "expand" and "press",
         "amount" is the distance or the pressure; for other actions, it is the length of the vector.
     of : str
-        Tissue or boundary: its label, its name, or the name of the known tissue with this name as a
-        synonym. "" for all tissue.
+        Label or name of a tissue or boundary, or name of the known tissue that its name refers to;
+        "" for all tissue.
     """
 
     what: str

@@ -48,7 +48,7 @@ class _PartState:
     name: str
     #: True if the user has not hidden the layer.
     is_wanted: bool = True
-    #: True if the latest result has this part; otherwise the layer is hidden until a result does.
+    #: True if the latest result has this part; otherwise the layer is hidden for now.
     current: bool = True
     #: Visibility set by this package; a different visibility shows that the user has changed it.
     is_shown: bool = True

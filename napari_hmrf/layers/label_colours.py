@@ -12,7 +12,7 @@ from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opac
 
 #: Display settings of a quantity shown over an image.
 OVER = {"blending": "translucent", "opacity": OPACITY}
-#: Colour of arrows of the prescribed motion.
+#: Colour of arrows of the observed motion.
 OBSERVED = "magenta"
 #: Colour of arrows of a result, which is visible on black, grey and white.
 ARROWS = "#ff6000"

@@ -57,7 +57,7 @@ ARROWS = 250
 Name = (
     Quantity | Mark | Literal["grid", "labels", "difference", "stiffness", "observed", "confidence"]
 )
-#: Number of arrows of the prescribed motion along a side of the image.
+#: Number of arrows of the observed motion along a side of the image.
 _ACROSS = 40
 
 
@@ -336,7 +336,7 @@ def overlay_of(
 ) -> Overlay | None:
     """Create an overlay on the image of a result; must be called on the compute thread.
 
-    Overlays are deformed with the tissue, except for the arrows of the prescribed motion, which
+    Overlays are deformed with the tissue, except for the arrows of the observed motion, which
     begin at the original positions of the tissue.
 
     Signed quantities have colours from purple (lower) to orange (higher), and other quantities from
@@ -417,7 +417,7 @@ def _colours(shown: Coloured) -> dict[str, Any]:
 
 
 def _motion_layer(answer: PlacedSolution) -> LayerData | None:
-    """Create the layer of arrows of the prescribed motion y; None if there is no problem."""
+    """Create the layer of arrows of the observed motion y; None if there is no problem."""
     if (problem := answer.problem) is None:
         return None
     y, known = problem.observed, problem.known  # arrows of fixed sites have length 0: dots
