@@ -125,7 +125,7 @@ def test_landmarks_outside_the_image_are_counted(solved, tmp_path, capsys):
     corners = np.array([[-0.5, -0.5], [rows - 0.5, cols - 0.5], [rows, 3.0], [3.0, -1.0]])
     write_points(tmp_path / "nose.csv", corners)
     assert main(["apply", str(path), str(tmp_path / "nose.csv"), "-o", str(tmp_path / "o")]) == 0
-    assert "note: 2 of 4 points lie outside the image" in capsys.readouterr().out
+    assert "note: 2 of 4 points are outside the image" in capsys.readouterr().out
 
 
 def test_landmarks_in_other_slices_stay_and_it_is_said(tmp_path, capsys):

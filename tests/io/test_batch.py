@@ -182,9 +182,12 @@ def test_a_sweep_changes_how_far_what_moves_does_and_the_model():
     [
         (
             Change("growth", 0.1, "bowel"),
-            "growth:bowel: there is no such tissue. Give one of: 1",
+            "growth:bowel: there is no such tissue. Give one of these: 1",
         ),
-        (Change("amount", 3.0, "brain"), "amount:brain: there is no such boundary. Give one of:"),
+        (
+            Change("amount", 3.0, "brain"),
+            "amount:brain: there is no such boundary. Give one of these:",
+        ),
         (Change("amount", 3.0, "1"), "amount:1: the boundary does not move"),
     ],
 )
@@ -345,7 +348,7 @@ def test_a_second_batch_on_a_folder_is_refused_and_a_dead_one_is_taken_over(file
 def test_a_batch_of_a_process_is_refused_beside_another_of_it(tmp_path):
     with exclusive(tmp_path):
         again = exclusive(tmp_path)
-        with pytest.raises(HmrfError, match=r"another batch, process \d+, writes"), again:
+        with pytest.raises(HmrfError, match=r"another batch \(process \d+\) is using"), again:
             pass
         assert len(marks_in(tmp_path)) == 1
     assert marks_in(tmp_path) == ()

@@ -395,7 +395,7 @@ def test_a_header_that_lies_about_its_size_costs_no_memory(path, tmp_path, membe
             {"extra": npy(np.ones(3))},
             "contains 'extra.npy', which does not belong to a napari-hmrf result",
         ),
-        ({"../../evil": npy(np.ones(3))}, "no napari-hmrf result does"),
+        ({"../../evil": npy(np.ones(3))}, "does not belong to a napari-hmrf result"),
         ({"displacement": npy(np.zeros((7, 11, 2), "f2"))}, "displacement is float16"),
         ({"displacement": npy(np.zeros((7, 11, 2), ">f4"))}, "displacement is >f4"),
         ({"displacement": npy(np.zeros((7, 11), "f4"))}, r"of shape \(7, 11\)"),
