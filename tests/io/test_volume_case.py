@@ -202,7 +202,7 @@ def test_the_paper_s_model_of_a_volume_says_what_hangs_on_nothing(tmp_path, caps
 def test_what_lies_elsewhere_is_refused_by_its_name(files, head):
     place = read_image(files / "t1.nii.gz").place._replace(origin=(0.0, 0.0, 0.0))
     write_image(files / "far.mha", ImageFile(head.tissue_labels, place))
-    with pytest.raises(ProblemError, match=r"far\.mha: lies elsewhere than the image"):
+    with pytest.raises(ProblemError, match=r"far\.mha: is not in the same place as the image"):
         read_case(Case(files / "t1.nii.gz", labels=files / "far.mha"))
     write_image(files / "small.mha", ImageFile(head.tissue_labels[1:], place))
     with pytest.raises(ProblemError, match=r"small\.mha: is 29 x 38 x 30, but the image is 30 x"):

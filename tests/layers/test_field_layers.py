@@ -158,7 +158,7 @@ def test_a_confidence_that_is_nowhere_is_said_and_so_is_an_edge_that_is_let_go(
     dock.confidence = empty
     wait_for(lambda: not dock.busy)
     assert (
-        "'mask' is 0 wherever 'warp' has a displacement, so no displacement counts" in dock.status
+        "'mask' is 0 wherever 'warp' has a displacement, so no displacement is used" in dock.status
     )
     empty.data = np.ones(SHAPE, np.uint8)
     wait_for(lambda: not dock.busy)

@@ -168,7 +168,7 @@ def test_a_place_that_is_no_number_is_refused_by_layer(attribute, which):
 
 def test_layers_of_different_size_are_refused_with_both_sizes():
     error = refusal(request(tissue=Labels(tissue_labels((12, 14)), name="Tissue")))
-    assert "it has 12 x 14 pixels, that has 12 x 15" in str(error)
+    assert "have 12 x 14 and 12 x 15 pixels" in str(error)
 
 
 @pytest.mark.parametrize(
@@ -653,7 +653,7 @@ def test_a_slice_at_an_angle_is_refused():
     viewer = ViewerModel()
     viewer.add_layer(tilted)
     wanted = Request(tilted, tilted, None, view=View.of(viewer.dims))
-    assert "at an angle" in str(refusal(wanted))
+    assert "at an oblique angle" in str(refusal(wanted))
 
 
 def test_only_the_slice_of_a_lazy_stack_is_computed():

@@ -109,7 +109,7 @@ def test_a_layer_that_was_chosen_and_lies_elsewhere_is_refused_with_the_cure(
     settle(widget)
     widget.start()
     assert "'wall' is not on the grid of 'MR'" in widget.status
-    assert "----- for none" in widget.status
+    assert "----- for no layer" in widget.status
     widget.boundary = None
     assert widget.start()
 

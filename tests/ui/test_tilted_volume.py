@@ -110,5 +110,5 @@ def test_a_slice_of_it_is_refused_and_the_whole_volume_is_offered(tilted, settle
     _, widget = tilted
     Screen(widget).choose("this slice")
     settle(widget)
-    assert "at an angle" in widget.status
+    assert "at an oblique angle" in widget.status
     assert "choose 'the whole volume'" in widget.status
