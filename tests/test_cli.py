@@ -189,7 +189,7 @@ def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kin
     clear = colours.cmap(colours.norm(no_change))[3]
     assert clear == pytest.approx(0, abs=0.02)
     assert colours.cmap(1.0)[3] == 1
-    assert "before it moves" in figure.axes[0].get_title()
+    assert "at the original positions" in figure.axes[0].get_title()
     assert len(draw(solution).axes[0].images) == 1
 
 
