@@ -460,7 +460,7 @@ def test_what_was_given_is_seen_as_layers(look, viewer, wait_for):
         screen.choose(words)
         wait_for(lambda: not dock.busy)
         found = layer(viewer, f"MR {kind}")
-        given[found.name.split(" ")[1]] = found.data
+        given[words.removeprefix("given: ")] = found.data
     stiffness, confidence = given["stiffness"], given["confidence"]
     assert set(np.unique(stiffness[np.isfinite(stiffness)])) == {0, 20}, "air and gel"
     assert set(np.unique(confidence[np.isfinite(confidence)])) == {0, 1}

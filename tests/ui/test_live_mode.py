@@ -597,7 +597,7 @@ def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling
     widget.start()
     widget.tissue.scale = (2, 1)
     settle(widget)
-    assert "'Tissue' lies elsewhere" in widget.status
+    assert "'Tissue' is not on the grid" in widget.status
     widget.tissue.scale = (1, 1)
     settle(widget)
     assert widget.active
