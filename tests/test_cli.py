@@ -118,7 +118,7 @@ def test_the_demo_solves_the_converged_paper_model(tmp_path, capsys):
 @pytest.mark.parametrize("option", [("--poisson", "0.3"), ("--plane", "strain")])
 def test_the_paper_model_refuses_a_poisson_ratio_and_a_plane(tmp_path, capsys, option):
     assert demo(tmp_path, "--size", "40", "--model", "paper", *option) == 1
-    assert f"{option[0]} has no effect here: the paper's" in capsys.readouterr().err
+    assert f"{option[0]} has no effect: the paper's" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -191,7 +191,7 @@ def test_pictures_of_quantities_show_the_image_beneath_and_name_its_state(kind):
     clear = colours.cmap(colours.norm(no_change))[3]
     assert clear == pytest.approx(0, abs=0.02)
     assert colours.cmap(1.0)[3] == 1
-    assert "before it moves" in figure.axes[0].get_title()
+    assert "at the original positions" in figure.axes[0].get_title()
     assert len(draw(solution).axes[0].images) == 1
 
 
@@ -419,8 +419,8 @@ def test_slices_of_a_volume_are_drawn_through_one_point_with_the_head_up(
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        (("--plane", "strain"), "--plane has no effect here: a volume is"),
-        (("--model", "paper", "--poisson", "0.3"), "--poisson has no effect here: the paper"),
+        (("--plane", "strain"), "--plane has no effect: plane stress"),
+        (("--model", "paper", "--poisson", "0.3"), "--poisson has no effect: the paper"),
         (("--size", "20"), "at least 24"),
     ],
 )

@@ -179,12 +179,12 @@ def test_the_shell_sets_the_parameters_of_the_energy(files, capsys):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ("--model paper --poisson 0.3", "--poisson has no effect here: the paper's model has no"),
-        ("--model paper --plane strain", "--plane has no effect here: the paper's model has no"),
-        ("--model paper-converged --weight 0/1", "--weight has no effect here: the paper's model"),
-        ("--model paper --tolerance 0.1", "--tolerance has no effect here: the paper's schedule"),
+        ("--model paper --poisson 0.3", "--poisson has no effect: the paper's model has no"),
+        ("--model paper --plane strain", "--plane has no effect: the paper's model has nei"),
+        ("--model paper-converged --weight 0/1", "--weight has no effect: the paper's model"),
+        ("--model paper --tolerance 0.1", "--tolerance has no effect: the paper's schedule"),
         ("--weight 0/0/1", "--weight has 3 numbers, but the grid has 2 axes"),
-        ("--forward", "--forward is for a --boundary that is a field"),
+        ("--forward", "--forward requires a --boundary that is a field"),
     ],
 )
 def test_a_parameter_that_the_model_lacks_is_refused_with_the_reason(
@@ -223,7 +223,10 @@ def test_a_painted_label_without_a_rule_is_refused(files, capsys):
     (files / "r.csv").write_text("label,action\n1,fixed\n")
     code, _, err = run(f"{SOLVE} -o out", capsys)
     assert code == 1
-    assert "r.csv: there is no rule for label 2, painted in rim.png. Add a line such as 2,f" in err
+    assert (
+        "r.csv: there is no rule for label 2, which is used in rim.png. Add a line such as 2,f"
+        in err
+    )
 
 
 def test_a_model_has_the_same_names_in_python_and_in_the_shell(files, capsys):
@@ -272,12 +275,15 @@ def test_play_shows_the_middle_slice_of_a_volume_and_prints_its_number(tmp_path,
     path = write_study(tmp_path / "v.study", study, solve_study(study, backend="cpu"))
     code, out, _ = run(f"play {path} {tmp_path / 'a.gif'}", capsys)
     assert code == 0
-    assert "note: slice 3 of 0 to 5, in the middle; --slice selects another\n" in out
+    assert (
+        "note: showing slice 3, the middle of slices 0 to 5; use --slice to select another slice\n"
+        in out
+    )
     with Image.open(tmp_path / "a.gif") as film:
         assert film.size == (10, 8)
         assert film.n_frames > 10
     assert run(f"play {path} {tmp_path / 'b.gif'} --slice 6", capsys)[2].startswith(
-        "napari-hmrf: the volume has slices 0 to 5, and --slice is 6"
+        "napari-hmrf: --slice is 6, but the volume has slices 0 to 5. Give one of these."
     )
     assert run(f"play {path} {tmp_path / 'b.gif'} --slice 2", capsys)[:2] == (
         0,

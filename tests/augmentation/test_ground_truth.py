@@ -47,7 +47,7 @@ def test_simpleitk_reproduces_the_deformed_image_from_the_written_field(files, c
     out = files / "out"
     said = capsys.readouterr().out
     assert "moved up to" in said
-    assert "inverts the motion" in said
+    assert "contains the inverse displacement" in said
     image = sitk.ReadImage(str(out / "image.mha"), sitk.sitkFloat64)
     deformed = sitk.ReadImage(str(out / "001" / "deformed.mha"), sitk.sitkFloat64)
     field = sitk.ReadImage(str(out / "001" / "field.mha"), sitk.sitkVectorFloat64)

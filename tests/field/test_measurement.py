@@ -142,8 +142,8 @@ def test_the_measure_command_prints_and_writes_the_table(solved, tmp_path, capsy
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("grey.png", "grey.png: looks like a picture: it has "),
-        ("photo.png", "photo.png: is in colours"),
+        ("grey.png", "grey.png: is probably not a label image: it has "),
+        ("photo.png", "photo.png: has colours"),
     ],
 )
 def test_a_photograph_is_rejected_as_labels(solved, tmp_path, capsys, name, said):
@@ -194,7 +194,7 @@ def test_an_animation_of_another_format_or_of_one_frame_is_rejected(solved, tmp_
     study, solution = read_study(solved)
     photo = study.pictures.image
     with pytest.raises(
-        FileFormatError, match=r"a\.png: animations are not written .* \.gif or \.mp4"
+        FileFormatError, match=r"a\.png: animations cannot be written .* \.gif or \.mp4"
     ):
         write_movie(tmp_path / "a.png", solution, photo)
     with pytest.raises(ArgumentError, match=r"frames must be at least 2, not 1"):

@@ -89,7 +89,9 @@ def test_labels_moved_as_an_image_cause_a_note(solved, tmp_path, capsys):
     write_image(tmp_path / "labels.png", ImageFile(labels))
     files = str(tmp_path / "labels.png"), "-o", str(tmp_path / "out")
     assert main(["apply", str(path), *files]) == 0
-    said = "note: labels.png holds few whole numbers, up to 8, which were blended; if these are"
+    said = (
+        "note: labels.png contains only a few whole numbers, up to 8, and was interpolated; if the"
+    )
     assert said in capsys.readouterr().out
 
 
@@ -123,7 +125,7 @@ def test_a_note_counts_landmarks_outside_the_image(solved, tmp_path, capsys):
     corners = np.array([[-0.5, -0.5], [rows - 0.5, cols - 0.5], [rows, 3.0], [3.0, -1.0]])
     write_points(tmp_path / "nose.csv", corners)
     assert main(["apply", str(path), str(tmp_path / "nose.csv"), "-o", str(tmp_path / "o")]) == 0
-    assert "note: 2 of 4 points lie outside the image" in capsys.readouterr().out
+    assert "note: 2 of 4 points are outside the image" in capsys.readouterr().out
 
 
 def test_a_note_counts_landmarks_in_other_slices_which_do_not_move(tmp_path, capsys):
@@ -140,7 +142,7 @@ def test_a_note_counts_landmarks_in_other_slices_which_do_not_move(tmp_path, cap
     steps = np.linalg.norm(read_points(out / "there.fcsv").points - before, axis=1)
     assert steps[1] < 1e-9
     assert (steps[[0, 2]] > 0.1).all()
-    assert "1 of 3 points lie in other slices" in capsys.readouterr().out
+    assert "1 of 3 points are in other slices" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["slice", "3-D"])
@@ -184,7 +186,9 @@ def test_a_field_of_one_slice_moves_only_that_slice_of_a_volume(tmp_path):
         moved[2], warp(values[2], field.displacement, spacing=field.spacing), atol=1e-6
     )
     write_image(tmp_path / "other.nii.gz", ImageFile(values, place._replace(origin=(0, 0, 0))))
-    with pytest.raises(ProblemError, match=r"other\.nii\.gz: lies elsewhere than the field"):
+    with pytest.raises(
+        ProblemError, match=r"other\.nii\.gz: has no slice at the place of the field"
+    ):
         apply_field(field, tmp_path / "other.nii.gz", tmp_path / "moved.nii.gz", labels=False)
 
 
@@ -234,7 +238,7 @@ def test_two_files_with_the_same_name_and_a_field_as_image_are_refused(solved, t
         write_field(field, np.zeros((*(6, 7, 8)[:n], n)), spacing=(1,) * n)
         assert main(["solve", field, "--hold-edge", "-o", str(tmp_path / "out")]) == 1
         assert (
-            f"{n}.nrrd: the file holds a displacement field. Give the image"
+            f"{n}.nrrd: the file contains a displacement field. Give an image"
             in capsys.readouterr().err
         )
 
@@ -244,13 +248,13 @@ def test_a_study_is_exported_replayed_and_read_again_in_the_shell(solved, tmp_pa
     assert main(["export", str(path), str(tmp_path / "field.mha")]) == 0
     said = capsys.readouterr().out
     assert "the backward field, which moves images" in said
-    assert "In the middle of each pixel that tissue moved to" in said
-    assert "at the rim of the tissue it may be larger" in said
+    assert "at the centres of the pixels that tissue moved to" in said
+    assert "at the edge of the tissue, the error may be larger" in said
     again = read_field_file(tmp_path / "field.mha").displacement
     # The field is inverted twice, and the edge of a pulled patch limits the accuracy.
     assert np.abs(again - solution.displacement).max() < 0.2
     assert main(["replay", str(path)]) == 0
-    assert "bit by bit the same field" in capsys.readouterr().out
+    assert "the fields are identical, bit by bit" in capsys.readouterr().out
 
 
 def test_fields_without_a_unit_are_written_in_pixels(tmp_path):

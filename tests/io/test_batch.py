@@ -110,15 +110,15 @@ def test_a_cell_with_several_values_makes_one_case_per_value(files):
     ("text", "sentence"),
     [
         ("", r"t\.csv: line 1 lacks the column 'image'"),
-        ("image\n", r"t\.csv has no line below the column titles"),
+        ("image\n", r"t\.csv has no lines below the column titles"),
         ("image,growth\na.tif,1\n", r"line 1: there is no column 'growth'\. Did you mean 'growth:"),
         ("image,lables\na.tif,b\n", r"there is no column 'lables'\. Did you mean 'labels'\? The"),
         ("image,image\na.tif,b\n", r"t\.csv has two columns 'image'"),
         ("image\na.tif\na.png\n", r"line 3: there is already a case 'a'\. Give each case a"),
         ("name,image\na/b,a.tif\n", r"line 2: 'a/b' is not a valid folder name"),
         ("name,image\n..,a.tif\n", r"line 2: '\.\.' is not a valid folder name"),
-        ("image,labels\n,b\n", r"line 2: give either an image or a study"),
-        ("image,study\na.tif,b\n", r"line 2: give either an image or a study"),
+        ("image,labels\n,b\n", r"line 2: the line must have either an image or a study"),
+        ("image,study\na.tif,b\n", r"line 2: the line must have either an image or a study"),
         ("image,slice\na.tif,x\n", r"line 2: slice is 'x'\. Give a whole number, 3-7, or all"),
         ("image,model\na.tif,soft\n", r"line 2: model is 'soft'\. Give elastic, large-motion"),
         ("image,poisson\na.tif,0.7\n", r"line 2: poisson is '0\.7'\. Give a number from 0 to"),
@@ -182,9 +182,12 @@ def test_a_sweep_changes_the_amount_of_a_rule_and_the_model():
     [
         (
             Change("growth", 0.1, "bowel"),
-            "growth:bowel: there is no such tissue. Give one of: 1",
+            "growth:bowel: there is no such tissue. Give one of these: 1",
         ),
-        (Change("amount", 3.0, "brain"), "amount:brain: there is no such boundary. Give one of:"),
+        (
+            Change("amount", 3.0, "brain"),
+            "amount:brain: there is no such boundary. Give one of these:",
+        ),
         (Change("amount", 3.0, "1"), "amount:1: the boundary does not move"),
     ],
 )
@@ -192,7 +195,7 @@ def test_a_sweep_over_a_missing_tissue_or_boundary_is_refused(change, sentence):
     with pytest.raises(HmrfError) as error:
         changed(study(), [change])
     assert sentence in str(error.value)
-    with pytest.raises(HmrfError, match="poisson is for elastic tissue"):
+    with pytest.raises(HmrfError, match="poisson requires elastic tissue"):
         changed(study(model="paper"), [Change("poisson", 0.3)])
 
 
@@ -242,8 +245,8 @@ def test_a_failed_case_is_reported_and_the_other_cases_are_solved(files, capsys)
     capsys.readouterr()
     assert main(["batch", str(table), "out", "--jobs", "1", "--resume"]) == 0
     said = capsys.readouterr().out
-    assert "note: not counted, as no case of the table has this name: a_amount-rim-4\n" in said
-    assert "note: solved again, as the line in the table has changed: a_amount-rim-5\n" in said
+    assert "note: ignored, because no case in the table has this name: a_amount-rim-4\n" in said
+    assert "note: solved again, because the line in the table has changed: a_amount-rim-5\n" in said
     assert "3 of 3 cases are solved" in said
     assert (out / "study").stat().st_ino == before
     assert moved(out, "a_amount-rim-5") == pytest.approx(4)
@@ -275,10 +278,10 @@ def test_a_case_with_changed_files_is_solved_again(files, caplog):
     (files / "c.tif").unlink()
     told = []
     again = solve_cases(cases, files / "out", jobs=1, resume=True, report=told.append)
-    assert told == ["solved again, as input files have changed: b, c"]
+    assert told == ["solved again, because input files have changed: b, c"]
     assert again[0] == first[0]
     assert [each.state for each in again] == ["done", "done", "failed"]
-    assert "(the folder c still has an earlier result, which is not counted)" in again[2].error
+    assert "(the folder c still contains an earlier result, which is ignored)" in again[2].error
 
 
 def test_a_finished_case_with_a_damaged_result_is_solved_again(files, caplog):
@@ -293,7 +296,7 @@ def test_a_finished_case_with_a_damaged_result_is_solved_again(files, caplog):
             record.write_text(json.dumps(json.loads(record.read_text()) | {"outputs": {}}))
         saved.write_bytes(saved.read_bytes()[:-100])
         again = solve_cases(cases, files / "out", jobs=1, resume=True, report=told.append)
-        assert told.pop() == "solved again, as files of the result are damaged or missing: a"
+        assert told.pop() == "solved again, because files of the result are damaged or missing: a"
         assert not told
         assert again[1] == first[1]
         read_study(saved)
@@ -321,7 +324,7 @@ def test_a_folder_in_use_is_refused_and_the_folder_of_a_dead_batch_is_taken_over
     for more in ([], ["--resume"]):
         assert main(["batch", str(table), "out", "--jobs", "1", *more]) == 1
         said = capsys.readouterr().err
-        assert f"another batch, process {held.pid}, writes into this folder" in said
+        assert f"another batch (process {held.pid}) is using this folder" in said
     assert marks_in(out) == (mark,), (
         "the lock or the unfinished work of the running batch was removed"
     )
@@ -339,7 +342,7 @@ def test_a_folder_in_use_is_refused_and_the_folder_of_a_dead_batch_is_taken_over
     there.touch()
     assert main(["batch", str(table), "out", "--jobs", "1", "--resume"]) == 1
     said = capsys.readouterr().err
-    assert "on elsewhere, writes into this folder" in said
+    assert "on elsewhere) is using this folder" in said
     assert f"delete {there.name} in the" in said
     assert there.exists()
 
@@ -347,7 +350,7 @@ def test_a_folder_in_use_is_refused_and_the_folder_of_a_dead_batch_is_taken_over
 def test_two_batches_of_one_process_on_a_folder_are_refused(tmp_path):
     with exclusive(tmp_path):
         again = exclusive(tmp_path)
-        with pytest.raises(HmrfError, match=r"another batch, process \d+, writes"), again:
+        with pytest.raises(HmrfError, match=r"another batch \(process \d+\) is using"), again:
             pass
         assert len(marks_in(tmp_path)) == 1
     assert marks_in(tmp_path) == ()

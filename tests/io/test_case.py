@@ -94,7 +94,7 @@ def test_tables_saved_by_a_spreadsheet_are_read(files):
         ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label is 'x'\. Give a whole"),
         ("label,stiffness\n1,\n", r"t\.csv: line 2 has no value in 'stiffness'"),
         ("label,stiffness\n1,0\n", r"t\.csv has no stiffness above 0"),
-        ("label,stiffness\n", r"t\.csv has no line below the column titles"),
+        ("label,stiffness\n", r"t\.csv has no lines below the column titles"),
         ("label,stiffness\n\n1,3\n\n1,4\n", r"t\.csv: line 5: label 1 occurs twice"),
         ("label,stiffness\n1,3,4\n", r"t\.csv: line 2 has more cells than there are columns"),
         ("label;stiffness\n1;3\n", r"t\.csv: line 1: the cells are separated by semicolons"),
@@ -231,11 +231,11 @@ def test_a_slice_of_a_stack_without_a_place_stores_its_number(tmp_path):
         ),
         (
             "label,action,row,col\n1,move,3,\n",
-            r"line 2: move has no value in 'col'\. Give 0 for no motion",
+            r"line 2: move has no value in 'col'\. Give 0 if it has no",
         ),
         (
             "label,action,amount\n1,fixed,3\n",
-            r"line 2: amount has no effect on fixed, which uses no length\. Leave the cell empty",
+            r"line 2: amount has no effect on fixed, which does not use a length\.",
         ),
         (
             "label,action,row,col,amount\n1,move,1,0,3\n",
@@ -268,27 +268,33 @@ def test_unused_columns_of_a_rule_may_contain_their_defaults(tmp_path):
     ("options", "sentence"),
     [
         ("", "no motion of the tissue is given. Give a --boundary that moves"),
-        ("--hold-edge --materials m.csv", "--materials is for the tissues of --labels or --maps"),
+        ("--hold-edge --materials m.csv", "--materials requires --labels or --maps"),
         ("--hold-edge --labels labels.png --maps rim.png", "--labels cannot be used with --maps"),
-        ("--hold-edge --rules r.csv", "--rules is for a --boundary that is an image of labels"),
-        ("--boundary pairs.csv --rules r.csv", "--rules is for a --boundary that is an image of"),
-        ("--hold-edge --confidence edges", "--confidence is for a --boundary that is a field"),
-        ("--hold-edge --slice 1", "--slice is for volumes, and rim.png is not"),
-        ("--boundary labels.png", "If it is an image of labels, give --rules, too."),
+        ("--hold-edge --rules r.csv", "--rules requires a --boundary that is a label image"),
+        (
+            "--boundary pairs.csv --rules r.csv",
+            "--rules requires a --boundary that is a label image",
+        ),
+        ("--hold-edge --confidence edges", "--confidence requires a --boundary that is a field"),
+        ("--hold-edge --slice 1", "--slice requires a volume, but rim.png is not"),
+        ("--boundary labels.png", "If it is a label image, also give --rules."),
         ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing determines how"),
         ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but the"),
-        ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image with one"),
-        ("--boundary none.csv", "none.csv: holds no active landmarks. Give at least one"),
-        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Keep one per"),
-        ("--hold-edge --labels complex.tif", "complex.tif: an image of complex64 values. Give an"),
-        ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Give them in"),
+        ("--hold-edge --labels colours.png", "colours.png: has colours. Give an image with one"),
+        ("--boundary none.csv", "none.csv: contains no active landmarks. Give at least one"),
+        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Remove one"),
+        (
+            "--hold-edge --labels complex.tif",
+            "complex.tif: the image has complex64 values. Give an",
+        ),
+        ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Check that"),
         ("--hold-edge --labels gone.png", "gone.png: there is no such file or folder. Check its"),
         (
             "--hold-edge --labels .",
-            "the folder holds no DICOM file. Give a folder with one series.",
+            "the folder contains no DICOM file. Give a folder with one series.",
         ),
         ("--hold-edge --labels labels.png --materials .", "it is a folder. Name a file in it."),
-        ("--hold-edge --labels empty.png", "it is empty. Images end in .png"),
+        ("--hold-edge --labels empty.png", "it is empty. Supported suffixes are .png"),
     ],
 )
 def test_options_without_effect_and_unsuitable_files_are_refused_in_the_shell(
@@ -322,7 +328,7 @@ def test_options_that_a_study_contains_are_refused_and_guesses_cause_a_note(file
     assert "note: label 2 of 'rim.png' is not in the table and got stiffness 3" in said
     study = str(folder / "out" / "rim.study")
     assert main(["solve", study, "-o", str(folder / "out"), "--hold-edge", "--model", "paper"]) == 1
-    assert "Leave out --hold-edge, --model, or give the image" in capsys.readouterr().err
+    assert "Leave out --hold-edge, --model, or give an image" in capsys.readouterr().err
     assert main(["replay", study, "--image", str(folder / "rim.png")]) == 1
     assert "rim.study contains its own image. Leave out --image." in capsys.readouterr().err
     assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
@@ -410,7 +416,7 @@ def test_a_tumour_in_a_head_grows_in_the_shell_as_in_simpleitk(tmp_path, capsys)
     assert mri.main([str(tmp_path), "--slice", "1", "--size", "8", "-o", str(out)]) == 0
     said = capsys.readouterr().out
     assert "other slices change by at most 0\n" in said
-    assert "bit by bit the same field" in said
+    assert "the fields are identical, bit by bit" in said
     assert "moved by up to 3.00 mm" in said
     assert {"t1.study", "field.mha", "measured.csv", "tumour.png"} <= set(os.listdir(out))
 
@@ -500,11 +506,11 @@ def test_an_image_of_the_same_size_at_another_place_is_refused(files, capsys):
     folder, scan, *_ = files
     far = PLACE._replace(origin=(0.0, 0.0, 0.0))
     write_image(folder / "far.nii.gz", ImageFile(np.ones(scan.shape, np.uint8), far))
-    with pytest.raises(ProblemError, match=r"far\.nii\.gz: lies elsewhere than the image"):
+    with pytest.raises(ProblemError, match=r"far\.nii\.gz: is not in the same place as the image"):
         read_case(case(folder, labels=folder / "far.nii.gz"))
     write_field(folder / "f.mha", np.zeros((*scan.shape, 3)), **PLACE._asdict())
     assert main(["apply", *(str(folder / each) for each in ("f.mha", "far.nii.gz"))]) == 1
-    assert "far.nii.gz: lies elsewhere than the field" in capsys.readouterr().err
+    assert "far.nii.gz: is not in the same place as the field" in capsys.readouterr().err
     how = {"boundary": folder / "rim.png", "rules": folder / "r.csv"}
     saved = solve_case(case(folder, hold_edge=True, **how), folder / "out", backend="cpu")
     assert saved.study.grid.unit == "millimeter"
@@ -512,7 +518,7 @@ def test_an_image_of_the_same_size_at_another_place_is_refused(files, capsys):
     write_image(folder / "flat.nrrd", labels)
     study = folder / "out" / "scan.study"
     assert main(["measure", str(study), "--labels", str(folder / "flat.nrrd")]) == 1
-    assert "flat.nrrd: lies elsewhere than the field" in capsys.readouterr().err
+    assert "flat.nrrd: is not in the same place as the field" in capsys.readouterr().err
 
 
 def test_a_field_moves_a_sagittal_slice_of_a_volume(tmp_path):
@@ -541,7 +547,7 @@ def test_edge_confidence_is_set_at_steps_of_the_image():
     [
         ({"slice": 3}, r"scan\.nii\.gz: is a volume of 3 slices\. Give --slice 0 to 2"),
         ({"labels": "small.png"}, r"small\.png: is 4 x 5, but the image is 30 x 36"),
-        ({"boundary": "one.csv"}, r"one\.csv: holds landmarks without target positions"),
+        ({"boundary": "one.csv"}, r"one\.csv: contains landmarks without target positions"),
     ],
 )
 def test_an_unsuitable_file_is_refused_by_name(files, more, sentence):

@@ -135,8 +135,8 @@ ANSWER = 'sys.stdin.buffer.readline(); print("{\\"refused\\": \\"fine\\"}", flus
         ("sys.stdin.buffer.readline(); os.abort()", "crashes"),
         ("sys.stdin.buffer.readline(); os._exit(0)", "crashes"),
         ("while True: pass", "did not finish"),
-        ("sys.stdin.buffer.readline(); kept = b'a' * 2**28; time.sleep(99)", "more memory"),
-        ("time.sleep(99)", "does not answer"),
+        ("sys.stdin.buffer.readline(); kept = b'a' * 2**28; time.sleep(99)", "too much memory"),
+        ("time.sleep(99)", "does not respond"),
         (CLAIM, "claims more pixels"),
         (ANSWER, "fine"),
     ],
@@ -233,7 +233,7 @@ def test_a_damaged_seal_differs_from_a_missing_seal(suffix, tmp_path):
         assert changed != content
         other = tmp_path / f"{number}{suffix}"
         packed(other, changed)
-        with pytest.raises(FileFormatError, match="damaged, or was edited after it was written"):
+        with pytest.raises(FileFormatError, match="damaged, or was edited after the export"):
             read_field(other)
 
 
@@ -284,5 +284,5 @@ def test_an_application_without_a_python_interpreter_reports_the_missing_interpr
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     monkeypatch.setattr(sys, "exec_prefix", str(tmp_path))
     (tmp_path / "file").write_bytes(b"some")
-    with pytest.raises(itk_files.HmrfError, match="no Python was found"):
+    with pytest.raises(itk_files.HmrfError, match="no Python interpreter was found"):
         DecoderProcess().decode(tmp_path / "file", "pixels")

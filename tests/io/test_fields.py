@@ -142,7 +142,7 @@ def test_a_gap_beside_static_tissue_is_interpolated_from_its_rim():
             "field.txt",
             {},
             FileFormatError,
-            r"field\.txt: fields are not written in such a format\. End",
+            r"field\.txt: fields cannot be written in this format\. Use",
         ),
         ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\)\. Give"),
         ("f.mha", {"displacement": np.zeros((4, 5, 3))}, ProblemError, r"has shape \(4, 5, 3\)"),
@@ -155,7 +155,7 @@ def test_a_gap_beside_static_tissue_is_interpolated_from_its_rim():
         ),
         ("f.mha", {"spacing": (1, 1, 1, 1)}, ProblemError, r"Give 2 or 3 lengths"),
         ("f.mha", {"origin": (1, 2, 3)}, ProblemError, r"origin: is \(1, 2, 3\)\. Give 2 lengths"),
-        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "at right angles"),
+        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "Give an orthogonal"),
     ],
 )
 def test_an_invalid_field_is_refused_in_one_sentence_and_no_file_is_written(
@@ -214,7 +214,7 @@ def test_the_export_of_a_folded_field_reports_pixels_without_an_inverse(tmp_path
     folds = count_folds(d, spacing=1)
     assert folds > 5
     said = capsys.readouterr().out
-    assert f"But tissue folds over itself at {folds} pixels, and has no inverse there" in said
+    assert f"However, the tissue folds over itself at {folds} pixels, where no inverse" in said
     write_field(tmp_path / "folded.mha", d / 20, spacing=(1, 1), forward=True)
     assert main(["export", *files, "--force"]) == 0
     assert "folds" not in capsys.readouterr().out
@@ -224,7 +224,7 @@ def test_a_file_without_a_field_is_refused(tmp_path):
     path = tmp_path / "image.mha"
     sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 5))), str(path))
     with pytest.raises(
-        FileFormatError, match=r"image\.mha: not a displacement field: 2 axes need 2"
+        FileFormatError, match=r"image\.mha: not a displacement field: 2 axes require 2"
     ):
         read_field(path)
     path.write_bytes(b"nothing of the kind")

@@ -162,7 +162,7 @@ def test_the_error_for_a_flipped_bit_in_a_compressed_file_mentions_damage(tmp_pa
     content = bytearray(gzip.compress(nifti(FieldCase("slice"), by_matrix=True)))
     content[-8] ^= 1  # A bit of the checksum; all bytes of the data are present.
     path.write_bytes(content)
-    with pytest.raises(FileFormatError, match=r"it is damaged or cut short"):
+    with pytest.raises(FileFormatError, match=r"it is damaged or truncated"):
         read_field(path)
 
 

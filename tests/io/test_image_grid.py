@@ -163,7 +163,7 @@ def test_a_slice_with_unknown_place_is_refused_for_a_volume(tmp_path, capsys):
     assert main([*told, "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
     assert "is a volume of 9 slices" in said
-    assert "does not say which" in said
+    assert "does not state which" in said
     assert "--slice" in said
     assert not (tmp_path / "out" / "scan.nii.gz").exists()
 
@@ -197,22 +197,22 @@ def test_pictures_have_pixels_without_a_place(tmp_path):
     pull = Motion(hold_edge=True, drawing=Drawing((Arrow((2, 3), (0, 1), 1),)))
     solution = solve_study(Study(grid, Tissue(stiffness=np.ones((5, 6))), pull), backend="cpu")
     with pytest.raises(
-        ProblemError, match=r"For a picture \(.png, .tif\), which has no place, give"
+        ProblemError, match=r"For pictures \(.png, .tif\), which have no place, use"
     ):
         export_field(tmp_path / "a.mha", solution)
-    with pytest.raises(ProblemError, match="grid: has no place, because a picture"):
+    with pytest.raises(ProblemError, match="grid: has no place, as is the case for pictures"):
         export_field(tmp_path / "a.mha", solution, grid=grid)
 
 
 def test_an_array_a_sheared_image_or_a_missing_slice_is_refused():
     image = scan()
     for wrong, said in (
-        (np.zeros((3, 4)), r"For an array, whose place is unknown"),
+        (np.zeros((3, 4)), r"For an array, which has no place"),
         (SimpleNamespace(affine=np.eye(4), dataobj=np.zeros((2, 3, 4, 5))), "has shape"),
     ):
         with pytest.raises(ArgumentError, match=said):
             Grid.from_image(wrong)
-    with pytest.raises(ArgumentError, match=r"has 12 slices across axis 1. Give 0 to 11"):
+    with pytest.raises(ArgumentError, match=r"has 12 slices along axis 1. Give 0 to 11"):
         Grid.from_image(image, slice=12, axis=1)
     with pytest.raises(ArgumentError, match="axis is 3"):
         Grid.from_image(image, slice=0, axis=3)
@@ -220,7 +220,7 @@ def test_an_array_a_sheared_image_or_a_missing_slice_is_refused():
         Grid.from_image(sitk.Image([5, 6], sitk.sitkFloat32), slice=0)
     sheared = nibabel_of(image)
     sheared.affine[0, 1] += 0.5
-    with pytest.raises(ProblemError, match="right angles"):
+    with pytest.raises(ProblemError, match="Give an orthogonal"):
         Grid.from_image(sheared)
     with pytest.raises((OSError, HmrfError)):
         Grid.from_image("no such file.nii")
@@ -277,7 +277,7 @@ def test_a_field_is_not_exported_to_another_place_than_its_own(tmp_path):
     here, elsewhere = Grid.from_image(scan()), Grid.from_image(moved_scan())
     solution = placed_field(here.place, "mm")
     solution.export(tmp_path / "a.mha", grid=here)
-    with pytest.raises(ProblemError, match="lies elsewhere than the field"):
+    with pytest.raises(ProblemError, match="is not in the same place as the field"):
         solution.export(tmp_path / "b.mha", grid=elsewhere)
     assert not (tmp_path / "b.mha").exists()
 
@@ -307,7 +307,7 @@ def test_a_field_at_the_origin_is_written_in_millimetres(unit, factor, tmp_path)
 
 
 def test_a_field_without_a_unit_of_length_is_not_exported(tmp_path):
-    with pytest.raises(ProblemError, match="'second', which is no unit of length"):
+    with pytest.raises(ProblemError, match="'second', which is not a unit of length"):
         placed_field(unit="second").export(tmp_path / "a.mha", placed=False)
 
 

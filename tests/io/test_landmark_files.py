@@ -67,25 +67,29 @@ def test_slicer_coordinates_in_ras_are_converted(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "sentence"),
     [
-        ("a.csv", "", r"a\.csv: not a file of landmarks: it is empty"),
+        ("a.csv", "", r"a\.csv: not a landmark file: it is empty"),
         (
             "a.csv",
             "index,axis-0,axs-1\n0,1,2\n",
             r"line 1: there is no column 'axs-1'\. Did you mean 'axis-1'\? The columns are index",
         ),
-        ("a.csv", "index,axis-1,axis-0\n0,1,2\n", r"line 1: the columns are index, axis-0, axis-1"),
+        (
+            "a.csv",
+            "index,axis-1,axis-0\n0,1,2\n",
+            r"line 1: the columns must be index, axis-0, axis",
+        ),
         (
             "a.csv",
             "name,active,mx,my,fx,fy\na,true,1,2,3,4\n",
-            r"landmark 1: the second column is 'active', but should be true or false",
+            r"landmark 1: the second column is 'active', but must be true or false",
         ),
-        ("a.csv", "x,y\n1,2\n", r"neither the first line of napari's format nor the columns of"),
-        ("a.csv", "index,axis-0,axis-1\n0,one,2\n", r"it is damaged, or of another format"),
-        ("a.csv", "Pt-0,true,1,2,nan,4\n", r"it holds NaN or infinite values"),
-        ("a.mrk.json", "{", r"it is damaged, or of another format"),
-        ("a.mrk.json", '{"markups": [{}, {}]}', r"it holds 2 lists of points"),
+        ("a.csv", "x,y\n1,2\n", r"neither the column titles of napari's format nor the columns of"),
+        ("a.csv", "index,axis-0,axis-1\n0,one,2\n", r"it is damaged, or has another format"),
+        ("a.csv", "Pt-0,true,1,2,nan,4\n", r"it contains NaN or infinite values"),
+        ("a.mrk.json", "{", r"it is damaged, or has another format"),
+        ("a.mrk.json", '{"markups": [{}, {}]}', r"it contains 2 lists of points"),
         ("a.fcsv", "# CoordinateSystem = IJK\n1,2,3,4\n", r"its points are in 'IJK'"),
-        ("a.txt", "", r"a\.txt: not a file of landmarks\. End the name in one of \.csv"),
+        ("a.txt", "", r"a\.txt: not the name of a landmark file\. Use one of the suffixes \.csv"),
     ],
 )
 def test_an_invalid_file_of_landmarks_is_refused_in_one_sentence(tmp_path, name, text, sentence):
@@ -97,7 +101,7 @@ def test_an_invalid_file_of_landmarks_is_refused_in_one_sentence(tmp_path, name,
 def test_landmarks_that_cannot_be_saved_are_refused_and_no_file_is_written(tmp_path):
     with pytest.raises(ProblemError, match=r"have shape \(1, 3\), but the points have shape"):
         write_points(tmp_path / "a.csv", AT, TO[:1])
-    with pytest.raises(FileFormatError, match=r"such a file holds one list of points"):
+    with pytest.raises(FileFormatError, match=r"this format stores only one list of points"):
         write_points(tmp_path / "a.fcsv", AT, TO)
     with pytest.raises(ProblemError, match=r"have shape \(2, 1\)"):
         write_points(tmp_path / "a.csv", AT[:, :1])

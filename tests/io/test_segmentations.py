@@ -147,9 +147,9 @@ def test_label_names_are_read_from_tables_of_other_tools(tmp_path, file, content
         (
             "a.txt",
             "a letter to a friend\n",
-            r"a\.txt holds no label names\. Give a file of materials",
+            r"a\.txt contains no label names\. Give a material file",
         ),
-        ("a.json", "{]", r"a\.json holds no label names"),
+        ("a.json", "{]", r"a\.json contains no label names"),
         (
             "a.ctbl",
             "1 bone 1 2 3 4\n1 fat 1 2 3 4\n",
@@ -208,7 +208,9 @@ def test_a_table_of_materials_is_refused_as_a_list_of_names(tmp_path):
     path = tmp_path / "m.csv"
     path.write_text("label,name,stiffness\n1,brain,3\n")
     assert tissue_table(path).materials == (Material(1, "brain", 3.0),)
-    with pytest.raises(FileFormatError, match=r"m\.csv: line 1: a list of names has no column 'st"):
+    with pytest.raises(
+        FileFormatError, match=r"m\.csv: line 1: a table of label names has no column 'st"
+    ):
         read_label_names(path)
     path.write_text("label,name,poisson\n1,brain,0.4\n")
     with pytest.raises(FileFormatError, match=r"m\.csv: line 1 lacks the column 'stiffness'"):
@@ -301,7 +303,7 @@ def test_the_shell_writes_a_table_and_lists_labels_of_unknown_stiffness(files, c
     said = capsys.readouterr().out
     assert "brain (1.642 kPa, nu 0.45): 90 brain\n" in said
     assert "air (0 kPa): 16 trachea\n" in said
-    assert "unknown, to be filled in or removed: 20 colon\n" in said
+    assert "unknown (fill in or remove): 20 colon\n" in said
     with pytest.raises(FileFormatError, match=r"m\.csv: line 3 has no value in 'stiffness'"):
         read_materials("m.csv")
     text = (files / "m.csv").read_text()
@@ -331,7 +333,7 @@ def test_the_shell_solves_with_the_label_names_of_a_segmentation(files, capsys):
     command = "solve image.png --labels labels.png --materials none.json --hold-edge -o out"
     assert main(command.split()) == 1
     said = capsys.readouterr().err
-    assert "none.json states no stiffness, and none of its names (a, b) is a tissue" in said
+    assert "none.json contains no stiffness, and none of its names (a, b) is a tissue" in said
     assert "Give a .csv with the columns label, name and stiffness." in said
 
 

@@ -221,10 +221,10 @@ def test_a_study_saved_without_its_image_accepts_only_that_image(tmp_path):
     assert read_study(path).study.pictures.image is None
     assert plain(read_study(path, image=picture()).study) == plain(study)
     with pytest.raises(
-        FileFormatError, match=r"case.study: the study was made from another .*'t1'"
+        FileFormatError, match=r"case.study: the study was created from another .*'t1'"
     ):
         read_study(path, image=picture(4))
-    with pytest.raises(HmrfError, match=r"case.study: the tissue is derived from 't1'"):
+    with pytest.raises(HmrfError, match=r"case.study: the tissue is derived from the image 't1'"):
         replay(path)
     again = replay(path, image=picture())
     assert np.array_equal(again.displacement, read_study(path).solution.displacement)
@@ -349,7 +349,7 @@ def test_devices_and_pipes_are_refused_as_studies_and_tables(tmp_path):
         ({"unit": "um"}, r"has pixels of 0\.5 x 0\.8 um, but the study has"),
         (
             {"frame": Frame.at((0.5, 0.8), ("mm",) * 2, affine=np.diag([1, -1, 1])).as_dict()},
-            "else",
+            "place",
         ),
         (
             {"tissue": np.ones((20, 25), bool), "displacement": np.zeros((20, 25, 2))},

@@ -110,7 +110,7 @@ def test_a_field_with_its_own_grid_is_the_boundary_of_a_slice_of_a_volume(
     assert inside[:, 5:40].all()
     expected = np.stack([0.02 * at_y + 0.01 * at_z, 0.01 * at_x], axis=-1)
     np.testing.assert_allclose(motion.observed[inside], expected[inside], atol=0.02)
-    assert any("leads out of the slice" in note for note in dock.study.notes)
+    assert any("displacements out of the slice" in note for note in dock.study.notes)
 
 
 def test_a_field_is_weighted_by_a_mask_an_image_or_edges(tmp_path, dock_beside, wait_for):
@@ -158,7 +158,7 @@ def test_a_zero_confidence_and_a_released_edge_are_reported(tmp_path, dock_besid
     dock.confidence = empty
     wait_for(lambda: not dock.busy)
     assert (
-        "'mask' is 0 wherever 'warp' has a displacement, so no displacement counts" in dock.status
+        "'mask' is 0 wherever 'warp' has a displacement, so no displacement is used" in dock.status
     )
     empty.data = np.ones(SHAPE, np.uint8)
     wait_for(lambda: not dock.busy)

@@ -156,7 +156,7 @@ def test_menus_for_landmarks_appear_and_select_the_other_layer_of_points(chosen)
     widget._viewer.layers.remove(should)
     assert found.targets.value is None
     found.take_button.changed.emit(True)
-    assert "'is' holds positions without targets. Choose another Points layer" in widget.status
+    assert "'is' contains positions without targets. Choose another Points layer" in widget.status
 
 
 def test_menus_for_landmarks_are_hidden_without_points(widget):
@@ -202,7 +202,7 @@ def test_imported_landmarks_are_undone_changed_and_imported_again(chosen, settle
     widget.undo()
     widget.undo()
     assert widget.drawing.marks == (own,)
-    assert widget.status == "Took back: took landmarks from 'is'."
+    assert widget.status == "Undone: took landmarks from 'is'."
 
 
 @pytest.mark.usefixtures("unstyled", "without_controls")

@@ -172,7 +172,7 @@ def test_a_place_with_nan_is_refused_with_the_name_of_the_layer(attribute, which
 
 def test_layers_of_different_sizes_are_refused_with_both_sizes():
     error = refusal(request(tissue=Labels(tissue_labels((12, 14)), name="Tissue")))
-    assert "it has 12 x 14 pixels, that has 12 x 15" in str(error)
+    assert "have 12 x 14 and 12 x 15 pixels" in str(error)
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_layers_of_different_sizes_are_refused_with_both_sizes():
 def test_layers_at_different_places_are_refused_with_both_names(place):
     error = refusal(request(boundary=Labels(boundary_labels(), name="Boundary", **place)))
     assert error.field == "Boundary"
-    assert "lies elsewhere than 'MR'" in error.message
+    assert "is not on the grid of 'MR'" in error.message
 
 
 def test_equivalent_descriptions_of_a_place_are_the_same_place():
@@ -305,7 +305,7 @@ def test_an_extreme_stiffness_ratio_is_refused():
 def test_an_unpainted_boundary_is_refused_with_the_name_of_its_layer():
     error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
     assert str(error) == (
-        "'Boundary' has no paint yet. Choose a row, then paint a region that is fixed or moves."
+        "'Boundary' has no paint yet. Choose a row, then paint a region that is fixed or moved."
     )
 
 
@@ -545,7 +545,7 @@ def test_arrows_out_of_the_slice_are_counted_and_do_not_fix_the_tissue():
     assert inputs.problem.confidence[6, 3].all()
     np.testing.assert_array_equal(inputs.problem.observed[6, 3], (1, 0))
     assert inputs.problem.confidence[7, 3].all()
-    assert inputs.notes == ("'arrows' also leads out of the slice, which is ignored",)
+    assert inputs.notes == ("'arrows' also has displacements out of the slice, which are ignored",)
 
 
 def test_equal_arrows_in_one_pixel_are_merged():
@@ -657,7 +657,7 @@ def test_an_oblique_slice_is_refused():
     viewer = ViewerModel()
     viewer.add_layer(tilted)
     wanted = Request(tilted, tilted, None, view=View.of(viewer.dims))
-    assert "at an angle" in str(refusal(wanted))
+    assert "at an oblique angle" in str(refusal(wanted))
 
 
 def test_only_one_slice_of_a_lazy_stack_is_computed():

@@ -407,7 +407,7 @@ def test_edits_of_tables_and_drawings_are_undone_in_one_order(
     wait_for(lambda: "changed label 1" in screen.button("Undo").toolTip())
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
-    assert "Took back: changed label 1" in screen.words
+    assert "Undone: changed label 1" in screen.words
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 0)
     screen.press("Undo")
@@ -466,13 +466,13 @@ def test_inputs_are_shown_as_layers(dock_with_result, viewer, wait_for):
     given = {}
     for words, kind in (
         ("given: stiffness", "stiffness (kPa)"),
-        ("given: motion", "motion given where tissue was"),
+        ("given: motion", "given motion"),
         ("given: confidence", "confidence (0 to 1)"),
     ):
         screen.choose(words)
         wait_for(lambda: not dock.busy)
         found = layer(viewer, f"MR {kind}")
-        given[found.name.split(" ")[1]] = found.data
+        given[words.removeprefix("given: ")] = found.data
     stiffness, confidence = given["stiffness"], given["confidence"]
     assert set(np.unique(stiffness[np.isfinite(stiffness)])) == {0, 20}, (
         "the stiffness is not that of air and gel"

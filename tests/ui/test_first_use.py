@@ -199,11 +199,11 @@ def test_choosing_a_boundary_and_typing_a_ratio_are_undo_steps(widget, small_sam
     _, tissue, boundary = small_sample(viewer)
     widget.boundary = tissue
     widget.undo()
-    assert widget.status == "Took back: chose another boundary."
+    assert widget.status == "Undone: chose another boundary."
     assert widget.boundary is boundary
     widget.poisson = 0.3
     widget.undo()
-    assert widget.status == "Took back: changed Poisson's ratio."
+    assert widget.status == "Undone: changed Poisson's ratio."
 
 
 def test_the_edge_of_a_new_image_is_fixed_regardless_of_removed_images(widget, small_sample):
@@ -275,7 +275,7 @@ def test_added_and_generated_layers_add_no_undo_step(widget, small_sample):
     widget.make_layers()
     viewer.layers.remove(viewer.layers["Tissue [1]"])
     widget.undo()
-    assert widget.status == "There is nothing to take back."
+    assert widget.status == "There is nothing to undo."
 
 
 def test_imported_landmarks_are_displayed_at_once(pulling_beside, settle, click):

@@ -118,8 +118,8 @@ def test_a_chosen_layer_at_another_place_is_refused_with_a_hint(viewer, widget, 
     widget.boundary = viewer.add_labels(np.ones((32, 32), int), name="wall")
     settle(widget)
     widget.start()
-    assert "'wall' lies elsewhere than 'MR'" in widget.status
-    assert "----- for none" in widget.status
+    assert "'wall' is not on the grid of 'MR'" in widget.status
+    assert "----- for no layer" in widget.status
     widget.boundary = None
     assert widget.start()
 
@@ -206,7 +206,7 @@ def test_undo_on_another_image_shows_that_image(viewer, widget, settle):
     assert widget.image is first[0]
     assert first[0].visible
     assert not second[0].visible
-    assert widget.status.startswith(f"Took back on '{first[0].name}': took over a drawing.")
+    assert widget.status.startswith(f"Undone on '{first[0].name}': took over a drawing.")
 
 
 def test_a_message_names_the_new_layers_to_paint_on(viewer, widget):

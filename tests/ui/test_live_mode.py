@@ -486,13 +486,13 @@ def test_edits_of_tables_are_undone_and_followed(live_dock, settle):
     assert not footer.undo.enabled
     rules, materials = widget.rules, widget.materials
     Cell(widget._form.motion.boundary.table, 1, 4).write("5")
-    assert footer.undo.tooltip == ("Take back: changed label 2 of 'Boundary' (Ctrl+Z)")
+    assert footer.undo.tooltip == ("Undo: changed label 2 of 'Boundary' (Ctrl+Z)")
     Cell(widget._form.tissue.table, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.undo.native.click()
     assert widget.materials == materials
-    assert widget.status == "Took back: changed label 1 of 'Tissue'."
+    assert widget.status == "Undone: changed label 1 of 'Tissue'."
     footer.undo.native.click()
     settle(widget)
     assert widget.rules == rules
@@ -607,7 +607,7 @@ def test_an_error_is_shown_only_until_it_is_corrected_while_a_tool_is_active(
     widget.start()
     widget.tissue.scale = (2, 1)
     settle(widget)
-    assert "'Tissue' lies elsewhere" in widget.status
+    assert "'Tissue' is not on the grid" in widget.status
     widget.tissue.scale = (1, 1)
     settle(widget)
     assert widget.active

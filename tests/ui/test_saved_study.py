@@ -178,7 +178,7 @@ def test_opening_a_study_adds_no_undo_step_and_shows_paint_only_without_motion(
     (map_of_stiffness,) = (each for each in other.layers if "stiffness" in each.name)
     assert map_of_stiffness.visible != moves
     second.undo()
-    assert second.status == "There is nothing to take back."
+    assert second.status == "There is nothing to undo."
     assert second.drawing == first.drawing
     labels = Tissue(labels=np.ones(SHAPE, np.uint8), materials=(Material(1, "gel", 1.0),))
     motion = Motion(hold_edge=True, drawing=DRAWING if moves else Drawing())

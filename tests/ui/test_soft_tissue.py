@@ -684,7 +684,7 @@ def test_a_painted_boundary_releases_the_edge_and_a_new_boundary_fixes_it(widget
     [
         (lambda v: v.layers["Boundary"].data.fill(0), "'Boundary'"),
         (lambda v: v.layers["Tissue"].data.fill(0), "'Tissue'"),
-        (lambda v: setattr(v.layers["Tissue"], "scale", (2, 1)), "lies elsewhere"),
+        (lambda v: setattr(v.layers["Tissue"], "scale", (2, 1)), "is not on the grid"),
         (lambda v: setattr(v.layers["Tissue"], "data", np.ones((7, 7), int)), "7 x 7"),
         (lambda v: setattr(v.layers["MR"], "data", np.zeros((9, 9))), "9 x 9"),
     ],

@@ -101,7 +101,7 @@ def test_a_warning_reports_that_the_tilt_is_ignored(tilted, settle):
     person, widget = tilted
     person.drag(drawn_at((9.0, 14.0)), drawn_at((11.0, 14.0)))
     settle(widget)
-    assert "as if it were not tilted out of its slices" in widget.warning
+    assert "does not display the tilt of" in widget.warning
     level = Image(numbered_slices())
     assert not View.of(person.viewer.dims).tilts(level)
 
@@ -110,5 +110,5 @@ def test_a_slice_of_a_tilted_volume_is_refused_with_a_hint_to_use_the_volume(til
     _, widget = tilted
     Screen(widget).choose("this slice")
     settle(widget)
-    assert "at an angle" in widget.status
+    assert "at an oblique angle" in widget.status
     assert "choose 'the whole volume'" in widget.status

@@ -42,12 +42,12 @@ def test_a_typed_number_is_undone_by_the_key_on_the_canvas(user_in_window):
     screen.cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
-    assert dock.status == "Took back: changed label 1 of 'Tissue'."
+    assert dock.status == "Undone: changed label 1 of 'Tissue'."
     person.key(Y, CTRL)
     assert dock.materials[1].stiffness == 33
     person.key(Z, CTRL)
     person.key(Z, CTRL)
-    assert dock.status == "There is nothing to take back."
+    assert dock.status == "There is nothing to undo."
 
 
 def test_paint_and_typed_numbers_are_undone_in_reverse_order(user_in_window):
@@ -81,11 +81,11 @@ def test_the_undo_button_undoes_paint_in_order_and_reports_it(pointer_and_dock):
     painted = tissue.data.copy()
     screen.cell("gel", "Stiffness").write("33")
     person.paint((18, 1), (18, 4), (18, 8))
-    assert screen.button("Undo").toolTip() == "Take back: painted in 'Tissue' (Ctrl+Z)"
+    assert screen.button("Undo").toolTip() == "Undo: painted in 'Tissue' (Ctrl+Z)"
     assert not screen.button("Redo").isEnabled()
     screen.press("Undo")
     assert (tissue.data == painted).all()
-    assert dock.status == "Took back: painted in 'Tissue'."
+    assert dock.status == "Undone: painted in 'Tissue'."
     screen.press("Undo")
     assert dock.materials[1].stiffness != 33
     screen.press("Undo")
@@ -164,4 +164,4 @@ def test_arrows_and_typed_numbers_are_undone_in_reverse_order(pointer_and_dock, 
     assert dock.drawing.marks, "the earlier arrow was undone instead of the number"
     person.key(Z, CTRL)
     assert not dock.drawing.marks
-    assert dock.status == "Took back: took over a drawing."
+    assert dock.status == "Undone: took over a drawing."

@@ -573,7 +573,7 @@ def test_materials_are_saved_to_a_file_and_loaded_again(
     with open(path, "w", encoding="utf-8") as file:
         file.write("{}")
     entries(widget._form.tissue.menu)["Load from file ..."].trigger()
-    assert widget.status.startswith("table.json holds no label names. Give a file of materials")
+    assert widget.status.startswith("table.json contains no label names. Give a material file")
     assert widget.materials == before
 
 

@@ -438,12 +438,12 @@ def test_undo_of_an_edit_on_another_slice_shows_that_slice(open_beside, settle):
     settle(widget)
     person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
-    assert Screen(widget).button("Undo").toolTip() == "Take back: drew an arrow (Ctrl+Z)"
+    assert Screen(widget).button("Undo").toolTip() == "Undo: drew an arrow (Ctrl+Z)"
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert viewer.dims.current_step[0] == 1, "the slice of the edit is not displayed"
     assert not widget.drawing.marks
-    assert widget.status == "Took back: drew an arrow."
+    assert widget.status == "Undone: drew an arrow."
     assert not Screen(widget).button("Undo").isEnabled()
     person.key(Qt.Key.Key_Y, CTRL)
     assert only(widget).by == pytest.approx((4, 0), abs=0.6)
@@ -516,7 +516,7 @@ def test_removing_an_image_removes_its_undo_steps(pulling_beside, at_rest):
     at_rest()
     assert not Screen(widget).button("Undo").isEnabled()
     widget.undo()
-    assert widget.status == "There is nothing to take back."
+    assert widget.status == "There is nothing to undo."
 
 
 def test_an_edit_of_a_table_updates_the_result_and_is_an_undo_step(open_beside, settle):
@@ -617,7 +617,7 @@ def test_the_status_tells_whether_the_tool_is_active(pulling_beside, settle):
     layers.selection.active = layers["MR"]
     assert "To draw on" in widget.status
     person.key(Qt.Key.Key_Z, CTRL)
-    assert widget.status.startswith("Took back: drew an arrow. To draw on")
+    assert widget.status.startswith("Undone: drew an arrow. To draw on")
     layers.selection.active = layers["Motion"]
     layers.selection.active = layers["MR"]
     assert widget.status.startswith("To draw on")

@@ -517,7 +517,7 @@ def test_a_warning_about_folds_is_shown_only_while_the_result_has_folds(folded, 
     widget.undo()
     settle(widget)
     assert "folds" in widget.warning
-    assert "Took back" in widget.status
+    assert "Undone" in widget.status
     widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 1), 4))
     settle(widget)
     assert not widget.warning
@@ -553,7 +553,7 @@ def test_a_new_action_replaces_the_status(pulling_beside, settle):
     person.drag((30, 30), (33, 30))
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
-    assert "Took back" in widget.status
+    assert "Undone" in widget.status
     person.drag((30, 30), (33, 30))
     settle(widget)
     assert widget.status.startswith("Drag tissue")

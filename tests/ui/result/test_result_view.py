@@ -377,7 +377,7 @@ def test_one_overlay_is_shown_at_a_time(look, set_to):
         ("stiffness", "MR stiffness (kPa), paper"),
         ("jacobian", "MR Jacobian (area ratio), paper"),
         ("labels", "Tissue deformed, paper"),
-        ("observed", "MR motion given where tissue was, paper"),
+        ("observed", "MR given motion, paper"),
         ("confidence", "MR confidence (0 to 1), paper"),
     ):
         set_to(look, overlay=name)
@@ -485,7 +485,7 @@ def test_the_canvas_names_the_quantity_and_unit_of_an_overlay(look, set_to):
     assert layer.name_overlay.visible
     assert layer.name_overlay.position == layer.colorbar.position
     set_to(look, overlay="observed")
-    assert viewer_of(look).layers["MR motion given where tissue was, paper"].name_overlay.visible
+    assert viewer_of(look).layers["MR given motion, paper"].name_overlay.visible
 
 
 def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
