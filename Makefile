@@ -28,7 +28,7 @@ help:
 	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
 	@echo "make lines        count the lines of code, folder by folder"
 	@echo "make routes       print the modules that Deform and a drag pass through"
-	@echo "make structure    write the diagram of the rooms into docs/development/architecture.md"
+	@echo "make structure    write the diagram of the subpackages to docs/development/architecture.md"
 	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
 	@echo "make edits        compare thousands of live edits with cold solves"

@@ -1,11 +1,12 @@
-"""What multigrid loses by "the same model again" on coarse levels, against Galerkin's operators.
+"""Comparison of multigrid with rediscretized coarse levels and with Galerkin coarse operators.
 
     python benchmarks/coarse_operators.py [--sizes 75 150 300]
 
-Galerkin's coarse matrix P' A P knows what is held and every jump of stiffness exactly, but is a
-matrix: nine blocks of 2 x 2 for each site instead of two numbers, to be multiplied out anew when
-what is held changes. Both get the same transfer, smoother and iteration, in double precision here;
-printed are the cycles until the residual has fallen by 1e-6, and what the matrices cost to make.
+Galerkin's coarse matrix P' A P represents constraints and jumps of stiffness exactly. However, it
+must be stored as a matrix, with nine blocks of 2 x 2 per site instead of two numbers, and must be
+recomputed when the constraints change. Both variants use the same transfer, smoother and iteration
+in double precision. The table lists the number of cycles until the relative residual is 1e-6, and
+the time required to compute the matrices.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def galerkin(problem: Problem, prior: ElasticPrior) -> tuple[int, float]:
-    """Cycles with Galerkin's operators, and the seconds that multiplying them out takes."""
+    """Return the number of cycles with Galerkin operators, and the set-up time in seconds."""
     matrix, right = reduced_system(problem, prior)
     moves = matrix.diagonal() > 0
     started = time.perf_counter()
@@ -70,7 +71,7 @@ def galerkin(problem: Problem, prior: ElasticPrior) -> tuple[int, float]:
     inverses = [_inverse(each.diagonal()) for each in matrices]
     smoothers = []
     for number, (each, inverse) in enumerate(zip(matrices, inverses, strict=True)):
-        # A smoother amplifies what lies beyond its bound: each matrix gets one that holds.
+        # A smoother amplifies eigenvalues above its bound, so each matrix gets a valid bound.
         bound = max(usual, _largest_eigenvalue(each, inverse))
         last = number == len(transfers)
         low, steps = (coarsest_part, coarsest_sweeps) if last else (part, sweeps)
@@ -92,7 +93,7 @@ def galerkin(problem: Problem, prior: ElasticPrior) -> tuple[int, float]:
 
 
 def same_model(problem: Problem, prior: ElasticPrior) -> int:
-    """Cycles of the package's own V-cycle, on the same criterion."""
+    """Return the number of cycles of the package's V-cycle for the same criterion."""
     from napari_hmrf.solver.backends import host
     from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
     from napari_hmrf.solver.optimizers.cycle import Cycle
@@ -111,7 +112,7 @@ def same_model(problem: Problem, prior: ElasticPrior) -> int:
 
 
 def reduced_system(problem: Problem, prior: ElasticPrior) -> tuple[sp.csr_array, np.ndarray]:
-    """The stiffness matrix with zero rows and columns where nothing moves, and the load."""
+    """Return the stiffness matrix, with zero rows and columns at fixed components, and the load."""
     system = assemble(problem, prior)
     held = (problem.confidence > 0) & problem.tissue[..., None]
     site = np.flatnonzero(system.free)
@@ -123,7 +124,7 @@ def reduced_system(problem: Problem, prior: ElasticPrior) -> tuple[sp.csr_array,
 
 
 def _linear(fine: int, coarse: int) -> sp.csr_array:
-    """Linear interpolation along an axis: coarse site i lies on fine site 2 i."""
+    """Return linear interpolation along an axis; coarse site i coincides with fine site 2 i."""
     at = np.arange(fine)
     rows = np.concatenate([at, at])
     columns = np.concatenate([at // 2, at // 2 + at % 2])
@@ -132,7 +133,7 @@ def _linear(fine: int, coarse: int) -> sp.csr_array:
 
 
 def _largest_eigenvalue(matrix: sp.csr_array, inverse: np.ndarray) -> float:
-    """Of D^-1 A, from twenty steps of the power method and a bit."""
+    """Estimate the largest eigenvalue of D^-1 A by twenty steps of the power method, plus 5 %."""
     values = np.random.default_rng(1).normal(size=len(inverse))
     for _ in range(20):
         values = inverse * (matrix @ values)

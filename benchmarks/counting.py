@@ -1,8 +1,8 @@
-"""What a window's thread does while it answers the mouse: layers it reads, large arrays it makes.
+"""Counters of the GUI thread's work: accesses to layers and allocations of large arrays.
 
-NumPy is given memory by a handler of ours, of the thread that asks for it only, and every array
-that is as large as the image is counted, be it kept or not; so is every look of this package's code
-at a layer's data or metadata. All of it takes time: what is counted is not timed.
+A custom NumPy memory handler counts each allocation of this thread that is at least as large as the
+image, even if the array is freed soon. Each access of this package's code to the data or metadata
+of a layer is also counted. Counting takes time, so counted runs are not timed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from napari.layers import Image, Labels, Layer, Points, Shapes, Vectors
 
-#: Where `PyDataMem_SetHandler` and `PyDataMem_GetHandler` are in NumPy's table for C, since 1.22.
+#: Indices of `PyDataMem_SetHandler` and `PyDataMem_GetHandler` in NumPy's C API table since 1.22.
 _SET, _GET = 304, 305
 _PACKAGE = "napari_hmrf"
 _KINDS = (Image, Labels, Points, Shapes, Vectors)
@@ -48,17 +48,17 @@ class _Handler(ctypes.Structure):
 
 @dataclass
 class Counts:
-    """What was counted.
+    """Results of counting.
 
     Attributes
     ----------
     data, metadata : Counter of str
-        Looks at them, by the name of the layer.
+        Number of accesses to the data and the metadata, by layer name.
     arrays : Counter of str
-        Arrays of the size of the image or more, by the function of this package that they were made
-        in or for; "napari" where none was at work.
+        Number of arrays at least as large as the image, by the function of this package that
+        allocated them directly or indirectly; "napari" if no such function was running.
     megabytes : float
-        Of all those arrays.
+        Total size of these arrays.
     """
 
     data: Counter[str] = field(default_factory=Counter)
@@ -69,7 +69,7 @@ class Counts:
 
 @contextmanager
 def counted(pixels: int, counts: Counts) -> Iterator[None]:
-    """Count what this thread does; arrays of so many bytes or more."""
+    """Count the work of this thread, including arrays of at least `pixels` bytes."""
     with _looks(counts), _allocations(counts, pixels):
         yield
 
@@ -137,12 +137,12 @@ def _allocations(counts: Counts, pixels: int) -> Iterator[None]:
 
 
 _CAPSULE = b"mem_handler"
-#: Arrays made meanwhile are freed by their handler whenever they go.
+#: Handlers must outlive the arrays that they have allocated, so they are never freed.
 _KEPT: list[Any] = []
 
 
 def _numpys() -> tuple[Callable[[Any], Any], Any]:
-    """What sets NumPy's handler of memory, and the handler there is."""
+    """Return the function that sets NumPy's memory handler, and the current handler."""
     get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
     get_pointer.restype = ctypes.c_void_p
     get_pointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
@@ -156,7 +156,7 @@ def _numpys() -> tuple[Callable[[Any], Any], Any]:
 
 
 def _made_in() -> str:
-    """The innermost function of this package that is at work."""
+    """Return the name of the innermost function of this package that is running."""
     frame = sys._getframe(3)
     while frame is not None:
         module = frame.f_globals.get("__name__", "")

@@ -1,9 +1,10 @@
-"""Damaged, foreign and hostile versions of a saved result or study: what reading them takes.
+"""Robustness of reading damaged, foreign and malicious versions of a saved result or study.
 
     python benchmarks/damaged.py [--of result] [--files 3000] [--seed 0]
 
-Prints how many were refused, and which took longest and most memory. Exits with 1 if one was read
-as what was not saved, raised anything but `FileFormatError`, or took more than 2 s or 100 MB.
+Prints how many files were refused, and which files took the most time and memory. Exits with 1 if a
+file was read with contents that were never saved, raised an exception other than `FileFormatError`,
+or took more than 2 s or 100 MB.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ MOST_BYTES = 100e6
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 _LOCAL, _CENTRAL, _END = b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06"
-# What can be put into an .npy header in place of something else.
+# Replacements for a part of an .npy header.
 _ODD = (
     *(
         b"",
@@ -74,7 +75,7 @@ _ODD = (
     *(b"'|O'", b"'<U999999999'", b"'<f8'", b"'>f4'", b"'f4,f4'", b"[('a', '<f4')]", b"'(9999,)f4'"),
     *(b"9" * 5000, b"(" * 90, b"\xff\xfe", b"# \n", b"'''", b"\\"),
 )
-# What can be put into the header in place of something else.
+# Replacements for a value in the JSON header.
 _VALUES: tuple[Any, ...] = (
     *(None, True, 0, -1, 2, 1e308, -0.0, float("nan"), float("inf"), 10**400),
     *("", "x", "\ud800", "9" * 3000, [], {}, [[]], [None], {"error": 1}, [0.0, 0.0], [1.0, 1.0]),
@@ -83,15 +84,16 @@ _VALUES: tuple[Any, ...] = (
 
 @dataclass(frozen=True)
 class Damaged:
-    """A version of a file.
+    """Damaged version of a file.
 
     Attributes
     ----------
     kind : str
-        What was done to it.
+        Kind of damage.
     content : bytes
+        Content of the damaged file.
     sealed : bool
-        Whether all its checksums are right, as if somebody had written it on purpose.
+        True if all checksums are valid, as in a deliberately crafted file.
     """
 
     kind: str
@@ -100,7 +102,7 @@ class Damaged:
 
 
 def damaged(content: bytes, count: int, seed: int = 0) -> Iterator[Damaged]:
-    """Make versions of a saved result, the same ones for the same seed."""
+    """Yield damaged versions of a saved result, reproducible for a given seed."""
     dice = random.Random(seed)
     kinds: list[tuple[Callable[[bytes, random.Random], bytes], bool]] = [
         *((kind, False) for kind in (flipped, cut, torn, _table_edited, _method_claimed)),
@@ -113,7 +115,7 @@ def damaged(content: bytes, count: int, seed: int = 0) -> Iterator[Damaged]:
 
 
 class Kept(NamedTuple):
-    """A kind of file: how it is known, read and written, and all that is read, to be compared."""
+    """Functions for a kind of file: detection, reading, writing, and comparison of contents."""
 
     is_one: Callable[[Path], bool]
     load: Callable[[Path], Any]
@@ -122,14 +124,14 @@ class Kept(NamedTuple):
 
 
 def look(path: Path, version: Damaged, original: Any, kept: Kept | None = None) -> str:
-    """Read a version, which was put into a file: "refused", "the same" or "another".
+    """Read a damaged version from a file, and return "refused", "the same" or "another".
 
-    By default it is of a solution.
+    By default, the file is a solution.
 
     Raises
     ------
     AssertionError
-        If it is read as what was not saved, or as what cannot be saved.
+        If the contents were never saved, or cannot be saved again.
     """
     is_one, load, save, told = kept or SOLUTIONS
     ours = is_one(path)
@@ -137,24 +139,24 @@ def look(path: Path, version: Damaged, original: Any, kept: Kept | None = None) 
         found = load(path)
     except FileFormatError:
         return "refused"
-    assert ours, f"{version.kind}: read, but not taken for a result"
+    assert ours, f"{version.kind}: read, but not detected as this kind of file"
     if told(found) == told(original):
         return "the same"
-    assert version.sealed, f"{version.kind}: read as something else"
+    assert version.sealed, f"{version.kind}: read with other contents"
     again = load(save(path.with_name(f"again{path.suffix}"), found))
-    assert told(again) == told(found), f"{version.kind}: not the same when saved again"
+    assert told(again) == told(found), f"{version.kind}: different after saving it again"
     return "another"
 
 
 def told(solution: Solution) -> tuple[Any, ...]:
-    """All that a solution holds, to be compared."""
+    """Return all contents of a solution, for comparison."""
     arrays = (solution.displacement, solution.energy, solution.tissue)
     rest = asdict(solution) | dict.fromkeys(("displacement", "energy", "tissue"))
     return *(array.tobytes() for array in arrays), json.dumps(rest, sort_keys=True)
 
 
 def plain(value: Any) -> Any:
-    """All that a study or its parts hold, to be compared."""
+    """Return all contents of a study or of its parts, for comparison."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     if is_dataclass(value):
@@ -198,7 +200,7 @@ def cut(content: bytes, dice: random.Random) -> bytes:
 
 
 def torn(content: bytes, dice: random.Random) -> bytes:
-    """Blocks that are missing, blank, noise, or from elsewhere in the file."""
+    """Remove, clear, randomize or duplicate a block, or copy it from elsewhere in the file."""
     start, length = dice.randrange(len(content)), dice.choice((1, 16, 512, 4096))
     elsewhere = dice.randrange(len(content))
     block = (
@@ -212,7 +214,7 @@ def torn(content: bytes, dice: random.Random) -> bytes:
 
 
 def _table_edited(content: bytes, dice: random.Random) -> bytes:
-    """Huge claims, and small ones, in the archive's own records."""
+    """Write wrong numbers, small or huge, into the records of the archive."""
     made = bytearray(content)
     record, width = dice.choice(((_LOCAL, 30), (_CENTRAL, 46), (_END, 22)))
     at = dice.choice(_places(content, record)) + 4 + 2 * dice.randrange((width - 4) // 2)
@@ -224,7 +226,7 @@ def _table_edited(content: bytes, dice: random.Random) -> bytes:
 
 
 def _method_claimed(content: bytes, dice: random.Random) -> bytes:
-    """Another method of compression is claimed than was used."""
+    """Declare a wrong compression method."""
     made, method = bytearray(content), dice.choice((*_METHODS, 9, 97))
     for record, offset in ((_LOCAL, 8), (_CENTRAL, 10)):
         for at in _places(content, record):
@@ -237,7 +239,7 @@ def _places(content: bytes, record: bytes) -> list[int]:
 
 
 def _npy_edited(content: bytes, dice: random.Random) -> bytes:
-    """A piece of an array's own header replaced, and its length put right or not."""
+    """Replace a part of an array's .npy header; its stated length may then be wrong."""
     members = _members(content)
     name = dice.choice(sorted(members))
     data = members[name]
@@ -257,7 +259,7 @@ def _npy_edited(content: bytes, dice: random.Random) -> bytes:
 
 
 def _header_edited(content: bytes, dice: random.Random) -> bytes:
-    """Something in the header replaced, taken out or added."""
+    """Replace, remove or add a value in the header."""
     members = _members(content)
     header = json.loads(np.load(io.BytesIO(members["header.npy"])).item())
     part: Any = header
@@ -275,7 +277,7 @@ def _header_edited(content: bytes, dice: random.Random) -> bytes:
 
 
 def _nested(content: bytes, dice: random.Random) -> bytes:
-    """A header that is nested deeply, or wide."""
+    """Insert a deeply nested or very long value into the header."""
     members = _members(content)
     header = np.load(io.BytesIO(members["header.npy"])).item()
     depth = dice.choice((10, 100, 300, 900, 5000, 100_000))
@@ -286,7 +288,7 @@ def _nested(content: bytes, dice: random.Random) -> bytes:
 
 
 def _swapped(content: bytes, dice: random.Random) -> bytes:
-    """Members under each other's names, or without one."""
+    """Swap the names of members, and possibly remove or rename a member."""
     members = _members(content)
     names = list(members)
     others = dice.sample(names, len(names))
@@ -301,7 +303,7 @@ def _swapped(content: bytes, dice: random.Random) -> bytes:
 
 
 def _packed_otherwise(content: bytes, dice: random.Random) -> bytes:
-    """Other methods of compression, right or followed by more zeros than fit."""
+    """Use another compression method, possibly with additional zeros after a member."""
     members = _members(content)
     if dice.random() < 0.5:
         name = dice.choice(sorted(members))
@@ -325,7 +327,7 @@ def _archive(members: Any, method: int = zipfile.ZIP_DEFLATED) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", method, compresslevel=1) as archive:
         for name, data in members:
-            # By a record of its own: zipfile warns of a name that is there already.
+            # Register the name separately, because zipfile warns about duplicate names.
             archive.NameToInfo.pop(name, None)
             archive.writestr(name, data)
     return file.getvalue()
@@ -338,7 +340,7 @@ def _with_header(members: dict[str, bytes], header: str) -> bytes:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Read all versions and print what that took."""
+    """Read all versions and print time, memory and outcomes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--of", choices=("result", "study"), default="result")
     parser.add_argument("--files", type=int, default=3000)
@@ -359,11 +361,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             started = time.perf_counter()
             try:
                 outcome = look(path, version, original, kept)
-            except Exception as error:  # noqa: BLE001 - what is looked for
+            except Exception as error:  # noqa: BLE001 - unexpected errors are findings
                 outcome, failed = "failed", True
                 print(f"{what}: {type(error).__name__}: {error}"[:300])
             slowest = max(slowest, (time.perf_counter() - started, what))
-            # Once more: to trace memory takes time.
+            # Read again to trace memory, because tracing would distort the time.
             tracemalloc.start()
             with suppress(Exception):
                 look(path, version, original, kept)

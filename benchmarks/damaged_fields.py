@@ -1,13 +1,14 @@
-"""Damaged exchange files and landmarks: what reading them takes, and what it gives.
+"""Robustness of reading damaged exchange files and landmarks.
 
     python benchmarks/damaged_fields.py [--files 5000] [--seed 0] [--page PAGE]
 
-Each version is read in this process, which must survive it. *Ours* are files of `write_field`,
-which have a seal: none may be read as another field. *Foreign* files are SimpleITK's own and have
-none, so that flips in numbers that no checksum covers cannot be told: they count as read. Landmarks
-are text without a checksum. Exits with 1 if one of our fields was read as another, a field that was
-cut was, an error was not the package's own, a version took more than 3 s, or this process grew by
-more than 20 MB over all versions of a kind.
+Each version is read in this process, which must survive. *Ours* are files of `write_field`, which
+contain a digest, so none of them may be read as another field. *Foreign* files are written by
+SimpleITK and contain no digest. Flipped bits in numbers without a checksum cannot be detected, so
+reading these files is not an error. Landmarks are text without a checksum. Exits with 1 if one of
+our fields or a truncated field was read as another field, if an error was not one of the package's
+errors, if a version took more than 3 s, or if this process grew by more than 20 MB over all
+versions of a kind.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from napari_hmrf.landmarks import read_points, write_points
 
 MOST_SECONDS = 3.0
 MOST_MEGABYTES = 20.0
-#: Bytes at the beginning of a file, where it says what it holds: a third of the flips are there.
+#: Size of the start of a file, in bytes, which describes its contents; a third of flips are there.
 _HEAD = 600
-#: Versions that are read first, as libraries and caches take memory once.
+#: Number of versions read before memory is measured, because libraries allocate memory once.
 _WARM_UP = 50
 
 
 class Kind(NamedTuple):
-    """A kind of file: how it is made and read, and whether damage must be told."""
+    """Kind of file: functions that write and read it, and whether it has a digest."""
 
     name: str
     suffix: str
@@ -53,7 +54,7 @@ class Kind(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """What came of the versions of a kind."""
+    """Results for all versions of a kind."""
 
     outcomes: Counter[str]
     slowest: float
@@ -67,7 +68,7 @@ def _displacement() -> np.ndarray:
 
 
 def make_field(path: Path) -> None:
-    """Write a field of one slice in a volume; as .tfm, which is not written, by SimpleITK."""
+    """Write a field of one slice in a volume; .tfm files are written by SimpleITK instead."""
     if path.suffix == ".tfm":
         make_foreign(path)
     else:
@@ -83,7 +84,7 @@ def make_field(path: Path) -> None:
 
 
 def make_foreign(path: Path) -> None:
-    """Write a field by SimpleITK alone."""
+    """Write a field with SimpleITK only."""
     import SimpleITK as sitk
 
     image = sitk.GetImageFromArray(_displacement(), isVector=True)
@@ -95,13 +96,13 @@ def make_foreign(path: Path) -> None:
 
 
 def make_landmarks(path: Path) -> None:
-    """Write pairs of landmarks, or one list where a file holds no pairs."""
+    """Write pairs of landmarks, or a single list if the format does not support pairs."""
     points = np.random.default_rng(0).normal(size=(40, 3))
     write_points(path, points, points + 1 if path.suffix == ".csv" else None)
 
 
 def read_all(path: Path) -> tuple[Any, ...]:
-    """Read a field and its place, to be compared."""
+    """Return the vectors and geometry of a field, for comparison."""
     found = read_field(path, forward=True)
     field = found.field
     vectors = field.vectors
@@ -110,7 +111,7 @@ def read_all(path: Path) -> tuple[Any, ...]:
 
 
 def read_landmarks(path: Path) -> tuple[Any, ...]:
-    """Read landmarks, to be compared."""
+    """Return the contents of a landmark file, for comparison."""
     found = read_points(path)
     targets = b"" if found.targets is None else found.targets.tobytes()
     return found.points.tobytes(), targets, found.names, found.unit
@@ -127,7 +128,7 @@ KINDS = (
 
 
 def damaged_version(content: bytes, number: int, dice: random.Random) -> tuple[str, bytes]:
-    """Make a version of a file, and name the damage."""
+    """Return the kind of damage and the damaged version of a file."""
     kind = ("flips", "flips in the head", "flips", "cut", "torn")[number % 5]
     if kind == "flips":
         return kind, flipped(content, dice)
@@ -137,7 +138,7 @@ def damaged_version(content: bytes, number: int, dice: random.Random) -> tuple[s
 
 
 def look(kind: Kind, path: Path, original: Any) -> str:
-    """Read a version: "the same", "another" or "refused"."""
+    """Read a version, and return "the same", "another" or "refused"."""
     try:
         found = kind.read(path)
     except FileFormatError:
@@ -146,7 +147,7 @@ def look(kind: Kind, path: Path, original: Any) -> str:
 
 
 def try_kind(kind: Kind, files: int, seed: int) -> Tally:
-    """Read all versions of a kind."""
+    """Read all versions of a kind and return the tally."""
     dice, outcomes, wrong, slowest = random.Random(seed), Counter[str](), 0, 0.0
     process, start, most = psutil.Process(), 0, 0
     with tempfile.TemporaryDirectory() as folder:
@@ -160,7 +161,7 @@ def try_kind(kind: Kind, files: int, seed: int) -> Tally:
             started = time.perf_counter()
             try:
                 found = look(kind, path, original)
-            except Exception as error:  # noqa: BLE001 - what is looked for
+            except Exception as error:  # noqa: BLE001 - unexpected errors are findings
                 found, wrong = "another error", wrong + 1
                 print(f"{kind.name} {kind.suffix} {number}: {type(error).__name__}: {error}"[:300])
             taken = time.perf_counter() - started
@@ -181,12 +182,12 @@ def try_kind(kind: Kind, files: int, seed: int) -> Tally:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Read all versions and print what came of them."""
+    """Read all versions and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--files", type=int, default=5000, help="of each kind")
+    parser.add_argument("--files", type=int, default=5000, help="number of versions of each kind")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", help="kinds with this in name and suffix, such as 'ours .h5'")
-    parser.add_argument("--page", type=Path, help="a page of Markdown to write")
+    parser.add_argument("--only", help="text in the name and suffix, such as 'ours .h5'")
+    parser.add_argument("--page", type=Path, help="path of a Markdown page to write")
     options = parser.parse_args(arguments)
     titles = "kind", "refused", "the same", "another", "other errors", "slowest, s", "grown by, MB"
     lines = [f"| {' | '.join(titles)} |", "| --- " * len(titles) + "|"]

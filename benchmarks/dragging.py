@@ -1,19 +1,19 @@
-"""How far tissue lags behind the hand: the time from a movement of the mouse to its picture.
+"""Latency of a drag: the time from a mouse movement to the resulting picture.
 
     python benchmarks/dragging.py [size ...] [--only window | --only solver]
     python benchmarks/dragging.py --against FOLDER_OF_ANOTHER_CHECKOUT
 
-For each size, by default 300, 600 and 1200 pixels, a patch of the sample brain is led about in
-circles: without a window, to the picture in memory, and in a napari window with the dock, to the
-picture on the screen. Printed are the median and the 95th percentile, and of the window what
-its thread does for each movement: how often this package's code looks at the data and the metadata
-of layers, and how many arrays as large as the image it makes.
+For each size (by default 300, 600 and 1200 pixels), a patch of the sample brain is dragged in
+circles: without a window, until the picture is in memory, and in a napari window with the dock,
+until the picture is on the screen. The median and the 95th percentile are printed. For the window,
+the work of its thread per movement is printed as well: the number of accesses of this package's
+code to the data and metadata of layers, and the number of arrays as large as the image.
 
-With another checkout both are measured in one run, by two processes that take turns of some
-seconds, so that what else the machine does meets both alike; the ratio of each pair of turns is
-what counts. The other checkout is measured by its own `benchmarks/dragging.py`, if it has one, and
-so by what is known there of its window. Where the machine is busy, processor time says more than
-what the clock says. Options: `--turns 5`, `--seconds 2`, `--kind tissue` (or another of `live.py`).
+With another checkout, two processes take turns of some seconds, so that other load on the machine
+affects both checkouts equally; the relevant result is the ratio for each pair of turns. The other
+checkout runs its own `benchmarks/dragging.py` if it exists, because the internals of its window may
+differ. On a busy machine, processor time is more reliable than wall-clock time. Options:
+`--turns 5`, `--seconds 2`, `--kind tissue` (or another kind of `live.py`).
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from scipy import stats
 SIZES = (300, 600, 1200)
 WAYS = ("solver", "window")
 ROOT = Path(__file__).resolve().parent.parent
-#: Before each line that a worker means for who asked it; libraries print, too.
+#: Prefix of lines from a worker to its parent process, because libraries also print.
 _ANSWER = "dragging: "
 _EVENTS = 60.0
-#: So many places are named at which large arrays are made.
+#: Number of functions to list that allocate the most large arrays.
 _PLACES = 6
 
-#: What a turn brings: {"late": seconds, "moves": int, "cpu": seconds} and more.
+#: Result of a turn: {"late": seconds, "moves": int, "cpu": seconds} and more.
 Turn = dict[str, Any]
 
 
 class Clock:
-    """Processor time while it is entered: of this thread, and of all of them."""
+    """Context manager that measures the processor time of this thread and of all threads."""
 
     def __enter__(self) -> Clock:
         self._begun = time.thread_time(), time.process_time()
@@ -61,11 +61,11 @@ class Clock:
 def drag_solver(
     size: int, _: str
 ) -> tuple[Callable[[float], Turn], Callable[[float], Turn] | None]:
-    """Without a window: what drags for so many seconds."""
+    """Return a function that drags without a window for a number of seconds, and None."""
     import live
 
     drag = live.Drag(size)
-    for angle in (0.0, 0.1):  # kernels are compiled and loaded before the clock starts
+    for angle in (0.0, 0.1):  # kernels are compiled and loaded before timing starts
         drag.move(angle)
         drag.live.wait()
 
@@ -90,7 +90,7 @@ def drag_solver(
 def drag_window(
     size: int, kind: str
 ) -> tuple[Callable[[float], Turn], Callable[[float], Turn] | None]:
-    """In a window: what drags for so many seconds, and what counts meanwhile."""
+    """Return two functions that drag in a window: one measures time, and one counts work."""
     import live_window
     from counting import Counts, counted
 
@@ -116,7 +116,7 @@ def drag_window(
 
 
 def work(way: str, size: int, kind: str) -> int:
-    """Drag whenever a line asks for it, until there are no more."""
+    """Perform a drag for each line on the standard input."""
     turn, count = {"solver": drag_solver, "window": drag_window}[way](size, kind)
     turn(1.0)
     _tell({"ready": True})
@@ -126,7 +126,7 @@ def work(way: str, size: int, kind: str) -> int:
             _tell(count(asked["seconds"]))
         else:
             _tell(turn(asked["seconds"]))
-    os._exit(0)  # Qt and its windows need no farewell
+    os._exit(0)  # skip the shutdown of Qt and its windows
 
 
 def _tell(told: Turn) -> None:
@@ -134,15 +134,18 @@ def _tell(told: Turn) -> None:
 
 
 class Worker:
-    """A process that drags in a checkout, whenever it is asked to.
+    """Process that performs drags in a checkout on request.
 
     Parameters
     ----------
     checkout : Path
+        Root folder of the checkout.
     way : {"solver", "window"}
+        Drag without or with a window.
     size : int
+        Width and height of the image, in pixels.
     kind : str
-        Of what is dragged in the window: one of `live_window.KINDS`.
+        Kind of image or brush in the window: one of `live_window.KINDS`.
     """
 
     def __init__(self, checkout: Path, way: str, size: int, kind: str) -> None:
@@ -164,7 +167,7 @@ class Worker:
         self._answer()
 
     def drag(self, seconds: float, count: bool = False) -> Turn:
-        """Drag for so many seconds."""
+        """Drag for a number of seconds and return the result."""
         assert self._process.stdin is not None
         print(
             json.dumps({"seconds": seconds, "count": count}), file=self._process.stdin, flush=True
@@ -172,7 +175,7 @@ class Worker:
         return self._answer()
 
     def end(self) -> None:
-        """Have it end."""
+        """End the process."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait()
@@ -189,7 +192,7 @@ class Worker:
 def compare(
     way: str, size: int, kind: str, checkouts: list[Path], turns: int, seconds: float
 ) -> str:
-    """Have each checkout drag in turn; what is to be printed."""
+    """Drag in each checkout in turn and return the report."""
     workers = [Worker(checkout, way, size, kind) for checkout in checkouts]
     told: list[list[Turn]] = [[] for _ in workers]
     for number in range(turns):
@@ -215,15 +218,15 @@ def compare(
             f"    {name:6}from movement to picture: {lag}; {rate:.1f} / s of {asked:.0f} movements"
         )
         lines.append(
-            f"{'':10}processor time of a picture: {thread:.1f} ms of the hand's thread, "
-            f"{cpu:.1f} of all"
+            f"{'':10}processor time per picture: {thread:.1f} ms of the dragging thread, "
+            f"{cpu:.1f} ms of all threads"
         )
     if len(told) > 1:
         pairs = [
             [mine / its for mine, its in zip(_figures(one), _figures(two), strict=True)]
             for one, two in zip(*told, strict=True)
         ]
-        parts = ("median", "95 %", "time of the hand's thread", "time of all threads")
+        parts = ("median", "95 %", "time of the dragging thread", "time of all threads")
         lines.append(f"    this / other, median of {turns} turns (95 % interval; least to most):")
         lines += [
             f"      {part:30}{_ratio(ratios)}"
@@ -243,22 +246,22 @@ def _ratio(ratios: Sequence[float]) -> str:
 
 
 def _figures(turn: Turn) -> list[float]:
-    """What is compared of a turn."""
+    """Return the quantities of a turn that are compared."""
     pictures = max(len(turn["late"]), 1)
     return [*_middle_and_high(turn["late"]), turn["thread"] / pictures, turn["cpu"] / pictures]
 
 
 def _counted(name: str, counted: Turn) -> list[str]:
-    """What the window's thread did for each movement, in words."""
+    """Return the lines of the report about the GUI thread's work per movement."""
     moves = max(counted["moves"], 1)
     looks = {
         what: f"{sum(counted[what].values()) / moves:.1f} of {len(counted[what])} layers"
         for what in ("data", "metadata")
     }
     arrays, megabytes = counted["arrays"], counted["megabytes"] / moves
-    seen = f"looks at data {looks['data']}, at metadata {looks['metadata']}"
+    seen = f"accesses to data {looks['data']}, to metadata {looks['metadata']}"
     made = f"{sum(arrays.values()) / moves:.2f} arrays as large as the image ({megabytes:.1f} MB)"
-    lines = [f"    {name:6}window's thread, for each movement: {seen}; {made}"]
+    lines = [f"    {name:6}GUI thread, per movement: {seen}; {made}"]
     most = sorted(arrays.items(), key=lambda item: -item[1])[:_PLACES]
     lines += [f"{'':10}{count / moves:5.2f} in {place}" for place, count in most]
     return lines
@@ -272,14 +275,16 @@ def _middle_and_high(seconds: list[float]) -> tuple[float, float]:
 
 
 def main(arguments: list[str]) -> int:
-    """Print the figures of each size."""
-    parser = argparse.ArgumentParser(description="The time from a movement to its picture.")
+    """Print the results for each size."""
+    parser = argparse.ArgumentParser(
+        description="Measure the time from a mouse movement to its picture."
+    )
     parser.add_argument("sizes", nargs="*", type=int, metavar="size", default=SIZES)
     parser.add_argument("--only", choices=WAYS)
     parser.add_argument("--against", type=Path, metavar="FOLDER")
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=2.0)
-    parser.add_argument("--kind", default="grey", help="as those of `live.py --napari`")
+    parser.add_argument("--kind", default="grey", help="one of the kinds of `live.py --napari`")
     parser.add_argument("--worker", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.worker:
@@ -288,14 +293,14 @@ def main(arguments: list[str]) -> int:
     ways = (options.only,) if options.only else WAYS
     if "window" in ways and not _has_display():
         if shutil.which("xvfb-run") is None:
-            print("No display, and no xvfb-run to make one: sudo apt-get install xvfb xauth")
+            print("There is no display or xvfb-run. Install: sudo apt-get install xvfb xauth")
             return 1
         script = ROOT / "scripts" / "headless.sh"
         return subprocess.call(["sh", str(script), sys.executable, __file__, *arguments])
     checkouts = [ROOT]
     if options.against is not None:
         if not (options.against / "napari_hmrf").is_dir():
-            parser.error(f"{options.against} is no checkout of this repository")
+            parser.error(f"{options.against} is not a checkout of this repository")
         checkouts.append(options.against.resolve())
     for size in options.sizes:
         for way in ways:

@@ -1,8 +1,8 @@
-"""The finite-element reference: the same problem, solved the textbook way.
+"""Finite-element reference solution of the same problem by a textbook method.
 
-Bilinear quads on the pixel grid: nodes are sites, and an element is a 2 x 2 block of sites that are
-all tissue, with Young's modulus the mean of its four sites, plane stress, small strain. Assembled
-by scikit-fem, solved directly in float64.
+The elements are bilinear quadrilaterals on the pixel grid: nodes are sites, and an element is a
+2 x 2 block of tissue sites. Young's modulus is the mean over the four sites; plane stress and small
+strain are assumed. scikit-fem assembles the system, and a direct solver solves it in float64.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ def plane_stress_displacement(problem: Problem, poisson: float = 0.3) -> Float64
     Parameters
     ----------
     problem : Problem
-        What was observed is prescribed exactly, component by component, wherever it has
-        confidence on tissue.
+        Problem to solve. Every observed component with positive confidence in tissue is prescribed
+        exactly.
     poisson : float
-        Poisson's ratio, the same everywhere; above -1 and below 1/2.
+        Uniform Poisson's ratio, above -1 and below 1/2.
 
     Returns
     -------
     ndarray, shape (H, W, 2), float64
-        Material displacement in (row, col) order, in the unit of ``problem.spacing``. Tissue in no
-        element has its prescribed value, or 0.
+        Material displacement in (row, col) order, in the unit of ``problem.spacing``. Tissue that
+        belongs to no element has its prescribed value, or 0.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def plane_stress_displacement(problem: Problem, poisson: float = 0.3) -> Float64
     sites = np.arange(problem.stiffness.size).reshape(problem.shape)
     corners = np.stack(
         [sites[:-1, :-1], sites[1:, :-1], sites[1:, 1:], sites[:-1, 1:]]
-    )  # around each element, shape (4, H - 1, W - 1)
+    )  # shape (4, H - 1, W - 1), in order around each element
     exists = problem.tissue.ravel()[corners].all(axis=0)
     corners = corners[:, exists]
     prescribed = (problem.confidence > 0) & problem.tissue[..., None]
@@ -80,9 +80,9 @@ def plane_stress_displacement(problem: Problem, poisson: float = 0.3) -> Float64
 
 
 def _stiffness_form(poisson: float) -> BilinearForm:
-    """Virtual work of plane stress, per unit of thickness."""
+    """Return the virtual work of plane stress, per unit of thickness."""
     if not -1 < poisson < 0.5:
-        raise ValueError(f"poisson must lie between -1 and 1/2, not {poisson!r}")
+        raise ValueError(f"poisson must be between -1 and 1/2, not {poisson!r}")
 
     @BilinearForm
     def virtual_work(u, v, w):  # type: ignore[no-untyped-def]
@@ -96,14 +96,14 @@ def _stiffness_form(poisson: float) -> BilinearForm:
 def _refuse_loose_parts(
     elements: npt.NDArray[np.int64], known: npt.NDArray[np.bool_], places: Float64Array
 ) -> None:
-    """Every part that elements hold together must be kept from moving and from turning."""
+    """Raise an error unless the prescribed components prevent rigid motion of every part."""
     number = len(places)
     first = np.repeat(elements[0], 3)
     graph = scipy.sparse.coo_matrix(
         (np.ones(first.size), (first, elements[1:].T.ravel())), shape=(number, number)
     )
     parts, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    # The three rigid motions, seen at the prescribed components: rank 3 where all are prevented.
+    # The three rigid motions at the prescribed components; rank 3 means that all are prevented.
     row, col = (places - places.mean(axis=0)).T
     scale = max(np.ptp(row), np.ptp(col))
     one, none = np.ones(number), np.zeros(number)
@@ -117,21 +117,21 @@ def _refuse_loose_parts(
         centre = places[part == np.argmax(loose)].mean(axis=0)
         raise ValueError(
             f"the tissue around {tuple(np.round(centre, 1))} could move freely: prescribe both "
-            "components of at least one of its sites, and one more elsewhere on it"
+            "components of at least one of its sites, and a component of another site"
         )
 
 
 def rmsd(a: npt.ArrayLike, b: npt.ArrayLike, where: npt.ArrayLike, unit: float = 1.0) -> float:
-    """Root mean square deviation of two displacements (eq. 20).
+    """Return the root mean square deviation of two displacements (eq. 20).
 
     Parameters
     ----------
     a, b : array_like, shape (H, W, 2)
-        Displacements in one unit of length.
+        Displacements in the same unit of length.
     where : array_like of bool, shape (H, W)
-        The sites that count: inside the body.
+        Mask of the sites to include, inside the body.
     unit : float
-        The length of a pixel (`Problem.unit`), for a result in pixels.
+        Length of a pixel (`Problem.unit`), for a result in pixels.
     """
     difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
     inside = np.asarray(where, dtype=bool)

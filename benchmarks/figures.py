@@ -1,4 +1,4 @@
-"""Figures 4 and 5 of the paper: deformation grids side by side, and where the fields differ."""
+"""Figures 4 and 5 of the paper: deformation grids side by side, and differences of the fields."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ def save_figures(
     Parameters
     ----------
     out : Path
-        An existing folder.
+        Existing output folder.
     name : str
-        The phantom's.
+        Name of the phantom.
     solution : Solution
+        Solution of the phantom.
     reference : ndarray, shape (H, W, 2)
-        The finite-element displacement, in the unit of the solution.
+        Finite-element displacement, in the unit of the solution.
     """
     grids = new_figure(11, 5.5)
     fields = {"HMRF": solution.displacement, "finite elements": reference}

@@ -1,12 +1,12 @@
-"""Write everything that this package writes where there is no room: earlier files stay as they are.
+"""Test of all functions that write files on a full disk: earlier files must remain unchanged.
 
     python benchmarks/full_disks.py [--commands] [--only NAME] [--page PAGE]
 
-Each function that writes, and with --commands each command, runs four times: with room, by a limit
-of the size of files, on a full disk, and with a full disk for temporary files alone. The second and
-third must end in one error that names a file and the reason, and leave all files as they were; the
-last must succeed. Disks are mounted in memory, which takes root and Linux; without, the limit alone
-is tried. Exits with 1 if anything else happened.
+Each writing function, and with --commands each command, runs four times: with enough space, with a
+limit of the file size, on a full disk, and with a full disk only for temporary files. The second
+and third runs must raise one error that names a file and the reason, and must leave all files
+unchanged; the last run must succeed. Disks are mounted in memory, which requires root and Linux;
+otherwise only the file size limit is tested. Exits with 1 on any other outcome.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ _SHAPE = (14, 16)
 
 
 class Writer(NamedTuple):
-    """A function that writes, and how it is called.
+    """Function that writes files, and its name.
 
     Attributes
     ----------
     name : str
         Module and name of the function, and the kind of file.
     write : callable
-        Takes the folder to write in.
+        Function that writes into a given folder.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Writer(NamedTuple):
 
 @cache
 def study() -> Study:
-    """Make a small study with noise for an image, which does not pack."""
+    """Return a small study with an image of noise, which cannot be compressed."""
     image = np.random.default_rng(3).integers(1, 255, _SHAPE, dtype=np.uint8)
     labels = np.ones(_SHAPE, np.uint8)
     pull = Drawing((Arrow((7, 8), (0.5, 1.0), 2.0),))
@@ -95,7 +95,7 @@ def study() -> Study:
 
 @cache
 def solution() -> Solution:
-    """Solve the study."""
+    """Return the solution of the study."""
     return solve_study(study(), backend="cpu")
 
 
@@ -140,7 +140,7 @@ def _moved(folder: Path) -> None:
 
 @cache
 def _inputs() -> Path:
-    """Write the files that commands read; removed at exit."""
+    """Write the input files of the commands into a folder that is removed at exit."""
     made = tempfile.TemporaryDirectory()
     folder = Path(made.name)
     _KEPT.append(made)
@@ -171,7 +171,7 @@ def _layer() -> dict[str, Any]:
 
 
 def writers() -> list[Writer]:
-    """List all functions of the package that write files, with the formats of each."""
+    """List all functions of the package that write files, with their formats."""
     points = np.random.default_rng(0).normal(size=(9, 2))
     rows = [Measurement(*([1] * (len(Measurement._fields) - 1)))]
     named = materials_by_name({1: "liver", 2: "something"}, name="names")
@@ -227,7 +227,7 @@ def writers() -> list[Writer]:
 
 
 def commands() -> list[Writer]:
-    """List all commands that write, run in this process."""
+    """List all commands that write files; they run in this process."""
     at = _inputs()
     typed: dict[str, list[Any]] = {
         "export .mha": ["export", at / "case.study", "a.mha"],
@@ -250,13 +250,13 @@ def commands() -> list[Writer]:
 
 
 def _batch(folder: Path) -> None:
-    """Solve a case, and one more where one is solved already."""
+    """Solve a case, or a second case if the first is already solved."""
     table = "more.csv" if (folder / "out").exists() else "cases.csv"
     _run(folder, ["batch", str(_inputs() / table), "out", "--jobs", "1", "--resume"])
 
 
 def _run(folder: Path, arguments: list[str]) -> None:
-    """Run a command in a folder, and turn what it says of an error into an exception."""
+    """Run a command in a folder, and convert its error output to an exception."""
     out, err, before = io.StringIO(), io.StringIO(), Path.cwd()
     os.chdir(folder)
     try:
@@ -279,12 +279,12 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def outcome(writer: Writer, folder: Path, before: dict[str, bytes]) -> str:
-    """Write where there is no room, and tell what is wrong with what comes of it; "" if nothing."""
+    """Write without free space, and return a description of the problem, or "" if correct."""
     try:
         writer.write(folder)
     except (HmrfError, OSError) as error:
         said = in_words(error)
-    except Exception as error:  # noqa: BLE001 - what is looked for
+    except Exception as error:  # noqa: BLE001 - unexpected errors are findings
         return f"{type(error).__name__}: {error}"[:300]
     else:
         return "no error"
@@ -302,8 +302,8 @@ def outcome(writer: Writer, folder: Path, before: dict[str, bytes]) -> str:
 
 @contextmanager
 def limited(size: int) -> Iterator[None]:
-    """Let no file grow beyond a size."""
-    import resource  # of POSIX alone
+    """Limit the size of all files."""
+    import resource  # available only on POSIX systems
 
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
@@ -327,7 +327,7 @@ def disk(megabytes: int) -> Iterator[Path]:
 
 
 def fill(folder: Path) -> None:
-    """Fill a disk to its last byte."""
+    """Fill a disk completely."""
     with open(folder / "filler", "ab", buffering=0) as file, contextlib.suppress(OSError):
         while True:
             file.write(bytes(2**12))
@@ -345,14 +345,14 @@ def _temporary_files_in(folder: Path) -> Iterator[None]:
 
 
 def trial(writer: Writer, *, can_mount: bool) -> list[str]:
-    """Write in all four ways; the answers, "" where all is well."""
+    """Run a writer in all four ways and return the problems, "" if there is none."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         writer.write(folder)
         before = contents(folder)
         smallest = min(map(len, before.values()))
         found = []
-        for limit in (1, smallest // 2):  # an early write fails, and a later one
+        for limit in (1, smallest // 2):  # an early write fails, then a later write
             with limited(limit):
                 found.append(outcome(writer, folder, before))
     found = [next(filter(None, found), "")]
@@ -368,17 +368,17 @@ def trial(writer: Writer, *, can_mount: bool) -> list[str]:
         try:
             writer.write(Path(name))
             found.append("" if contents(Path(name)).keys() == before.keys() else "other files")
-        except Exception as error:  # noqa: BLE001 - what is looked for
+        except Exception as error:  # noqa: BLE001 - unexpected errors are findings
             found.append(f"{type(error).__name__}: {error}"[:300])
     return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Try all writers, and print what came of each."""
+    """Test all writers and print the outcome of each."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--commands", action="store_true", help="commands as well as functions")
-    parser.add_argument("--page", type=Path, help="a page of Markdown to write")
-    parser.add_argument("--only", default="", help="writers with this in their name")
+    parser.add_argument("--page", type=Path, help="path of a Markdown page to write")
+    parser.add_argument("--only", default="", help="only writers whose name contains this text")
     options = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     can_mount = sys.platform == "linux" and os.geteuid() == 0

@@ -1,14 +1,14 @@
-"""Hard elastic tissue: cases x sizes x contrasts, and the best of the others in the same run.
+"""Benchmark of hard elastic tissue: cases x sizes x contrasts, with the best peers in the same run.
 
     python benchmarks/hard.py [--sizes 97 257 513] [--contrasts 1 1e4 ...] [--cases ribs ...]
                               [--seed 3] [--ours] [--page FILE]
     python benchmarks/hard.py --strain     nearly incompressible tissue in plane strain
-    python benchmarks/hard.py --rigid      bone with no end of stiffness
+    python benchmarks/hard.py --rigid      rigid bone
 
-The whole table takes an hour on two cores; every row is printed as soon as it is known, and Ctrl-C
-leaves a summary of those that are. Rows are kept in benchmark-output/: a page has those of earlier
-runs, too. With --ours the others do not run; exact fields are then kept as well, so that the next
-time is quick.
+The whole table takes an hour on two cores. Each row is printed when it is complete, and Ctrl-C
+prints a summary of the rows so far. Rows are stored in benchmark-output/, and a page also contains
+the rows of earlier runs. With --ours, the peers do not run, and exact fields are also stored, so
+the next run is faster.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-# Before NumPy looks: threads of its dense kernels only get in PyAMG's way.
+# Set before NumPy is imported: threads of its dense kernels slow PyAMG down.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
@@ -52,7 +52,7 @@ from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
 SIZES = (97, 257, 513)
 CONTRASTS = (1.0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7)
 KEPT = Path(__file__).resolve().parent.parent / "benchmark-output" / "hard"
-#: No row may take more than so many times the better peer's time.
+#: Largest allowed ratio of our time to the time of the better peer.
 MOST = 1.3
 STRAIN = ElasticPrior(0.499, plane="strain")
 _STRAIN_CASES = ("expansion", "mass-effect", "inclusion")
@@ -69,7 +69,7 @@ _WIDTHS = (12, 4, 8, 13, 6, 7, 5, 7, 8, 9, 7, 5, 7, 9, 5, 7, 5)
 
 @dataclass(frozen=True)
 class Row:
-    """One case at one size and contrast; peers are None where they did not run."""
+    """Result of one case at one size and contrast; peers are None if they did not run."""
 
     case: str
     size: int
@@ -80,24 +80,24 @@ class Row:
 
     @property
     def rival(self) -> float:
-        """Seconds of the better peer that gets there; NaN without one."""
+        """Seconds of the better peer that succeeded; NaN if there is none."""
         peers = [run for run in (self.pyamg, self.superlu) if run is not None and not run.fault]
         return min((run.seconds for run in peers), default=math.nan)
 
     @property
     def ratio(self) -> float:
-        """Our seconds over the better peer's; NaN where we have no field, or a wrong one."""
+        """Our time divided by the better peer's time; NaN if our field is missing or wrong."""
         right = not self.ours.fault and self.ours.error <= WITHIN
         return self.ours.seconds / self.rival if right else math.nan
 
     @property
     def name(self) -> str:
-        """Which it is."""
+        """Name of the row."""
         return f"{self.case} {self.size} {_contrast(self.contrast)}"
 
     @property
     def cells(self) -> list[str]:
-        """The row of the table."""
+        """Cells of the table row."""
         ours = self.ours
         cells = [self.case, str(self.size), _contrast(self.contrast)]
         cells += [ours.fault or str(ours.iterations), ours.how, *_measured(ours)]
@@ -117,7 +117,7 @@ def _error(error: float) -> str:
 
 
 def _measured(run: Run | None) -> list[str]:
-    """Seconds, megabytes and true error."""
+    """Return the cells with seconds, megabytes and true error."""
     if run is None or math.isnan(run.seconds):
         return ["", "", ""]
     return [f"{run.seconds:.3g}", f"{run.megabytes:.0f}", _error(run.error)]
@@ -130,7 +130,7 @@ def rows(
     alone: bool,
     seed: int | None = None,
 ) -> Iterator[Row]:
-    """Measure; of problems that are the same, such as most with contrast 1, the first alone."""
+    """Yield measured rows; identical problems, such as most with contrast 1, are measured once."""
     seen: set[str] = set()
     for size in sizes:
         for case in cases:
@@ -146,7 +146,7 @@ def rows(
 
 
 def measure(case: str, size: int, contrast: float, images: Images, alone: bool) -> Row:
-    """Run all solvers, or ours alone."""
+    """Run all solvers, or only ours."""
     _say(f"{case}, {size} x {size}, contrast {_contrast(contrast)}: ours")
     ours = run_ours(images)
     if alone:
@@ -169,7 +169,7 @@ def _say(text: str) -> None:
 
 
 def summary(found: Sequence[Row]) -> list[str]:
-    """What to read of the table, a line each."""
+    """Return the main findings of the table, one line each."""
     solved = [row for row in found if not row.ours.fault]
     lines = [f"{len(found)} rows, of which {len(solved)} were solved"]
     for fault in sorted({row.ours.fault for row in found} - {""}):
@@ -201,7 +201,7 @@ PEERS_HEADER = ("n", "contrast", "better peer, s", "PyAMG, s", "iterations", "Su
 
 
 def peers(found: Sequence[Row]) -> list[list[str]]:
-    """What there is to beat: from the least to the most of all cases, by size and contrast."""
+    """Return the times to beat, from least to most over all cases, by size and contrast."""
     compared = [row for row in found if row.superlu is not None]
     lines = []
     for size, contrast in sorted({(row.size, row.contrast) for row in compared}):
@@ -221,20 +221,20 @@ def peers(found: Sequence[Row]) -> list[list[str]]:
 
 
 def _range(values: Sequence[float]) -> str:
-    """The least, the median and the most."""
+    """Return the least, the median and the largest value."""
     if not values:
         return ""
     return f"{min(values):.2g} / {np.median(values):.2g} / {max(values):.2g}"
 
 
 def _listed(what: str, those: Sequence[Row]) -> str:
-    """How many, and which of them."""
+    """Return a line with the number and the names of some rows."""
     names = ", ".join(row.name for row in those)
     return f"{what}: {len(those)} rows" + (f" ({names})" if names else "")
 
 
 def keep(row: Row) -> None:
-    """Keep a row for the page of a later run."""
+    """Store a row for the page of a later run."""
     KEPT.mkdir(parents=True, exist_ok=True)
     rows = {other.name: other for other in kept()} | {row.name: row}
     text = json.dumps([asdict(each) for each in rows.values()])
@@ -242,7 +242,7 @@ def keep(row: Row) -> None:
 
 
 def kept() -> list[Row]:
-    """Rows of earlier runs."""
+    """Return the stored rows of earlier runs."""
     if not (KEPT / "rows.json").exists():
         return []
     rows = []
@@ -254,7 +254,7 @@ def kept() -> list[Row]:
 
 
 def write_page(path: Path, found: Sequence[Row]) -> None:
-    """Write the table and its summary as a page."""
+    """Write a page with the table and its summary."""
     page = Section("Hard tissue")
     busy = load()
     page.say(
@@ -274,8 +274,8 @@ def write_page(path: Path, found: Sequence[Row]) -> None:
     page.say(
         f"""**Method.** *Ours* is `solve` at its default tolerance, from a `Problem` to a
         displacement, with new tissue and compiled kernels. The times of the others include the
-        assembly of the matrix, which adds slices of the image up into blocks of 2 x 2, without
-        triplets to sort. PyAMG: smoothed aggregation with the three rigid-body modes and
+        assembly of the matrix from slices of the image in blocks of 2 x 2, without sorting
+        triplets. PyAMG: smoothed aggregation with the three rigid-body modes and
         conjugate gradients, with the best of 18 settings (`{SETTING}`). It stops at the loosest
         of the relative residuals 0.1, 0.01, ... (in brackets) at which its true error is within
         {WITHIN} px. It *fails* if it needs more than 300 iterations, and is *later* if SuperLU
@@ -300,7 +300,7 @@ def _print_row(cells: Sequence[str], widths: Sequence[int]) -> None:
 
 
 def print_strain(cases: Sequence[str], sizes: Sequence[int], contrasts: Sequence[float]) -> None:
-    """Nearly incompressible tissue in plane strain."""
+    """Print the table of nearly incompressible tissue in plane strain."""
     widths = (12, 5, 9, 13, 8, 6, 8, 8)
     header = ("case", "n", "contrast", "cycles", "s", "MB", "error", "reported")
     _print_row(header, widths)
@@ -319,7 +319,7 @@ def print_strain(cases: Sequence[str], sizes: Sequence[int], contrasts: Sequence
 
 
 def print_rigid(sizes: Sequence[int]) -> None:
-    """Bone with no end of stiffness, in soft tissue."""
+    """Print the table of rigid bone in soft tissue."""
     widths = (12, 5, 13, 8, 8, 8, 16, 12)
     header = ("bone", "n", "cycles", "s", "error", "reported", "largest strain", "over ratio 1")
     _print_row(header, widths)
@@ -330,7 +330,7 @@ def print_rigid(sizes: Sequence[int]) -> None:
             if ours.fault:
                 _print_row([name, str(size), ours.fault, *[""] * 5], widths)
                 if ours.fault == "refused":
-                    print("m = inf is not taken: there is nothing to measure", flush=True)
+                    print("m = inf is refused, so there is nothing to measure", flush=True)
                     return
                 continue
             over = over_soft(images)
@@ -342,11 +342,11 @@ def print_rigid(sizes: Sequence[int]) -> None:
 
 
 def over_soft(images: Images) -> float:
-    """How many times as long tissue with bone takes as without: medians of solves in turn."""
+    """Return the ratio of the median times with and without bone, for alternating solves."""
     seconds = np.zeros((_TURNS, 2))
     for turn in range(_TURNS):
         for which, m in enumerate((images.stiffness, np.ones_like(images.stiffness))):
-            # With another unit of stiffness nothing kept is of any use.
+            # Another unit of stiffness invalidates all caches.
             problem = Problem(
                 images.observed,
                 images.confidence,
@@ -361,7 +361,7 @@ def over_soft(images: Images) -> float:
 
 
 def largest_strain(field: npt.NDArray[np.floating], body: npt.NDArray[np.bool_]) -> float:
-    """The largest strain of any element whose four sites belong to a body."""
+    """Return the largest strain of any element with all four sites in a body."""
     d = field.astype(np.float64)
     inside = body[:-1, :-1] & body[:-1, 1:] & body[1:, :-1] & body[1:, 1:]
     along_rows, along_cols = np.diff(d, axis=0), np.diff(d, axis=1)
@@ -379,17 +379,17 @@ def largest_strain(field: npt.NDArray[np.floating], body: npt.NDArray[np.bool_])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table; 0 whatever it finds, as a table is no test."""
+    """Print the table; always return 0, because a table is not a test."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="+")
     parser.add_argument("--contrasts", type=float, nargs="+")
     parser.add_argument("--cases", nargs="+", choices=TISSUES)
-    parser.add_argument("--seed", type=int, help="of all noise, instead of each case's own")
+    parser.add_argument("--seed", type=int, help="seed of all noise; by default, one per case")
     parser.add_argument("--ours", action="store_true", help="without PyAMG and SuperLU")
-    parser.add_argument("--page", type=Path, help="write the table there, too")
+    parser.add_argument("--page", type=Path, help="path of a page to write")
     other = parser.add_mutually_exclusive_group()
     other.add_argument("--strain", action="store_true", help="Poisson's ratio 0.499, plane strain")
-    other.add_argument("--rigid", action="store_true", help="bone with no end of stiffness")
+    other.add_argument("--rigid", action="store_true", help="rigid bone")
     options = parser.parse_args(arguments)
     _say("warming up")
     warm_up()

@@ -1,12 +1,13 @@
-"""Save a study, or a field, over an earlier one and be killed: what is left is whole.
+"""Test of atomic writing: a process is killed while it overwrites a study or a field.
 
     python benchmarks/killed.py [--of .mha] [--packing 300] [--every 1] [--half 100] [--seed 0]
 
-A child saves the second study and kills itself (SIGKILL) before or after the n-th call into the
-system or a library, for every n from where the file is written, and for some while it is packed.
-Others save a large one and are killed by their parent as soon as so much of it is on the disk.
-After each the file is opened: it is the first study or the second. Only where there is a fork.
-Exits with 1 if it was anything else, or if more than a temporary file was left.
+A child process saves the second study and kills itself (SIGKILL) before or after the n-th call into
+the system or a library. All n after writing starts are tested, and a sample of the calls during
+compression. Other children save a large study and are killed by their parent as soon as a given
+part is on the disk. Afterwards, the file must contain either the first or the second study.
+Requires an operating system with fork. Exits with 1 if the file contains anything else, or if more
+than a temporary file is left.
 """
 
 from __future__ import annotations
@@ -43,12 +44,12 @@ from napari_hmrf import (
 from napari_hmrf.fields import read_field, write_field
 
 Save = Callable[[], Any]
-#: What may be left.
+#: Contents that the file may have afterwards.
 _KNOWN = ("first", "second", "large")
 
 
 def study(pull: float, size: int = 24) -> Study:
-    """Make a study of noise, which does not pack, with a pull."""
+    """Return a study of noise, which cannot be compressed, with a pull."""
     image = np.random.default_rng(size).integers(1, 255, (size, size), dtype=np.uint8)
     drawing = Drawing((Arrow((size / 2, size / 2), (0.0, pull), 2.0),))
     grid, tissue = Grid(image.shape, (1.0, 1.0)), Tissue(stiffness=np.ones(image.shape))
@@ -56,7 +57,7 @@ def study(pull: float, size: int = 24) -> Study:
 
 
 class _Steps:
-    """The steps of a save, counted; at one of them the process kills itself."""
+    """Profiler that counts the steps of a save, and kills the process at a given step."""
 
     def __init__(self, last: int = 0) -> None:
         self._last = last
@@ -73,7 +74,7 @@ class _Steps:
 
 
 def steps_of(save: Save) -> tuple[int, int]:
-    """Count the steps of a save, and from which on the file is written."""
+    """Return the first step at which the file is written, and the number of steps of a save."""
     steps = _Steps()
     sys.setprofile(steps)
     try:
@@ -84,7 +85,7 @@ def steps_of(save: Save) -> tuple[int, int]:
 
 
 def killed_at(step: int, save: Save) -> bool:
-    """Save in a child that kills itself at a step; whether it came to that."""
+    """Save in a child that kills itself at a step; return True if the step was reached."""
     child = os.fork()
     if not child:
         try:
@@ -96,7 +97,7 @@ def killed_at(step: int, save: Save) -> bool:
 
 
 def killed_at_size(size: int, folder: Path, save: Save) -> bool:
-    """Save in a child until so much is in its temporary file; whether it came to that."""
+    """Save in a child, kill it at a temporary file size, and return True if this was reached."""
     child = os.fork()
     if not child:
         try:
@@ -115,12 +116,12 @@ def _field(pull: float) -> np.ndarray:
 
 
 def _vectors(path: Path) -> bytes:
-    """Read the vectors of a field, to be compared."""
+    """Return the vectors of a field, for comparison."""
     return np.round(read_field(path, forward=True).field.vectors, 6).tobytes()
 
 
 def _study_of(path: Path) -> Any:
-    """Read a study, to be compared."""
+    """Return the contents of a study, for comparison."""
     return plain(read_study(path).study)
 
 
@@ -128,16 +129,16 @@ def _sizes(folder: Path) -> Iterator[int]:
     for path in folder.glob("*.tmp"):
         try:
             yield path.stat().st_size
-        except FileNotFoundError:  # it has got its name meanwhile
+        except FileNotFoundError:  # the file has been renamed meanwhile
             continue
 
 
 def left(path: Path, known: dict[str, Any], read: Callable[[Path], Any] = _study_of) -> str:
-    """Open what is left, tidy up, and tell which study or field it is."""
+    """Read the remaining file, remove temporary files, and return the name of its contents."""
     others = [each for each in path.parent.iterdir() if each != path]
     for each in others:
         if ".tmp" not in each.suffixes:
-            return f"beside it lies {each.name}"
+            return f"another file was left: {each.name}"
         each.unlink()
     try:
         found = read(path)
@@ -147,12 +148,12 @@ def left(path: Path, known: dict[str, Any], read: Callable[[Path], Any] = _study
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Kill at all steps and print what was left."""
+    """Kill at all steps and print the remaining contents."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--of", default="study", help="study, or the suffix of a field")
-    parser.add_argument("--packing", type=int, default=300, help="kills before it is written")
-    parser.add_argument("--every", type=int, default=1, help="one of so many steps of writing")
-    parser.add_argument("--half", type=int, default=100, help="kills of a large file, half written")
+    parser.add_argument("--packing", type=int, default=300, help="kills before writing starts")
+    parser.add_argument("--every", type=int, default=1, help="interval between steps of writing")
+    parser.add_argument("--half", type=int, default=100, help="kills of a half-written large file")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     dice = random.Random(options.seed)
@@ -164,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _kill_fields(options: argparse.Namespace) -> Counter[tuple[str, str]]:
-    """Kill at steps of writing a field."""
+    """Kill at the steps of writing a field."""
     outcomes = Counter[tuple[str, str]]()
     with tempfile.TemporaryDirectory() as folder:
         path, known = Path(folder, f"field{options.of}"), {}
@@ -176,7 +177,7 @@ def _kill_fields(options: argparse.Namespace) -> Counter[tuple[str, str]]:
         def save() -> None:
             write_field(path, _field(2.0), **way)
 
-        # A child starts a decoder of its own, which takes more steps than are counted here.
+        # A child starts its own decoder, so it runs more steps than would be counted here.
         for step in itertools.count(1, options.every):
             write_field(path, _field(1.0), **way)
             came = killed_at(step, save)
@@ -187,7 +188,7 @@ def _kill_fields(options: argparse.Namespace) -> Counter[tuple[str, str]]:
 
 
 def _kill_studies(options: argparse.Namespace, dice: random.Random) -> Counter[tuple[str, str]]:
-    """Kill at steps of saving a study, and while a large one is written."""
+    """Kill at the steps of saving a study, and while a large study is written."""
     outcomes = Counter[tuple[str, str]]()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "case.study")

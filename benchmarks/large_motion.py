@@ -1,10 +1,12 @@
-"""Large motion in numbers: ``python -m benchmarks.large_motion [exact] [textbook] [cold] [drag]``.
+"""Benchmark of large motion.
 
-``--random 3000`` solves random problems, of which ``--first 400 --random 200`` are a part.
+    python -m benchmarks.large_motion [exact] [textbook] [cold] [drag]
+
+``--random 3000`` solves random problems; ``--first 400 --random 200`` solves a part of them.
 
 Measures the distance to an independent Newton's method and to textbook finite elements, the time
-as a multiple of a linear solve in the same process (processor time of one thread), and the faults
-of random problems.
+relative to a linear solve in the same process (processor time of one thread), and failures on
+random problems.
 """
 
 from __future__ import annotations
@@ -28,16 +30,16 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from tests.support.finite_oracle import bar, solved, turned
 
 _LIVE = 0.01
-# How many random problems by default.
+# Default number of random problems.
 _FEW = 200
 
 
 def main() -> None:
-    """Print what is asked for, or all."""
-    parser = argparse.ArgumentParser(description="Large motion in numbers.")
-    parser.add_argument("names", nargs="*", help=f"of {', '.join(_SECTIONS)}; by default all")
+    """Print the requested sections, or all sections."""
+    parser = argparse.ArgumentParser(description="Benchmark of large motion.")
+    parser.add_argument("names", nargs="*", help=f"{', '.join(_SECTIONS)}; by default all")
     parser.add_argument("--random", type=int, default=0, metavar="COUNT")
-    parser.add_argument("--first", type=int, default=0, help="the number of the first of these")
+    parser.add_argument("--first", type=int, default=0, help="number of the first random problem")
     given = parser.parse_args()
     everything = not given.names and not given.random
     for name, section in _SECTIONS.items():
@@ -49,11 +51,11 @@ def main() -> None:
 
 
 def exact(size: int = 48) -> None:
-    """How far any site is from where an independent method brings it, in pixels."""
+    """Print the largest distance of any site from an independent method, in pixels."""
     ends = {
         **{f"pull {part} %": np.array([0.0, part / 100 * (size - 1)]) for part in (10, 30, 50)},
         "shear": np.array([0.3 * size, 0.0]),
-        # A block as high as it is long creases on its inner side, in more ways than one.
+        # A block as high as it is long creases on its inner side, and has several solutions.
         "bend 60": turned(size // 3, size, 60),
     }
     problems = {}
@@ -71,12 +73,12 @@ def exact(size: int = 48) -> None:
                 found = solve(problem, prior, backend="cpu")
                 off = float(np.abs(found.displacement - solved(problem, prior, 6)).max())
                 worst = max(worst, off)
-                print(f"{name:16} nu {nu:4} plane {plane:6} {off:.5f} px off", flush=True)
+                print(f"{name:16} nu {nu:4} plane {plane:6} error {off:.5f} px", flush=True)
     print(f"worst {worst:.5f} px", flush=True)
 
 
 def _loaded(size: int) -> dict[str, Problem]:
-    """A disc that grows to twice its area within a frame, and a beam that sinks by its weight."""
+    """Return a disc that doubles its area within a frame, and a beam that sags under its weight."""
     row, col = np.indices((size, size))
     disc = np.hypot(row - size / 2, col - size / 2) < size / 5
     c = np.zeros((size, size, 2))
@@ -93,18 +95,19 @@ def _loaded(size: int) -> dict[str, Problem]:
 
 
 def textbook(size: int = 48, stretch: float = 0.3) -> None:
-    """How far it is from finite elements of 2 x 2 Gauss points without a barrier."""
+    """Print the distance to finite elements with 2 x 2 Gauss points and no barrier."""
     for nu in (0.3, 0.45):
         problem = bar(size, size, np.broadcast_to([0.0, stretch * (size - 1)], (size, 2)))
         found = solve(problem, NeoHookeanPrior(nu), backend="cpu").displacement
         off = np.abs(found - _gauss(problem, nu))[:, 4:-4].max()
         print(
-            f"textbook, pull 30 %, nu {nu}: {off:.4f} px off, four pixels from clamps", flush=True
+            f"textbook, pull 30 %, nu {nu}: error {off:.4f} px, four pixels from the clamps",
+            flush=True,
         )
 
 
 def _gauss(problem: Problem, nu: float) -> Any:
-    """Plane stress neo-Hooke by 2 x 2 Gauss points, by Newton's method."""
+    """Solve plane-stress neo-Hooke with 2 x 2 Gauss points by Newton's method."""
     height, width = problem.shape
     numbers = np.arange(2 * height * width).reshape(height, width, 2)
     corners = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]
@@ -151,7 +154,7 @@ def _gauss(problem: Problem, nu: float) -> Any:
 
 
 def cold(size: int = 300) -> None:
-    """How long a solve from nothing takes, in linear solves."""
+    """Print the time of a cold start relative to a linear solve."""
     numba.set_num_threads(1)
     cases = {
         "rim 8 px": _rim(size, 8),
@@ -169,7 +172,7 @@ def cold(size: int = 300) -> None:
 
 
 def drag(size: int = 300, frames: int = 20, far: float = 3.0) -> None:
-    """How long a frame of a drag takes, in linear solves, and how far from converged it is."""
+    """Print the time of a frame of a drag relative to a linear solve, and its error."""
     numba.set_num_threads(1)
     prior, live = NeoHookeanPrior(), Multigrid(_LIVE)
     linear = _least_time(
@@ -185,8 +188,8 @@ def drag(size: int = 300, frames: int = 20, far: float = 3.0) -> None:
         tight = solve(problem, prior, optimizer=Multigrid(1e-4), backend="cpu", initial=found)
         off = float(np.abs(found.displacement - tight.displacement).max())
         print(
-            f"frame {frame:2}: {ratio:.1f} linear solves, {found.iterations} steps, {off:.4f} px "
-            f"off, least {found.reach.least_jacobian:.3f}",
+            f"frame {frame:2}: {ratio:.1f} linear solves, {found.iterations} steps, error "
+            f"{off:.4f} px, least {found.reach.least_jacobian:.3f}",
             flush=True,
         )
 
@@ -219,7 +222,7 @@ def _times_linear(problem: Problem) -> tuple[float, Any]:
 
 
 def _least_time(work: Callable[[], Any], models: Any, repeats: int = 5) -> float:
-    """The least processor time, of tissue that was not there before."""
+    """Return the least processor time over several runs with an empty model cache."""
     times = []
     for _ in range(repeats):
         models._last.clear()

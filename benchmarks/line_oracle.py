@@ -1,4 +1,4 @@
-"""The paper's field of a volume by a direct solve, in double precision: nothing of it is shared."""
+"""Reference field of the paper's model in a volume by an independent direct solve in float64."""
 
 import itertools
 
@@ -8,7 +8,7 @@ import scipy.sparse.linalg as spl
 
 
 def weights_of(step, spacing):
-    """What a line counts for each component, as docs/method.md says it."""
+    """Return the weight of a line for each component, as defined in docs/method.md."""
     sizes = np.array(spacing) ** 2 / np.prod(spacing) ** (2 / 3)
     along, in_space = np.flatnonzero(step), 1 / sizes.max()
 
@@ -31,7 +31,7 @@ def weights_of(step, spacing):
 
 
 def cliques(problem):
-    """Numbers of s, t and u of all cliques of a line, and what it counts for each component."""
+    """Yield for each line the indices of s, t and u of its cliques, and the line's weights."""
     m = problem.stiffness.astype(float)
     number = np.arange(m.size).reshape(m.shape)
     for step in itertools.product((-1, 0, 1), repeat=3):
@@ -48,7 +48,7 @@ def cliques(problem):
 
 
 def field_of_means(problem):
-    """The field each site of which is the weighted mean of its neighbours, by SuperLU."""
+    """Return the field in which each site is the weighted mean of its neighbours, by SuperLU."""
     m = problem.stiffness.astype(float).ravel()
     field = np.where(problem.known, problem.observed, 0).astype(float).reshape(-1, 3)
     for k in range(3):

@@ -1,8 +1,8 @@
-"""The algorithm as the paper prints it: one thread, every clique evaluated for every candidate.
+"""Literal implementation of the paper's algorithm: one thread, all cliques for every candidate.
 
-This is the yardstick of the speed tables, written the way a careful C programmer of 2008 would
-have: compiled (numba), single precision, no allocation in the loops, one branch per clique that may
-not exist. It shares no code with the package's kernels, and moves every site exactly as they do.
+It is the baseline of the speed tables, written like a careful C program of 2008: compiled (numba),
+in single precision, without allocation in loops, and with one branch per clique that may not exist.
+It shares no code with the package's kernels, and computes exactly the same moves.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _f = np.float32
 
 
 def candidates(steps: tuple[float, ...]) -> npt.NDArray[np.float32]:
-    """Gamma: staying, then {0, e, -e} x {0, e, -e} for each step e; the first of equals wins."""
+    """Return Gamma: no move, then {0, e, -e} x {0, e, -e} for each step e; the first tie wins."""
     gamma = [(0.0, 0.0)]
     for step in steps:
         gamma += [(i * step, j * step) for i in (0, 1, -1) for j in (0, 1, -1) if i or j]
@@ -28,7 +28,7 @@ def candidates(steps: tuple[float, ...]) -> npt.NDArray[np.float32]:
 
 @_compiled
 def _site_energy(m, y, p, d, i, j, row, col):
-    """U_total at site (i, j) if its displacement were (row, col): its cliques and its data term."""
+    """Return the part of U_total at site (i, j) for the displacement (row, col)."""
     height, width = m.shape
     energy = p[i, j, 0] * abs(y[i, j, 0] - row) + p[i, j, 1] * abs(y[i, j, 1] - col)
     for line in range(4):
@@ -97,10 +97,13 @@ def _prolong(coarse, coarse_m, m, d):
 def solve_literally(
     problem: Problem, prior: SeilerPrior | None = None, optimizer: ICM | None = None
 ) -> npt.NDArray[np.float32]:
-    """The displacement, (H, W, 2), by the printed algorithm; square pixels, centred reading."""
+    """Return the displacement, (H, W, 2), of the literal algorithm.
+
+    Only square pixels and the centred reading are supported.
+    """
     prior, optimizer = prior or SeilerPrior(), optimizer or ICM()
     if problem.spacing[0] != problem.spacing[1] or prior.conditional != "centred":
-        raise ValueError("the literal program knows square pixels and the centred reading only")
+        raise ValueError("the literal program supports only square pixels and the centred reading")
     if optimizer.steps is None:
         raise ValueError("the literal program needs a candidate set")
     gamma = candidates(optimizer.steps)

@@ -1,16 +1,16 @@
-"""How many times a second the tissue follows a patch that is dragged.
+"""Update rate of the tissue while a patch is dragged.
 
     python benchmarks/live.py [size ...]
     python benchmarks/live.py --napari [size ...] [--kind grey colour stack pin move tissue]
 
-The first without a window, the second in a napari window with the dock: see
-`live_window.py`. What other processes took of the machine meanwhile is printed, too.
+The first command measures without a window, the second in a napari window with the dock (see
+`live_window.py`). The load from other processes during the measurement is also printed.
 
-A hand moves a patch of tissue about for some seconds, as often as a screen is redrawn. Printed are
-the updates of the picture each second, the time from a movement to its picture, and what each stage
-of an update costs: drawing the arrow into the observations, checking the problem, solving it, and
-moving the picture. Two more lines are what a slider costs, which only moves the picture, and how
-long the first picture takes.
+A simulated hand moves a patch of tissue for some seconds, at the refresh rate of a screen. The
+output lists the picture updates per second, the time from a movement to its picture, and the time
+of each stage of an update: drawing the arrow into the observations, checking the problem, solving
+it, and warping the picture. Two more values are the time of a slider change, which only warps the
+picture, and the time until the first picture.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import Update
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Rendering
 
-#: Updates a second that are asked for on two quiet cores.
+#: Required updates per second on two idle cores.
 GOALS = {300: 20, 1200: 5}
 SIZES = (300, 600, 1200)
 STAGES = ("draw", "check", "solve", "warp")
-#: Brushes that paint in a window, instead of a pull.
+#: Brushes that paint in a window instead of pulling.
 BRUSHES = ("pin", "move", "tissue")
-#: Pictures in a window: grey, in colours, or a slice of a stack; what is painted is grey.
+#: Kinds of images in a window: grey, colour, or a slice of a stack; brushes use the grey image.
 KINDS = ("grey", "colour", "stack", *BRUSHES)
 _SECONDS = 4.0
 _EVENTS = 60.0
-_TURN = 2.0  # seconds in which the hand comes round
-_QUIET = 0.1  # so much of a core others may use
+_TURN = 2.0  # seconds per revolution of the hand
+_QUIET = 0.1  # number of cores that other processes may use
 
 
 class Drag:
-    """A patch of the brain's picture, in colours, that is held by the mouse."""
+    """Drag of a patch of the brain image, in colours, by a simulated mouse."""
 
     def __init__(self, size: int) -> None:
         drawn = phantom("mass-effect", size)
@@ -70,7 +70,7 @@ class Drag:
         self.live = LiveSolver(self._show, ElasticPrior())
 
     def move(self, seconds: float) -> None:
-        """The mouse has moved: where it is after so many seconds."""
+        """Move the mouse to its position after a number of seconds."""
         angle = 2 * math.pi * seconds / _TURN
         reach = 0.03 * self._size
         by = (reach * math.sin(angle), reach * (1 - math.cos(angle)))
@@ -88,7 +88,7 @@ class Drag:
 
     def _show(self, update: Update) -> None:
         if update.solution is None:
-            raise SystemExit(f"the benchmark's own problem was refused: {update.error}")
+            raise SystemExit(f"the problem of the benchmark was refused: {update.error}")
         solution = update.solution
         self.costs["solve"].append(solution.provenance.seconds)
         self._timed("warp", lambda: self._warper(solution.displacement, solution.tissue))
@@ -96,7 +96,7 @@ class Drag:
         self.late.append(time.perf_counter() - self._moved[update.number])
 
     def slide(self) -> float:
-        """Show half of the last deformation, as a slider does; how long that takes."""
+        """Show half of the last deformation, as a slider does, and return the time in seconds."""
         solution = self.shown[-1].solution
         assert solution is not None
 
@@ -115,9 +115,9 @@ class Drag:
 
 
 def measure(size: int) -> str:
-    """Drag for some seconds; what is to be printed."""
+    """Drag for some seconds and return the report."""
     drag = Drag(size)
-    for angle in (0.0, 0.1):  # kernels are compiled and loaded before the clock starts
+    for angle in (0.0, 0.1):  # kernels are compiled and loaded before timing starts
         drag.move(angle)
         drag.live.wait()
     drag.live.cancel()
@@ -137,7 +137,7 @@ def measure(size: int) -> str:
     rate, asked = len(drag.shown) / seconds, goal_of(size)
     cycles = [update.solution.iterations for update in drag.shown if update.solution]
     lines = [
-        f"{size} x {size}: {rate:.1f} updates a second{asked} of {events / seconds:.0f} movements",
+        f"{size} x {size}: {rate:.1f} updates/s{asked} of {events / seconds:.0f} movements/s",
         f"    {np.mean(cycles):.1f} cycles each",
         f"    from movement to picture: {_spread(drag.late)}",
         *(f"    {stage:6}{_spread(costs)}" for stage, costs in drag.costs.items()),
@@ -148,8 +148,8 @@ def measure(size: int) -> str:
 
 
 def goal_of(size: int) -> str:
-    """The updates a second that are asked for, in words, if there are any."""
-    return f" (asked for: {GOALS[size]})" if size in GOALS else ""
+    """Return the required updates per second as a phrase, or "" if there is no requirement."""
+    return f" (required: {GOALS[size]})" if size in GOALS else ""
 
 
 def _spread(seconds: list[float]) -> str:
@@ -158,10 +158,10 @@ def _spread(seconds: list[float]) -> str:
 
 
 def in_window(sizes: Sequence[int], kinds: Sequence[str], arguments: Sequence[str]) -> int:
-    """Measure in a napari window, on a virtual display where there is none."""
+    """Measure in a napari window, on a virtual display if there is no display."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.getenv("WAYLAND_DISPLAY")):
         if shutil.which("xvfb-run") is None:
-            print("No display, and no xvfb-run to make one: sudo apt-get install xvfb xauth")
+            print("There is no display or xvfb-run. Install: sudo apt-get install xvfb xauth")
             return 1
         script = Path(__file__).resolve().parent.parent / "scripts" / "headless.sh"
         return subprocess.call(["sh", str(script), sys.executable, __file__, *arguments])
@@ -176,7 +176,7 @@ def in_window(sizes: Sequence[int], kinds: Sequence[str], arguments: Sequence[st
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print the figures of each size."""
+    """Print the results for each size."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sizes", nargs="*", type=int, metavar="size", default=SIZES)
     parser.add_argument("--napari", action="store_true", help="drag in a napari window")
@@ -192,16 +192,16 @@ def main(arguments: Sequence[str]) -> int:
 
 @contextmanager
 def load() -> Iterator[None]:
-    """Say how many cores others used meanwhile: with that figures are two and three times worse."""
+    """Print how many cores other processes used meanwhile; load makes results 2-3 times worse."""
     others, begun = _others(), time.perf_counter()
     yield
     busy = (_others() - others) / (time.perf_counter() - begun)
-    quiet = "" if busy < _QUIET else "; the machine was NOT idle, and the figures are too bad"
+    quiet = "" if busy < _QUIET else "; the machine was NOT idle, so the times are too long"
     print(f"    others used {busy:.2f} of {os.cpu_count()} cores{quiet}", flush=True)
 
 
 def _others() -> float:
-    """Seconds of all cores that other processes than ours and its display have used."""
+    """Return the processor time of all processes except this process and its display."""
     times = psutil.cpu_times()
     total = sum(times) - times.idle - getattr(times, "iowait", 0.0)
     total -= getattr(times, "guest", 0.0) + getattr(times, "guest_nice", 0.0)

@@ -1,16 +1,17 @@
-"""Random sequences of edits: answers of the live solver against cold solves at a tight tolerance.
+"""Random sequences of edits: live solver results compared with cold solves at a tight tolerance.
 
     python benchmarks/live_edits.py [--sequences 2000] [--first 0] [--seed 0] [--page FILE]
     python benchmarks/live_edits.py --seed 0 --only 123
 
-Sequences of even numbers begin with a random problem (`random_problems.py`), the others with a body
-of mild tissue that is held at its edges, as users have it. Patches are pulled, dragged in small
-steps and let go, confidence, stiffness, Poisson's ratio and the penalty change, and edits are
-undone. Every answer of the live solver, which begins with earlier ones, is compared with a cold
-solve of the same problem. A violation is a difference of more than the sum of both reported
-errors, or a refusal by one of the two alone, unless the exact solution explains it: the problem has
-no single answer, or none that double precision can tell. Answers that take minutes are counted as
-late; the window can cancel them. Exits with 1 if there is any violation.
+Even-numbered sequences start with a random problem (`random_problems.py`). The other sequences
+start with a body of mild tissue with prescribed edges, as in typical use. Patches are pulled,
+dragged in small steps and released; confidence, stiffness, Poisson's ratio and the penalty change;
+and edits are undone. Every result of the live solver, which starts from earlier results, is
+compared with a cold solve of the same problem. A violation is a difference that exceeds the sum of
+the two reported errors, or a refusal by only one of the two solves. A refusal is not a violation if
+the exact solution explains it: the solution is not unique, or double precision cannot resolve it.
+Results that take minutes are counted as late; the user can cancel them. Exits with 1 if there are
+violations.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ from napari_hmrf.solver.live_solver import TOLERANCE, Update
 
 #: Tolerance of cold solves, in pixels.
 COLD = 1e-4
-#: Difference that is no violation, in pixels: rounding in double precision adds up to less.
+#: Largest difference that is not a violation, in pixels; rounding in double precision is smaller.
 GRACE = 1e-9
-#: Seconds after which the live solver is not waited for; the sequence ends there.
+#: Time after which a sequence ends without a result of the live solver, in seconds.
 PATIENCE = 120.0
 _EXPLAINED, _LATE = "one refuses, rightly", "late"
 _FEWEST, _MOST = 3, 12
@@ -55,7 +56,7 @@ cold solves at a tolerance of {cold:g} px.
 
 
 class State(NamedTuple):
-    """A problem under edit."""
+    """Problem and prior that are being edited."""
 
     problem: Problem
     prior: ElasticPrior | SeilerPrior
@@ -63,19 +64,20 @@ class State(NamedTuple):
 
 @dataclass(frozen=True)
 class Answer:
-    """One comparison.
+    """Comparison of one live result with a cold solve.
 
     Attributes
     ----------
     sequence, step : int
+        Number of the sequence, and of the edit in it.
     kind : str
-        The edit.
+        Kind of edit.
     reading : str
-        The energy.
+        Name of the energy.
     difference, live, cold : float
-        How far both answers are apart, and the errors that they report, in pixels.
+        Largest distance between the two results, and their reported errors, in pixels.
     message : str
-        What was refused, by the one that refused.
+        Error message if a solve was refused.
     outcome : str
         ``"agree"``, ``"differ"``, ``"both refuse"``, ``"live alone refuses"``,
         ``"cold alone refuses"``, ``"one refuses, rightly"``, ``"late"`` or
@@ -94,16 +96,17 @@ class Answer:
 
     @property
     def is_violation(self) -> bool:
-        """True if the answers contradict each other."""
+        """True if the two results contradict each other."""
         return self.outcome not in ("agree", "both refuse", _EXPLAINED, _LATE)
 
 
 def start_of(seed: int, sequence: int) -> State:
-    """Return the state that a sequence begins with.
+    """Return the initial state of a sequence.
 
     Parameters
     ----------
     seed, sequence : int
+        Seed of the campaign, and number of the sequence.
     """
     if sequence % 2 == 0:
         drawn = random_problem(seed, sequence)
@@ -133,7 +136,9 @@ def states_of(start: State, dice: np.random.Generator) -> Iterator[tuple[str, St
     Parameters
     ----------
     start : State
+        Initial state.
     dice : numpy.random.Generator
+        Random number generator.
     """
     state = start
     history, patch = [state], np.zeros(state.problem.shape, dtype=bool)
@@ -156,7 +161,7 @@ def states_of(start: State, dice: np.random.Generator) -> Iterator[tuple[str, St
 
 
 def _patch(dice: np.random.Generator, problem: Problem) -> np.ndarray:
-    """Return a disc of sites around a random site of tissue."""
+    """Return the mask of a disc around a random tissue site."""
     at = dice.choice(np.argwhere(problem.tissue))
     rows, cols = np.indices(problem.shape)
     radius = dice.uniform(0.5, 1 + max(problem.shape) / 8)
@@ -190,23 +195,24 @@ def _edited(
 
 
 def judge(seed: int, sequence: int) -> list[Answer]:
-    """Run a sequence on the live solver, and compare each answer.
+    """Run a sequence on the live solver and compare each result.
 
     Parameters
     ----------
     seed, sequence : int
+        Seed of the campaign, and number of the sequence.
     """
     try:
         start = start_of(seed, sequence)
     except HmrfError:
-        return []  # the tissue that was drawn touches none of the edges that hold it
+        return []  # the random tissue touches none of the prescribed edges
     dice = np.random.default_rng([seed, sequence, 1])
     updates: list[Update] = []
     steps: list[tuple[str, State, Update]] = []
     late: State | None = None
     edits = states_of(start, dice)
-    # Cold solves come after: the live solver would learn from them. An edit that makes no problem
-    # ends the sequence.
+    # Run the cold solves afterwards, because the live solver would reuse their results. An edit
+    # that yields an invalid problem ends the sequence.
     with suppress(HmrfError), LiveSolver(updates.append, backend="cpu") as live:
         for kind, state in edits:
             live.submit(state)
@@ -224,7 +230,7 @@ def judge(seed: int, sequence: int) -> list[Answer]:
 
 
 def _compared(update: Update, state: State, sequence: int, step: int, kind: str) -> Answer:
-    """Compare an answer of the live solver with a cold solve."""
+    """Compare a result of the live solver with a cold solve."""
     problem, prior = state
     about: dict[str, Any] = {"sequence": sequence, "step": step, "kind": kind}
     about["reading"] = _reading(prior)
@@ -254,14 +260,14 @@ def _compared(update: Update, state: State, sequence: int, step: int, kind: str)
 
 
 def _alone(who: str, state: State, tolerance: float, refusal: HmrfError) -> str:
-    """Return the outcome of a refusal by one of two."""
+    """Return the outcome if only one of the two solves was refused."""
     truth = exact_field(*state)
     why = why_refused(*state, tolerance, truth, refusal)
     return f"{who} alone refuses" if why == "refused" else _EXPLAINED
 
 
 def _reading(prior: ElasticPrior | SeilerPrior) -> str:
-    """Return the kind of energy."""
+    """Return the name of the energy."""
     if isinstance(prior, ElasticPrior):
         how = "held" if prior.penalty == math.inf else "slips"
         return f"elastic {prior.plane}, {how}"
@@ -269,13 +275,16 @@ def _reading(prior: ElasticPrior | SeilerPrior) -> str:
 
 
 def report(answers: list[Answer], seed: int, sequences: range, seconds: float) -> str:
-    """Return the findings, in Markdown.
+    """Return the findings in Markdown.
 
     Parameters
     ----------
     answers : list of Answer
+        All comparisons.
     seed : int
+        Seed of the campaign.
     sequences : range
+        Numbers of the sequences.
     seconds : float
         Duration of the campaign.
     """
@@ -303,7 +312,7 @@ def report(answers: list[Answer], seed: int, sequences: range, seconds: float) -
 
 
 def _line(answer: Answer, seed: int) -> str:
-    """Return one violation, with the command that repeats it."""
+    """Return a line about a violation, with the command that reproduces it."""
     text = f"- `--seed {seed} --only {answer.sequence}` step {answer.step} ({answer.kind}), "
     text += f"{answer.reading}: {answer.outcome}"
     if math.isfinite(answer.difference):
@@ -315,10 +324,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the campaign and print the findings."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sequences", type=int, default=2000)
-    parser.add_argument("--first", type=int, default=0, help="the first sequence")
+    parser.add_argument("--first", type=int, default=0, help="number of the first sequence")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", type=int, help="this sequence alone")
-    parser.add_argument("--page", type=Path, help="write the findings to this file, too")
+    parser.add_argument("--only", type=int, help="run only this sequence")
+    parser.add_argument("--page", type=Path, help="path of a page to write")
     options = parser.parse_args(arguments)
     sequences = range(options.first, options.first + options.sequences)
     if options.only is not None:

@@ -1,10 +1,10 @@
-"""The same drag as in `live.py`, in a real napari window: what `live.py --napari` measures.
+"""Drag in a real napari window, for `live.py --napari`; the same drag as in `live.py`.
 
-A thread of its own posts events of the mouse to the canvas at the rate of an ordinary mouse, of
-which those the window has not yet come to are replaced by the next one, as Qt does with real ones.
-What is shown is known from the drawing it belongs to; it counts once Qt has put the canvas, painted
-anew, on the screen. Another thread asks the window for an answer every few milliseconds: whatever
-it does not answer meanwhile, it is blocked.
+A separate thread posts mouse events to the canvas at the rate of an ordinary mouse. An event that
+the window has not yet processed is replaced by the next event, as Qt does with real events. Each
+displayed result is identified by its drawing, and is counted once Qt has shown the repainted canvas
+on the screen. Another thread posts a request to the window every few milliseconds; the window is
+blocked while it does not answer.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.ui.motion.arrows import ArrowsLayer
 
 _WINDOW = (1500, 950)
-_MOUSE = 100.0  # events a second
-_ASKING = 0.003  # seconds between questions to the window
-_SHORT = 0.005  # seconds nobody calls a block
+_MOUSE = 100.0  # events per second
+_ASKING = 0.003  # interval between requests to the window, in seconds
+_SHORT = 0.005  # longest delay that does not count as blocked, in seconds
 _LEFT = Qt.MouseButton.LeftButton
 _TURN = 2.0
 
 
 class Window:
-    """A window with a picture of tissue, and somebody who drags it.
+    """Window with an image of tissue, in which drags are simulated.
 
     Attributes
     ----------
     late : list of float
-        Of the last drag: the seconds from each movement to its picture on the screen.
+        Seconds from each movement to its picture on the screen, in the last drag.
     costs : dict of str to list of float
-        Of the last drag: the seconds that each stage took.
+        Seconds of each stage, in the last drag.
     moves : int
-        Of the last drag: the movements that the window came to.
+        Number of movements that the window processed, in the last drag.
     """
 
     def __init__(self, size: int, kind: str) -> None:
@@ -73,7 +73,7 @@ class Window:
         self._canvas: Any = self.viewer.window._qt_viewer.canvas
         self._native = self._canvas.native
         self.viewer.mouse_over_canvas = True
-        # Docks ask for their room as they come; what is painted should be as much each time.
+        # Docks request space when they are added. The canvas should have the same size each time.
         self.wait(1.0)
         self.viewer.window.resize(*_WINDOW)
         self.wait(1.0)
@@ -90,30 +90,31 @@ class Window:
 
     @property
     def canvas_size(self) -> tuple[int, int]:
-        """Width and height of what is drawn, in pixels."""
+        """Width and height of the canvas, in pixels."""
         return self._native.width(), self._native.height()
 
     def drag(
         self, seconds: float, meanwhile: AbstractContextManager[Any] | None = None
     ) -> tuple[float, int, list[float], list[float]]:
-        """Drag for some time.
+        """Drag for a number of seconds.
 
         Parameters
         ----------
         seconds : float
+            Duration of the drag.
         meanwhile : context manager, optional
-            Entered while the mouse moves, and neither when it is pressed nor when it is released.
+            Context that is active while the mouse moves, but not when it is pressed or released.
 
         Returns
         -------
         seconds : float
-            It took.
+            Actual duration.
         events : int
-            Movements of the mouse.
+            Number of mouse movements.
         waits : list of float
-            How long the window let those wait who asked it something, in seconds.
+            Response times of the window to requests, in seconds.
         blocks : list of float
-            The times at a stretch in which it answered nothing.
+            Durations in which the window was blocked, in seconds.
         """
         self.start()
         drawn = self._widget.study_model.changed
@@ -138,7 +139,7 @@ class Window:
         return took, mouse.posted, questions.waits, questions.blocks
 
     def start(self) -> None:
-        """Begin to pull, as the button does, and wait for what has to be compiled."""
+        """Start pulling, as the button does, and wait until loops are compiled."""
         self._widget.start()
         if self._kind in get_args(Action):
             self._widget.tool = self._kind
@@ -146,7 +147,7 @@ class Window:
         self.settle()
 
     def first(self) -> float:
-        """The seconds from the first press to the first picture of what moved."""
+        """Return the time from the first press to the first deformed picture, in seconds."""
         self._press()
         begun, seen = time.perf_counter(), []
         self._widget.deformation_changed.connect(seen.append)
@@ -162,18 +163,18 @@ class Window:
         return took
 
     def undo(self) -> None:
-        """Take the last drag back, so that the next finds the tissue as it was."""
+        """Undo the last drag, so that the next drag starts from the original tissue."""
         self._widget.undo()
         self.settle()
 
     def settle(self) -> None:
-        """Wait until nothing is on its way."""
+        """Wait until there are no pending results."""
         self.wait(0.3)
         while self._widget.busy:
             self.wait(0.1)
 
     def wait(self, seconds: float) -> None:
-        """Let the window do what it does, its event loop as in real life."""
+        """Run the event loop of the window for a number of seconds."""
         loop = QEventLoop()
         QTimer.singleShot(round(1000 * seconds), loop.quit)
         loop.exec()
@@ -191,7 +192,7 @@ class Window:
         self._seen, self.moves = None, 0
 
     def _place(self, seconds: float) -> tuple[float, float]:
-        """Where the hand is: a patch is led in a circle, as in `live.py`."""
+        """Return the position of the hand, which moves in a circle as in `live.py`."""
         angle, reach = 2 * math.pi * seconds / _TURN, 0.03 * self._size
         at = (0.5 * self._size, 0.3 * self._size)
         return at[0] + reach * math.sin(angle), at[1] + reach * (1 - math.cos(angle))
@@ -233,7 +234,7 @@ class Window:
 
     @contextmanager
     def _timed(self) -> Iterator[None]:
-        """Have the clock run beside what happens."""
+        """Measure the time of each stage."""
         wrapped = [
             (Rendering, "show", "drawing"),
             (Ground, "statement", "problem"),
@@ -269,16 +270,16 @@ class Window:
 
 
 class _Poster(QObject):
-    """Posts to the window's thread at a steady rate, from a thread of its own.
+    """Object that posts events to the GUI thread at a constant rate, from a separate thread.
 
     Parameters
     ----------
     answer : callable
-        Called on the window's thread with the time of what was posted.
+        Function called on the GUI thread with the time of the post.
     pause : float
-        Seconds between posts.
+        Interval between posts, in seconds.
     compress : bool
-        Whether what has not been come to is replaced by what follows, or is answered too.
+        True if a pending post is replaced by the next post; False if all posts are answered.
     """
 
     _KIND = QEvent.Type(QEvent.registerEventType())
@@ -297,16 +298,16 @@ class _Poster(QObject):
         self.blocks: list[float] = []
 
     def start(self) -> None:
-        """Begin to post."""
+        """Start posting."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Post no more."""
+        """Stop posting."""
         self._over.set()
         self._thread.join()
 
     def customEvent(self, event: QEvent) -> None:
-        """Answer what waits."""
+        """Answer the pending posts."""
         with self._lock:
             waiting, self._waiting = self._waiting, []
         if not waiting:
@@ -334,19 +335,19 @@ class _Poster(QObject):
 def measure(
     size: int, kind: str, seconds: float, spread: Callable[[list[float]], str], asked: str = ""
 ) -> str:
-    """Drag in a window for some seconds; what is to be printed."""
+    """Drag in a window for a number of seconds and return the report."""
     window = Window(size, kind)
     window.start()
     first = window.first()
     took, events, waits, blocks = window.drag(seconds)
     rate = len(window.late) / took
     width, height = window.canvas_size
-    title = f"{size} x {size} in napari, {kind}: {rate:.1f} updates a second{asked} of "
+    title = f"{size} x {size} in napari, {kind}: {rate:.1f} updates/s{asked} of "
     lines = [
-        f"{title}{events / took:.0f} movements, on a canvas of {width} x {height}",
+        f"{title}{events / took:.0f} movements/s, on a canvas of {width} x {height}",
         f"    from movement to the screen: {spread(window.late)}",
         f"    window blocked {len(blocks)} times: {spread(blocks or [0.0])}",
-        f"    a click waits:        {spread(waits)}",
+        f"    delay of a click:     {spread(waits)}",
         *(
             f"    {stage:20}{spread(costs)}, {len(costs) / took:5.1f} / s"
             for stage, costs in window.costs.items()

@@ -1,10 +1,10 @@
-"""How fast and how surely many cases are solved: `python benchmarks/many_cases.py`.
+"""Speed and robustness of solving many cases: `python benchmarks/many_cases.py`.
 
-Solves 200 cases of 256 x 256, of which one is broken, by two processes, kills them in the middle
-with SIGKILL, and resumes. Then the throughput of whole batches, beside a loop in one process that
-does the same work (reads, solves, writes) warm and on one thread; and the same by a local dask
-cluster of two workers, where dask.distributed is installed. Measured twice, as others may use the
-machine: by the clock, and by what the processors did.
+Solves 200 cases of 256 x 256 pixels, one of them broken, with two processes, kills the processes
+with SIGKILL half way, and resumes. Then it measures the throughput of whole batches. The reference
+is a loop in one process that does the same work (reading, solving, writing) on one thread, after
+warm-up. If dask.distributed is installed, a local cluster of two workers is also measured. All
+times are given as wall-clock time and as processor time, because the machine may be shared.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from napari_hmrf.io.case_records import RECORD
 from napari_hmrf.io.images import ImageFile, write_image
 
 SIZE, WORKERS = 256, 2
-#: dask has its workers give memory back at once and look at what they do a hundred times a second,
-#: which costs a fifth and a tenth of the time, unless told otherwise.
+#: Options of dask. By default, workers return memory immediately and are profiled a hundred times
+#: per second, which takes a fifth and a tenth of the time, respectively.
 LEAN = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     "distributed.worker.profile.enabled": False,
@@ -43,7 +43,7 @@ LEAN = {
 
 
 def write_cases(folder: Path, count: int, broken: bool = True) -> Path:
-    """A table of as many cases of one phantom, by how far the rim of its tumour moves."""
+    """Write a table of cases of one phantom that differ in the motion of the tumour's rim."""
     case = phantom("mass-effect", size=SIZE)
     images = {
         "image": case.image,
@@ -66,7 +66,7 @@ def write_cases(folder: Path, count: int, broken: bool = True) -> Path:
 
 
 def in_shell(table: Path, out: Path, *more: str) -> list[str]:
-    """The command that solves a table."""
+    """Return the command that solves a table."""
     code = "import sys; from napari_hmrf.cli import main; sys.exit(main())"
     return [sys.executable, "-c", code, "batch", str(table), str(out), *more]
 
@@ -76,7 +76,7 @@ def finished(out: Path) -> list[Path]:
 
 
 def killed_and_resumed(folder: Path, count: int) -> None:
-    """Kill a batch in the middle with all of its processes' parent, and do the rest."""
+    """Kill all processes of a batch half way, and resume the batch."""
     table, out = write_cases(folder, count), folder / "killed"
     process = subprocess.Popen(in_shell(table, out, "--jobs", f"{WORKERS}"))
     while len(finished(out)) < count // 2 and process.poll() is None:
@@ -97,14 +97,16 @@ def killed_and_resumed(folder: Path, count: int) -> None:
     print(
         f"killed with {len(before)} of {count} cases finished, and resumed (exit {done.returncode})"
     )
-    print(f"  left alone: {kept} of {len(before)}; right: {len(most)}; not: {', '.join(wrong)}")
-    print(f"  largest displacement beside what was asked for: within {max(most.values()):.2g} px")
+    print(
+        f"  unchanged: {kept} of {len(before)}; solved: {len(most)}; not solved: {', '.join(wrong)}"
+    )
+    print(f"  largest displacement: within {max(most.values()):.2g} px of the requested one")
     halves = [path.name for path in out.iterdir() if path.is_dir() and not (path / RECORD).exists()]
-    print(f"  folders that are not whole: {len(halves)}")
+    print(f"  incomplete folders: {len(halves)}")
 
 
 def loop(table: Path, out: Path, count: int) -> dict[str, float]:
-    """Solve cases here on one thread, warm; what one takes, by the clock and the processor."""
+    """Solve cases in this process on one thread, and return the time per case."""
     one_thread()
     cases = [each for each in read_cases(table) if each.case.image.exists()][: count + 3]
     for case in cases[:3]:
@@ -117,14 +119,14 @@ def loop(table: Path, out: Path, count: int) -> dict[str, float]:
 
 
 class Pace(NamedTuple):
-    """Seconds for a case of a batch.
+    """Seconds per case of a batch.
 
     Attributes
     ----------
     first : float
-        Until the first came: processes are started, and load the loops.
+        Time until the first case is complete, including the start of processes and loading loops.
     clock, processors : float
-        Of one of the others by the clock, and by the processors in all processes of ours.
+        Wall-clock time and processor time of all our processes, per later case.
     """
 
     first: float
@@ -133,18 +135,18 @@ class Pace(NamedTuple):
 
 
 def processors() -> float:
-    """Seconds that processors have worked for this process and those it has started."""
+    """Return the processor time of this process and its child processes, in seconds."""
     here = psutil.Process()
     return sum(sum(each.cpu_times()[:2]) for each in (here, *here.children(recursive=True)))
 
 
 def pace_of(count: int, run: Callable[[Callable[[object], None]], object]) -> Pace:
-    """Time a batch of so many cases."""
+    """Measure the pace of a batch of `count` cases."""
     warm, come, busy = 4 * WORKERS, [time.perf_counter()], []
 
     def tell(_: object) -> None:
         come.append(time.perf_counter())
-        if len(come) - 1 in (warm, count):  # to ask takes as long as a case
+        if len(come) - 1 in (warm, count):  # measuring takes as long as a case
             busy.append(processors())
 
     run(tell)
@@ -153,7 +155,7 @@ def pace_of(count: int, run: Callable[[Callable[[object], None]], object]) -> Pa
 
 
 def throughput(folder: Path, count: int) -> None:
-    """Cases a second and a core, of the loop, of the pool and of a cluster, by turns."""
+    """Print cases per second and core of the loop, the pool and a cluster, in turn."""
     table, again = write_cases(folder, count, broken=False), [sys.executable, __file__, "--loop"]
 
     def looped() -> dict[str, float]:
@@ -185,21 +187,21 @@ def throughput(folder: Path, count: int) -> None:
     after = looped()
     clock, busy = ((before[each] + after[each]) / 2 for each in ("clock", "processor"))
     print(
-        f"\na loop in one process, warm: {1000 * clock:.0f} ms a case ({1000 * busy:.0f} of it "
-        f"a processor's; {1000 * before['clock']:.0f} before the others, "
-        f"{1000 * after['clock']:.0f} after them)"
+        f"\na loop in one process, warm: {1000 * clock:.0f} ms per case (processor time "
+        f"{1000 * busy:.0f} ms; {1000 * before['clock']:.0f} ms before the other runs, "
+        f"{1000 * after['clock']:.0f} ms after them)"
     )
     for name, pace in paces.items():
         print(
-            f"{name}: the first case after {pace.first:.1f} s, then {1000 * pace.clock:.0f} ms a "
-            f"case ({1000 * pace.processors:.0f} of processors)"
+            f"{name}: the first case after {pace.first:.1f} s, then {1000 * pace.clock:.0f} ms "
+            f"per case (processor time {1000 * pace.processors:.0f} ms)"
         )
         print(
-            f"  throughput a core beside the loop: {clock / (pace.clock * WORKERS):.2f} by the "
-            f"clock, {busy / pace.processors:.2f} by what processors did"
+            f"  throughput per core relative to the loop: {clock / (pace.clock * WORKERS):.2f} by "
+            f"wall-clock time, {busy / pace.processors:.2f} by processor time"
         )
     if len(paces) == 1:
-        print("dask.distributed is not installed: no cluster")
+        print("dask.distributed is not installed, so no cluster was measured")
 
 
 def main() -> int:

@@ -1,12 +1,13 @@
-"""A tumour grows in a real brain: from an MRI and its tissue maps to files, by the shell alone.
+"""Tumour growth in a real brain, from an MRI and its tissue maps to files, by shell commands.
 
     python benchmarks/mri.py FOLDER --slice 80 -o OUT [--size 12] [--growth 3]
 
-FOLDER holds t1.nii.gz, and gm.nii.gz and wm.nii.gz, which say how likely grey and white matter are;
-any MRI with such maps will do. A tumour is painted in the middle of the largest white matter, its
-rim grows, and the brain is held where it ends. `napari-hmrf solve` and `export` do all else. Then
-SimpleITK moves the whole volume by the exported field, and its slice is compared with ours. Prints
-the figures, and writes all files, the commands, and a picture. Exits with 1 if both disagree.
+FOLDER contains t1.nii.gz, and the probability maps gm.nii.gz and wm.nii.gz of grey and white
+matter; any MRI with such maps is suitable. A tumour is painted in the middle of the largest region
+of white matter, its rim grows, and the edge of the brain is prescribed. `napari-hmrf solve` and
+`export` do the rest. Then SimpleITK warps the whole volume by the exported field, and its slice is
+compared with our slice. Prints the results, and writes all files, the commands and a picture. Exits
+with 1 if the two slices disagree.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from napari_hmrf import Solution, read_study, warp
 from napari_hmrf.cli import main as shell
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 
-#: By which share of the image's range a pixel may differ.
+#: Largest difference between the two slices, as a fraction of the image's range.
 _SAME = 1e-3
-#: In kPa, after what is usual for brains; fluid gives way.
+#: Typical values for brains, with stiffness in kPa; fluid is soft.
 _MATERIALS = """label,name,stiffness,poisson
 0,fluid and beyond,0.1,0.3
 1,grey matter,1.9,0.45
@@ -47,9 +48,9 @@ _RULES = """label,action,amount
 
 
 def painted(brain: npt.NDArray[Any], white: npt.NDArray[Any], radius: float) -> npt.NDArray[Any]:
-    """Paint where the brain ends (1) and the rim of a tumour in white matter (2)."""
+    """Return labels of the edge of the brain (1) and the rim of a tumour in white matter (2)."""
     depth = distance_transform_edt(white)
-    # Off the middle of the picture, where a tumour pushes to one side.
+    # Avoid the middle of the picture, so that the tumour pushes to one side.
     depth[:, depth.shape[1] // 2 :] = 0
     middle = np.unravel_index(depth.argmax(), depth.shape)
     rows, cols = np.indices(brain.shape)
@@ -61,7 +62,7 @@ def painted(brain: npt.NDArray[Any], white: npt.NDArray[Any], radius: float) -> 
 
 
 def run(*command: Any) -> str:
-    """Run a command of ``napari-hmrf``, and give it as it is typed."""
+    """Run a ``napari-hmrf`` command and return its command line."""
     words = [str(word) for word in command]
     if shell(words):
         raise SystemExit(f"failed: napari-hmrf {shlex.join(words)}")
@@ -69,7 +70,7 @@ def run(*command: Any) -> str:
 
 
 def resampled(volume: Path, field: Path, number: int) -> npt.NDArray[Any]:
-    """SimpleITK's own picture of a slice, of the whole volume that it moves by a field."""
+    """Return SimpleITK's slice of the volume after warping the whole volume by a field."""
     import SimpleITK as sitk
 
     image = sitk.ReadImage(str(volume), sitk.sitkFloat64)
@@ -87,8 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--slice", type=int, default=80)
-    parser.add_argument("--size", type=float, default=9.0, help="radius in pixels")
-    parser.add_argument("--growth", type=float, default=3.0, help="in mm")
+    parser.add_argument("--size", type=float, default=9.0, help="radius of the tumour, in pixels")
+    parser.add_argument("--growth", type=float, default=3.0, help="expansion of its rim, in mm")
     parser.add_argument("-o", "--out", type=Path, required=True)
     options = parser.parse_args(arguments)
     out, number = options.out, options.slice
@@ -116,10 +117,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     inside = binary_erosion(brain, iterations=2)
     away = np.abs(ours - theirs)[inside] / np.ptp(before)
     far = np.linalg.norm(solution.displacement, axis=-1)
-    print(f"moved by up to {far.max():.2f} mm, in the mean of the brain {far[brain].mean():.2f} mm")
+    print(f"displacement: at most {far.max():.2f} mm, mean in the brain {far[brain].mean():.2f} mm")
     print(
-        f"our picture and SimpleITK's differ by at most {away.max():.1g} of the image's range; "
-        f"either differs from the image before by up to {np.abs(ours - before).max():.0f}, of "
+        f"our slice differs from SimpleITK's by at most {away.max():.1g} of the image's range; the "
+        f"deformation changes grey values by up to {np.abs(ours - before).max():.0f} of "
         f"{np.ptp(before):.0f}"
     )
     (out / "commands.sh").write_text("\n".join(typed) + "\n")
@@ -141,11 +142,11 @@ def _draw(
     figure = Figure((15, 12), layout="constrained")
     drawn: list[tuple[str, npt.NDArray[Any], str]] = [
         ("before", before, "gray"),
-        ("tissue of the maps, and what is painted", np.where(rim > 0, rim + 2, tissue), "viridis"),
+        ("tissue from the maps, and painted labels", np.where(rim > 0, rim + 2, tissue), "viridis"),
         ("displacement, mm", far, "magma"),
         ("after, by this package", ours, "gray"),
         ("after, by SimpleITK", theirs, "gray"),
-        ("difference of the two", ours - theirs, "RdBu"),
+        ("difference of the two pictures", ours - theirs, "RdBu"),
     ]
     for place, (title, picture, colours) in enumerate(drawn):
         axes = figure.add_subplot(2, 3, place + 1)

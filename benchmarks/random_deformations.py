@@ -1,10 +1,11 @@
-"""Random deformations: whether any folds, whether a seed repeats, and what a sample costs.
+"""Random deformations: folds, reproducibility by seed, and cost of a sample.
 
     python benchmarks/random_deformations.py [--quick] [--fields 1000]
 
-Beside MONAI's elastic transforms in the same run, where MONAI is installed; else beside the usual
-transform of that kind by SciPy: noise, blurred, and an image and its labels looked up by it. CPU
-time is that of all threads of this process, for a field, an image and its labels.
+The cost is compared with MONAI's elastic transforms in the same run if MONAI is installed.
+Otherwise, it is compared with the usual elastic transform in SciPy: a displacement of blurred
+noise, applied to an image and its labels. CPU time is the time of all threads of this process for a
+field, an image and its labels.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ MATERIALS = (
     Material(2, "tumour", 10.0, 0.45, 0.1),
     Material(3, "bone", RIGID),
 )
-#: What was asked for: at most so many times the CPU time of the others, in images and in volumes.
+#: Largest accepted ratio to the CPU time of the other transform, in images and in volumes.
 ASKED = {2: 1.5, 3: 0.5}
 
 
 def case(size: int, axes: int) -> np.ndarray:
-    """Draw a round body in air with a tumour in its middle and a bone beside it."""
+    """Return labels of a round body in air, with a tumour in its middle and a bone beside it."""
     at = np.moveaxis(np.indices((size,) * axes), 0, -1) / (size - 1) - 0.5
     labels = (np.linalg.norm(at, axis=-1) < 0.46).astype(np.uint8)
     labels[np.linalg.norm(at, axis=-1) < 0.12] = 2
@@ -46,7 +47,7 @@ def case(size: int, axes: int) -> np.ndarray:
 
 
 def by_scipy(image: np.ndarray, labels: np.ndarray) -> Callable[[], object]:
-    """Return the usual elastic transform, as many pipelines have it."""
+    """Return the usual elastic transform, as implemented in many pipelines."""
     random, n = np.random.default_rng(0), image.ndim
     own = np.indices(image.shape, dtype=np.float32)
 
@@ -60,7 +61,7 @@ def by_scipy(image: np.ndarray, labels: np.ndarray) -> Callable[[], object]:
 
 
 def by_monai(image: np.ndarray, labels: np.ndarray) -> Callable[[], object]:
-    """Return MONAI's, of one grid for both, as its tutorial sets it."""
+    """Return MONAI's elastic transform of an image and its labels, set as in MONAI's tutorial."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from monai.transforms import Rand2DElasticd, Rand3DElasticd
@@ -78,7 +79,7 @@ def by_monai(image: np.ndarray, labels: np.ndarray) -> Callable[[], object]:
 
 
 def cost(transform: Callable[[], object], times: int) -> float:
-    """Measure the CPU time of one, in seconds: the median of so many."""
+    """Return the median CPU time of a transform over several runs, in seconds."""
     transform()
     found = []
     for _ in range(times):
@@ -89,7 +90,7 @@ def cost(transform: Callable[[], object], times: int) -> float:
 
 
 def measure(size: int, axes: int, fields: int, times: int) -> bool:
-    """Print what is true of one case; whether it is what was asked for."""
+    """Print the results of one case, and return whether they satisfy the requirements."""
     labels = case(size, axes)
     image = np.random.default_rng(0).random(labels.shape, dtype=np.float32)
     begun = time.perf_counter()
@@ -106,30 +107,33 @@ def measure(size: int, axes: int, fields: int, times: int) -> bool:
     again = [hashlib.sha256(deformation.sample(s).displacement).digest() for s in range(fields)]
     less = [scale for scale in scales if scale < 1]
     print(
-        f"  {fields} random fields: {folded} fold; {len(less)} were scaled down for that, to "
-        f"{np.median(less or [1]):.2f} in the middle; moved up to {np.median(farthest):.1f} px in "
-        f"the middle, {max(farthest):.1f} px at most"
+        f"  {fields} random fields: {folded} fold; {len(less)} were scaled down to prevent "
+        f"folds, by a median factor of {np.median(less or [1]):.2f}; largest displacement: median "
+        f"{np.median(farthest):.1f} px, maximum {max(farthest):.1f} px"
     )
-    print(f"  the same seeds again: {sum(map(bytes.__ne__, digests, again))} of other bits")
+    print(f"  same seeds again: {sum(map(bytes.__ne__, digests, again))} fields differ")
     off = 0.0
     for seed in range(3):
         sample = deformation.sample(seed)
         solved = solve_study(sample.study).displacement
         off = max(off, float(np.abs(solved - sample.displacement).max()))
-    print(f"  from full solves of the same boundaries, three of them: {off:.2g} px at most")
+    print(f"  largest difference from three full solves of the same boundaries: {off:.2g} px")
     seeds = iter(range(10**9))
     pictures = Picture(image), Picture(labels, order=0)
     ours = cost(lambda: deformation.sample(next(seeds)).pictures(*pictures), times)
     field = cost(lambda: deformation.sample(next(seeds)), times)
-    asked = f" (asked: at most {ASKED[axes]})"
+    asked = f" (required: at most {ASKED[axes]})"
     try:
         name, others = f"MONAI's Rand{axes}DElasticd", cost(by_monai(image, labels), times)
     except ImportError:
-        name, others = "MONAI is not here; SciPy's", cost(by_scipy(image, labels), times)
+        name, others = (
+            "MONAI is not installed; SciPy's transform",
+            cost(by_scipy(image, labels), times),
+        )
         asked = ""
     ratio = ours / others
     print(
-        f"  CPU time a sample: {1e3 * ours:.1f} ms, of which {1e3 * field:.1f} ms for the field; "
+        f"  CPU time per sample: {1e3 * ours:.1f} ms, of which {1e3 * field:.1f} ms for the field; "
         f"{name} {1e3 * others:.1f} ms: {ratio:.2f} times{asked}"
     )
     fast = not asked or ratio <= ASKED[axes]
@@ -137,9 +141,9 @@ def measure(size: int, axes: int, fields: int, times: int) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print both cases; 0 whatever they are, as a benchmark is not a test."""
+    """Print both cases; always return 0, because a benchmark is not a test."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes, to see whether it runs")
+    parser.add_argument("--quick", action="store_true", help="small sizes, for a quick check")
     parser.add_argument("--fields", type=int, default=1000, help="default: %(default)s")
     options = parser.parse_args(arguments)
     before = load()
@@ -147,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     flat, deep, times = (48, 16, 3) if options.quick else (256, 96, 30)
     fields = 10 if options.quick else options.fields
     met = [measure(flat, 2, fields, times), measure(deep, 3, max(1, fields // 50), times)]
-    print("\nall that was asked for" if all(met) else "\nnot all that was asked for")
+    print("\nall requirements met" if all(met) else "\nnot all requirements met")
     return 0
 
 

@@ -1,6 +1,6 @@
-"""Random problems of large motion, and the faults of their results.
+"""Random problems of large motion, and checks of their results.
 
-``python -m benchmarks.large_motion --random 3000`` solves them.
+``python -m benchmarks.large_motion --random 3000`` solves these problems.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from tests.support.finite_oracle import least_corner, turned
 Field = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# Largest gap between a target and the tissue that counts as met, in pixels.
+# Largest distance of the tissue from a target that is reached, in pixels.
 _MET = 0.01
-# Least Jacobian of a map that targets are sampled from.
+# Least Jacobian of a map from which targets are sampled.
 _LEAST = 0.2
 
 
 class Case(NamedTuple):
-    """A random problem, and whether its targets are those of a map without folds."""
+    """Random problem and prior, and whether the targets are sampled from a map without folds."""
 
     problem: Problem
     prior: NeoHookeanPrior
@@ -37,7 +37,7 @@ class Case(NamedTuple):
 
 
 def run(first: int, count: int) -> None:
-    """Solve random problems, and print how many results are faulty, refused or short."""
+    """Solve random problems and print the numbers of faults, refusals and missed targets."""
     counts: Counter[str] = Counter()
     slowest, begun = (0.0, first), time.perf_counter()
     for number in range(first, first + count):
@@ -60,7 +60,7 @@ def run(first: int, count: int) -> None:
         counts["beyond the tolerance"] += found.convergence.error > Multigrid().tolerance
         counts["met"] += case.known and gap <= _MET
         if faults or (case.known and gap > _MET):
-            what = ", ".join(faults) or "not met"
+            what = ", ".join(faults) or "not reached"
             print(
                 f"problem {number} (known map: {case.known}): {what}; least corner {least:.2g}; "
                 f"{found.reach}; error {found.convergence.error:.2g} px",
@@ -70,22 +70,22 @@ def run(first: int, count: int) -> None:
     for name in _FAULTS:
         print(f"{counts[name]} of {count}: {name}")
     print(f"{counts['refused']} of {count}: refused, with the reasons above")
-    print(f"{counts['beyond the tolerance']} of {count}: error beyond the tolerance, which is said")
-    print(f"{counts['met']} of {counts['known']}: targets of a known map met to {_MET} px")
+    print(f"{counts['beyond the tolerance']} of {count}: error beyond the tolerance, as reported")
+    print(f"{counts['met']} of {counts['known']}: targets of a known map reached to {_MET} px")
     print(f"slowest: problem {slowest[1]}, {slowest[0]:.1f} s; all: {took:.0f} s")
 
 
 _FAULTS = (
     "folded",
-    "an error that is not a number",
+    "error that is not a number",
     "count_folds above 0",
-    "an error beyond the tolerance that is not said",
-    "a target missed that is not said",
+    "unreported error beyond the tolerance",
+    "missed target that is not reported",
 )
 
 
 def _faults(case: Case, found: Any) -> list[str]:
-    """Return the faults of a result."""
+    """Return the names of the faults of a result."""
     problem, reach = case.problem, found.reach
     displacement, error = found.displacement, found.convergence.error
     missing = _gap(problem, displacement)
@@ -105,13 +105,13 @@ def _faults(case: Case, found: Any) -> list[str]:
 
 
 def _gap(problem: Problem, displacement: Any) -> Field:
-    """Return how far each site is from its target, in pixels."""
+    """Return the distance of each site from its target, in pixels."""
     gap = np.where(problem.known, problem.observed - displacement.astype(np.float64), 0)
     return np.asarray(np.linalg.norm(gap, axis=-1) / problem.unit)
 
 
 def make_case(number: int) -> Case:
-    """Make a random problem; that of an even number has targets of a map without folds."""
+    """Return a random problem; for even numbers, its targets belong to a map without folds."""
     random, known = np.random.default_rng(number), number % 2 == 0
     shape = tuple(int(size) for size in random.integers(12, 49, 2))
     spacing = (1.0, 1.0)
@@ -164,7 +164,7 @@ def make_case(number: int) -> Case:
 
 
 def _tissue(random: np.random.Generator, shape: tuple[int, ...], known: bool) -> Field:
-    """Make tissue of several stiffnesses, with holes, a border of air, and rigid bodies."""
+    """Return stiffness of several values, with holes, a border of air and rigid bodies."""
     m = np.ones(shape)
     decades = random.choice([1.0, 3.0, 4.0])
     for _ in range(int(random.integers(0, 4))):
@@ -192,7 +192,7 @@ def _disc(random: np.random.Generator, shape: tuple[int, ...], least: float, mos
 
 
 def _target(random: np.random.Generator, shape: tuple[int, ...]) -> tuple[Mask, str]:
-    """Choose sites with a target, and the kind of motion they have."""
+    """Return a mask of the sites with a target, and their kind of motion."""
     kind = str(random.choice(["drag", "rim", "none", "bend", "landmarks"]))
     row, col = np.indices(shape)
     size = min(shape)
@@ -213,7 +213,7 @@ def _target(random: np.random.Generator, shape: tuple[int, ...]) -> tuple[Mask, 
 
 
 def _growth(random: np.random.Generator, shape: tuple[int, ...], rigid: Mask) -> Loads:
-    """Make a disc that shrinks to half its length or grows to four times, maybe along one axis."""
+    """Return the growth of a disc, from half to four times its length, maybe along one axis."""
     strain = random.uniform(-0.5, 3) if random.random() < 0.5 else random.uniform(-0.5, 0.5)
     grows = _disc(random, shape, 2, min(shape) / 2) & ~rigid
     along = random.normal(size=2) if random.random() < 0.2 else None
@@ -221,7 +221,7 @@ def _growth(random: np.random.Generator, shape: tuple[int, ...], rigid: Mask) ->
 
 
 def _smooth_map(random: np.random.Generator, shape: tuple[int, ...]) -> Field:
-    """Make a map without folds from waves, which are scaled down until nothing folds."""
+    """Return a map of waves, scaled down until it has no folds."""
     row, col = np.indices(shape)
     size = min(shape)
     waves = np.zeros((*shape, 2))

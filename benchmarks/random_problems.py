@@ -1,6 +1,6 @@
-"""Random problems of every kind that people paint, and of some that nobody would: for `trust.py`.
+"""Random problems for `trust.py`: typical problems of users, and unusual problems.
 
-Problem k of a seed depends on nothing else but NumPy's generator, and can be made alone.
+Problem k of a seed depends only on NumPy's generator, so each problem can be generated separately.
 """
 
 from __future__ import annotations
@@ -20,30 +20,32 @@ Flags = npt.NDArray[np.bool_]
 Shape = tuple[int, int]
 
 LARGEST = 64
-#: The decades of the largest contrast of stiffness.
+#: Number of decades of the largest contrast of stiffness.
 DECADES = 7
-# A unit of stiffness, and a size of pixel, say nothing; so they are anything.
+# Range of decades of the unit of stiffness; units and pixel sizes are arbitrary.
 _UNITS = (-3.0, 6.0)
 
 
 @dataclass(frozen=True, eq=False)
 class RandomProblem:
-    """A problem and what kind it is of.
+    """Problem and its kind.
 
     Attributes
     ----------
     number : int
+        Number of the problem.
     observed, confidence, stiffness, spacing
-        As for `Problem`.
+        Arguments of `Problem`.
     prior : ElasticPrior or SeilerPrior
+        Prior of the tissue.
     tolerance : float
-        For `Multigrid`.
+        Tolerance of `Multigrid`.
     reading : str
-        Of the prior, and whether observations are held exactly or by a penalty.
+        Name of the energy, and whether observations are prescribed or may slip.
     tissue, void, seen, moved : str
-        How stiffness, void, observed places and displacement were drawn.
+        Kinds of stiffness, void, observed sites and displacement.
     contrast : float
-        The stiffest over the softest tissue.
+        Ratio of the largest to the smallest stiffness.
     """
 
     number: int
@@ -62,12 +64,12 @@ class RandomProblem:
 
     @functools.cached_property
     def problem(self) -> Problem:
-        """It, as the package takes it."""
+        """Problem as accepted by the package."""
         return Problem(self.observed, self.confidence, self.stiffness, spacing=self.spacing)
 
     @property
     def words(self) -> str:
-        """What it is, in a line."""
+        """Description of the problem in one line."""
         size = " x ".join(map(str, self.stiffness.shape))
         pixel = "" if len(set(self.spacing)) == 1 else f", pixel {_ratio(self.spacing)}"
         nu = ""
@@ -83,7 +85,7 @@ class RandomProblem:
 
 
 def random_problem(seed: int, number: int) -> RandomProblem:
-    """Problem `number` of a seed."""
+    """Return problem `number` of a seed."""
     dice = np.random.default_rng([seed, number])
     shape = _shape(dice)
     ratio = 1.0 if dice.random() < 0.5 else 10 ** dice.uniform(-1, 1)
@@ -94,7 +96,7 @@ def random_problem(seed: int, number: int) -> RandomProblem:
     m = np.where(empty, 0.0, relative * 10 ** dice.uniform(*_UNITS)).astype(np.float32)
     seen, observed = _observed(dice, m > 0)
     moved, y = _displacement(dice, shape, observed.any(axis=-1))
-    # No further than across half the image: much more `Problem` would refuse.
+    # Limit displacements to less than half the image, because `Problem` refuses much larger ones.
     across = math.hypot(shape[0] * spacing[0], shape[1] * spacing[1])
     largest = min(10 ** dice.uniform(-1, 0.9) * math.sqrt(math.prod(spacing)), 0.4 * across)
     y *= largest / max(float(np.abs(y).max()), 1e-9)
@@ -146,7 +148,7 @@ def noise(dice: np.random.Generator, shape: Shape, width: float) -> Array:
 
 
 def _stiffness(dice: np.random.Generator, shape: Shape) -> tuple[str, Array]:
-    """Stiffness from 1 to some contrast."""
+    """Return the kind of stiffness, and stiffness from 1 to a random contrast."""
     contrast = 10 ** dice.uniform(0, DECADES)
     rows, cols = np.indices(shape)
     kind = str(
@@ -180,7 +182,7 @@ def _stiffness(dice: np.random.Generator, shape: Shape) -> tuple[str, Array]:
 
 
 def _fibres(dice: np.random.Generator, shape: Shape) -> Array:
-    """A few lines, one to three pixels wide, across."""
+    """Return a mask of a few straight lines, one to three pixels wide."""
     rows, cols = np.indices(shape)
     share = np.zeros(shape)
     for _ in range(dice.integers(1, 7)):
@@ -212,7 +214,7 @@ def _void(dice: np.random.Generator, shape: Shape) -> tuple[str, Flags]:
 
 
 def _observed(dice: np.random.Generator, tissue: Flags) -> tuple[str, Flags]:
-    """Which components are observed; at least one of tissue is."""
+    """Return the kind and the mask of observed components, at least one of them in tissue."""
     shape = tissue.shape
     kind = str(
         dice.choice(
@@ -244,7 +246,7 @@ def _observed(dice: np.random.Generator, tissue: Flags) -> tuple[str, Flags]:
         observed[..., dice.integers(2)] = False
     elif how == "either":
         observed &= dice.random(observed.shape) < dice.uniform(0.3, 0.9)
-    # Mostly no piece of tissue is forgotten.
+    # In most problems, every piece of tissue has observations.
     if dice.random() < 0.85:
         _hold_pieces(dice, tissue, observed)
     if not (observed & tissue[..., None]).any():
@@ -254,7 +256,7 @@ def _observed(dice: np.random.Generator, tissue: Flags) -> tuple[str, Flags]:
 
 
 def _hold_pieces(dice: np.random.Generator, tissue: Flags, observed: Flags) -> None:
-    """See two sites, or three, of every piece of tissue of which fewer are seen, in place."""
+    """Observe two or three sites of each piece of tissue with fewer observed sites, in place."""
     pieces, count = ndi.label(tissue)
     full = observed.all(axis=-1)
     for number in range(1, count + 1):
@@ -265,7 +267,7 @@ def _hold_pieces(dice: np.random.Generator, tissue: Flags, observed: Flags) -> N
 
 
 def _displacement(dice: np.random.Generator, shape: Shape, sites: Flags) -> tuple[str, Array]:
-    """Where sites were seen, of any size."""
+    """Return the kind of displacement, and a displacement of arbitrary size."""
     grid = np.indices(shape) / max(shape)
     kind = str(dice.choice(["smooth", "random", "pushed", "bent"], p=[0.3, 0.25, 0.3, 0.15]))
     if kind == "smooth":
@@ -311,6 +313,6 @@ def _prior(dice: np.random.Generator, shape: Shape) -> tuple[ElasticPrior | Seil
         other = dice.uniform(0, 0.499)
         share = noise(dice, shape, dice.uniform(0.6, 5))
         share = share if dice.random() < 0.5 else 1.0 * (share > 0.5)
-        # A map is stored in single precision.
+        # Round as `ElasticPrior` does, because it stores a map in single precision.
         poisson = np.clip(nu + share * (other - nu), 0, 0.499).astype(np.float32)
     return ElasticPrior(poisson, plane=kind, penalty=penalty or math.inf), f"elastic {kind}, {how}"

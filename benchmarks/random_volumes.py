@@ -1,8 +1,8 @@
-"""Small volumes of every kind, drawn at random and compared with a direct solve.
+"""Random small volumes of every kind, compared with a direct solve.
 
-The matrix of that is one that scikit-fem assembled, or for the paper's model that of `line_oracle`.
-Every other volume is solved as if it were too large for factors, so that cycles and factors are
-tried alike.
+The matrix of the direct solve is assembled by scikit-fem, or by `line_oracle` for the paper's
+model. Every second volume is solved as if it were too large for a factorization, so that cycles and
+factorizations are both tested.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from napari_hmrf.errors import ConvergenceError, ProblemError
 from napari_hmrf.solver.backends.direct.factors import Factors
 
 TOLERANCE = 0.01
-#: What became of a volume, if it must not.
+#: Outcome of a volume with a wrong solution.
 WRONG = "are WRONG"
-# What is stored in single precision is rounded.
+# Tolerance for the rounding of values that are stored in single precision.
 _ROUNDED = 1e-6
 
 
 def random_volume(seed: int) -> tuple[Any, ...]:
-    """What a problem is made of, its spacing, and Poisson's ratio."""
+    """Return a random displacement, confidence, stiffness, spacing and Poisson's ratio."""
     draw = np.random.default_rng(seed)
     shape = tuple(draw.integers(2, 14, 3))
     size, ratio = draw.integers(1, 5), 10 ** draw.choice([0, 0.3, 0.7, 1, 2, 3, 4, 5, 6])
@@ -51,7 +51,7 @@ def random_volume(seed: int) -> tuple[Any, ...]:
 
 
 def judged(seed: int, paper: bool = False) -> tuple[str, str]:
-    """What became of a random volume, and in what it is remarkable."""
+    """Return the outcome of a random volume, and a remark or ""."""
     y, c, m, spacing, poisson = random_volume(seed)
     no_factors = patch.object(Factors, "fit", staticmethod(lambda shape: False))
     try:
@@ -64,19 +64,19 @@ def judged(seed: int, paper: bool = False) -> tuple[str, str]:
         else:
             found = solve(problem, prior, optimizer=optimizer, backend="cpu")
     except ProblemError:
-        return "have not one answer", ""
+        return "have no unique solution", ""
     except ConvergenceError as error:
-        return "are refused, as cycles cannot be sure", f"volume {seed}: {error}"
+        return "are refused, because cycles cannot bound the error", f"volume {seed}: {error}"
     truth = field_of_means(problem) if paper else direct_solution(problem, poisson)
     apart = np.abs(found.displacement - truth)[problem.tissue].max() / problem.unit
     assert found.convergence is not None
     if apart > found.convergence.error + _ROUNDED:
         return WRONG, f"volume {seed}: {apart:.2g}, reported {found.convergence.error:.2g}"
-    return f"are right, by {found.convergence.way}", ""
+    return f"are correct, by {found.convergence.way}", ""
 
 
 def judge(seeds: range, paper: bool = False) -> tuple[str, int]:
-    """What became of random volumes, in words, and how many are wrong."""
+    """Return a text with the outcomes of random volumes, and the number of wrong solutions."""
     became: Counter[str] = Counter()
     remarks = []
     for seed in seeds:
@@ -85,4 +85,4 @@ def judge(seeds: range, paper: bool = False) -> tuple[str, int]:
         remarks += [remark] if remark else []
     told = ", ".join(f"{count} {what}" for what, count in became.most_common())
     model = " in the paper's model" if paper else ""
-    return "\n".join([f"Of {len(seeds)} random volumes{model} {told}.", *remarks]), became[WRONG]
+    return "\n".join([f"{len(seeds)} random volumes{model}: {told}.", *remarks]), became[WRONG]

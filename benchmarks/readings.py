@@ -1,9 +1,9 @@
-"""The two readings of "U_total at a site", solved exactly and held against finite elements.
+"""The two readings of "U_total at a site", solved exactly and compared with finite elements.
 
     python benchmarks/readings.py [--sizes 64 128 256]
 
-Both are solved by a sparse direct method in float64, so that the table compares what the readings
-mean and not how far a schedule got. docs/method.md quotes it.
+Both readings are solved by a sparse direct method in float64, so the table compares the models and
+not the progress of an iteration. docs/method.md cites the table.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ PHANTOMS = ("expansion", "mass-effect")
 
 
 def solve_exactly(problem: Problem, reading: str) -> npt.NDArray[np.float64]:
-    """The field at which no site wants to move, (H, W, 2), boundary held where c > 0.
+    """Return the field, (H, W, 2), at which every site is at its minimum, prescribed where c > 0.
 
     Parameters
     ----------
     problem : Problem
+        Problem to solve.
     reading : {"centred", "blanket"}
-        Blanket is the exact minimiser of eq. 7; centred the fixed point of the site updates.
+        Blanket is the exact minimizer of eq. 7; centred is the fixed point of the site updates.
     """
     height, width = problem.shape
     number = np.arange(height * width).reshape(problem.shape)
@@ -75,7 +76,7 @@ def solve_exactly(problem: Problem, reading: str) -> npt.NDArray[np.float64]:
 
 
 def bar_strain_ratio(length: int, ratio: float, reading: str) -> float:
-    """Strain of the soft half over that of the stiff one, for a bar with both ends prescribed."""
+    """Return the strain ratio of the soft and stiff halves of a bar with prescribed ends."""
     m = np.ones((1, length))
     m[:, : length // 2] = ratio
     y, c = np.zeros((1, length, 2)), np.zeros((1, length, 2))

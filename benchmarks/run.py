@@ -1,10 +1,10 @@
-"""The paper's tables 1 and 2 and its figures 4 and 5, measured on this machine in one run.
+"""Tables 1 and 2 and figures 4 and 5 of the paper, measured on this machine in one run.
 
     python benchmarks/run.py [--sizes 300 600 1200] [--repeats 15] [--out benchmark-output]
 
-Times are medians of several solves in a warm process, uploads and read-back included; of the
-literal program, one run. Ratios compare figures of the same run. The targets printed beside them
-are for two cores without a GPU.
+Times are medians of several solves in a warm process, including uploads and read-back; the literal
+program runs once. Ratios compare results of the same run. The printed targets are for two cores
+without a GPU.
 """
 
 from __future__ import annotations
@@ -37,16 +37,18 @@ PHANTOMS = ("expansion", "mass-effect")
 
 
 class Result(NamedTuple):
-    """A row of table 1.
+    """Row of table 1.
 
     Attributes
     ----------
     phantom, method : str
+        Names of the phantom and the method.
     solution : Solution
+        Solution by this method.
     off : float
         RMSD to finite elements, in pixels.
     bound : float
-        What `off` is to be at most.
+        Largest accepted value of `off`.
     """
 
     phantom: str
@@ -57,12 +59,12 @@ class Result(NamedTuple):
 
     @property
     def target(self) -> Target:
-        """The target of this row."""
+        """Target of this row."""
         return Target(f"{self.phantom}, {self.method}: RMSD in px", self.off, self.bound)
 
 
 class Reference(NamedTuple):
-    """The finite-element field (H, W, 2), how long it took, and its rms in pixels."""
+    """Finite-element field (H, W, 2), its time in seconds, and its rms in pixels."""
 
     displacement: npt.NDArray[np.float64]
     seconds: float
@@ -70,7 +72,7 @@ class Reference(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """A row of table 2: seconds by backend, and of the literal program."""
+    """Row of table 2: seconds by backend, and seconds of the literal program."""
 
     size: int
     backends: dict[str, float]
@@ -78,7 +80,7 @@ class Timing(NamedTuple):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; 0 whatever it finds, as a benchmark is not a test."""
+    """Run the benchmark; always return 0, because a benchmark is not a test."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="+", default=[300, 600, 1200])
     parser.add_argument("--repeats", type=int, default=15)
@@ -96,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def quality(out: Path) -> list[Target]:
-    """Table 1: energy and distance to finite elements, of the paper's prior and of elasticity."""
+    """Print table 1: energy and distance to finite elements, for both models."""
     print(
         "Table 1: against finite elements (bilinear, plane stress, Poisson's ratio 0.3), 300 x 300"
     )
@@ -123,7 +125,7 @@ def quality(out: Path) -> list[Target]:
 
 
 def table_1(name: str, size: int = 300) -> tuple[list[Result], Reference]:
-    """Solve a phantom by every method, and by finite elements."""
+    """Solve a phantom by every method and by finite elements."""
     problem = phantom(name, size).problem
     started = time.perf_counter()
     truth = plane_stress_displacement(problem)
@@ -138,12 +140,10 @@ def table_1(name: str, size: int = 300) -> tuple[list[Result], Reference]:
     results = []
     for label, prior, optimizer, bound in methods:
         try:
-            solve(
-                problem, prior, optimizer=optimizer, backend="cpu"
-            )  # compiled before the clock starts
+            solve(problem, prior, optimizer=optimizer, backend="cpu")  # compile before timing
             solution = solve(problem, prior, optimizer=optimizer, backend="cpu")
         except ValueError as error:
-            print(f"  ({label} is left out: {error})", file=sys.stderr)
+            print(f"  ({label} is omitted: {error})", file=sys.stderr)
             continue
         off = rmsd(solution.displacement, truth, solution.tissue)
         results.append(Result(name, label, solution, off, bound))
@@ -151,7 +151,7 @@ def table_1(name: str, size: int = 300) -> tuple[list[Result], Reference]:
 
 
 def speed(sizes: Sequence[int], repeats: int) -> list[Target]:
-    """Table 2: the same 70 sweeps a level by shaders, compiled loops and the literal program."""
+    """Print table 2: 70 sweeps per level by shaders, compiled loops and the literal program."""
     print("\nTable 2: 70 sweeps a level, candidate set Gamma (seconds; times faster than literal)")
     backends = available(("opengl", "cpu"))
     header = "".join(f"{name:>28}" for name in backends.values())
@@ -169,17 +169,17 @@ def speed(sizes: Sequence[int], repeats: int) -> list[Target]:
 
 
 def table_2(size: int, backends: Iterable[str], repeats: int) -> Timing:
-    """Time the paper's schedule at a size."""
+    """Return the times of the paper's schedule at a size."""
     example = phantom("expansion", size)
     seconds = {name: median_seconds(example, name, repeats) for name in backends}
-    solve_literally(phantom("expansion", 32).problem)  # compiled before the clock starts
+    solve_literally(phantom("expansion", 32).problem)  # compile before timing
     started = time.perf_counter()
     solve_literally(example.problem)
     return Timing(size, seconds, time.perf_counter() - started)
 
 
 def speed_targets(timings: Sequence[Timing]) -> list[Target]:
-    """The ratios to reach, and that time grows no faster than the number of sites."""
+    """Return targets for the ratios of times, and for the growth of time with the sites."""
     first, last = (pick(timings, key=lambda timing: timing.size) for pick in (min, max))
     bounds = {"opengl": 55.0, "cpu": 300.0}
     targets = []
@@ -193,7 +193,7 @@ def speed_targets(timings: Sequence[Timing]) -> list[Target]:
 
 
 def available(names: Sequence[str]) -> dict[str, str]:
-    """The backends of this machine, and how the tables call them."""
+    """Return the available backends by name, with their names in the tables."""
     found = {}
     for name in names:
         try:
@@ -207,7 +207,7 @@ def available(names: Sequence[str]) -> dict[str, str]:
 
 
 def median_seconds(example: Phantom, backend: str, repeats: int) -> float:
-    """Median wall time of a solve in a warm process: the first few are up to half as slow again."""
+    """Return the median wall time of a solve after warm-up, as first solves are slower."""
     for _ in range(WARM_UP):
         solve(example.problem, SeilerPrior(), backend=backend)
     return statistics.median(

@@ -1,15 +1,16 @@
-"""Neighbouring sections of real tissue: which motion says best where a landmark goes.
+"""Prediction of landmarks in neighbouring sections of real tissue by several kinds of motion.
 
     python benchmarks/sections.py FIXED MOVING [--every 1] [--picture OUT.png]
 
-Features of both pictures are matched, and each landmark is taken out once: where it goes is told
-from the others by an affine map, by thin-plate splines, and by elastic tissue that is led by them
-after the affine map: exactly, or with a force that is chosen by taking others out, never by the one
-that is asked for. Then the same by two registrations of the whole pictures: SimpleITK's own field
-(demons), and elastic tissue that takes that field as observed at the picture's edges alone. Prints
-the errors in pixels, over all and by where a landmark is; and how much alike neighbours go beside
-the affine map, which no method can do better than. No pictures are part of this project; any two
-sections will do.
+Features of the two pictures are matched to obtain landmarks. Each landmark is left out once and
+predicted from the other landmarks by an affine map, by thin-plate splines, and by elastic tissue
+with the other landmarks as observations after the affine map. The observations are prescribed
+exactly or with a limited force, which is chosen by cross-validation without the predicted landmark.
+Then the landmarks are predicted by two registrations of the whole pictures: SimpleITK's demons, and
+elastic tissue with the demons field as observations at the edges of the picture only. Prints the
+errors in pixels for all landmarks and by location, and the similarity of neighbouring landmarks
+after the affine map, which limits the accuracy of all methods. No pictures are included in this
+project; any two sections are suitable.
 """
 
 from __future__ import annotations
@@ -43,20 +44,20 @@ from napari_hmrf.tissue import edge_confidence
 Points = npt.NDArray[np.float64]
 Fit = Callable[[Points, Points], Callable[[Points], Points]]
 
-#: Matches further than this from an affine map, in pixels, are mistakes.
+#: Largest distance of a match from an affine map, in pixels; other matches are discarded.
 _MISTAKEN = 40
-#: Pixels of the pictures in one of the field, and how near that is solved, in pixels.
+#: Size of a pixel of the field in pixels of the pictures, and tolerance of its solve in pixels.
 _STEP, _NEAR = 4, 1e-2
-#: Landmarks nearer to each other are of one feature.
+#: Distance in pixels below which landmarks belong to the same feature.
 _APART = 2
-#: The forces that are tried, K of eq. 19, and in how many parts landmarks are taken out for that.
+#: Candidate forces K of eq. 19, and numbers of folds of the outer and inner cross-validation.
 _FORCES, _PARTS, _INNER = (0.01, 0.03, 0.1, 0.3, math.inf), 6, 4
-#: Nearer to a side of the picture than this share of it is near the edge.
+#: Landmarks are near the edge if their distance from it is below this fraction of the picture.
 _EDGE = 0.1
 
 
 def landmarks(fixed: npt.NDArray[Any], moving: npt.NDArray[Any]) -> tuple[Points, Points]:
-    """Where the same features are in both pictures, (row, col)."""
+    """Return the positions (row, col) of the same features in the two pictures."""
     found = []
     for picture in (fixed, moving):
         features = SIFT(upsampling=1)
@@ -79,7 +80,7 @@ def _splines(smoothing: float) -> Fit:
 
 
 class _Elastic:
-    """Tissue of one stiffness that landmarks lead, after an affine map."""
+    """Tissue of uniform stiffness with landmarks as observations, after an affine map."""
 
     def __init__(self, shape: tuple[int, int], penalty: float) -> None:
         self._shape = tuple(size // _STEP for size in shape)
@@ -90,7 +91,7 @@ class _Elastic:
         straight = _affine(at, to)
         y, c = np.zeros((2, *self._shape, 2))
         sites = tuple(np.clip(np.rint(_in_field(at)).astype(int), 0, np.array(self._shape) - 1).T)
-        np.add.at(y, sites, to - straight(at))  # in one pixel their mean
+        np.add.at(y, sites, to - straight(at))  # landmarks in the same pixel are averaged
         np.add.at(c, sites, 1)
         y, c = y / np.maximum(c, 1), np.minimum(c, 1)
         spacing = (_STEP, _STEP)
@@ -108,10 +109,10 @@ class _Elastic:
 
 
 class _Chosen:
-    """Elastic tissue, with the force by which others of the landmarks are told best.
+    """Elastic tissue with a force that is chosen by cross-validation.
 
-    They are dealt into parts. For the landmarks of a part the force is chosen by the other parts
-    alone, of which each part in turn is told from the rest.
+    The landmarks are divided into folds. For the landmarks of a fold, the force is chosen from the
+    other folds only, by an inner cross-validation.
     """
 
     def __init__(self, shape: tuple[int, int], at: Points, to: Points) -> None:
@@ -125,12 +126,12 @@ class _Chosen:
             self._fits.append(_Elastic(shape, self.forces[-1]))
 
     def of(self, number: int) -> Fit:
-        """The fit that was chosen without a landmark."""
+        """Return the fit that was chosen without a landmark."""
         return self._fits[self._part[number]]
 
 
 def _told_apart(fit: Fit, at: Points, to: Points) -> float:
-    """The mean error of landmarks that are told from others, part by part."""
+    """Return the mean error of a fit in a cross-validation."""
     part = np.random.default_rng(1).permutation(len(at)) % _INNER
     errors = []
     for out in (part == number for number in range(_INNER)):
@@ -140,14 +141,14 @@ def _told_apart(fit: Fit, at: Points, to: Points) -> float:
 
 
 def _in_field(points: Points) -> Points:
-    """Points of the pictures in pixels of the field."""
+    """Convert points from pixels of the pictures to pixels of the field."""
     return (points + 0.5) / _STEP - 0.5
 
 
 def left_out(
     fit_of: Callable[[int], Fit], at: Points, to: Points, every: int
 ) -> tuple[npt.NDArray[Any], float]:
-    """The errors of landmarks, each told from the others, and the seconds that took."""
+    """Return the errors of landmarks, each predicted from the others, and the time in seconds."""
     started, errors = time.perf_counter(), []
     for number in range(0, len(at), every):
         others = np.arange(len(at)) != number
@@ -157,7 +158,7 @@ def left_out(
 
 
 def _registered(fixed: npt.NDArray[Any], moving: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """SimpleITK's demons: for each pixel of the fixed picture, by how much it lies off."""
+    """Return the displacement of each pixel of the fixed picture by SimpleITK's demons."""
     import SimpleITK as sitk
 
     demons = sitk.SymmetricForcesDemonsRegistrationFilter()
@@ -169,7 +170,7 @@ def _registered(fixed: npt.NDArray[Any], moving: npt.NDArray[Any]) -> npt.NDArra
 
 
 def _followed(fixed: npt.NDArray[Any], field: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Elastic tissue that takes a field as observed where the picture has edges."""
+    """Return the elastic displacement with a field as observations at edges of the picture."""
     c = np.repeat(edge_confidence(fixed)[..., None], 2, axis=-1)
     problem = Problem(field, c, np.ones(fixed.shape))
     prior = ElasticPrior(0.3, penalty=0.3)
@@ -177,7 +178,7 @@ def _followed(fixed: npt.NDArray[Any], field: npt.NDArray[Any]) -> npt.NDArray[A
 
 
 class _Table:
-    """Errors in lines: over all landmarks, and by where they are."""
+    """Table of errors for all landmarks and by their location."""
 
     def __init__(self, at: Points, shape: tuple[int, int]) -> None:
         depth = np.minimum(at, np.array(shape) - 1 - at).min(axis=1)
@@ -192,13 +193,13 @@ class _Table:
         }
 
     def head(self, taken: slice) -> str:
-        """What the columns are."""
+        """Return the line of column titles."""
         counts = [f"{name} ({zone[taken].sum()})" for name, zone in self.zones.items()]
         words = "".join(f"{each:>15}" for each in counts)
         return f"{'':<44}{'median':>8}{'90 %':>8}{'rms':>8}{words}{'seconds':>9}"
 
     def line(self, name: str, errors: npt.NDArray[Any], seconds: float, taken: slice) -> str:
-        """The errors by one method, in pixels; by where they are, their medians."""
+        """Return a line with the errors of a method in pixels; by location, with medians."""
         middle, most = np.percentile(errors, [50, 90])
         rms = math.sqrt((errors**2).mean())
         zones = [errors[zone[taken]] for zone in self.zones.values()]
@@ -207,10 +208,10 @@ class _Table:
 
 
 def _likeness(at: Points, to: Points) -> str:
-    """By how much what two landmarks do beside the affine map differs, by how far they are apart.
+    """Return differences between the displacements of two landmarks, by their distance.
 
-    What is left at no distance is noise of the landmarks; beyond where it grows no more, a landmark
-    says nothing of another.
+    The displacements are taken after the affine map. At distance zero, the difference is the noise
+    of the landmarks. Beyond the distance at which it stops increasing, landmarks are independent.
     """
     beside = to - _affine(at, to)(at)
     apart, differ = pdist(at), pdist(beside) / math.sqrt(2)
@@ -227,21 +228,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("fixed", type=Path)
     parser.add_argument("moving", type=Path)
-    parser.add_argument("--every", type=int, default=1, help="take out every n-th landmark")
-    parser.add_argument("--picture", type=Path, help="both sections, and the one moved over")
+    parser.add_argument("--every", type=int, default=1, help="leave out every n-th landmark")
+    parser.add_argument("--picture", type=Path, help="path of a picture of the sections to write")
     options = parser.parse_args(arguments)
     fixed, moving = (_grey(path) for path in (options.fixed, options.moving))
     at, to = landmarks(fixed, moving)
     table, taken = _Table(at, fixed.shape), slice(None, None, options.every)
     print(f"{len(at)} landmarks; errors in pixels of {fixed.shape[0]} x {fixed.shape[1]}")
-    print("unlike neighbours, rms in pixels by their distance (pairs):", _likeness(at, to))
-    print(f"\neach told from the others by\n{table.head(taken)}")
+    print("rms difference of neighbours in pixels, by their distance (pairs):", _likeness(at, to))
+    print(f"\neach predicted from the others by\n{table.head(taken)}")
     fits: dict[str, Fit] = {
-        "one shift": lambda a, b: lambda p: p + np.median(b - a, axis=0),
+        "a translation": lambda a, b: lambda p: p + np.median(b - a, axis=0),
         "an affine map": _affine,
         "thin-plate splines": _splines(0),
         "thin-plate splines, smoothed (1000)": _splines(1000),
-        "elastic tissue that holds them exactly": _Elastic(fixed.shape, math.inf),
+        "elastic tissue, exactly": _Elastic(fixed.shape, math.inf),
     }
     for name, fit in fits.items():
         found = left_out(lambda _, fit=fit: fit, at, to, options.every)
@@ -250,21 +251,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = _Chosen(fixed.shape, at, to)
     sought = time.perf_counter() - started
     errors, seconds = left_out(chosen.of, at, to, options.every)
-    name = "elastic tissue, held as strongly as fits"
+    name = "elastic tissue, with the chosen force"
     print(table.line(name, errors, seconds + sought, taken))
     print(
-        f"  (K = {', '.join(map(str, chosen.forces))}, each chosen without the landmarks asked for)"
+        f"  (K = {', '.join(map(str, chosen.forces))}, each chosen without the predicted landmarks)"
     )
     straight = _affine(at, to)
-    # Both registrations begin with the affine map, and know no landmark beside it.
+    # Both registrations start from the affine map and use no landmarks otherwise.
     turned = sampled(moving, _as_xy(straight), order=1, cval=float(np.median(moving)))
     started = time.perf_counter()
     field = _registered(fixed, turned)
-    print("\ntold from the pictures, after the affine map, by")
+    print("\npredicted from the pictures, after the affine map, by")
     for name, by in (
         ("the affine map alone", lambda: np.zeros_like(field)),
         ("SimpleITK's demons", lambda: field),
-        ("that as observed, where the picture has edges", lambda: _followed(fixed, field)),
+        ("elastic tissue with the demons field at edges", lambda: _followed(fixed, field)),
     ):
         found_field = by()
         goes = straight(moved_points(at, found_field, spacing=(1.0, 1.0)))
@@ -282,7 +283,7 @@ def _grey(path: Path) -> npt.NDArray[Any]:
 
 
 def _as_xy(straight: Any) -> Any:
-    """The map for scikit-image's `warp`, whose points are (col, row)."""
+    """Return the map for scikit-image's `warp`, which uses points (col, row)."""
     return lambda points: straight(points[:, ::-1])[:, ::-1]
 
 
@@ -295,15 +296,15 @@ def _draw(
 ) -> None:
     from matplotlib.figure import Figure
 
-    # The field leads from the fixed picture to the other: back, that moves onto this one.
+    # The field leads from the fixed picture to the other; its inverse warps the other onto it.
     back = inverse_displacement(field, spacing=(1, 1)).displacement
     figure = Figure((13, 13.6), layout="constrained")
     for number, (title, picture) in enumerate(
         {
-            "the one section": np.repeat(fixed[..., None], 3, axis=-1),
-            "the other": np.repeat(moving[..., None], 3, axis=-1),
-            "the other over the one, by the affine map": _over(fixed, turned),
-            "and by elastic tissue": _over(fixed, warp(turned, back, spacing=1)),
+            "fixed section": np.repeat(fixed[..., None], 3, axis=-1),
+            "moving section": np.repeat(moving[..., None], 3, axis=-1),
+            "overlay, after the affine map": _over(fixed, turned),
+            "overlay, after elastic tissue": _over(fixed, warp(turned, back, spacing=1)),
         }.items()
     ):
         axes = figure.add_subplot(2, 2, number + 1)
@@ -314,7 +315,7 @@ def _draw(
 
 
 def _over(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Both in one picture: grey where they agree, green and magenta where not."""
+    """Return a picture of both sections: grey where they agree, otherwise green or magenta."""
     return np.stack([other, one, other], axis=-1)
 
 

@@ -1,12 +1,12 @@
-"""Hundreds of solves, many cancelled at random moments, beside a viewer that keeps redrawing.
+"""Soak test: hundreds of solves, many of them cancelled at random, with a viewer that redraws.
 
     python benchmarks/soak.py [--solves 500] [--cancels 100] [--size 96]
 
-Needs a display (on Linux without one: ``sh scripts/headless.sh python benchmarks/soak.py``). Every
-solve goes through the dock widget, as a user's would, in turn on the shaders and on the compiled
-loops, of the paper's energy and of elastic tissue. Prints what was found and exits with 1 if memory
-grew by more than 5 MiB after the tenth solve, a result was wrong, a thread was left over, the
-viewer's picture changed, or closing the viewer during a solve took 2 s.
+Requires a display (on Linux without a display: ``sh scripts/headless.sh python
+benchmarks/soak.py``). Every solve is started through the dock widget, in turn on the shaders and on
+the compiled loops, with the paper's energy and with elastic tissue. Prints the findings, and exits
+with 1 if memory grew by more than 5 MiB after the tenth solve, if a result was wrong, if a thread
+was left, if the viewer's picture changed, or if closing the viewer during a solve took 2 s.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import compute_thread
 
 ENERGIES = ("paper", "elastic")
-# Seconds that are enough to compile all kernels on a busy machine.
+# Time limit of a deformation in seconds; sufficient to compile all kernels on a busy machine.
 _PATIENCE = 240.0
 
 
 @dataclass
 class Findings:
-    """What a soak found."""
+    """Findings of the soak test."""
 
     finished: int = 0
     cancelled: int = 0
@@ -48,12 +48,12 @@ class Findings:
 
     @property
     def growth(self) -> float:
-        """Memory after the last solve less that after the tenth, in MiB."""
+        """Memory after the last solve minus memory after the tenth solve, in MiB."""
         return self.megabytes[-1] - self.megabytes[min(9, len(self.megabytes) - 1)]
 
     @property
     def sound(self) -> bool:
-        """Whether all is as it should be."""
+        """True if all findings are within the limits."""
         return (
             self.growth <= 5
             and not self.wrong
@@ -66,20 +66,20 @@ class Findings:
 def soak(
     solves: int = 500, cancels: int = 100, size: int = 96, seed: int = 0, viewer: Any = None
 ) -> Findings:
-    """Run the soak in a viewer, which it closes during a last solve.
+    """Run the soak test in a viewer, and close the viewer during a last solve.
 
     Parameters
     ----------
     solves : int
-        How many deformations are started and left to finish.
+        Number of deformations that are started and complete.
     cancels : int
-        How many more are cancelled at a random moment.
+        Number of deformations that are cancelled at a random moment.
     size : int
-        Side of the phantom, in pixels.
+        Width and height of the phantom, in pixels.
     seed : int
-        Of the random moments.
+        Seed of the random moments.
     viewer : napari.Viewer, optional
-        An empty one that is shown; by default one is made.
+        Visible viewer without layers; by default, a new viewer.
     """
     import napari
     from qtpy.QtWidgets import QApplication
@@ -107,7 +107,7 @@ def soak(
     process = psutil.Process()
     for number, finish in enumerate(plan):
         turn = turns[number % len(turns)]
-        camera.zoom = zoom * (1.001 if number % 2 else 1)  # the canvas draws itself again
+        camera.zoom = zoom * (1.001 if number % 2 else 1)  # force the canvas to redraw
         if finish:
             solution = _deform(widget, turn)
             found.finished += 1
@@ -117,7 +117,7 @@ def soak(
             _pump(dice.uniform(0, usual))
             asked = time.perf_counter()
             widget.cancel()
-            compute_thread.submit(lambda: None).result()  # not before the thread has let go
+            compute_thread.submit(lambda: None).result()  # wait until the solve has ended
             found.cancel_seconds.append(time.perf_counter() - asked)
             found.cancelled += 1
         QApplication.processEvents()
@@ -183,7 +183,7 @@ def _seconds(work: Any) -> float:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the soak and print what it found."""
+    """Run the soak test and print the findings."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--solves", type=int, default=500)
     parser.add_argument("--cancels", type=int, default=100)

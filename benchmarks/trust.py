@@ -1,18 +1,19 @@
-"""Thousands of random problems, each solved and compared with an exact solution of its equations.
+"""Comparison of thousands of random problems with exact solutions of the same equations.
 
     python benchmarks/trust.py [--loops 5000] [--first 0] [--shaders 500] [--volumes 300]
                                [--seed 0] [--page FILE]
     python benchmarks/trust.py --only 123 [--backend opengl]
 
-Every problem is drawn at random (`random_problems.py`), solved by the package on compiled loops or
-shaders, and by `exact`, which shares nothing with it but the equations. Violations are errors of
-more than three times what was asked for or reported, refusals of problems that have one answer,
-answers to problems that have none but the least motion, and exceptions that are not the package's
-own. A refusal is right in three cases, which are decided without the package: nothing could move,
-some tissue moves at no cost (in the blanket reading counted in integers, `exact.rank`), or the
-softest motion costs so little of the stiffest (in 32 digits) that double precision cannot have the
-answer. Small volumes follow (`random_volumes.py`), for loops alone; of these one that is further
-from a direct solve than it reports is a violation. Exits with 1 if there is any.
+Every random problem (`random_problems.py`) is solved by the package on compiled loops or shaders,
+and by `exact`, which shares only the equations with the package. Violations are errors of more than
+three times the tolerance or the reported error, refusals of problems with a unique solution,
+results other than the least motion for problems without a unique solution, and exceptions that are
+not the package's. A refusal is correct in three cases, which are decided without the package: no
+tissue can move; there is a zero-energy motion (in the blanket reading, counted in integer
+arithmetic, `exact.rank`); or the softest motion is so soft relative to the stiffest motion (in 32
+digits) that double precision cannot resolve the solution. Then small volumes
+(`random_volumes.py`) are solved by loops only; a distance from a direct solve that exceeds the
+reported error is a violation. Exits with 1 if there are violations.
 """
 
 from __future__ import annotations
@@ -39,30 +40,30 @@ from random_volumes import judge as judge_volumes
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.errors import Cancelled, ConvergenceError, HmrfError, ProblemError
 
-#: What counts as a violation, and why.
+#: Kinds of violations and their definitions.
 KINDS = {
     "wrong": "further from the exact field than three times the tolerance",
-    "reported": "further from it than three times the reported error, and 1e-4 px",
-    "refused": "refused, though it has a unique answer",
-    "free": "not the field of least motion, though tissue is free to move",
-    "crashed": "ended with an exception that is not the package's own, or with no numbers",
-    "late": "not answered in time",
+    "reported": "further from the exact field than three times the reported error plus 1e-4 px",
+    "refused": "refused, although there is a unique solution",
+    "free": "not the field of least motion, although tissue is free to move",
+    "crashed": "ended with an exception that is not the package's, or with non-finite values",
+    "late": "not solved in time",
 }
 _TIMES = 3.0
 _GRACE = 1e-4
 _SECONDS = 300.0
-# An exact field that is not sure to this, in pixels, judges nothing.
+# Largest accuracy of an exact field, in pixels, for which it is used.
 _SURE = 1e-6
-# Softest motions, as a part of the stiffest, that are beyond factors in double precision.
+# Ratio of the softest to the stiffest motion below which double precision is insufficient.
 _BEYOND = 1e-13
-# Rounding in double precision.
+# Unit roundoff of double precision.
 _ROUNDING = 2.0**-53
-# Rounding that may move the field by this part of the tolerance is too much.
+# Largest acceptable effect of rounding on the field, as a fraction of the tolerance.
 _TOO_MUCH = 0.1
-#: Refusals that are right.
+#: Refusals that are correct.
 RIGHT = {
-    "refused, free": "some tissue moves at no cost, or nothing could move",
-    "refused, sensitive": "the answer depends on digits that double precision does not have",
+    "refused, free": "some tissue moves at no cost, or no tissue can move",
+    "refused, sensitive": "the solution depends on digits beyond double precision",
 }
 _PAGE = """# Random problems against exact solutions
 
@@ -77,31 +78,34 @@ solution of the same equations in 32 digits (`benchmarks/exact`), which shares n
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a problem.
+    """Outcome of a problem.
 
     Attributes
     ----------
     number : int
+        Number of the problem.
     backend : str
+        Name of the backend.
     outcome : str
         ``"answered"``, ``"unsure"``, one of `RIGHT`, or one of `KINDS`.
     reading, tissue, words : str
-        What the problem is, from a class to a line.
+        Name of the energy, kind of tissue, and description of the problem.
     contrast : float
+        Ratio of the largest to the smallest stiffness.
     error, reported, tolerance : float
-        How far the field is from the exact one at worst, how far the package says it is, and how
-        far it was asked to be, in pixels; NaN if there is none.
+        Largest distance from the exact field, reported error, and tolerance, in pixels; NaN if
+        there is none.
     seconds : float
-        How long the solver took.
+        Time of the solver.
     saying : str
-        What the package said, if it refused.
+        Error message, if the problem was refused.
     ways : int
-        The number of independent motions by which fields of the same energy differ.
+        Number of independent motions by which fields of the same energy differ.
     least : float
-        Of a refusal: what the softest motion costs, as a part of the stiffest.
+        For a refusal, ratio of the stiffness of the softest motion to that of the stiffest.
     swing : float
-        Of a violation: how far the exact field moves, in pixels, if the force of each observation
-        changes by a millionth at random.
+        For a violation, largest change of the exact field, in pixels, if the force of each
+        observation changes by a factor of 1 + 1e-6 or 1 - 1e-6 at random.
     """
 
     number: int
@@ -122,17 +126,17 @@ class Verdict:
 
     @property
     def violation(self) -> bool:
-        """Whether it is one."""
+        """True if the outcome is a violation."""
         return self.outcome in KINDS
 
     @property
     def decade(self) -> str:
-        """The decade of its contrast."""
+        """Decade of the contrast."""
         return "uniform" if self.contrast == 1 else f"1e{int(np.floor(np.log10(self.contrast)))}"
 
 
 def judge(drawn: RandomProblem, backend: str) -> Verdict:
-    """Solve a problem, and say what the answer is worth."""
+    """Solve a problem and judge the result."""
     about = {
         "number": drawn.number,
         "backend": backend,
@@ -160,7 +164,7 @@ def judge(drawn: RandomProblem, backend: str) -> Verdict:
             )
     except HmrfError as error:
         refusal = error
-    except Exception as error:  # noqa: BLE001 - that is what is looked for
+    except Exception as error:  # noqa: BLE001 - unexpected errors are findings
         crash = f"{type(error).__name__}: {error}"
     finally:
         alarm.cancel()
@@ -199,17 +203,20 @@ def why_refused(
     truth: Exact,
     refusal: HmrfError,
 ) -> str:
-    """Return the outcome of a refusal: ``"refused"`` if nothing explains it.
+    """Return the outcome of a refusal; ``"refused"`` if there is no explanation.
 
     Parameters
     ----------
     problem : Problem
+        Problem that was refused.
     prior : ElasticPrior or SeilerPrior
+        Prior of the solve.
     tolerance : float
-        Of the solve, in pixels.
+        Tolerance of the solve, in pixels.
     truth : Exact
-        The exact solution of the same problem.
+        Exact solution of the same problem.
     refusal : HmrfError
+        Error that was raised.
     """
     if not isinstance(refusal, ProblemError | ConvergenceError):
         return "refused"
@@ -220,24 +227,24 @@ def why_refused(
     if free_motions(problem) if blanket else truth.least == 0:
         return "refused, free"
     reach = float(np.abs(problem.observed[problem.known]).max(initial=0.0)) / problem.unit
-    # Where several fields cost the same, the one of least motion has to be found.
+    # If several fields have the same energy, the solver must find the field of least motion.
     least = truth.least if truth.motions else min(truth.least, truth.least_found)
     swing = _ROUNDING * reach / max(least, 1e-300)
     beyond = least < _BEYOND or swing > _TOO_MUCH * tolerance
-    # A problem error says that there is no single answer.
+    # Insufficient precision does not explain a ProblemError, which claims non-uniqueness.
     sensitive = beyond and isinstance(refusal, ConvergenceError)
     return "refused, sensitive" if sensitive else "refused"
 
 
 def _distance(displacement: np.ndarray, truth: Exact) -> float:
-    """How far the worst site is from where it should be, in pixels."""
+    """Return the largest distance of a site from its exact position, in pixels."""
     off = displacement.astype(np.float64) - truth.displacement
     off[~np.isfinite(off)] = np.inf
     return float(np.hypot(off[..., 0], off[..., 1]).max())
 
 
 def _swing(drawn: RandomProblem, truth: Exact) -> float:
-    """How far the field moves if the force of each observation changes by a millionth."""
+    """Return the largest change of the field for relative changes of each force by 1e-6."""
     signs = np.random.default_rng(0).choice([-1.0, 1.0], drawn.confidence.shape)
     other = exact_field(drawn.problem, drawn.prior, 1 + 1e-6 * signs)
     return _distance(other.displacement, truth) if other.sure else float("inf")
@@ -245,15 +252,18 @@ def _swing(drawn: RandomProblem, truth: Exact) -> float:
 
 @dataclass
 class Campaign:
-    """A run over many problems.
+    """Results of many problems.
 
     Attributes
     ----------
+    seed : int
+        Seed of the problems.
     verdicts : list of Verdict
+        Outcome of each problem.
     seconds : float
-        What all of it took.
+        Total time.
     growth : dict of str to float
-        By how much memory grew after the first tenth of the problems of each device, in MiB.
+        Growth of memory after the first tenth of the problems of each backend, in MiB.
     """
 
     seed: int
@@ -263,21 +273,21 @@ class Campaign:
 
     @property
     def violations(self) -> list[Verdict]:
-        """The worst first."""
+        """Violations, worst first."""
         found = [verdict for verdict in self.verdicts if verdict.violation]
         order = list(KINDS)
         return sorted(found, key=lambda v: (order.index(v.outcome), -np.nan_to_num(v.error)))
 
     @property
     def sound(self) -> bool:
-        """Whether there is none."""
+        """True if there are no violations."""
         return not self.violations
 
 
 def campaign(
     numbers: Iterable[tuple[int, str]], seed: int = 0, tell: Callable[[str], None] | None = None
 ) -> Campaign:
-    """Judge problems, given as (number, backend)."""
+    """Judge problems that are given as pairs (number, backend)."""
     plan = list(numbers)
     run = Campaign(seed, [])
     process, begun = psutil.Process(), time.perf_counter()
@@ -301,7 +311,7 @@ def campaign(
 
 
 def report(run: Campaign, most: int = 10) -> str:
-    """What was found, in Markdown; of each kind of violation so many of the worst."""
+    """Return the findings in Markdown, with at most `most` violations of each kind."""
     verdicts = run.verdicts
     counts = Counter(verdict.outcome for verdict in verdicts)
     per_backend = Counter(verdict.backend for verdict in verdicts)
@@ -309,12 +319,12 @@ def report(run: Campaign, most: int = 10) -> str:
     grown = " and ".join(f"{size:.0f} ({name})" for name, size in run.growth.items())
     solver = sum(verdict.seconds for verdict in verdicts)
     lines = [
-        f"{len(verdicts)} problems of seed {run.seed} ({ran}) in {run.seconds:.0f} s, of which",
-        f"the solver took {solver:.0f} s. Memory grew by {grown} MiB after the first tenth.",
-        f"**{len(run.violations)} violations.** {counts['answered']} problems were answered within",
-        f"bounds, {counts['refused, free']} refused as tissue was free to move, and",
-        f"{counts['refused, sensitive']} as double precision does not have the answer; of",
-        f"{counts['unsure']} the exact field is not sure.",
+        f"{len(verdicts)} problems of seed {run.seed} ({ran}) in {run.seconds:.0f} s;",
+        f"the solver took {solver:.0f} s of it. Memory grew by {grown} MiB after the first tenth.",
+        f"**{len(run.violations)} violations.** {counts['answered']} problems were solved within",
+        f"the bounds, {counts['refused, free']} were refused because tissue was free to move, and",
+        f"{counts['refused, sensitive']} because double precision is insufficient. The exact field",
+        f"of {counts['unsure']} problems is not sure.",
         "",
     ]
     lines += [f"- *{kind}*: {meaning}." for kind, meaning in RIGHT.items()]
@@ -329,7 +339,7 @@ def report(run: Campaign, most: int = 10) -> str:
     softest = [v.least for v in verdicts if v.outcome == "refused, sensitive"]
     if softest:
         text = f"{min(softest):.1e} to {max(softest):.1e}"
-        lines += ["", f"Softest motions of what is refused as sensitive: {text} of the stiffest."]
+        lines += ["", f"Softest motions of problems refused as sensitive: {text} of the stiffest."]
     lines += ["", *_ratios(verdicts)]
     for kind in KINDS:
         found = [verdict for verdict in run.violations if verdict.outcome == kind]
@@ -337,20 +347,20 @@ def report(run: Campaign, most: int = 10) -> str:
         for verdict in found:
             groups.setdefault(_gist(verdict.saying), []).append(verdict)
         for gist, group in sorted(groups.items(), key=lambda item: -len(item[1])):
-            said = f", saying “{gist}”" if gist else ""
-            worst = ", the worst of which are" if len(group) > most else ""
+            said = f" with the message “{gist}”" if gist else ""
+            worst = "; the worst are" if len(group) > most else ""
             lines += ["", f"**{kind}**: {len(group)}{said}{worst}", ""]
             lines += [f"- {_line(verdict, run.seed)}" for verdict in group[:most]]
     return "\n".join(lines)
 
 
 def _gist(saying: str) -> str:
-    """What was said, without the numbers."""
+    """Return the start of a message without numbers."""
     return re.sub(r"\(?-?\d[\d.,e+\-x ]*\)?", "# ", saying)[:90]
 
 
 def _table(name: str, verdicts: list[Verdict], key: Callable[[Verdict], str]) -> list[str]:
-    """Counts of outcomes by class."""
+    """Return the table of the number of outcomes by class."""
     columns = ["answered", *RIGHT, "unsure", *KINDS]
     lines = [
         f"| {name} | problems | " + " | ".join(columns) + " |",
@@ -364,7 +374,7 @@ def _table(name: str, verdicts: list[Verdict], key: Callable[[Verdict], str]) ->
 
 
 def _ratios(verdicts: list[Verdict]) -> list[str]:
-    """How true errors compare with those reported, and with those asked for."""
+    """Return the table of true errors relative to reported errors and to the tolerance."""
     answered = [v for v in verdicts if np.isfinite(v.error) and v.outcome != "free"]
     if not answered:
         return []
@@ -379,12 +389,12 @@ def _ratios(verdicts: list[Verdict]) -> list[str]:
     ):
         values = np.percentile(ratio, parts)
         lines.append(f"| {name} | " + " | ".join(f"{value:.2g}" for value in values) + " |")
-    lines += ["", "(Errors reported below 1e-4 px count as 1e-4 px here.)"]
+    lines += ["", "(Reported errors below 1e-4 px count as 1e-4 px here.)"]
     return lines
 
 
 def _line(verdict: Verdict, seed: int) -> str:
-    """One violation, and how to see it alone."""
+    """Return a line about a violation, with the options that reproduce it."""
     found = f"`--seed {seed} --only {verdict.number} --backend {verdict.backend}`: "
     found += f"{verdict.reading}, {verdict.words}"
     if np.isfinite(verdict.error):
@@ -394,7 +404,7 @@ def _line(verdict: Verdict, seed: int) -> str:
     if verdict.ways:
         found += f"; {verdict.ways} motions cost nothing"
     if verdict.swing > 1e-4:
-        found += f"; a millionth more or less of each force moves {verdict.swing:.2g} px"
+        found += f"; a change of each force by a millionth moves {verdict.swing:.2g} px"
     return found
 
 
@@ -404,21 +414,21 @@ def _page(run: Campaign, volumes: str = "") -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the campaign and print what it found."""
+    """Run the campaign and print the findings."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--loops", type=int, default=5000, help="problems for the compiled loops")
     parser.add_argument("--first", type=int, default=0, help="number of the first problem")
     parser.add_argument("--shaders", type=int, default=500, help="problems for the shaders")
     parser.add_argument("--volumes", type=int, default=300, help="small volumes")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", type=int, nargs="+", help="these problems alone")
+    parser.add_argument("--only", type=int, nargs="+", help="numbers of the only problems to run")
     parser.add_argument("--backend", help="for --only: cpu, which is the default, or opengl")
-    parser.add_argument("--page", type=Path, help="write what was found to this file, too")
-    parser.add_argument("--worst", type=int, default=10, help="how many of each kind to list")
+    parser.add_argument("--page", type=Path, help="path of a page to write")
+    parser.add_argument("--worst", type=int, default=10, help="number of each kind to list")
     options = parser.parse_args(arguments)
     if options.only is None:
         if options.backend:
-            parser.error("--backend goes with --only; else say how many --loops and --shaders")
+            parser.error("--backend requires --only; otherwise use --loops and --shaders")
         first = options.first
         plan = [(k, "cpu") for k in range(first, first + options.loops)]
         plan += [(k, "opengl") for k in range(first, first + options.shaders)]

@@ -1,10 +1,10 @@
-"""Write the validation report: one page, Markdown and pictures, all of it from this one run.
+"""Validation report: a Markdown page with pictures, all produced by one run of this script.
 
     python benchmarks/validation.py [--out FOLDER] [--quick] [--only speed levels ...] [--note TEXT]
 
-About ten minutes on two cores that have nothing else to do. What is not installed (PyAMG and
-SimpleITK come with ``pip install -e ".[report]"``, CalculiX as the system's package
-`calculix-ccx`) is left out, and the page says so. With --only, the page has these sections alone.
+The run takes about ten minutes on two idle cores. Comparisons with programs that are not installed
+are omitted, and the page says so (PyAMG and SimpleITK come with ``pip install -e ".[report]"``,
+CalculiX is the system package `calculix-ccx`). With --only, the page contains only these sections.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from report import (
 from report.page import Section, Settings, write_page
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "validation"
-#: The sections in the order of the page. Speed first: nothing has warmed the machine up by then.
+#: Sections in the order of execution. Speed is first, before the machine becomes warm.
 SECTIONS: dict[str, Callable[[Settings], Section]] = {
     "speed": speed.section,
     "paper": paper.section,
@@ -55,12 +55,12 @@ ORDER = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the page; 0 whatever it finds, as a report is not a test."""
+    """Write the page; always return 0, because a report is not a test."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=OUT)
-    parser.add_argument("--quick", action="store_true", help="small sizes, to see whether it runs")
+    parser.add_argument("--quick", action="store_true", help="small sizes, for a quick check")
     parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS))
-    parser.add_argument("--note", default="", help="what the reader should know of this run")
+    parser.add_argument("--note", default="", help="remark about this run, for the reader")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     settings = Settings(options.out, options.quick, options.note)

@@ -1,4 +1,4 @@
-"""Elastic volumes by other people's finite elements and a direct solve, in double precision."""
+"""Reference solutions of elastic volumes by third-party finite elements and a direct solve."""
 
 import subprocess
 
@@ -23,9 +23,9 @@ def change_of_shape(u, v, w):
 
 
 def assembled(spacing, first, shear, locking=False):
-    """The stiffness matrix of elements with these parameters, sites and components in their order.
+    """Return the stiffness matrix of elements, ordered by site and component.
 
-    Changes of volume count at the middle of an element or, `locking`, everywhere.
+    Changes of volume are evaluated at the middle of an element, or everywhere if `locking`.
     """
     grid = tuple(size + 1 for size in first.shape)
     mesh = skfem.MeshHex.init_tensor(
@@ -52,16 +52,16 @@ def assembled(spacing, first, shear, locking=False):
 
 
 def by_superlu(matrix, right):
-    """Solve a symmetric system."""
+    """Solve a symmetric system by SuperLU."""
     return spl.spsolve(matrix, right, permc_spec="MMD_AT_PLUS_A")
 
 
 def direct_solution(problem, poisson, locking=False, load=None, held=None, solved=by_superlu):
-    """The field of least energy, boundaries held exactly, in the unit of the problem.
+    """Return the field of least energy, in the unit of the problem.
 
-    What is rigid moves as one. With a `load` on some components, in the unit of the energy's
-    derivative by voxels, and another mask of what is `held`, for observations that slip. Whatever
-    `solved` is given is positive definite.
+    Boundaries are prescribed exactly, and rigid tissue moves as rigid bodies. For observations that
+    slip, `load` contains the forces, in units of the energy's derivative with respect to voxels,
+    and `held` is the mask of prescribed components. `solved` solves a positive definite system.
     """
     first, shear = parameters(problem, poisson)
     matrix = assembled(problem.spacing, first, shear, locking)
@@ -90,7 +90,7 @@ def direct_solution(problem, poisson, locking=False, load=None, held=None, solve
 
 
 def rigid_bodies(m):
-    """Sites of each piece of elements with an infinite corner; what touches is one."""
+    """Return the sites of each connected group of elements with an infinitely stiff corner."""
     sites = np.zeros(m.shape, dtype=bool)
     for at in np.argwhere(np.isinf(m)):
         for element in np.ndindex(2, 2, 2):
@@ -103,7 +103,7 @@ def rigid_bodies(m):
 
 
 def motions_of(problem, sites):
-    """Components of a body, and how its six motions move them."""
+    """Return the components of a body, and their displacement in its six rigid motions."""
     flat = np.ravel_multi_index(sites.T, problem.shape)
     places = (sites - sites.mean(axis=0)) * problem.spacing / problem.unit
     moves = [np.broadcast_to(axis, places.shape) for axis in np.eye(3)]
@@ -119,7 +119,7 @@ def _placed(values, at, size):
 
 
 def parameters(problem, poisson):
-    """Lame's of each element: of the means of its corners, 0 if one of them is void or rigid."""
+    """Return Lame's parameters of each element from corner means; 0 if one is void or rigid."""
     corners = [slice(None, -1), slice(1, None)]
 
     def eight(values):
@@ -134,7 +134,7 @@ def parameters(problem, poisson):
 
 
 def calculix_solution(problem, poisson, folder):
-    """The field by CalculiX with its bricks C3D8, which are fully integrated: a third opinion."""
+    """Return the field of CalculiX with fully integrated bricks (C3D8), as another reference."""
     sites = np.moveaxis(np.indices(problem.shape), 0, -1).reshape(-1, 3)
     number = 1 + np.arange(len(sites)).reshape(problem.shape)
     around = [(*face, level) for level in (0, 1) for face in ((0, 0), (1, 0), (1, 1), (0, 1))]

@@ -1,7 +1,7 @@
-"""Volumes beside programs that are too heavy to be asked for: MKL's direct solver, and torch-fem.
+"""Comparison of volumes with two heavy programs: MKL's direct solver and torch-fem.
 
-`benchmarks/volumes.py --direct` and `--torch-fem` print what is here. What they take is the extra
-`rivals` of pyproject.toml.
+`benchmarks/volumes.py --direct` and `--torch-fem` print these comparisons. The required packages
+are the extra `rivals` in pyproject.toml.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from napari_hmrf.extras import how_to_install
 
 _MISSING = f"is not installed: {how_to_install('rivals')}"
 _OBLONG = (1.0, 1.7, 0.6)
-# The stiffest tissue over the softest, and what a field may be off by, in voxels.
+# Ratio of the largest to the smallest stiffness, and tolerance in voxels.
 _RATIO, _TOLERANCE = 1e4, 0.001
-# Real and symmetric, positive definite: of such a matrix PARDISO takes the upper triangle.
+# PARDISO's type of a real symmetric positive definite matrix, given by its upper triangle.
 _DEFINITE = 2
-# How near torch-fem's conjugate gradients go, by default: of its residual, over the first.
+# Relative residual at which torch-fem's conjugate gradients stop by default.
 _RESIDUAL = 1e-10
 _POISSON = 0.3
 
 
 def random_block(size: int, seed: int = 0) -> Problem:
-    """Oblong voxels of random stiffness, with balls of void, between two plates."""
+    """Return oblong voxels of random stiffness, with void balls, between two plates."""
     draw = np.random.default_rng(seed)
     shape = (size,) * 3
     m = _RATIO ** draw.random(shape)
@@ -44,7 +44,7 @@ def random_block(size: int, seed: int = 0) -> Problem:
 
 
 def print_direct(size: int, ratios: Sequence[float] = (0.3, 0.45, 0.49)) -> None:
-    """How far fields are from those of a matrix that scikit-fem assembled, solved by PARDISO."""
+    """Print distances to the solution of scikit-fem's matrix by PARDISO."""
     try:
         from pypardiso import PyPardisoSolver
     except ImportError:
@@ -62,7 +62,9 @@ def print_direct(size: int, ratios: Sequence[float] = (0.3, 0.45, 0.49)) -> None
     print(
         f"{size}^3 voxels of {_OBLONG}, of random stiffness to 1 : {_RATIO:g}, {empty:.0f} % void"
     )
-    print("| Poisson's ratio | largest difference, voxels | error said | cycles | s | direct, s |")
+    print(
+        "| Poisson's ratio | largest difference, voxels | reported error | cycles | s | direct, s |"
+    )
     print("| --- | --- | --- | --- | --- | --- |")
     for poisson in ratios:
         begun = time.perf_counter()
@@ -80,7 +82,7 @@ def print_direct(size: int, ratios: Sequence[float] = (0.3, 0.45, 0.49)) -> None
 
 
 def triangle(matrix: Any) -> Any:
-    """The upper triangle of a matrix, as PARDISO takes it."""
+    """Return the upper triangle of a matrix in the format of PARDISO."""
     import scipy.sparse as sp
 
     upper = sp.triu(matrix, format="csr")
@@ -89,7 +91,7 @@ def triangle(matrix: Any) -> Any:
 
 
 def stretched_cube(nodes: int) -> Problem:
-    """A uniform cube of voxels, held at one face, whose opposite is pulled off and aside."""
+    """Return a uniform cube with one face fixed and the opposite face pulled and sheared."""
     shape = (nodes,) * 3
     y, c = np.zeros((2, *shape, 3))
     c[0] = c[-1] = 1
@@ -98,7 +100,7 @@ def stretched_cube(nodes: int) -> Problem:
 
 
 def residual(problem: Problem, d: npt.NDArray[np.floating]) -> float:
-    """The norm of the forces that a field leaves, over that of those before anything gives way."""
+    """Return ||forces(d)|| / ||forces(d_0)|| at free components; d_0 is 0 there."""
     prior = ElasticPrior(_POISSON)
     first = np.where(problem.known, problem.observed, 0.0)
     norms = [
@@ -109,7 +111,7 @@ def residual(problem: Problem, d: npt.NDArray[np.floating]) -> float:
 
 
 def print_torch_fem(nodes: int) -> None:
-    """How long a uniform cube takes, here and by torch-fem, to one residual."""
+    """Print the times of a uniform cube, here and by torch-fem, for the same residual."""
     try:
         import torch
         import torchfem  # noqa: F401
@@ -132,32 +134,35 @@ def print_torch_fem(nodes: int) -> None:
             theirs, field = by_torch_fem(size, preconditioner)
         apart = float(np.abs(field - d).max())
         print(
-            f"torch-fem, {preconditioner}: {theirs}, {theirs.cpu / ours.cpu:.0f} times as much; "
-            f"the fields differ by {apart:.1e} voxel at most, of {np.abs(d).max():.1f}",
+            f"torch-fem, {preconditioner}: {theirs}, {theirs.cpu / ours.cpu:.0f} times our CPU "
+            f"time; the fields differ by at most {apart:.1e} voxel, of {np.abs(d).max():.1f}",
             flush=True,
         )
 
 
 class Seconds:
-    """By the clock, which other programs lengthen, and of all cores since this was made."""
+    """Timer of wall-clock time, which other processes affect, and CPU time of all cores."""
 
     def __init__(self) -> None:
         self._begun = time.perf_counter(), time.process_time()
         self.clock = self.cpu = 0.0
 
     def stop(self) -> Seconds:
-        """Take no more time."""
+        """Stop the timer."""
         self.clock = time.perf_counter() - self._begun[0]
         self.cpu = time.process_time() - self._begun[1]
         return self
 
     def __str__(self) -> str:
-        """Both, in words."""
+        """Return both times as text."""
         return f"{self.clock:.1f} s, {self.cpu:.1f} of CPU"
 
 
 def to_residual(problem: Problem) -> tuple[Solution, Seconds]:
-    """The first of ever closer solutions that leaves no more than torch-fem, and its time."""
+    """Return the first solution with at most torch-fem's residual, and its time.
+
+    The tolerance is divided by ten until the residual is small enough.
+    """
     for power in range(5, 14):
         seconds = Seconds()
         found = solve(
@@ -170,7 +175,7 @@ def to_residual(problem: Problem) -> tuple[Solution, Seconds]:
 
 
 def by_torch_fem(problem: Problem, preconditioner: str) -> tuple[Seconds, npt.NDArray[np.float64]]:
-    """The time that torch-fem takes, with all it sets up, and its field."""
+    """Return the time of torch-fem, including its set-up, and its field."""
     import torch
     from torchfem import Solid
     from torchfem.materials import IsotropicElasticity3D

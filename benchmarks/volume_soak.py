@@ -2,9 +2,9 @@
 
     python benchmarks/volume_soak.py [--solves 5000] [--seed 0]
 
-Volumes of 108 shapes are solved in turn as elastic tissue on the compiled loops, by factors; every
-tenth may slip. Memory after each pass over the shapes is printed. Exits with 1 if it grew by more
-than 100 MB after the first pass.
+Volumes of 108 shapes are solved in turn as elastic tissue on the compiled loops, by factorization;
+in every tenth volume, observations may slip. The memory after each pass over the shapes is printed.
+Exits with 1 if memory grew by more than 100 MB after the first pass.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import psutil
 
 from napari_hmrf import ElasticPrior, Problem, solve
 
-#: Growth that is too much, in MB.
+#: Largest accepted growth of memory, in MB.
 MOST = 100.0
 #: Shapes of the volumes, in voxels.
 SHAPES = tuple(itertools.product((4, 6, 8, 10, 12, 13), (5, 7, 9, 11, 12, 13), (4, 8, 13)))
@@ -29,12 +29,14 @@ _SLIPS = 10
 
 
 def volume(shape: tuple[int, ...], seed: int) -> Problem:
-    """Return random tissue, one end held and the other pulled.
+    """Return random tissue with one end fixed and the opposite end pulled.
 
     Parameters
     ----------
     shape : tuple of int
+        Shape of the volume, (D, H, W).
     seed : int
+        Seed of the stiffness.
     """
     m = 10 ** np.random.default_rng(seed).uniform(0, 3, shape)
     y, c = np.zeros((2, *shape, 3))
@@ -49,7 +51,9 @@ def passes(solves: int, seed: int = 0) -> list[float]:
     Parameters
     ----------
     solves : int
+        Number of solves.
     seed : int
+        Seed of the first volume.
     """
     process, sizes = psutil.Process(), list[float]()
     for number in range(solves):

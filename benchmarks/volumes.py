@@ -1,26 +1,26 @@
-"""Volumes: how long they take, beside PyAMG, and whether what is reported holds.
+"""Benchmark of volumes: time, comparison with PyAMG, and check of the reported errors.
 
     python benchmarks/volumes.py [--sizes 64 128 192] [--memory 96] [--pyamg 48] [--paper 48]
     python benchmarks/volumes.py --shaders [--sizes 128 256] [--head 190]
     python benchmarks/volumes.py --direct 48
     python benchmarks/volumes.py --torch-fem 80
 
-Prints the CPU seconds of one thread, set-up included, until no voxel is further than 0.01 from the
-converged field. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) takes as many
-iterations as it takes to the same residual; its assembly counts. The paper's model has its times,
-too, and how far its field is from that of finite elements; and it prints how long one slice of a
-volume that moves takes to draw and, as parts of the time that a head at 1 mm takes to solve, how
-long it takes to move, and to say where it folds. Then small volumes of every kind are drawn at
-random and compared with a direct solve of a matrix that scikit-fem assembled, or for the paper's
-model `line_oracle`; exits with 1 if one is further from it than was reported.
+Prints the CPU time of one thread, including set-up, until every voxel is within 0.01 voxel of the
+converged field. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) iterates until
+it has the same residual; its time includes assembly. For the paper's model, the time and the
+distance to finite elements are printed. For a moving volume, the time to draw one slice is printed,
+and the times to warp a head of 1 mm voxels and to locate its folds, relative to the time of its
+solve. Finally, random small volumes of every kind are compared with a direct solve of a matrix that
+scikit-fem assembled, or of `line_oracle` for the paper's model. Exits with 1 if a distance exceeds
+the reported error.
 
-With --shaders it prints the seconds that compute shaders take for such volumes and for a head,
-which has voxels of 1 mm in 190 rows: of a cycle, and of a whole solve with all that the host does.
+With --shaders, prints the time of compute shaders for the same volumes and for a head with 190 rows
+of 1 mm voxels: per cycle, and for a whole solve including the work of the host.
 
-With --direct it prints how far volumes of random stiffness are from those of a matrix that
-scikit-fem assembled and MKL's PARDISO solved; with --torch-fem how long a uniform cube takes beside
-torch-fem. What these two take is too heavy for any other extra: `pip install -e ".[rivals]"`. They
-run on all cores.
+With --direct, prints the distance of volumes of random stiffness to the solution of scikit-fem's
+matrix by MKL's PARDISO. With --torch-fem, prints the time of a uniform cube compared with
+torch-fem. The packages of these two comparisons are too heavy for the other extras:
+`pip install -e ".[rivals]"`. Both comparisons run on all cores.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from typing import Any
 if not {"--direct", "--torch-fem"} & {*sys.argv}:
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 os.environ.setdefault("NAPARI_HMRF_COMPILE", "here")
-# Else glibc keeps what is freed of arrays up to 32 MiB; those of large volumes are larger.
+# Otherwise glibc may retain freed arrays of up to 32 MiB; arrays of large volumes are larger.
 os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", "1000000")
 
 import numpy as np
@@ -70,7 +70,7 @@ _NAMES = {False: "cube, held at its faces", True: "ball, held at a cap"}
 
 
 def growing(size: int, free: bool = False) -> Problem:
-    """Tissue in which a ball grows: a cube that is held at its faces, or a ball at a cap."""
+    """Return tissue in which a ball grows: a cube with fixed faces, or a ball with a fixed cap."""
     places = np.moveaxis(np.indices((size, size, size)), 0, -1) * (2 / size) - 1
     from_middle = places - (0.15, 0.1, 0.0)
     r = np.linalg.norm(from_middle, axis=-1)
@@ -88,14 +88,14 @@ def growing(size: int, free: bool = False) -> Problem:
 
 
 def timed(problem: Problem, prior: Prior, optimizer: Optimizer = WITHIN) -> tuple[Solution, float]:
-    """A solution, and the CPU seconds it took."""
+    """Return a solution and its CPU time in seconds."""
     begun = time.process_time()
     found = solve(problem, prior, optimizer=optimizer, backend="cpu")
     return found, time.process_time() - begun
 
 
 def print_times(sizes: list[int]) -> None:
-    """A table of cycles and seconds."""
+    """Print a table of cycles and seconds."""
     print("| tissue | voxels | Poisson's ratio | cycles | CPU s | ns a voxel |")
     print("| --- | --- | --- | --- | --- | --- |")
     for size in sizes:
@@ -109,7 +109,7 @@ def print_times(sizes: list[int]) -> None:
 
 
 def print_shaders(sizes: list[int], head: int) -> None:
-    """A table of the seconds that compute shaders take."""
+    """Print a table of the times of compute shaders."""
     print("| tissue | voxels | Poisson's ratio | cycles | s | ms a cycle |")
     print("| --- | --- | --- | --- | --- | --- |")
     for size in sizes:
@@ -122,7 +122,7 @@ def print_shaders(sizes: list[int], head: int) -> None:
 
 
 def print_shader_row(tissue: str, problem: Problem, poisson: float) -> None:
-    """A row of that table, of the second of two solves; or why there is none."""
+    """Print a row of that table for the second of two solves, or the reason of a failure."""
     try:
         timed_shaders(problem, poisson)
         found, seconds, cycle = timed_shaders(problem, poisson)
@@ -134,7 +134,7 @@ def print_shader_row(tissue: str, problem: Problem, poisson: float) -> None:
 
 
 def timed_shaders(problem: Problem, poisson: float) -> tuple[Solution, float, float]:
-    """A solution by compute shaders, the seconds it took, and those of a cycle of it."""
+    """Return a solution by compute shaders, its time, and the time of a cycle, in seconds."""
     moments: list[float] = []
 
     def note(monitor: Monitor) -> None:
@@ -157,7 +157,7 @@ def timed_shaders(problem: Problem, poisson: float) -> tuple[Solution, float, fl
 
 
 def print_memory(size: int) -> None:
-    """What a solve takes at most beside its problem, each in a process of its own."""
+    """Print the peak memory of solves in addition to the problem, in separate processes."""
     print("| tissue | voxels | cycles | bytes a voxel | GiB in all |")
     print("| --- | --- | --- | --- | --- |")
     for name in _TISSUES:
@@ -168,7 +168,7 @@ def print_memory(size: int) -> None:
 
 
 def memory_of(name: str, size: int) -> tuple[int, int, int]:
-    """How many cycles a tissue takes; what its solve takes at most, and the whole process."""
+    """Return the number of cycles, the peak memory of a solve, and that of the whole process."""
     timed(growing(16), ElasticPrior(0.45))  # loads the loops
     problem = _TISSUES[name](size)
     gc.collect()
@@ -189,7 +189,7 @@ def memory_of(name: str, size: int) -> tuple[int, int, int]:
 
 
 def squeezed_shell(size: int) -> Problem:
-    """A thin shell, a million times as stiff as what is around, that floats between plates."""
+    """Return a thin shell, 1e6 times as stiff as its surroundings, floating between plates."""
     y, c = np.zeros((size, size, size, 3)), np.zeros((size, size, size, 3))
     c[[0, -1]], y[-1] = 1, (2.0, 1.0, -0.5)
     places = np.indices((size, size, size), dtype=np.float32) - (size - 1) / 2
@@ -205,7 +205,7 @@ _TISSUES: dict[str, Callable[[int], Problem]] = {
 
 
 def print_pyamg(size: int) -> None:
-    """How many times as long PyAMG takes."""
+    """Print the ratio of PyAMG's time to our time."""
     try:
         import pyamg
     except ImportError:
@@ -227,12 +227,12 @@ def print_pyamg(size: int) -> None:
     apart = np.abs(found.displacement.ravel() - field).max()
     print(
         f"PyAMG at {size}^3: {len(path) - 1} iterations, {theirs:.1f} s, {theirs / ours:.0f} times "
-        f"as long; the fields differ by {apart:.4f} voxel at most"
+        f"as long; the fields differ by at most {apart:.4f} voxel"
     )
 
 
 def stiffness_matrix(problem: Problem, poisson: float) -> sp.csr_matrix:
-    """The sum of all elements' matrices, each of which is two of one element, weighted."""
+    """Return the stiffness matrix, a weighted sum of the two matrices of one element."""
     first, shear = (each.ravel() for each in parameters(problem, poisson))
     one, none = np.ones((1, 1, 1)), np.zeros((1, 1, 1))
     shape, corners = brick_shape(problem.spacing), np.eye(24).reshape(24, 2, 2, 2, 3)
@@ -250,7 +250,7 @@ def stiffness_matrix(problem: Problem, poisson: float) -> sp.csr_matrix:
 
 
 def rigid_motions(shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    """The six of them, a column each."""
+    """Return the six rigid motions as columns."""
     places = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3) - np.array(shape) / 2
     moves = [np.broadcast_to(axis, places.shape) for axis in np.eye(3)]
     turns = [np.cross(axis, places) for axis in np.eye(3)]
@@ -258,7 +258,7 @@ def rigid_motions(shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
 
 
 def print_slices(shape: tuple[int, int, int] = (180, 220, 180)) -> None:
-    """How long the middle slice of an ellipsoid takes whose motion is known finely, or coarsely."""
+    """Print the time of the middle slice of an ellipsoid with fine or coarse displacements."""
     places = np.moveaxis(np.indices(shape, dtype=np.float32), 0, -1) / np.float32(shape) * 2 - 1
     tissue = np.asarray((places**2).sum(axis=-1) < 0.9)
     hill = np.cos(np.float32(np.pi / 2) * places).prod(axis=-1)[..., None]
@@ -277,14 +277,14 @@ def print_slices(shape: tuple[int, int, int] = (180, 220, 180)) -> None:
             times = [compute_thread.submit(seconds).result() for _ in range(6)][1:]
             known = "every voxel" if every == 1 else f"every {every}nd voxel"
             print(
-                f"a slice of {' x '.join(map(str, shape))} that moves by up to {far} voxels, known "
-                f"at {known}: {1e3 * float(np.median(times)):.0f} ms of CPU",
+                f"a slice of {' x '.join(map(str, shape))} that moves by up to {far} voxels, "
+                f"sampled at {known}: {1e3 * float(np.median(times)):.0f} ms of CPU time",
                 flush=True,
             )
 
 
 def print_paper(size: int) -> None:
-    """How far the paper's field is from that of finite elements, and how long it takes."""
+    """Print the distance of the paper's field to finite elements, and its time."""
     cube = growing(size)
     places = np.moveaxis(np.indices(cube.shape), 0, -1) * (2 / size) - 1
     m = np.full(cube.shape, 20.0)
@@ -313,7 +313,7 @@ def print_paper(size: int) -> None:
 
 
 def print_motion(size: int) -> None:
-    """What is done with the motion of a head, as parts of the time its solve takes."""
+    """Print the times of post-processing a head, relative to the time of its solve."""
     head = head_phantom(size)
     found, solving = min(
         (timed(head.problem, ElasticPrior(0.45)) for _ in range(2)), key=lambda each: each[1]
@@ -330,11 +330,13 @@ def print_motion(size: int) -> None:
     tasks: dict[str, Callable[[], Any]] = {
         "the warp": lambda: warper(found.displacement, found.tissue),
         "the smallest determinants": lambda: smallest_determinant(*field),
-        "all that a result's layers take": layers,
+        "all result layers": layers,
     }
     shape = " x ".join(map(str, head.image.shape))
     sites = int(found.tissue.sum())
-    print(f"a head of {shape} voxels, {sites:,} of them tissue: {solving:.2f} s of CPU to solve")
+    print(
+        f"a head of {shape} voxels, {sites:,} of them tissue: {solving:.2f} s of CPU time to solve"
+    )
     for name, task in tasks.items():
 
         def seconds(task: Callable[[], Any] = task) -> float:
@@ -343,20 +345,20 @@ def print_motion(size: int) -> None:
             return time.process_time() - begun
 
         least = min(compute_thread.submit(seconds).result() for _ in range(4))
-        print(f"{name}: {least:.2f} s, {least / solving:.2f} of that", flush=True)
+        print(f"{name}: {least:.2f} s, {least / solving:.2f} of the solve", flush=True)
 
 
 def main() -> int:
-    """Print all; 1 if an answer is wrong."""
+    """Print all results; return 1 if a solution is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="*")
-    parser.add_argument("--shaders", action="store_true", help="time compute shaders, no more")
-    parser.add_argument("--head", type=int, default=190, metavar="ROWS", help="0: not at all")
-    parser.add_argument("--memory", type=int, default=96, metavar="SIZE", help="0: not at all")
-    parser.add_argument("--pyamg", type=int, default=48, metavar="SIZE", help="0: not at all")
-    parser.add_argument("--paper", type=int, default=48, metavar="SIZE", help="0: not at all")
-    parser.add_argument("--direct", type=int, metavar="SIZE", help="beside PARDISO, no more")
-    parser.add_argument("--torch-fem", type=int, metavar="NODES", help="beside torch-fem, no more")
+    parser.add_argument("--shaders", action="store_true", help="only time compute shaders")
+    parser.add_argument("--head", type=int, default=190, metavar="ROWS", help="0: skip")
+    parser.add_argument("--memory", type=int, default=96, metavar="SIZE", help="0: skip")
+    parser.add_argument("--pyamg", type=int, default=48, metavar="SIZE", help="0: skip")
+    parser.add_argument("--paper", type=int, default=48, metavar="SIZE", help="0: skip")
+    parser.add_argument("--direct", type=int, metavar="SIZE", help="only PARDISO")
+    parser.add_argument("--torch-fem", type=int, metavar="NODES", help="only torch-fem")
     parser.add_argument("--random", type=int, default=300, metavar="COUNT")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()

@@ -1,8 +1,8 @@
-"""Drag tissue step by step, with warm starts.
+"""Dragging tissue step by step, with warm starts.
 
 A patch is dragged to the right, one pixel at a time. Each solve starts from the solutions of the
-last two steps. Elastic displacement is proportional to the pull, so little work is left after two
-steps.
+last two steps. Elastic displacement is proportional to the pull, so a solve needs only a few
+iterations after the second step.
 """
 
 import numpy as np

@@ -1,7 +1,8 @@
-"""Let a sphere grow in a scan, in one slice and in the volume.
+"""Growth of a sphere in a scan, in one slice and in the whole volume.
 
-The sphere has a radius of 10 mm and grows by a fifth. The script reads scan.nii.gz, and writes the
-deformed images and the displacement fields, which other programs read. It needs SimpleITK.
+The sphere has a radius of 10 mm, and its radius would grow by 20 % without constraints. The script
+reads scan.nii.gz, and writes the deformed images and the displacement fields as NIfTI files. It
+requires SimpleITK.
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ scan = sitk.ReadImage("scan.nii.gz")
 middle = scan.GetSize()[2] // 2
 materials = (Material(1, "tissue", 1.0), Material(2, "tumour", 4.0, growth=0.2))
 for name, index, part in (("slice", middle, scan[:, :, middle]), ("volume", None, scan)):
-    grid = Grid.from_image(scan, slice=index)  # with the position of the scan
+    grid = Grid.from_image(scan, slice=index)  # including the position of the scan
     offset = (np.indices(grid.shape).T - np.array(grid.shape) / 2) * grid.spacing  # in mm
     labels = np.where(np.linalg.norm(offset, axis=-1).T < 10, 2, 1)
     study = Study(grid, Tissue(labels=labels, materials=materials), Motion(hold_edge=True))

@@ -1,8 +1,9 @@
-"""Let a tumour grow in a brain, and measure the tissue around it.
+"""Growth of a tumour in a brain, with measurements of the surrounding tissue.
 
-The sample is synthetic. It has the tissues void, normal, soft and tumour, and a fixed outline. The
-tumour would grow by 40 % if it were free; its surroundings reduce this. The result is saved to a
-file, which napari opens. With more growth linear elastic tissue folds, and large motion does not.
+The sample is synthetic: normal tissue, soft tissue and a tumour, with a fixed outline. Without
+constraints, the diameter of the tumour would grow by 40 %; the surrounding tissue reduces this
+growth. The result is saved to a file that napari can open. With larger growth, tissue folds in the
+linear elastic model, but not in the large-motion model.
 """
 
 import numpy as np
@@ -17,10 +18,10 @@ solution = solve(brain.problem)
 jacobian = solution.jacobian()
 for label, name in ((3, "tumour"), (2, "ventricles"), (1, "normal tissue")):
     there = brain.tissue_labels == label
-    print(f"area of the {name}: {100 * np.nanmean(jacobian[there]):.1f} % of what it was")
+    print(f"area of the {name}: {100 * np.nanmean(jacobian[there]):.1f} % of its original area")
 print(f"pixels at which tissue folds: {solution.count_folds()}")
 
-# Images move with the tissue; labels take the nearest pixel.
+# The image is interpolated linearly, and the labels with the nearest neighbour.
 image = solution.warp(brain.image)
 labels = solution.warp(brain.tissue_labels, order=0)
 before, after = (brain.tissue_labels == 3).sum(), (labels == 3).sum()

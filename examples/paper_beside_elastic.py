@@ -1,7 +1,7 @@
-"""Compare the paper's model and elastic tissue with finite elements.
+"""Comparison of the paper's model and elastic tissue with finite elements.
 
-The sample is a brain whose outline expands by 10 pixels. Its finite-element field, with a Poisson's
-ratio of 0.3 in plane stress, comes with the package.
+The sample is a brain with an outline that expands by 10 pixels. The package contains its
+finite-element displacement, which was computed in plane stress with a Poisson's ratio of 0.3.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ reference = reference_displacement("expansion")
 
 solutions = (
     solve(problem, SeilerPrior()),  # 70 sweeps on each level of the quadtree
-    solve(problem, SeilerPrior(), optimizer=Multigrid()),  # the field that more sweeps would reach
+    solve(problem, SeilerPrior(), optimizer=Multigrid()),  # the limit of many sweeps
     solve(problem, ElasticPrior(poisson=0.3)),
 )
 for solution in solutions:

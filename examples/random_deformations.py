@@ -1,7 +1,8 @@
-"""Deform a brain at random, with its labels, points and displacement, to train a network.
+"""Random deformations of a brain, with its labels, points and displacement, to train a network.
 
-A few solutions are computed once. Each deformation is a sum of them, and as accurate as a full
-solve. Bone keeps its shape, nothing folds, and labels and points move with the image.
+A few unit solutions are computed once. Each deformation is a weighted sum of these solutions, and
+is as accurate as a full solve. Bone stays rigid, tissue does not fold, and labels and points move
+with the image.
 """
 
 import numpy as np
@@ -40,4 +41,4 @@ print(f"bone is strained by {100 * strained:.3f} %")
 
 solved = solve_study(samples[0].study).displacement
 apart = np.abs(solved - samples[0].displacement).max()
-print(f"a full solve of the first: within {apart:.4f} px of it")
+print(f"a full solve of the first deformation agrees within {apart:.4f} px")

@@ -1,9 +1,10 @@
-"""Use the field of a registration as boundary, where the image has edges.
+"""Registration field as a boundary condition, at the edges in an image.
 
-SimpleITK registers two images of one brain. It has no model of tissue: it bends bone, and guesses
-where the image has no features. Elastic tissue takes this field at the edges of the image only,
-keeps bone rigid, and computes the rest. The second image is made from the first, so the distance of
-both fields from the truth is known.
+SimpleITK registers two images of the same brain. The registration does not model tissue: it bends
+bone, and its field is unreliable where the image has no features. The elastic model uses this field
+only at edges in the image, keeps bone rigid, and computes the remaining displacement. The second
+image is computed from the first image with a known displacement, so the error of both fields is
+known.
 """
 
 import numpy as np
@@ -19,7 +20,7 @@ brain = phantom("mass-effect", size=150)
 tissue, bone = brain.tissue_labels > 0, brain.tissue_labels == 3
 stiffness = np.where(bone, np.inf, brain.problem.stiffness)
 
-# The truth: the outline is held on the left and pushed on the right; bone is rigid.
+# True motion: the outline is fixed on the left and pushed on the right, and bone is rigid.
 y, c = np.zeros((2, *tissue.shape, 2))
 outline = (brain.problem.confidence > 0).any(axis=-1) & ~bone
 outline &= np.hypot(*(np.indices(tissue.shape) - 75)) > 40
@@ -30,7 +31,7 @@ truth = solve(Problem(y, c, stiffness))
 later = truth.warp(brain.image)
 noise = 0.05 * np.ptp(later) * np.random.default_rng(0).normal(size=(2, *later.shape))
 
-# SimpleITK's demons compute, for each pixel of the first image, its position in the second.
+# The demons algorithm computes the displacement of each pixel from the first to the second image.
 demons = sitk.FastSymmetricForcesDemonsRegistrationFilter()
 demons.SetNumberOfIterations(150)
 demons.SetStandardDeviations(2.0)
@@ -38,8 +39,8 @@ seen = np.array([brain.image, later]) + noise
 fixed, moving = (sitk.GetImageFromArray(each.astype(np.float32)) for each in seen)
 registered = sitk.GetArrayFromImage(demons.Execute(fixed, moving))[..., ::-1]
 
-# This field is y. c is 1 at the edges of the image, and 0 elsewhere, also in bone and beside it,
-# because bone moves as one body.
+# This field is the observation y. Its confidence c is high at edges in the image and low elsewhere.
+# It is 0 in bone and next to bone, because bone moves as a rigid body.
 sure = edge_confidence(seen[0]) * ~binary_dilation(bone, iterations=2)
 edges = np.repeat(sure[..., None], 2, axis=-1)
 elastic = solve(Problem(registered, edges, stiffness), ElasticPrior()).displacement

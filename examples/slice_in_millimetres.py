@@ -1,7 +1,8 @@
-"""Move landmarks in a slice with oblong pixels.
+"""Landmarks in a slice with non-square pixels.
 
-Rows are 1.5 mm apart and columns 0.75 mm, so all lengths are in millimetres: radii, displacements.
-Positions are (row, col) in pixels. The outer edge of the tissue is held.
+The distance between rows is 1.5 mm, and between columns 0.75 mm. All lengths, such as radii and
+displacements, are in millimetres, but positions are (row, col) in pixels. The outer edge of the
+tissue is fixed.
 """
 
 import numpy as np
@@ -31,4 +32,4 @@ for number, mark in enumerate(landmarks.marks):
     down, right = solution.displacement[row, col]
     print(f"landmark {number} moves {down:.2f} mm down and {right:.2f} mm to the right")
 farthest = np.linalg.norm(solution.displacement, axis=-1).max()
-print(f"nothing moves further than {farthest:.2f} mm")
+print(f"no pixel moves further than {farthest:.2f} mm")

@@ -1,7 +1,7 @@
-"""Stretch soft tissue around a stiff disc.
+"""Stretching of soft tissue around a stiff disc.
 
-The left edge is held, and the right edge is pulled 8 pixels to the right. The disc is twenty times
-as stiff as its surroundings, so it is hardly stretched.
+The left edge is fixed, and the right edge is pulled 8 pixels to the right. The disc is twenty times
+as stiff as its surroundings, so it hardly stretches.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ disc = np.hypot(rows - 48, cols - 48) < 16
 
 stiffness = np.where(disc, 20.0, 1.0)
 observed = np.zeros((*shape, 2))  # displacement: (row, col), in pixels
-confidence = np.zeros((*shape, 2))  # 1 where it is known, 0 elsewhere
+confidence = np.zeros((*shape, 2))  # 1 where the displacement is known
 observed[:, -2:] = (0, 8)
 confidence[:, :2] = confidence[:, -2:] = 1
 

@@ -1,7 +1,8 @@
-"""Solve a table of cases, to see how the growth of a tumour narrows the ventricles.
+"""Table of cases that shows how the growth of a tumour narrows the ventricles.
 
-Each line of a table is a case. Two cells of this line hold several values, so it is six cases. Each
-case gets a folder with the study, its field and the deformed image.
+Each row of a table defines a case. Two cells of the row below contain several values, so the row
+defines six cases. The results of each case are written to a folder: the study, its displacement
+field and the deformed image.
 """
 
 from pathlib import Path
@@ -27,7 +28,7 @@ brain,brain.tif,labels.tif,materials.csv,yes,0.1;0.2;0.3,3;30
 
 
 def main() -> None:
-    """Write the files, solve the cases, and print the result of each."""
+    """Write the input files, solve the cases, and print the results."""
     brain, files = phantom("mass-effect", size=96), Path("sweep")
     files.mkdir()
     imwrite(files / "brain.tif", brain.image.astype(np.float32))
@@ -41,8 +42,8 @@ def main() -> None:
         rows = solution.measure(brain.tissue_labels, names=names)
         areas = {row.name: row.size_change for row in rows}
         print(f"{outcome.case}: ventricles {areas['ventricles']:.2f} %, {outcome.folds} folds")
-    print(f"all of them: {files / 'out' / 'summary.csv'}")
+    print(f"summary of all cases: {files / 'out' / 'summary.csv'}")
 
 
-if __name__ == "__main__":  # because other processes import this file
+if __name__ == "__main__":  # required because worker processes import this file
     main()

@@ -1,7 +1,7 @@
-"""Let a tumour grow in a volume, and print the motion of each tissue in millimetres.
+"""Growth of a tumour in a volume, with the motion of each tissue in millimetres.
 
-The head is synthetic, with voxels of 3 mm; its brain is held at the skull. A volume is solved like
-a slice, with elastic tissue on the compiled loops.
+The head is synthetic, with voxels of 3 mm, and the brain is fixed at the skull. A volume is solved
+in the same way as a slice. Here the tissue is elastic.
 """
 
 import numpy as np
@@ -18,8 +18,8 @@ length, ratio = magnitude(solution.displacement), solution.jacobian()
 for label, name in ((1, "brain"), (2, "ventricles"), (3, "tumour")):
     there = head.tissue_labels == label
     print(
-        f"{name}: moves {length[there].mean():.2f} mm in the mean, {length[there].max():.2f} at "
-        f"most; its volume is {100 * np.mean(ratio[there]):.1f} % of what it was"
+        f"{name}: moves {length[there].mean():.2f} mm on average and {length[there].max():.2f} mm "
+        f"at most; its volume is {100 * np.mean(ratio[there]):.1f} % of the original volume"
     )
 print(f"voxels at which tissue folds: {solution.count_folds()}")
 

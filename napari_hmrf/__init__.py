@@ -1,9 +1,10 @@
-"""Motion of soft tissue, computed on the pixels of an image.
+"""Soft-tissue deformation, computed on the pixel grid of an image.
 
-A `Study` states the tissue of each pixel and the constraints and loads that move it; `solve_study`
-computes the displacement of all tissue. Images are arrays ([D,] H, W), and displacements ([D,] H,
-W, 2 or 3) are in the unit of `spacing`, the size of a pixel: the tissue at X moves to X + d(X). In
-this volume a ball of tissue grows by a fifth in all directions, and an image moves with it:
+A `Study` defines the tissue of each pixel and the constraints and loads on the tissue;
+`solve_study` computes the displacement field. Images are arrays of shape ([D,] H, W). Displacements
+d have shape ([D,] H, W, 2 or 3) and the unit of `spacing`, the pixel size: the tissue at X moves to
+X + d(X). In this example, a ball of tissue in a volume grows by a fifth in every direction, and an
+image is deformed accordingly:
 
 >>> import numpy as np
 >>> from napari_hmrf import Grid, Material, Motion, Study, Tissue, solve_study
@@ -16,27 +17,27 @@ this volume a ball of tissue grows by a fifth in all directions, and an image mo
 >>> f"{solution.at([(11.5, 11.5, 16.5)])[0, 2]:.1f} mm"
 '0.8 mm'
 
-`solve` takes a `Problem` of arrays instead, and `LiveSolver` solves while a problem is edited.
-A `Solution` has methods for everything that needs its spacing, tissue or place: `warp`, `at`,
-`jacobian`, `strain`, `measure`, `export`. Functions that read files have names that begin with
-``read_``; functions that write files, with ``write_``.
+`solve` accepts a `Problem`, which consists of arrays. `LiveSolver` updates the solution while a
+problem is being edited. A `Solution` evaluates and exports its displacement field with the methods
+`warp`, `at`, `jacobian`, `strain`, `measure` and `export`. The names of functions that read files
+begin with ``read_``; the names of functions that write files begin with ``write_``.
 
 ===================== ==========================================================================
 package               contents
 ===================== ==========================================================================
 napari_hmrf           problems, studies, models, solvers, results, errors
-napari_hmrf.fields    warped images, strain, folds and inverses; files of fields; movies
+napari_hmrf.fields    image warping, strain, folds, inverse fields, field files, movies
 napari_hmrf.tissue    materials with published stiffness; stiffness from labels and intensities
-napari_hmrf.loads     growth, weight, pressure, traction; reactions
-napari_hmrf.landmarks files of points
-napari_hmrf.cases     tables of many cases, solved by several processes
-napari_hmrf.random    random deformations, to augment data and to validate registrations
+napari_hmrf.loads     growth, weight, pressure, traction, reaction forces
+napari_hmrf.landmarks landmark files
+napari_hmrf.cases     batches of cases, solved in parallel
+napari_hmrf.random    random deformations for data augmentation and registration validation
 napari_hmrf.data      phantoms and reference solutions
 ===================== ==========================================================================
 
-Continue with ``help(napari_hmrf.solve_study)``, ``help(napari_hmrf.Study)`` and
-``help(napari_hmrf.fields)``, with the folders ``examples`` and ``docs`` of the repository, or with
-the window: ``napari``, then *Plugins > Soft tissue*.
+For more, see ``help(napari_hmrf.solve_study)``, ``help(napari_hmrf.Study)`` and
+``help(napari_hmrf.fields)``, and the folders ``examples`` and ``docs`` of the repository. To use
+the graphical interface, start ``napari`` and choose *Plugins > Soft tissue*.
 
 Importing this package does not import napari, Qt, OpenGL, numba or SciPy.
 """
@@ -108,7 +109,7 @@ __all__ = [
     "write_study",
 ]
 
-#: Public packages beside this one; each is imported on first use.
+#: Names of the public submodules; each submodule is imported on first access.
 _PACKAGES = ("cases", "data", "fields", "landmarks", "loads", "random", "tissue")
 
 

@@ -1,4 +1,4 @@
-"""``python -m napari_hmrf``: the same as the command ``napari-hmrf``."""
+"""Entry point of ``python -m napari_hmrf``, which is equivalent to the command ``napari-hmrf``."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Checks of single argument values."""
+"""Validation of argument values."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ _LONGEST = 80
 
 
 def shown(value: object) -> str:
-    """Format a value for use in a sentence: short, on one line."""
+    """Format a value for an error message, on one line of limited length."""
     line = " ".join(reprlib.repr(value).split())
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
 
 
 def real(value: Any) -> float:
-    """Convert a real number to float; return NaN for any other value or a too large number."""
+    """Convert a real number to float.
+
+    Values that are not real numbers, and numbers too large for a float, give NaN.
+    """
     if not isinstance(value, Real):
         return math.nan
     try:
@@ -33,9 +36,10 @@ def real(value: Any) -> float:
 
 
 def reals(values: Any, count: int) -> tuple[float, ...]:
-    """Convert `count` real numbers to floats; return `count` NaNs for another number of values.
+    """Convert a sequence of `count` real numbers to a tuple of floats.
 
-    Sets and mappings also give NaNs, because they do not keep the order of the axes.
+    The result contains only NaN if `values` has another length. It also does for sets and mappings,
+    because their order does not match the order of the axes.
     """
     is_sized = isinstance(values, Iterable) and isinstance(values, Sized)
     given = tuple(values) if is_sized and not isinstance(values, Set | Mapping) else ()
@@ -43,67 +47,69 @@ def reals(values: Any, count: int) -> tuple[float, ...]:
 
 
 def is_whole(value: object) -> bool:
-    """Return whether a value of any type is a whole number."""
+    """Return whether a value, which may be of any type, is a whole number."""
     return real(value).is_integer()
 
 
 def is_one_of(value: object, choices: Iterable[str]) -> bool:
-    """Return whether a value is one of the given words."""
+    """Return whether a value is one of the given strings."""
     return isinstance(value, str) and value in choices
 
 
 def refuse_unless(right: bool, name: str, value: object, requirement: str) -> None:
-    """Refuse an argument that does not meet its requirement.
+    """Raise an error if an argument is invalid.
 
     Parameters
     ----------
     right : bool
-        True if the argument meets the requirement.
+        True if the argument is valid.
     name : str
         Name of the argument.
     value : object
-        Value of the argument, which the message quotes.
+        Value of the argument, quoted in the error message.
     requirement : str
-        Requirement, as the sentence continues after "must be".
+        Text that follows "must be" in the error message.
 
     Raises
     ------
     ArgumentError
-        If `right` is False; the message is one sentence.
+        If `right` is False. The message is a single sentence.
     """
     if not right:
         raise ArgumentError(f"{name} must be {requirement}, not {shown(value)}")
 
 
 def require_flag(name: str, value: object) -> None:
-    """Refuse an argument that is not True or False.
+    """Raise an error if an argument is not a boolean.
 
     Raises
     ------
     ArgumentError
-        If the value is of another type; the message is one sentence.
+        If the value is not a boolean. The message is a single sentence.
     """
-    # NumPy's booleans are recognised by name, so that this module does not import NumPy.
+    # Recognise NumPy's booleans by name, so that this module does not need to import NumPy.
     is_flag = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
     refuse_unless(is_flag, name, value, "True or False")
 
 
 def require_kind(kind: type | UnionType, name: str, value: object, example: str) -> None:
-    """Refuse an argument of another type.
+    """Raise an error if an argument is not of the required type.
 
     Parameters
     ----------
     kind : type or union of types
+        Required type.
     name : str
         Name of the argument.
     value : object
+        Value of the argument.
     example : str
-        A valid argument in Python syntax, or a remedy.
+        Expression that gives a valid argument, for the error message.
 
     Raises
     ------
     ArgumentError
-        If the value is of another type; the message is one sentence.
+        If the value is not of the required type. The message is a single sentence.
     """
     words = _kinds(kind)
     article = "an" if words[0] in "AEIOU" else "a"
@@ -111,11 +117,13 @@ def require_kind(kind: type | UnionType, name: str, value: object, example: str)
 
 
 def tuple_of(kind: type | UnionType, name: str, values: Any, example: str) -> tuple[Any, ...]:
-    """Return a tuple or list as a tuple, or refuse one with an item of another type.
+    """Convert a sequence to a tuple, and check the type of its items.
 
     Parameters
     ----------
-    kind, name, example
+    kind : type or union of types
+        Required type of each item.
+    name, example
         As for `require_kind`.
     values : object
         Value of the argument.
@@ -123,7 +131,7 @@ def tuple_of(kind: type | UnionType, name: str, values: Any, example: str) -> tu
     Raises
     ------
     ArgumentError
-        If the value is not such a tuple or list; the message is one sentence.
+        If the value is not a sequence of items of this type. The message is a single sentence.
     """
     right = isinstance(values, Sequence) and all(isinstance(value, kind) for value in values)
     refuse_unless(right, name, values, f"a tuple of {_kinds(kind)}, such as {example}")
@@ -131,13 +139,13 @@ def tuple_of(kind: type | UnionType, name: str, values: Any, example: str) -> tu
 
 
 def _kinds(kind: type | UnionType) -> str:
-    """List types in words: "Arrow, Landmark or Stroke"."""
+    """List the names of types for a message, such as "Arrow, Landmark or Stroke"."""
     *others, last = (each.__name__ for each in get_args(kind) or (kind,))
     return f"{', '.join(others)} or {last}" if others else last
 
 
 def checked_path(path: Any) -> str:
-    """Return a file name as str, or refuse anything that is not a path."""
+    """Convert a path to str; raise `ArgumentError` if the value is not a path."""
     refuse_unless(isinstance(path, str | os.PathLike), "path", path, "the name of a file")
     return str(os.fsdecode(path))
 
@@ -145,19 +153,21 @@ def checked_path(path: Any) -> str:
 def nearest_word(
     word: str, known: Iterable[str], synonyms: Mapping[str, str] | None = None
 ) -> str | None:
-    """Return the known word that a misspelt word or a synonym most likely stands for.
+    """Return the known word that a misspelt word or a synonym most likely refers to.
 
     Parameters
     ----------
     word : str
+        Unknown word.
     known : iterable of str
+        Known words.
     synonyms : mapping of str to str, optional
-        Maps each synonym to the known word.
+        Known word for each synonym.
 
     Returns
     -------
     str or None
-        None if no known word is close enough.
+        Known word, or None if no known word is similar enough.
     """
     words = [*known]
     plain = " ".join(word.casefold().replace("_", " ").replace("-", " ").split())
@@ -169,6 +179,9 @@ def nearest_word(
 
 
 def did_you_mean(word: str, known: Iterable[str], synonyms: Mapping[str, str] | None = None) -> str:
-    """Return a question that offers the nearest known word, with a space in front, or ""."""
+    """Return a question that suggests the most similar known word, or "" if there is none.
+
+    The question begins with a space.
+    """
     near = nearest_word(word, known, synonyms)
     return f" Did you mean {near!r}?" if near else ""

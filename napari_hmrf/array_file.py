@@ -1,9 +1,9 @@
 """Archive of plain arrays and a header, written atomically and validated when it is read.
 
-The file is a NumPy archive (.npz) with a header in JSON. Reading it runs no code from the file.
-Before any array is expanded, the archive's table, the header and the claimed types and shapes of
-all arrays are checked against the format. A damaged, foreign or malicious file therefore raises one
-clear error and allocates no memory.
+The file is a NumPy archive (.npz) with a header in JSON. Reading a file never executes code from
+the file. Before any array is decompressed, the table of contents, the header, and the declared
+types and shapes of all arrays are checked against the format. A damaged, foreign or malicious file
+is therefore rejected with an error before memory is allocated for its arrays.
 """
 
 from __future__ import annotations
@@ -36,34 +36,35 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 
 #: Largest size of an array, in bytes: two components on 16384 x 16384 sites.
 MAX_BYTES = 2 * 16384**2 * 4
-#: Arrays up to this size, in bytes, may have any compression ratio: that of a constant field is
-#: 1000. A larger array with a ratio above `_MAX_RATIO` is refused as a decompression bomb.
+#: Largest size, in bytes, of an array with an unrestricted compression ratio; the ratio of a
+#: constant field is about 1000. A larger array with a ratio above `_MAX_RATIO` is rejected as a
+#: decompression bomb.
 _HARMLESS_BYTES = 256 * 2**20
 #: Largest compression ratio of an array larger than `_HARMLESS_BYTES`.
 _MAX_RATIO = 100
-#: Number of bytes expanded at a time.
+#: Number of bytes decompressed at a time.
 _PIECE = 2**20
-#: Upper bound of the compression ratio of deflate, whose limit is 1032, with a margin.
+#: Largest possible compression ratio of deflate, which is 1032, plus a margin.
 _MOST_PACKED = 1100
 #: Largest total size of all arrays of a file, in bytes.
 _MAX_TOTAL = 4 * MAX_BYTES
 
 
 def is_finite(array: npt.NDArray[Any]) -> bool:
-    """Return whether all values are finite, using little memory."""
+    """Return whether all values are finite, without a temporary array of the full size."""
     if array.size and not any(array.strides):  # a broadcast scalar
         return bool(np.isfinite(array[(0,) * array.ndim]))
     return all(np.isfinite(part).all() for part in array)
 
 
 class Kind(NamedTuple):
-    """Requirements for the array under a name.
+    """Requirements for one of the arrays in a file.
 
     Attributes
     ----------
     dtypes : tuple of str
-        Allowed dtypes as NumPy writes them, little-endian. If there is only one, arrays are
-        converted to it when saved; otherwise an array keeps its own dtype.
+        Allowed dtypes in NumPy's notation, little-endian. If only one dtype is allowed, the array
+        is converted to it when it is saved; otherwise its dtype is preserved.
     axes : tuple of int
         Allowed numbers of axes.
     optional : bool
@@ -76,11 +77,11 @@ class Kind(NamedTuple):
 
 
 _HEADER = "header"
-#: The header is a single text.
+#: Requirements for the header, a 0-dimensional array of text.
 _TEXT = Kind(("U",), (0,))
 #: Largest size of the header, in bytes.
 _HEADER_BYTES = 2**20
-#: Largest number of nested lists and dictionaries in the header.
+#: Largest nesting depth of lists and dictionaries in the header.
 _DEEPEST = 32
 
 # First bytes of an archive.
@@ -112,32 +113,33 @@ _DAMAGE = (
 
 
 class Invalid(ValueError):
-    """Error that states, in words for the user, why a file does not match its format."""
+    """Error for a file that violates its format; the message states the reason to the user."""
 
 
 @dataclass(frozen=True)
 class Format(Generic[T]):
-    """Contents of a kind of file.
+    """Definition of a file format.
 
     Attributes
     ----------
     name : str
         Identifier of the format, stored in each file.
     schema : int
-        Version number, increased when an older version could misread the file; older files stay
-        valid.
+        Version number of the format. It is increased when earlier versions of the package could
+        misread new files. Files with a lower version number can still be read.
     kind_name : str
         Name of the kind of file in error messages: "<file>: not a valid <kind>: <reason>".
     arrays : mapping of str to Kind
-        All arrays that a file may contain.
+        Requirements for each array that a file may contain, by name.
     describe : callable
-        Converts the object to a header of JSON types and arrays.
+        Converts the object to a header of JSON types and a mapping of arrays.
     parse : callable
-        Creates the object from header and arrays; raises `Invalid` if they are inconsistent.
+        Creates the object from the header and the arrays. Raises `Invalid` if they are
+        inconsistent.
     precheck : callable, optional
-        Called before any array is expanded, with the header and arrays of zeros that have the
-        claimed types and shapes and take no memory; raises the same errors as `parse`, and may be
-        the same function.
+        Called before any array is decompressed. Its arguments are the header and arrays of zeros
+        that have the declared types and shapes but occupy almost no memory. Raises the same errors
+        as `parse`, and may be the same function.
     """
 
     name: str
@@ -150,18 +152,19 @@ class Format(Generic[T]):
 
 
 def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
-    """Write a file atomically.
+    """Write an object to a file, atomically.
 
-    An existing file survives until the new one is complete; see `write_whole`.
+    An existing file is replaced only when the new file is complete; see `write_whole`.
 
     Parameters
     ----------
     path : str or path-like
-        Used unchanged; ".npz" is appended only if the name has no suffix and the path is not a
-        FIFO or device.
+        Path of the file. ".npz" is appended if the name has no suffix, except for FIFOs and
+        devices.
     form : Format
+        Format of the file.
     value : object
-        Object of the type that the format holds.
+        Object that `form` can describe.
 
     Returns
     -------
@@ -171,11 +174,11 @@ def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
     Raises
     ------
     OSError
-        If the folder is missing or the file cannot be written (`FileNotFoundError`,
-        `PermissionError`...); the message names the file.
-    TypeError, ValueError
-        If the file could not be read back: the header has a value that is not of a JSON type, or
-        the format refuses the object.
+        If the folder does not exist or the file cannot be written; the message names the file.
+    TypeError
+        If the header contains a value that is not of a JSON type.
+    ValueError
+        If the object violates the format, so that the file could not be read again.
     """
     target = Path(checked_path(path))
     if not is_stream(target):
@@ -187,24 +190,25 @@ def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
 
 
 def read(path: str | os.PathLike[str], form: Format[T]) -> T:
-    """Read a file of a format.
+    """Read an object from a file.
 
     Parameters
     ----------
     path : str or path-like
     form : Format
+        Expected format of the file.
 
     Returns
     -------
     object
-        Object of the type that the format holds.
+        Object created by `form.parse`.
 
     Raises
     ------
     FileFormatError
-        If the file is damaged or not of this format.
+        If the file is damaged, or does not have this format.
     OSError
-        If the file cannot be opened (`FileNotFoundError`, `PermissionError`).
+        If the file cannot be opened.
     """
     path = checked_path(path)
 
@@ -226,23 +230,23 @@ def read(path: str | os.PathLike[str], form: Format[T]) -> T:
         except OSError as error:
             if error.errno != errno.EINVAL:
                 raise
-            # The archive's table points to a negative offset.
+            # The table of contents refers to a negative offset.
             raise refusal("it is damaged or incomplete") from None
 
 
 def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
-    """Return whether the header of a file names a format, reading only the header.
+    """Return whether the header of a file states a given format.
 
-    The result is also True for a file that is damaged after its header or was written by a later
-    version; `read` then raises the error.
+    Only the header is read. The result is therefore also True if the arrays are damaged, or if the
+    file was written by a later version of the package; `read` then raises an error.
     """
     return header_of(path).get("format") == form.name
 
 
 def is_foreign(path: str | os.PathLike[str]) -> bool:
-    """Return whether the first bytes of a file are not those of an archive.
+    """Return whether the first bytes of a file show that it is not an archive.
 
-    The result is False for a file that is empty or cannot be read.
+    The result is False if the file is empty or cannot be read.
     """
     path = checked_path(path)
     try:
@@ -255,7 +259,7 @@ def is_foreign(path: str | os.PathLike[str]) -> bool:
 
 
 def header_of(path: str | os.PathLike[str]) -> Header:
-    """Return the header of a file of any format, or an empty header if it cannot be read."""
+    """Return the header of a file of any format; empty if the header cannot be read."""
     path = checked_path(path)
     try:
         refuse_irregular(path)
@@ -276,7 +280,7 @@ def _packed(form: Format[T], value: T) -> bytes:
     content = file.getvalue()
     try:
         _unpacked(io.BytesIO(content), form)
-    except Invalid as error:  # an unreadable file must not replace a readable one
+    except Invalid as error:  # do not replace a valid file with an invalid one
         raise ValueError(f"this {form.kind_name} cannot be saved: {error}") from None
     return content
 
@@ -307,7 +311,7 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
             if f"{name}.npy" in members
         }
         if sum(claim.info.file_size for claim in claims.values()) > _MAX_TOTAL:
-            raise Invalid("its arrays claim more bytes than such a file may hold")
+            raise Invalid("its arrays claim more bytes than such a file may contain")
         if form.precheck is not None:
             form.precheck(header, {name: claim.zeros() for name, claim in claims.items()})
         arrays = {name: claim.read(archive) for name, claim in claims.items()}
@@ -315,13 +319,13 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
 
 
 def _header(archive: zipfile.ZipFile) -> Header:
-    """Read the header, which distinguishes a file of another kind from a damaged one."""
+    """Read the header; raise `Invalid` if the archive has no header of this package."""
     if f"{_HEADER}.npy" not in archive.namelist():
         raise Invalid("it is another kind of file")
     header = json.loads(_claim(archive, _HEADER, _TEXT).read(archive).item())
     if not isinstance(header, dict) or "format" not in header:
         raise Invalid("it is another kind of file")
-    if _is_deep(header):  # too deep to be copied or saved again
+    if _is_deep(header):  # deep nesting can exceed the recursion limit when copied or saved
         raise Invalid(f"its header is nested more than {_DEEPEST} times")
     return header
 
@@ -332,19 +336,22 @@ def _is_deep(value: Any, levels: int = _DEEPEST) -> bool:
 
 
 def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
-    """Refuse an archive with missing, duplicate or unknown members."""
+    """Raise an error if an archive has missing, duplicate or unknown members."""
     names = archive.namelist()
     known = {f"{name}.npy": kind.optional for name, kind in form.arrays.items()}
     needed = {f"{_HEADER}.npy", *(name for name, optional in known.items() if not optional)}
     missing, odd = needed - set(names), set(names) - {f"{_HEADER}.npy", *known}
     if missing or odd or len(names) != len(set(names)):
         faults = [f"lacks {name!r}" for name in sorted(missing)]
-        faults += [f"holds {name!r}, which no {form.kind_name} does" for name in sorted(odd)]
+        faults += [
+            f"contains {name!r}, which does not belong to a {form.kind_name}"
+            for name in sorted(odd)
+        ]
         raise Invalid(f"it {faults[0]}" if faults else "two of its members have the same name")
 
 
 class _Claim(NamedTuple):
-    """Description of an array by its own header and the archive's table."""
+    """Declared properties of an array, from its header and the archive's table of contents."""
 
     info: zipfile.ZipInfo
     dtype: np.dtype[Any]
@@ -353,11 +360,11 @@ class _Claim(NamedTuple):
     offset: int
 
     def zeros(self) -> npt.NDArray[Any]:
-        """Return an array of zeros of the claimed type and shape that takes no memory."""
+        """Return an array of zeros with the declared type and shape, using almost no memory."""
         return np.broadcast_to(np.zeros((), self.dtype), self.shape)
 
     def read(self, archive: zipfile.ZipFile) -> npt.NDArray[Any]:
-        """Expand the array and verify its checksum."""
+        """Read the values of the array and verify its checksum."""
         values = np.empty(self.shape, self.dtype, self.order)
         flat = values.ravel(order="K").view(np.uint8) if values.size else np.empty(0, np.uint8)
         with archive.open(self.info) as stream:
@@ -373,19 +380,19 @@ class _Claim(NamedTuple):
 
 
 def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
-    """Return the claimed type, shape and order of an array, if the format allows them."""
+    """Return the declared type, shape and order of an array, after checking them."""
     info = archive.getinfo(f"{member}.npy")
     cap = _HEADER_BYTES if kind is _TEXT else MAX_BYTES
     ratio = info.file_size / max(1, info.compress_size)
     if info.file_size > cap or (info.file_size > _HARMLESS_BYTES and ratio > _MAX_RATIO):
         raise Invalid(
             f"its {member} claims {info.file_size} bytes from {info.compress_size}, more than "
-            "such a file may hold"
+            "such a file may contain"
         )
     if info.header_offset + info.compress_size > archive.start_dir:
-        raise Invalid("it is damaged or incomplete")  # its claimed size would be allocated
+        raise Invalid("it is damaged or incomplete")  # else zipfile would allocate this size
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        # Other methods allocate memory in proportion to the claimed size before reading a byte.
+        # Other methods allocate memory for the declared size before any data are read.
         raise Invalid(f"its {member} is compressed by a method that napari-hmrf never uses")
     if info.file_size > max(1, info.compress_size) * _MOST_PACKED:
         raise Invalid("it is damaged or incomplete")
@@ -402,9 +409,9 @@ def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
 
 
 def _peek(stream: IO[bytes]) -> tuple[np.dtype[Any], Literal["C", "F"], tuple[int, ...], int]:
-    """Return the claimed dtype, order and shape of an array, and the offset of its values."""
-    # NumPy's own reader parses the header as Python code, which warns and can raise undocumented
-    # errors. NumPy always writes the headers of plain arrays in the same form.
+    """Return the declared dtype, order and shape of an array, and the offset of its values."""
+    # NumPy's reader parses the header as Python code, which can emit warnings and raise
+    # undocumented errors. The headers of plain arrays always have the form of `_NPY_HEADER`.
     start = stream.read(len(_NPY) + 4)
     version = tuple(start[len(_NPY) : -2])
     if start.startswith(_NPY) and version != (1, 0):

@@ -1,4 +1,4 @@
-"""Atomic writing of files: a file is complete or absent, even after a crash."""
+"""Atomic writing of files: after a crash, a file is either complete or unchanged."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from napari_hmrf.errors import CANNOT_SAVE
 
 #: Prefix of the names of temporary files.
 _TEMPORARY = ".napari-hmrf-"
-#: Age in seconds after which a temporary file counts as left behind by a killed process.
+#: Age, in seconds, above which a temporary file is assumed to belong to a killed process.
 _ABANDONED_AFTER = 3600.0
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file beside its destination, read it back, and only then rename it.
+    """Write a file atomically.
 
-    An existing file survives until then, and the new file gets its permissions.
+    The content is written to a temporary file in the same folder and read back. The temporary file
+    then replaces an existing file, and has the same permissions.
 
     Parameters
     ----------
     path : str or path-like
-        If this is a link, the file it points to is replaced. A FIFO or device is written to
-        directly.
+        Path of the file. A symbolic link is followed. A FIFO or device is written to directly.
     content : bytes
 
     Raises
     ------
     OSError
-        If the folder is missing or the file cannot be written; the message names the file.
+        If the folder does not exist or the file cannot be written; the message names the file.
     """
     target = Path(path)
     with _naming(target):
@@ -47,22 +47,23 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
 
 @contextmanager
 def temporary_beside(path: str | os.PathLike[str], suffix: str) -> Iterator[Path]:
-    """Yield the path of a temporary file, for a library to write to, in the folder of a target.
+    """Create a temporary file in the same folder as a target file, and yield its path.
 
-    The system's folder for temporary files may be on another disk, which may be full. The file is
-    removed at the end if it still exists.
+    A library can write to the temporary file. The file is in the target's folder because the
+    system's folder for temporary files may be on another disk, which may be full. It is removed at
+    the end of the context if it still exists.
 
     Parameters
     ----------
     path : str or path-like
-        Target, which is not modified.
+        Path of the target file, which is not modified.
     suffix : str
-        Suffix that determines the library's file format.
+        Suffix of the temporary file, from which the library derives the file format.
 
     Raises
     ------
     OSError
-        If the folder cannot be written to; the message names the target.
+        If the folder is not writable; the message names the target file.
     """
     target = Path(os.path.realpath(path))
     file = target.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}.tmp{suffix}")
@@ -78,21 +79,21 @@ def temporary_beside(path: str | os.PathLike[str], suffix: str) -> Iterator[Path
 
 
 def raise_for_space(path: str | os.PathLike[str], size: int) -> None:
-    """Raise the system's error if `size` bytes cannot be written to the folder of a target.
+    """Raise the operating system's error if the disk of a target file lacks space.
 
-    Libraries that write files often do not report why they failed.
+    Libraries that write files often do not report why writing failed.
 
     Parameters
     ----------
     path : str or path-like
-        Target, which is not modified.
+        Path of the target file, which is not modified.
     size : int
-        Number of bytes.
+        Number of bytes, written to a temporary file as a test.
 
     Raises
     ------
     OSError
-        If they cannot be written; the message names the target.
+        If the bytes cannot be written; the message names the target file.
     """
     with temporary_beside(path, "") as file, _naming(Path(path)), open(file, "wb") as stream:
         piece = bytes(2**20)
@@ -104,7 +105,7 @@ def raise_for_space(path: str | os.PathLike[str], size: int) -> None:
 
 @contextmanager
 def _naming(target: Path) -> Iterator[None]:
-    """Make system errors name the target file."""
+    """Return a context in which the messages of system errors name the target file."""
     try:
         yield
     except OSError as error:
@@ -114,7 +115,7 @@ def _naming(target: Path) -> Iterator[None]:
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path leads to a FIFO, socket or device, which must not be replaced."""
+    """Return whether a path is a FIFO, socket or device, which must not be replaced."""
     try:
         mode = os.stat(path).st_mode
     except OSError:
@@ -126,7 +127,8 @@ def _replace(target: Path, content: bytes) -> None:
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
     exists = target.exists()
-    if exists and not os.access(target, os.W_OK):  # a writable folder would allow replacing it
+    # In a writable folder, renaming would replace even a read-only file.
+    if exists and not os.access(target, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     temporary = target.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}.tmp")
     try:
@@ -136,7 +138,9 @@ def _replace(target: Path, content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         if temporary.read_bytes() != content:
-            raise OSError(f"cannot save {target.name!r}: the disk returns other content on reading")
+            raise OSError(
+                f"cannot save {target.name!r}: the content read back from the disk differs"
+            )
         if exists:
             shutil.copymode(target, temporary)
         _rename(temporary, target)
@@ -147,12 +151,12 @@ def _replace(target: Path, content: bytes) -> None:
 
 
 def _private(path: str, flags: int) -> int:
-    """Open a file readable only by its owner, as the replaced file may be private."""
+    """Open a file that only its owner can read, because the replaced file may be private."""
     return os.open(path, flags, 0o600)
 
 
 def _rename(temporary: Path, target: Path) -> None:
-    """Replace a file in one step; retry on Windows, where other processes may have it open."""
+    """Rename a file atomically; retry if, on Windows, another process has the target open."""
     for attempt in range(6):
         try:
             os.replace(temporary, target)
@@ -164,7 +168,7 @@ def _rename(temporary: Path, target: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Flush the folder entry of the new file to disk, on POSIX systems."""
+    """Flush the folder's entry of a new file to disk, on POSIX systems only."""
     if os.name != "posix":
         return
     with suppress(OSError):
@@ -176,7 +180,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Remove temporary files left behind by a process that was killed while saving."""
+    """Remove temporary files of processes that were killed while saving."""
     for path in folder.glob(f"{_TEMPORARY}*.tmp*"):
         with suppress(OSError):
             if time.time() - path.stat().st_mtime > _ABANDONED_AFTER:

@@ -1,10 +1,10 @@
-"""Batches: tables of images or studies with swept values, solved by several processes.
+"""Batches of cases: tables of images or studies, with parameter sweeps, solved in parallel.
 
-::
+Example::
 
     from napari_hmrf.cases import read_cases, solve_cases
 
-    if __name__ == "__main__":  # the processes import this file
+    if __name__ == "__main__":  # the worker processes import this file
         solve_cases(read_cases("cases.csv"), "results")
 """
 

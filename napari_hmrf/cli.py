@@ -1,4 +1,4 @@
-"""Implementation and output of the commands of ``napari-hmrf``."""
+"""Implementation of the ``napari-hmrf`` commands, and their output."""
 
 from __future__ import annotations
 
@@ -61,12 +61,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments after ``napari-hmrf``; by default those of the command line.
+        Arguments after ``napari-hmrf``; by default those in `sys.argv`.
 
     Returns
     -------
     int
-        The exit code: 0 on success, 1 on failure, 130 if interrupted.
+        Exit code: 0 on success, 1 on failure, 130 after an interrupt.
     """
     options = parser_of_commands().parse_args(arguments)
     log, reworded = logging.getLogger("napari_hmrf"), _InShellWords()
@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _InShellWords(logging.Filter):
-    """Filter that rewrites the package's warnings with the names of shell options."""
+    """Logging filter that replaces Python names of settings with names of shell options."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         record.msg, record.args = in_words_of("shell", record.getMessage()), None
@@ -92,7 +92,7 @@ class _InShellWords(logging.Filter):
 
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
-    """Return the energy of a demonstration and its minimiser."""
+    """Return the prior and the optimizer that the options of a demonstration select."""
     case = Case(Path(), model=options.model, poisson=options.poisson, plane=options.plane)
     return energy_of(case, volume=options.volume)
 
@@ -113,12 +113,12 @@ def _apply(options: argparse.Namespace) -> int:
     duplicate = next((name for name in names if names.count(name) > 1), None)
     if duplicate is not None:
         raise HmrfError(
-            f"{duplicate} is the name of two files, so that one result would overwrite the other. "
-            "Use one command for each file, with different --out folders"
+            f"{duplicate} is the name of two files, so one result would overwrite the other. "
+            "Use a separate command for each file, with different --out folders"
         )
     if options.out.is_dir():
         moved = [options.out / name for name in names]
-        # `apply_field` refuses to write a file over itself, with a more specific message.
+        # If source and target are the same file, `apply_field` raises a more specific error.
         same = [
             source.samefile(target)
             for source, target in zip(options.files, moved, strict=True)
@@ -185,13 +185,21 @@ def _show_result_in_napari(options: argparse.Namespace) -> int:
     refuse_overwriting([options.out], overwrite=options.force)
     number, shape = options.slice, solution.tissue.shape
     if len(shape) == 2 and number is not None:
-        raise HmrfError("--slice is for volumes, but this result is a slice. Leave out --slice.")
+        raise HmrfError(
+            "--slice is only valid for volumes, but this result is a slice. Leave out --slice."
+        )
     if len(shape) == 3:
         if number is None:
             number = shape[0] // 2
-            _note(f"slice {number} of 0 to {shape[0] - 1}, in the middle; --slice selects another")
+            _note(
+                f"showing slice {number}, the middle of slices 0 to {shape[0] - 1}; use --slice to "
+                "select another slice"
+            )
         elif not 0 <= number < shape[0]:
-            raise HmrfError(f"the volume has slices 0 to {shape[0] - 1}, and --slice is {number}")
+            raise HmrfError(
+                f"--slice is {number}, but the volume has slices 0 to {shape[0] - 1}. Give one of "
+                "these."
+            )
     print(f"written: {write_movie(options.out, solution, image, number=number)}")
     return 0
 
@@ -233,7 +241,7 @@ def _batch(options: argparse.Namespace) -> int:
     line = _ProgressLine()
     cases = read_cases(options.cases)
     count = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
-    line.write(count)  # the first case may take long, while loops are compiled
+    line.write(count)  # the first case can take long, because loops may be compiled first
     outcomes = solve_cases(
         cases,
         options.out,
@@ -252,9 +260,9 @@ def _batch(options: argparse.Namespace) -> int:
         _report(f"and {len(failed) - _MAX_PRINTED} more")
     are = "case is" if len(outcomes) == 1 else "cases are"
     done = f"{len(outcomes) - len(failed)} of {len(outcomes)} {are} solved"
-    print(f"{done}; all of them are listed in {options.out / SUMMARY}")
+    print(f"{done}; see {options.out / SUMMARY} for all results")
     if noted := sum(bool(each.notes) for each in outcomes):
-        _note(f"the column notes of the summary has warnings for {noted} of them")
+        _note(f"the summary contains warnings for {noted} of the cases, in the column notes")
     return int(bool(failed))
 
 
@@ -267,16 +275,16 @@ def _replay(options: argparse.Namespace) -> int:
         now = replay(options.study, image=image, progress=progress)
     print(f"solved: {_in_shell(now)}")
     if before is None:
-        print("the study was saved without its field, so there is none to compare with")
+        print("the study was saved without its field, so there is no field to compare with")
         return 0
-    # The file stores float32, and a field only where the study has tissue.
+    # The file stores float32 values, and only the displacement of tissue.
     again = now.displacement.astype(before.displacement.dtype)
     differences = abs(again - before.displacement)[before.tissue] / before.spacing
     difference, allowed = float(differences.max(initial=0)), 0.0
     for each in (now, before):
         allowed += 0.0 if each.convergence is None else each.convergence.error
     if difference == 0:
-        result = "bit by bit the same field"
+        result = "the fields are identical, bit by bit"
     elif difference <= allowed:
         result = (
             f"the same field within its tolerance: the fields differ by at most {difference:.2g} "
@@ -284,13 +292,13 @@ def _replay(options: argparse.Namespace) -> int:
             "live, or was solved while loops were still being compiled)"
         )
     else:
-        result = f"fields differ by at most {difference:.3g} px"
+        result = f"the fields differ by at most {difference:.3g} px"
     print(f"{result}; the saved field was solved on {before.provenance.backend}")
     return int(difference > allowed and now.provenance.backend == before.provenance.backend)
 
 
 def _in_shell(solution: Solution) -> str:
-    """Describe a solution in one line, with the model's name in the shell."""
+    """Return a one-line description of a solution, with the model's name in the shell."""
     model = solution.provenance.model
     return repr(solution).replace(f", {model}, ", f", {as_word(model)}, ", 1)
 
@@ -321,7 +329,7 @@ def _truth(options: argparse.Namespace) -> int:
         **{name: value for name, value in given.items() if value is not None},
     )
     worst = max(each.inexact for each in written)
-    print(f"field.mha inverts the motion with an error of at most {worst:.2g} px")
+    print(f"field.mha contains the inverse displacement, with an error of at most {worst:.2g} px")
     return 0
 
 
@@ -364,13 +372,13 @@ def _compile_loops(
     prior: Prior,
     optimizer: Optimizer | None,
 ) -> None:
-    """Wait until the loops are compiled, and solve again with them."""
+    """Compile the loops, and solve again to show the time that the compiled loops take."""
     jobs = [job for job in (EVERYTHING, VOLUMES) if not are_compiled(job)]
     if options.backend != "auto" or not jobs:
         return
     _report(
-        "compiling the loops for this processor, once on a machine. All results are written: "
-        "Ctrl-C stops without loss"
+        "compiling the loops for this processor, once per machine. All results have been written, "
+        "so it is safe to stop with Ctrl-C"
     )
     progress = _ProgressLine()
     for job in jobs:
@@ -378,23 +386,26 @@ def _compile_loops(
     progress.end()
     again = solve(demonstration.phantom.problem, prior, optimizer=optimizer)
     seconds = again.provenance.seconds
-    print(f"compiled; the same solve takes {seconds:.2g} s now ({again.provenance.backend})")
+    print(f"compiled; the same solve now takes {seconds:.2g} s ({again.provenance.backend})")
 
 
 def _suggest_next_steps() -> None:
-    """Print what to try after a demonstration."""
+    """Print suggestions for further commands after a demonstration."""
     folder = Path(sys.executable).parent
     if folder.is_relative_to(Path.cwd()):
         folder = folder.relative_to(Path.cwd())
     napari, here = folder / "napari", folder / "napari-hmrf"
     print("\nnext, try:")
     print(f"  {napari}  (then File > Open Sample > napari-hmrf, and drag the tissue)")
-    print(f"  {here} demo --volume  (a tumour that grows in a head)")
-    print(f"  {here} solve --help  (an image of your own)", flush=True)
+    print(f"  {here} demo --volume  (a head with a growing tumour)")
+    print(f"  {here} solve --help  (your own image)", flush=True)
 
 
 def _make_demo_folder(options: argparse.Namespace) -> None:
-    """Create the folder of a demonstration; without --force overwrite only the default folder."""
+    """Create the output folder of a demonstration.
+
+    Without --force, an existing folder is overwritten only if it is the default folder.
+    """
     is_default = options.out is None
     options.out = Path("demo-output") if is_default else options.out
     has_files = options.out.is_dir() and any(options.out.iterdir())
@@ -402,8 +413,8 @@ def _make_demo_folder(options: argparse.Namespace) -> None:
         _note(f"an earlier demo in {options.out} is overwritten")
     elif has_files and not options.force:
         raise HmrfError(
-            f"{options.out} already exists and is not empty. Give another folder, or --force to "
-            "overwrite its files."
+            f"{options.out} already exists and is not empty. Give another folder, or add --force "
+            "to overwrite its files."
         )
     options.out.mkdir(parents=True, exist_ok=True)
 
@@ -440,11 +451,11 @@ def _report_written(options: argparse.Namespace, written: Sequence[Path]) -> Non
 def _show_in_napari(
     options: argparse.Namespace, layers: Sequence[LayerData], solution: Solution, prior: Prior
 ) -> bool:
-    """Open napari, unless it is switched off or there is no display; return whether it opened."""
+    """Show a demonstration in napari, if requested and possible; return whether it was shown."""
     if options.no_window:
         return False
     if not _has_display():
-        _report("napari is not opened, as there is no display (or CI is set)")
+        _report("napari is not opened, because there is no display, or CI is set")
         return False
     _report("opening napari ...")
     _open_napari(layers, solution, prior)
@@ -465,19 +476,21 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "truth": _truth,
 }
 
-# Seconds between two lines of progress if stderr is not a terminal.
+# Time between two lines of progress if stderr is not a terminal, in seconds.
 _INTERVAL = 10.0
-# Largest number of failed cases that are printed; the summary lists all.
+# Largest number of failed cases that are printed; the summary lists all failed cases.
 _MAX_PRINTED = 10
 
 
 class _ProgressLine:
-    """Progress on stderr: one line rewritten on a terminal; elsewhere a new line at intervals.
+    """Progress display on stderr.
+
+    On a terminal, a single line is updated. Otherwise, new lines are printed at intervals.
 
     Parameters
     ----------
     stages : sequence of str
-        First words of the messages that are printed if stderr is not a terminal.
+        If stderr is not a terminal, only messages that begin with one of these words are printed.
     """
 
     def __init__(self, stages: Sequence[str] = ("compiling", "preparing")) -> None:
@@ -510,7 +523,10 @@ class _ProgressLine:
 
 @contextmanager
 def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
-    """Yield a callback that shows the progress of a solve; without a terminal, of compiling."""
+    """Yield a callback that shows the progress of a solve.
+
+    If stderr is not a terminal, only starting and compiling are reported.
+    """
     line = _ProgressLine(stages=("starting", "compiling"))
     try:
         yield line.show
@@ -519,7 +535,7 @@ def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
 
 
 def _note(clause: str) -> None:
-    """Print a note on a result, with the names of shell options."""
+    """Print a note, with the names of settings in the shell."""
     print(f"note: {in_words_of('shell', clause)}", flush=True)
 
 
@@ -528,7 +544,7 @@ def _report(message: str) -> None:
 
 
 def _has_display() -> bool:
-    """Return whether there is a display to open a window on."""
+    """Return whether a display is available for a window."""
     if os.environ.get("CI"):
         return False
     if not sys.platform.startswith("linux"):
@@ -537,7 +553,7 @@ def _has_display() -> bool:
 
 
 def _open_napari(layers: Sequence[LayerData], solution: Solution, prior: Prior) -> None:
-    """Show a demonstration in napari, with the dock widget, until the window is closed."""
+    """Show a demonstration in napari with the dock widget, and wait until the window is closed."""
     import napari  # heavy: napari
     from napari.layers import Layer  # heavy: napari
 
@@ -549,6 +565,6 @@ def _open_napari(layers: Sequence[LayerData], solution: Solution, prior: Prior) 
     if isinstance(prior, Elastic):
         widget.plane = prior.plane
         widget.materials = tuple(replace(row, poisson=prior.poisson) for row in widget.materials)
-    # The widget solves again, because it updates only the result layers that it created.
+    # Solve again in the widget, because it only updates result layers that it has created.
     widget.deform()
     napari.run()

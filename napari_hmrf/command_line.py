@@ -1,4 +1,4 @@
-"""Commands of ``napari-hmrf`` and their options."""
+"""Command-line parser of ``napari-hmrf``: subcommands, options and help texts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 
 class Commands:
-    """Subcommands of a parser, each with a one-sentence description and an example."""
+    """Subcommands of a parser, each with a description and an example."""
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
         self._commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -38,16 +38,17 @@ class Commands:
         ----------
         name : str
         sentence : str
-            Sentence in the imperative; the list of commands shows it without the period.
+            Description of the command, an imperative sentence. It is shown in the help of the
+            command and, without the final period, in the list of commands.
         example : str
-            A complete command line.
+            Complete command line.
         more : str
-            Sentences that only the help of the command shows.
+            Further sentences, shown only in the help of the command.
 
         Returns
         -------
         argparse.ArgumentParser
-            Parser of the command, for its options.
+            Parser of the command, to which options can be added.
         """
         command: argparse.ArgumentParser = self._commands.add_parser(
             name,
@@ -60,18 +61,18 @@ class Commands:
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Help formatter that keeps the example on one line, so that the user can copy it."""
+    """Help formatter that does not wrap the example, so that the user can copy it."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         return text if text.startswith("example: ") else super()._fill_text(text, width, indent)
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
-    """Return the parser of all commands; it stores the name of the command as `command`."""
+    """Return the parser of all commands; its result stores the command's name as `command`."""
     parser = argparse.ArgumentParser(
         prog="napari-hmrf",
-        description="Compute the motion of soft tissue on the pixels of an image.",
-        epilog="napari-hmrf COMMAND --help explains a command and has an example.",
+        description="Compute the deformation of soft tissue on the pixel grid of an image.",
+        epilog="napari-hmrf COMMAND --help describes a command and shows an example.",
     )
     parser.add_argument(
         "--version", action="version", version=f"napari-hmrf {napari_hmrf.__version__}"
@@ -79,9 +80,10 @@ def parser_of_commands() -> argparse.ArgumentParser:
     commands = Commands(parser)
     demo = commands.add(
         "demo",
-        "Deform a sample, draw it, and open it in napari where there is a display.",
+        "Deform a sample image, save pictures of the result, and show it in napari.",
         "napari-hmrf demo --phantom mass-effect --no-window",
-        "It prints a table, and writes pictures and the result to a folder.",
+        "The command also prints a table of measurements. If there is no display, napari is not "
+        "opened.",
     )
     which = demo.add_mutually_exclusive_group()
     which.add_argument(
@@ -91,45 +93,46 @@ def parser_of_commands() -> argparse.ArgumentParser:
         help="sample to deform (default: %(default)s)",
     )
     which.add_argument(
-        "--volume", action="store_true", help="deform a volume: a head in which a tumour grows"
+        "--volume", action="store_true", help="deform a volume: a head with a growing tumour"
     )
     demo.add_argument(
         "--model",
         type=as_word,
         choices=MODELS,
         default="elastic",
-        help="model of the tissue: elastic, elastic for large motion, the paper's Markov random "
-        "field by its schedule, or that field converged (default: %(default)s). The result of the "
-        "paper's schedule is printed beside it",
+        help="model of the tissue: elastic, elastic for large motion, or the paper's Markov random "
+        "field, solved either with its schedule or to convergence (default: %(default)s). The "
+        "results of the paper's schedule are always printed for comparison",
     )
     _add_material(demo)
     demo.add_argument(
         "--size",
         type=size_option(SMALLEST),
         metavar="N",
-        help=f"pixels along each side (default: {SAMPLE_SIZE}, the size with a finite-element "
-        f"field); for a volume, voxels from front to back (default: {VOLUME_SIZE}, of 2 mm)",
+        help=f"number of pixels along each side (default: {SAMPLE_SIZE}, the size for which a "
+        "finite-element solution is available); for a volume, number of voxels from front to back "
+        f"(default: {VOLUME_SIZE}, with a size of 2 mm)",
     )
     demo.add_argument(
         "-o",
         "--out",
         type=Path,
         metavar="DIR",
-        help="folder for the pictures and the result (default: demo-output, where an earlier demo "
-        "is overwritten)",
+        help="folder for the pictures and the result (default: demo-output, in which an earlier "
+        "demo is overwritten)",
     )
     _add_force(demo)
     _add_backend(
         demo,
-        "renderer: the shaders on a GPU, or else the loops on the CPU, which are compiled first, "
-        "once per machine (default: %(default)s)",
+        "renderer; auto uses shaders if there is a GPU, and otherwise loops on the CPU, which are "
+        "compiled once per machine (default: %(default)s)",
     )
     demo.add_argument("--no-window", action="store_true", help="do not open napari")
     commands.add(
         "selftest",
-        "Report the machine and the renderers, and check their results.",
+        "Describe this machine and its renderers, and check the results of each renderer.",
         "napari-hmrf selftest",
-        "Add its output to a bug report: it contains no names of folders or users.",
+        "Include the output in bug reports. It contains no names of folders or users.",
     )
     _add_solve(commands)
     _add_result_commands(commands)
@@ -141,44 +144,45 @@ def parser_of_commands() -> argparse.ArgumentParser:
 def _add_result_commands(commands: Commands) -> None:
     export = commands.add(
         "export",
-        "Write the field of a result for other tools.",
+        "Export the displacement field of a result for other tools.",
         "napari-hmrf export out/scan.study field.nii.gz",
-        "ITK, SimpleITK, ANTs, elastix and 3D Slicer read it: vectors in mm, LPS.",
+        "ITK, SimpleITK, ANTs, elastix and 3D Slicer can read the file. Its vectors are in mm, in "
+        "LPS coordinates.",
     )
     _add_result(export)
     export.add_argument(
         "out",
         type=Path,
         metavar="OUT",
-        help="file that ends in .nii.gz, .mha, .nrrd, or, for a field that moves images, .h5",
+        help="output file, ending in .nii.gz, .mha, .nrrd or, for a backward field only, .h5",
     )
     export.add_argument(
         "--forward",
         action="store_true",
-        help="write the forward field, which maps points to their new places (default: the "
-        "backward field, which maps pixels to their origins and so moves images)",
+        help="write the forward field, which maps points to their new positions (default: the "
+        "backward field, which maps pixels to their original positions and is used to warp images)",
     )
     _add_force(export)
     apply = commands.add(
         "apply",
-        "Move images, labels or landmarks by a field.",
+        "Deform images, labels or landmarks with a displacement field.",
         "napari-hmrf apply out/scan.study channel.tif landmarks.csv -o moved",
     )
     apply.add_argument(
         "field",
         type=Path,
         metavar="FIELD",
-        help="study with its field, saved result, or field of another tool",
+        help="solved study, saved result, or displacement field of another tool",
     )
     apply.add_argument(
         "files",
         type=Path,
         nargs="+",
         metavar="FILE",
-        help="image on the pixel grid of the field, or landmarks (.csv, .mrk.json, .fcsv)",
+        help="image on the pixel grid of the field, or landmark file (.csv, .mrk.json, .fcsv)",
     )
     apply.add_argument(
-        "--labels", action="store_true", help="treat the images as labels: do not interpolate"
+        "--labels", action="store_true", help="treat the images as labels, without interpolation"
     )
     apply.add_argument(
         "-o",
@@ -186,61 +190,64 @@ def _add_result_commands(commands: Commands) -> None:
         type=Path,
         default=Path("moved"),
         metavar="DIR",
-        help="folder for the moved files, which keep their names (default: %(default)s)",
+        help="folder for the deformed files, which have the same names (default: %(default)s)",
     )
     _add_force(apply)
     measure = commands.add(
         "measure",
-        "Print how far each tissue moved, and how its size and shape changed.",
+        "Print the displacement, change of size and strain of each tissue.",
         "napari-hmrf measure out/scan.study -o measurements.csv",
     )
     _add_result(measure)
     measure.add_argument(
-        "--labels", type=Path, metavar="IMAGE", help="image of labels (default: the study's own)"
+        "--labels", type=Path, metavar="IMAGE", help="label image (default: that of the study)"
     )
     measure.add_argument(
-        "-o", "--out", type=Path, metavar="TABLE", help="also write the table, as .csv"
+        "-o", "--out", type=Path, metavar="TABLE", help="also write the table to a .csv file"
     )
     _add_force(measure)
     play = commands.add(
         "play",
-        "Write a movie of the image as it moves there and back, as .gif or .mp4.",
+        "Write an animation of the deformation, forward and back, as .gif or .mp4.",
         "napari-hmrf play out/scan.study scan.gif",
     )
     _add_result(play)
-    play.add_argument("out", type=Path, metavar="OUT", help="file that ends in .gif or .mp4")
+    play.add_argument("out", type=Path, metavar="OUT", help="output file, ending in .gif or .mp4")
     play.add_argument(
-        "--image", type=Path, metavar="IMAGE", help="image to move (default: the study's own)"
+        "--image", type=Path, metavar="IMAGE", help="image to deform (default: that of the study)"
     )
     play.add_argument(
         "--slice",
         type=int,
         metavar="N",
-        help="slice of a volume along its first axis (default: the middle one)",
+        help="index of a slice along the first axis of a volume (default: the middle slice)",
     )
     _add_force(play)
     replay = commands.add(
         "replay",
-        "Solve a saved study again, and compare the fields.",
+        "Solve a saved study again, and compare the new field with the saved field.",
         "napari-hmrf replay out/scan.study",
-        "The exit code is 1 if they differ by more than the tolerance.",
+        "The exit code is 1 if the fields differ by more than the tolerance.",
     )
-    replay.add_argument("study", type=Path, metavar="STUDY", help="study with its field")
+    replay.add_argument("study", type=Path, metavar="STUDY", help="solved study")
     replay.add_argument(
-        "--image", type=Path, metavar="IMAGE", help="image of the study, if its file has none"
+        "--image",
+        type=Path,
+        metavar="IMAGE",
+        help="image of the study, if the study file does not contain it",
     )
 
 
 def _add_solve(commands: Commands) -> None:
     solve = commands.add(
         "solve",
-        "Solve a study, or an image with its tables.",
+        "Solve a study, or an image with boundary conditions.",
         "napari-hmrf solve scan.png --boundary rim.png --rules rules.csv -o out",
-        "It writes the study with its field, and the deformed image. A saved study needs no option "
-        "but --out.",
+        "The solved study and the deformed image are written to a folder. For a saved study, only "
+        "--out is required.",
     )
     solve.add_argument(
-        "image", type=Path, metavar="STUDY|IMAGE", help="saved study, or the image to deform"
+        "image", type=Path, metavar="STUDY|IMAGE", help="saved study, or image to deform"
     )
     solve.add_argument(
         "-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
@@ -251,33 +258,32 @@ def _add_solve(commands: Commands) -> None:
         "--boundary",
         type=Path,
         metavar="FILE",
-        help="boundary conditions: an image of labels with --rules, pairs of landmarks (.csv of "
-        "BigWarp), or a displacement field",
+        help="boundary conditions: a label image, used with --rules; pairs of landmarks (.csv of "
+        "BigWarp); or a displacement field",
     )
     solve.add_argument(
         "--rules",
         type=Path,
         metavar="TABLE",
-        help=".csv with the columns label,action,row,col,amount,confidence and a line for each "
-        "label of --boundary; the actions are fixed, move and expand, and press and pull, which "
-        "are forces",
+        help=".csv with the columns label,action,row,col,amount,confidence and one line for each "
+        "label of --boundary; the actions are fixed, move, expand, press and pull (press and pull "
+        "apply forces)",
     )
     solve.add_argument(
         "--forward",
         action="store_true",
-        help="read the field of --boundary as a forward field, from each point to its new place, "
-        "even if its file does not say so (default: a backward field, as registrations write it)",
+        help="treat the field of --boundary as a forward field, which maps points to their new "
+        "positions, if its file does not state the direction (default: a backward field, as "
+        "written by registration tools)",
     )
     solve.add_argument(
         "--confidence",
         metavar="IMAGE|edges",
-        help="confidence in the field of --boundary: an image from 0 to 1, a mask, or the edges of "
-        "the image",
+        help="confidence in the field of --boundary: an image with values from 0 to 1, a mask, or "
+        "the word edges, for full confidence at edges in the image only",
     )
     _add_slice(solve)
-    solve.add_argument(
-        "--hold-edge", action="store_true", help="hold the outer edge of the tissue in place"
-    )
+    solve.add_argument("--hold-edge", action="store_true", help="fix the outer edge of the tissue")
     solve.add_argument(
         "--model", type=as_word, choices=MODELS, help="model of the tissue (default: elastic)"
     )
@@ -286,30 +292,30 @@ def _add_solve(commands: Commands) -> None:
         "--tolerance",
         type=energy_option("tolerance"),
         metavar="PX",
-        help="largest estimated error of the field, in pixels (default: 0.001); the model paper "
-        "has none",
+        help="largest estimated error of the field, in pixels (default: 0.001); not available for "
+        "the model paper",
     )
     solve.add_argument(
         "--penalty",
         type=energy_option("penalty"),
         metavar="K",
-        help="holding force beyond which boundaries slip (default: boundaries are held exactly, or "
-        "in the paper's models by a force that is large enough)",
+        help="holding force above which boundaries slip (default: boundaries do not slip; the "
+        "paper's models use a sufficiently large force)",
     )
     solve.add_argument(
         "--weight",
         type=energy_option("weight"),
         metavar="ROW/COL",
-        help="body force on elastic tissue along each axis, in the unit of stiffness per length, "
-        "such as 0.00981/0 for water in kPa and mm; write an equals sign before a minus sign: "
-        "--weight=-0.01/0",
+        help="body force on elastic tissue along each axis, in units of stiffness per length, such "
+        "as 0.00981/0 for water in kPa and mm; if the first number is negative, use an equals "
+        "sign: --weight=-0.01/0",
     )
     _add_backend(solve)
 
 
 def _add_result(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "result", type=Path, metavar="RESULT", help="study with its field, or saved result"
+        "result", type=Path, metavar="RESULT", help="solved study, or saved result"
     )
 
 
@@ -332,34 +338,34 @@ def _add_material(command: argparse.ArgumentParser) -> None:
         "--poisson",
         type=poisson_option,
         metavar="NU",
-        help=f"Poisson's ratio of all elastic tissue, {low:g} to {high:g} (default: "
-        f"{USUAL_POISSON}, or that of each tissue in its table)",
+        help=f"Poisson's ratio of all elastic tissue, from {low:g} to {high:g} (default: the "
+        f"values in the table of materials, or {USUAL_POISSON})",
     )
     command.add_argument(
         "--plane",
         choices=get_args(Plane),
-        help="elastic tissue across the slice: thin and free to bulge (plane stress, the default), "
-        "or held between its neighbours (plane strain)",
+        help="behaviour of elastic tissue perpendicular to the slice: free to bulge (plane stress, "
+        "the default), or confined by the adjacent slices (plane strain)",
     )
 
 
 def _add_tissue(command: argparse.ArgumentParser) -> None:
     """Add the options that define the tissue of each pixel."""
-    command.add_argument("--labels", type=Path, metavar="IMAGE", help="image of tissue labels")
+    command.add_argument("--labels", type=Path, metavar="IMAGE", help="label image of the tissue")
     command.add_argument(
         "--maps",
         type=Path,
         nargs="+",
         default=(),
         metavar="MAP",
-        help="instead of --labels: one image of the probability of each tissue 1, 2 ...",
+        help="instead of --labels: one probability image for each tissue, in the order 1, 2 ...",
     )
     command.add_argument(
         "--materials",
         type=Path,
         metavar="TABLE",
-        help="table with the columns label,name,stiffness,poisson,growth, where a growth of 0.2 or "
-        "20%% makes lengths a fifth larger; or a table of the names of a segmentation's labels, as "
+        help="table with the columns label,name,stiffness,poisson,growth, in which a growth of 0.2 "
+        "or 20%% increases lengths by a fifth; or a table of the label names of a segmentation, as "
         "for the command materials",
     )
 
@@ -369,14 +375,14 @@ def _add_slice(command: argparse.ArgumentParser) -> None:
         "--slice",
         type=int,
         metavar="N",
-        help="slice of a volume along its first axis (default: the whole volume)",
+        help="index of a slice along the first axis of a volume (default: the whole volume)",
     )
 
 
 def _add_truth(commands: Commands) -> None:
     truth = commands.add(
         "truth",
-        "Deform an image by known random fields, to validate a registration.",
+        "Deform an image with known random fields, to validate a registration.",
         "napari-hmrf truth scan.nii.gz --labels labels.nii.gz --materials tissue.csv -o truth "
         "--count 10",
     )
@@ -384,7 +390,7 @@ def _add_truth(commands: Commands) -> None:
         "image",
         type=Path,
         metavar="STUDY|IMAGE",
-        help="image with --labels or --maps, or a study that has them",
+        help="image, used with --labels or --maps, or study with labelled tissue",
     )
     _add_tissue(truth)
     _add_slice(truth)
@@ -394,7 +400,7 @@ def _add_truth(commands: Commands) -> None:
         type=Path,
         required=True,
         metavar="DIR",
-        help="folder for the image, its labels, and a folder 001, 002 ... for each pair",
+        help="folder for the image and its labels, with a subfolder 001, 002 ... for each pair",
     )
     _add_force(truth)
     truth.add_argument(
@@ -405,34 +411,36 @@ def _add_truth(commands: Commands) -> None:
         type=int,
         default=0,
         metavar="S",
-        help="seed of the random numbers; a seed always gives the same pairs (default: "
+        help="seed of the random numbers; the same seed gives the same pairs (default: "
         "%(default)s)",
     )
     truth.add_argument(
         "--amplitude",
         type=lengths_option,
         metavar="A|LOW-HIGH",
-        help="largest pull of a pair, or its range, in mm, or in pixels if the image has no pixel "
-        "size (default: from 0 to a quarter of the distance between pulls, in a volume an eighth)",
+        help="largest prescribed displacement of each pair, or a range to draw it from, in mm, or "
+        "in pixels if the image has no pixel size (default: from 0 to a quarter of the distance "
+        "between the patches that are moved, or an eighth for a volume)",
     )
     truth.add_argument(
         "--patches",
         type=int,
         metavar="P",
-        help="number of places where tissue is pulled (default: 12, in a volume 8)",
+        help="number of patches of tissue that are moved (default: 12, or 8 for a volume)",
     )
     truth.add_argument(
         "--weight",
         type=float,
         metavar="W",
-        help="largest body force in a random direction, like the tissue's own weight, in the unit "
-        "of stiffness per mm, or per pixel (water in kPa: 0.00981; default: 0)",
+        help="largest body force, such as gravity, which has a random direction, in units of "
+        "stiffness per mm, or per pixel if the image has no pixel size (water in kPa: 0.00981; "
+        "default: 0)",
     )
     truth.add_argument(
         "--free-edge",
         action="store_false",
         dest="hold_edge",
-        help="let the outer edge of the tissue move (default: it is held)",
+        help="allow the outer edge of the tissue to move (default: the edge is fixed)",
     )
     _add_backend(truth)
 
@@ -440,15 +448,15 @@ def _add_truth(commands: Commands) -> None:
 def _add_many_commands(commands: Commands) -> None:
     materials = commands.add(
         "materials",
-        "Find the published stiffness of a segmentation's labels by their names.",
+        "Look up the published stiffness of each label of a segmentation by its name.",
         "napari-hmrf materials FreeSurferColorLUT.txt --labels aseg.nii.gz -o materials.csv",
     )
     materials.add_argument(
         "table",
         type=Path,
         metavar="TABLE",
-        help="TotalSegmentator's class map or dataset.json, FreeSurferColorLUT.txt, label "
-        "descriptions of ITK-SNAP, a colour table or .seg.nrrd of 3D Slicer, or a .csv with the "
+        help="class map of TotalSegmentator, dataset.json of nnU-Net, FreeSurferColorLUT.txt, "
+        "label descriptions of ITK-SNAP, colour table or .seg.nrrd of 3D Slicer, or .csv with the "
         "columns label,name",
     )
     materials.add_argument(
@@ -459,43 +467,45 @@ def _add_many_commands(commands: Commands) -> None:
         "--out",
         type=Path,
         metavar="TABLE",
-        help="also write the table, as a .csv to correct and pass to --materials",
+        help="also write the table to a .csv file, which can be edited and passed to --materials",
     )
     _add_force(materials)
     batch = commands.add(
         "batch",
-        "Solve many cases from a table, by several processes or machines.",
+        "Solve the cases in a table, in several processes or on several machines.",
         "napari-hmrf batch cases.csv out --jobs 4 --resume",
-        "Each case gets a folder in OUT and a line in summary.csv. Only one batch at a time may "
-        "write to a folder.",
+        "The results of each case are written to a subfolder of OUT and to a line of summary.csv. "
+        "Only one batch at a time can write to OUT.",
     )
     batch.add_argument(
         "cases",
         type=Path,
         metavar="CASES",
-        help=".csv with a line for each case and the columns name, image or study, and the options "
-        "of solve; growth:TISSUE, stiffness:TISSUE, poisson:TISSUE, amount:BOUNDARY and poisson "
-        "replace numbers in the files of the case. Several values in a cell, separated by "
-        "semicolons, make one case each; a slice may be 3-7, or all",
+        help=".csv with a line for each case and the columns name, image or study, and options of "
+        "the command solve. The columns growth:TISSUE, stiffness:TISSUE, poisson:TISSUE, "
+        "amount:BOUNDARY and poisson replace numbers in the files of the case. If a cell contains "
+        "several values, separated by semicolons, there is one case for each value. The column "
+        "slice also accepts a range, such as 3-7, or all",
     )
     batch.add_argument(
-        "out", type=Path, metavar="OUT", help="folder for summary.csv and the folders of the cases"
+        "out", type=Path, metavar="OUT", help="folder for summary.csv and the results of the cases"
     )
     where = batch.add_mutually_exclusive_group()
     where.add_argument(
         "--jobs",
         type=count_option,
         metavar="N",
-        help="number of single-threaded processes (default: one for each core)",
+        help="number of single-threaded processes (default: one per core)",
     )
     where.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="address or file of a dask scheduler, whose workers solve the cases (default: none)",
+        help="address, or scheduler file, of a dask cluster on which to solve the cases (default: "
+        "none)",
     )
     batch.add_argument(
         "--resume",
         action="store_true",
-        help="keep finished cases whose line and files are unchanged, and solve the others",
+        help="skip solved cases for which the line and the input files are unchanged",
     )
     _add_backend(batch, usual="cpu")

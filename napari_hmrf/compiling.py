@@ -1,8 +1,9 @@
-"""Compiler of all CPU loops, which numba caches on disk: ``python -m napari_hmrf.compiling``.
+"""Ahead-of-time compilation of all CPU loops: ``python -m napari_hmrf.compiling``.
 
-Numba compiles only the loops that are called, so the program solves a small problem with each
-solver. The loops that a solve is waiting for are compiled next; rarely used loops
-(`sets.ON_REQUEST`) are compiled only when a solve waits for them. The program prints its progress.
+Numba compiles a loop when it is called, and caches the result on disk. The program therefore solves
+a small problem with each solver. If a solve is waiting for some loops, these are compiled next.
+Rarely used loops (`sets.ON_REQUEST`) are compiled only if a solve is waiting for them. The program
+prints its progress.
 """
 
 from __future__ import annotations
@@ -30,23 +31,26 @@ from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import solve
 
-#: Sites along each axis of the small problems, of a slice and of a volume.
+#: Number of sites along each axis of the small problems in 2-D and in 3-D.
 _SIZE, _SLICES = 40, 12
 
 
 class _Preempted(Exception):
-    """Interruption because a solve waits for other loops; loops compiled so far stay cached."""
+    """Interruption of a job because a solve is waiting for other loops.
+
+    The loops that were already compiled remain in the cache.
+    """
 
 
 class Job(NamedTuple):
-    """Computation that makes numba compile a set of loops.
+    """Computation that triggers the compilation of a set of loops.
 
     Attributes
     ----------
     name : str
-        Name of the set, as in `SolveJob.loops`.
+        Name of the set of loops, as in `SolveJob.loops`.
     run : callable
-        Computation without arguments.
+        Function without arguments that runs the computation.
     """
 
     name: str
@@ -54,7 +58,7 @@ class Job(NamedTuple):
 
 
 def jobs() -> list[Job]:
-    """List the jobs that compile all loops, in the order in which they are usually needed."""
+    """Return the jobs that compile all loops, in the order in which loops are usually needed."""
     square, oblong = (1.0, 1.0), (2.0, 0.5)
     mapped = np.full((_SIZE, _SIZE), 0.3)
     blanket = SeilerPrior(conditional="blanket")
@@ -113,7 +117,7 @@ def _pictures() -> None:
 
 
 def _is_cached() -> bool:
-    """Return whether numba has cached compiled loops on disk."""
+    """Return whether numba's cache on disk contains compiled loops."""
     from napari_hmrf.solver.backends.cpu import exact  # heavy: numba
 
     if loader.is_unwritable():
@@ -129,13 +133,13 @@ def run(job: Job, report: Callable[[Stage], object]) -> None:
 
 
 def _due_jobs(todo: list[Job]) -> list[Job]:
-    """Return the jobs to run: all except rarely used ones that no solve waits for."""
+    """Return the jobs to run, without rarely used loops for which no solve is waiting."""
     requested = compiler.requested_job()
     return [job for job in todo if job.name not in sets.ON_REQUEST or job.name == requested]
 
 
 def _run_next(todo: list[Job]) -> None:
-    """Run the requested job, or else the first, and remove it from the list."""
+    """Run the requested job, or otherwise the first job, and remove the job from the list."""
     while True:
         requested = compiler.requested_job()
         job = next((each for each in todo if each.name == requested), todo[0])
@@ -157,10 +161,10 @@ def _run_next(todo: list[Job]) -> None:
 
 
 def main() -> int:
-    """Compile all loops; return 0 if all are cached."""
+    """Compile all loops, and return the exit code: 0 if all loops are cached, otherwise 1."""
     if not compiler.begin():
         return 1
-    os.environ[loops.HERE] = "here"  # this process must not wait for itself
+    os.environ[loops.HERE] = "here"  # prevents this process from waiting for itself
     compiled = False
     try:
         todo = [

@@ -1,4 +1,4 @@
-"""napari contributions: samples, readers, writers and commands."""
+"""Contributions of the napari plugin: sample data, readers, writers and commands."""
 
 from __future__ import annotations
 
@@ -33,32 +33,32 @@ PathOrPaths = str | list[str]
 
 
 def sample_expansion() -> list[LayerData]:
-    """Open the sample of a brain that expands outward."""
+    """Return the layers of the sample "expansion": a brain that expands outward."""
     return _sample("expansion")
 
 
 def sample_growth() -> list[LayerData]:
-    """Open the sample of a brain with a growing tumour."""
+    """Return the layers of the sample of a brain with a growing tumour."""
     return phantom_layers(sample("mass-effect").growing())
 
 
 def sample_mass_effect() -> list[LayerData]:
-    """Open the sample of a brain with a tumour whose rim is pushed outward, as in the paper."""
+    """Return the layers of the paper's sample: a brain tumour with a rim that moves outward."""
     return _sample("mass-effect")
 
 
 def sample_bar() -> list[LayerData]:
-    """Open the sample of a bar of two tissues."""
+    """Return the layers of the sample of a bar that consists of two tissues."""
     return _sample("bar")
 
 
 def sample_head() -> list[LayerData]:
-    """Open the sample of a head with a growing tumour, which is deformed as a volume."""
+    """Return the layers of the sample volume: a head with a growing tumour."""
     return volume_layers(head_phantom(SAMPLE_SIZE))
 
 
 def volume_layers(head: HeadPhantom) -> list[LayerData]:
-    """Return the layers of a head in patient coordinates, marked as a volume to deform."""
+    """Return the layers of a head phantom in patient coordinates, marked as a volume to deform."""
     place = head.frame.placement()
     layers = [
         (data, {**attributes, **place}, kind) for data, attributes, kind in phantom_layers(head)
@@ -72,8 +72,8 @@ def _sample(name: str) -> list[LayerData]:
 
 
 def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
-    """Return the image layer of a phantom and its two label layers, with the widget's tables."""
-    # The stored arrays are read-only, but the user paints on layers.
+    """Return the image, tissue and boundary layers of a phantom, with their tables."""
+    # The arrays of a phantom are read-only, but the user can paint on layers.
     return [
         (
             phantom.image.copy(),
@@ -103,7 +103,7 @@ def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
 
 
 def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], Sequence[Any]] | None:
-    """Return a reader for saved results or studies in .npz files; None for other files."""
+    """Return a reader for results or a study saved as .npz; None for other files."""
     paths = _listed(path)
     if paths and all(is_solution_file(each) for each in paths):
         return _read
@@ -124,7 +124,7 @@ def _read(path: PathOrPaths) -> list[LayerData]:
 
 
 def open_scan(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
-    """Return a reader for scans and fields in patient coordinates; None for other files."""
+    """Return a reader for medical images and displacement fields; None for other files."""
     paths = _listed(path)
     readable = paths and all(is_scan(each) or is_field_file(each) for each in paths)
     return _read_scans if readable else None
@@ -149,17 +149,17 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
 
 
 def open_study(path: PathOrPaths) -> Callable[[PathOrPaths], list[tuple[None]]] | None:
-    """Return a reader that opens one saved study in the dock; None for other or several files."""
+    """Return a reader that opens a single study file in the dock; None for other paths."""
     return _open_study if isinstance(path, str) and is_study_file(path) else None
 
 
 def _open_study(path: PathOrPaths) -> list[tuple[None]]:
     dock().open_study(str(path))
-    return [(None,)]  # the dock has added the layers
+    return [(None,)]  # no layers for napari to add, because the dock has added them
 
 
 def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
-    """Return a reader for landmarks of BigWarp or 3D Slicer; None for other files."""
+    """Return a reader for landmark files of BigWarp and 3D Slicer; None for other files."""
     paths = _listed(path)
     return _read_landmarks if paths and all(map(is_landmark_file, paths)) else None
 
@@ -177,7 +177,10 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
 
 
 def _units_of_images(n: int) -> tuple[str, ...]:
-    """Return the units of the last n axes of the newest open image, in which BigWarp measures."""
+    """Return the units of the last n axes of the topmost image; "pixel" if there is no image.
+
+    BigWarp stores landmarks in the unit of the image, but does not store the unit.
+    """
     viewer = napari.current_viewer()
     images = [] if viewer is None else [each for each in viewer.layers if each.ndim >= n]
     known = [each.units for each in images if isinstance(each, napari.layers.Image)]
@@ -185,37 +188,38 @@ def _units_of_images(n: int) -> tuple[str, ...]:
 
 
 def _field(path: str) -> LayerData:
-    """Return a layer with the displacement field of a file, in pixels, forward or backward."""
+    """Return a layer with the displacement field of a file, forward or backward, in pixels."""
     field, frame = read_field_file(path).in_pixels
     return field_layer(field, frame.placement(), Path(path).name.partition(".")[0])
 
 
 def _listed(path: PathOrPaths) -> list[str]:
-    """Return one or several paths, as passed by napari, as a list."""
+    """Return a path or a list of paths, as passed by napari, as a list."""
     return [path] if isinstance(path, str) else path
 
 
 def write_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
-    """Save the result of a layer of arrows: completely, or only its field for other tools.
+    """Save the result that belongs to a Vectors layer.
 
     Parameters
     ----------
     path : str
-        File that ends in .npz, for the whole result, or in a suffix of `write_field`.
+        Path of the file. With the suffix .npz, the complete result is saved; with a suffix of
+        `write_field`, only its displacement field, for other tools.
     data : ndarray, shape (N, 2, D)
-        The arrows, which are only a part of the result.
+        Displayed arrows; unused, because they represent only a part of the displacement field.
     attributes : dict
-        Attributes of the layer; the metadata contain the solution.
+        Attributes of the layer. Its metadata contain the solution.
 
     Returns
     -------
     list of str
-        The written file.
+        Path of the written file.
 
     Raises
     ------
     ValueError
-        If the arrows are not a result of this package.
+        If the layer is not a result of this package.
     """
     known = attributes.get("metadata", {}).get(METADATA)
     solution = known.get("solution") if isinstance(known, dict) else None
@@ -231,21 +235,22 @@ def write_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str
     return [str(solution.write(path))]
 
 
-#: Name of the dock in napari's menu, by which napari recognises the open dock.
+#: Name of the dock in napari's menu; napari identifies an open dock by this name.
 _TITLE = "Soft tissue (napari-hmrf)"
 
 
 def dock(viewer: Any = None) -> SoftTissue:
-    """Show the dock of a viewer and return it; open one if there is none yet.
+    """Show the "Soft tissue" dock of a viewer, and create it if it does not exist.
 
     Parameters
     ----------
     viewer : napari.Viewer, optional
-        By default the current viewer.
+        Viewer of the dock; by default the current viewer.
 
     Returns
     -------
     SoftTissue
+        Widget in the dock.
 
     Raises
     ------
@@ -269,18 +274,18 @@ def dock(viewer: Any = None) -> SoftTissue:
 
 
 def deform_now() -> None:
-    """Solve, like the button Deform."""
+    """Start a solve, like the button "Deform"."""
     dock().deform()
 
 
 def live() -> None:
-    """Turn live mode, in which the result follows every edit, on or off."""
+    """Switch live mode, in which every edit updates the result, on or off."""
     widget = dock()
     widget.live = not widget.live
 
 
 def pull() -> None:
-    """Start or stop pulling tissue with the mouse."""
+    """Activate or deactivate the tool that pulls tissue with the mouse."""
     widget = dock()
     if widget.active:
         widget.stop()
@@ -300,7 +305,7 @@ def redo() -> None:
 
 
 def play() -> None:
-    """Play the deformation there and back, or pause it."""
+    """Start or pause the animation of the deformation."""
     widget = dock()
     if widget.playing:
         widget.pause()

@@ -1,6 +1,6 @@
 """Sample data: phantoms of any size, and reference solutions.
 
-::
+Example::
 
     from napari_hmrf import solve
     from napari_hmrf.data import phantom

@@ -1,7 +1,7 @@
-"""Errors that this package raises on purpose.
+"""Exceptions of this package.
 
-Each message states the problem, its place and a remedy. Errors are raised before any work begins
-that would have to be undone.
+Each message states the problem, its location and a remedy. Input is checked before any work that
+would have to be undone.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ _SAVING = {
     errno.EISDIR: "it is a folder. Give the name of a file.",
     errno.EACCES: "you have no permission to write there. Choose another folder or name.",
 }
-#: Prefix of messages of `atomic_write` about the file being written.
+#: Prefix with which `atomic_write` marks messages about the file to be written.
 CANNOT_SAVE = "cannot save the file: "
 
 
 class HmrfError(Exception):
-    """Base of all errors raised on purpose by napari-hmrf."""
+    """Base class of the exceptions of this package."""
 
 
 class ProblemError(HmrfError, ValueError):
-    """Input images that do not make a solvable problem.
+    """Input that does not define a solvable problem.
 
     Parameters
     ----------
     field : str
-        The input at fault, such as ``"observed"``, ``"confidence"``, ``"stiffness"``,
-        ``"spacing"``, ``"poisson"``, ``"loads"``, ``"growth"``, ``"force"`` or ``"drawing"``; the
-        widget replaces it by the name of the layer that the input came from.
+        Name of the invalid input, such as ``"observed"``, ``"confidence"``, ``"stiffness"``,
+        ``"spacing"``, ``"poisson"``, ``"loads"``, ``"growth"``, ``"force"`` or ``"drawing"``. The
+        widget replaces it with the name of the layer that provides the input.
     message : str
-        The problem and its remedy, without the field's name.
+        Description of the problem and its remedy, without the name of the input.
     """
 
     def __init__(self, field: str, message: str) -> None:
@@ -60,14 +60,14 @@ class ProblemError(HmrfError, ValueError):
 
 
 class LayerError(ProblemError):
-    """An invalid layer; the message is a sentence for the user.
+    """Invalid layer, with a message for the user.
 
     Parameters
     ----------
     layer : napari.layers.Layer or str
-        The layer, or its name.
+        Layer, or its name.
     message : str
-        The problem and its remedy, as the sentence continues after the layer's name.
+        Description of the problem and its remedy, to follow the layer's name in a sentence.
     """
 
     def __init__(self, layer: Any, message: str) -> None:
@@ -77,23 +77,23 @@ class LayerError(ProblemError):
 
 
 class ArgumentError(HmrfError, ValueError, TypeError):
-    """An argument of an invalid type or value."""
+    """Argument with an invalid type or value."""
 
 
 class BackendError(HmrfError, RuntimeError):
-    """A backend that is missing, cannot start, or returned an invalid result."""
+    """Backend that is not available, fails to start, or returns an invalid result."""
 
 
 class ConvergenceError(HmrfError, ArithmeticError):
-    """An iteration that ended without reliable convergence; there is no result."""
+    """Iteration that ended without reliable convergence, and therefore without a result."""
 
 
 class FileFormatError(HmrfError, ValueError):
-    """A file, such as a saved solution or a table of materials, that violates its format."""
+    """File that violates its format, such as a saved solution or a table of materials."""
 
 
 class Cancelled(HmrfError):
-    """Cancellation of a solve; there is no result and nothing was changed."""
+    """Cancellation of a solve, which has no result and no side effects."""
 
     def __init__(self) -> None:
         super().__init__("the solve was cancelled")
@@ -101,17 +101,17 @@ class Cancelled(HmrfError):
 
 @contextmanager
 def naming(**layers: Any) -> Iterator[None]:
-    """Make errors about an input of the problem name the layer that the input came from.
+    """Return a context that converts a `ProblemError` to a `LayerError`, which names the layer.
 
     Parameters
     ----------
     **layers : napari.layers.Layer or str
-        Layer, or its name, by the `field` of `ProblemError`.
+        Layer, or its name, for each `ProblemError.field` to convert.
 
     Raises
     ------
     LayerError
-        In place of a `ProblemError` whose `field` has a layer.
+        If a `ProblemError` is raised in the context, and `layers` has a layer for its `field`.
     """
     try:
         yield
@@ -125,7 +125,7 @@ def naming(**layers: Any) -> Iterator[None]:
 
 
 def in_words(error: Exception) -> str:
-    """Return the message of an error, with reason and remedy if it is a system error of a file."""
+    """Return the message of an error; for a system error about a file, with a remedy."""
     if not isinstance(error, OSError) or error.filename is None:
         return str(error) or type(error).__name__
     whole = error.strerror or ""

@@ -1,4 +1,4 @@
-"""Packages that only some commands need, and how to install them."""
+"""Installation instructions for the optional dependencies."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ Extra = Literal["cluster", "film", "medical", "monai", "report", "rivals", "view
 def how_to_install(extra: Extra) -> str:
     """Return a clause with the command that installs an extra.
 
-    The package is installed from a copy of its repository, as described in `README.md`, because
-    pip does not find it by its name.
+    The command installs from a copy of the repository, as described in `README.md`, because the
+    package is not available by name from a package index.
 
     Parameters
     ----------

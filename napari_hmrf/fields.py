@@ -1,8 +1,8 @@
-"""Displacement fields: moved images, strain, folds, inverses and files.
+"""Displacement fields: image warping, strain, folds, inverse fields and files.
 
-The functions take a displacement from any method, such as a registration, with the `spacing` of
-its pixels. A `Solution` holds its own spacing, tissue and place: for a solution, use its methods
-`warp`, `jacobian`, `strain`, `at`, `measure` and `export`::
+The functions accept a displacement field from any method, such as a registration, and its pixel
+size `spacing`. For a `Solution`, use its methods `warp`, `jacobian`, `strain`, `at`, `measure` and
+`export` instead::
 
     from napari_hmrf.fields import jacobian_determinant, read_field
 

@@ -1,7 +1,7 @@
-"""Files of landmarks: points of BigWarp and 3D Slicer.
+"""Landmark files of BigWarp and 3D Slicer.
 
-`Drawing.from_landmarks` moves tissue by pairs of points, and `Grid.to_pixels` converts points in
-mm to pixels::
+`Drawing.from_landmarks` creates a drawing that moves tissue from points to target positions, and
+`Grid.to_pixels` converts points from mm to pixels::
 
     from napari_hmrf import Drawing
     from napari_hmrf.landmarks import read_points

@@ -1,6 +1,6 @@
-"""Loads on tissue: growth, weight, pressure and traction, and the reactions to them.
+"""Loads on tissue (growth, weight, pressure and traction) and reaction forces.
 
-Loads are the argument `loads` of a `Problem`; ``+`` adds two loads::
+Loads are passed to a `Problem` as its argument `loads`. The operator ``+`` adds two loads::
 
     from napari_hmrf import Problem, solve
     from napari_hmrf.loads import growth

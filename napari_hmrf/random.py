@@ -1,6 +1,6 @@
-"""Random deformations of one case, to augment training data and to validate registrations.
+"""Random deformations for data augmentation and for the validation of registrations.
 
-::
+Example::
 
     from napari_hmrf.random import RandomDeformation
 
@@ -8,7 +8,7 @@
     sample = deformation.sample(seed=0)
     moved = sample.image(image)
 
-`RandPhysicalDeformationd` wraps `RandomDeformation` as a MONAI transform and requires MONAI.
+`RandPhysicalDeformationd` wraps `RandomDeformation` as a MONAI transform; it requires MONAI.
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""Reading of regular files only: pipes and devices may never end."""
+"""Guards against reading pipes and devices, which may never end."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from napari_hmrf.errors import FileFormatError
 
 
 def refuse_irregular(path: str | os.PathLike[str]) -> None:
-    """Refuse a path that leads to a pipe, a socket or a device.
+    """Raise an error if a path is neither a regular file nor a folder.
 
     Raises
     ------
     FileFormatError
-        If the path leads to such a file.
+        If the path is a pipe, a socket or a device.
     OSError
         If the path does not exist.
     """
@@ -27,18 +27,18 @@ def refuse_irregular(path: str | os.PathLike[str]) -> None:
 
 
 def read_at_most(path: str | os.PathLike[str], largest: int) -> bytes | None:
-    """Read a file, which may be a pipe, up to a size limit.
+    """Read a file of limited size, which may be a pipe.
 
     Parameters
     ----------
     path : str or path-like
     largest : int
-        Largest allowed number of bytes.
+        Largest allowed size, in bytes.
 
     Returns
     -------
     bytes or None
-        Content of the file; None if it has more than `largest` bytes.
+        Content of the file; None if it is larger than `largest` bytes.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Folders of the shaders and the sample data, in an installed wheel or in a checkout."""
+"""Location of the shaders and the sample data, in an installed wheel or in a checkout."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ _PACKAGE = Path(__file__).resolve().parent
 
 @cache
 def resource_folder(name: str) -> Path:
-    """Find a folder that the wheel maps into the package and a checkout keeps at its top level.
+    """Return the path of a folder with resources.
+
+    The folder is inside the package in an installed wheel, and at the top level of a checkout.
 
     Parameters
     ----------
-    name : str
-        ``"shaders"`` or ``"sample_data"``.
+    name : {"shaders", "sample_data"}
 
     Returns
     -------

@@ -1,8 +1,9 @@
-"""Translation of setting names in messages for Python, the shell and the window.
+"""Names of settings in messages, adapted to Python, the shell and the window.
 
-A message describes the problem in words that suit every interface, followed by the Python name of
-the setting to change, in parentheses and backticks: ``hold its edge (`hold_edge=True`)``. Python
-shows the message unchanged. The shell and the window replace the name of the setting by their own.
+A message describes the problem in terms that are valid in every interface. The Python name of the
+setting to change follows in parentheses and backticks: ``hold its edge (`hold_edge=True`)``. In
+Python the message is shown unchanged. In the shell and in the window, the Python name is replaced
+with the name of the setting in that interface.
 """
 
 from __future__ import annotations
@@ -14,18 +15,19 @@ Interface = Literal["shell", "window"]
 
 
 class Term(NamedTuple):
-    """Name of one setting in the shell and the window; "" if the name is to be left out.
+    """Names of a setting in the shell and in the window.
 
     Attributes
     ----------
     shell, window : str
+        Name in the interface; "" omits the name from messages.
     """
 
     shell: str
     window: str
 
 
-#: Names of the settings in the shell and the window, by the name in Python.
+#: Names of the settings in the shell and the window, by their name in Python.
 TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
     "model='elastic'": Term("--model elastic", ""),
@@ -55,13 +57,18 @@ _SETTING = re.compile(r" \(`([^`]+)`\)")
 
 
 def in_words_of(interface: Interface, message: str) -> str:
-    """Return a message with the names of settings in an interface.
+    """Replace the Python names of settings in a message with the names in another interface.
 
     Parameters
     ----------
     interface : {"shell", "window"}
     message : str
         Message with the Python names of settings.
+
+    Returns
+    -------
+    str
+        Message with the names of settings in the interface.
     """
 
     def words(match: re.Match[str]) -> str:

@@ -1,10 +1,10 @@
-"""Run the tests that are no part of the suite, and write what came of them to a page.
+"""Campaigns: long tests outside the regular test suite, with a summary of their results.
 
-    python scripts/campaigns.py                                    # run them
-    python scripts/campaigns.py --page docs/validation/campaigns.md  # and write the page
+    python scripts/campaigns.py                                      # run the campaigns
+    python scripts/campaigns.py --page docs/validation/campaigns.md  # also write the summary
 
-They are marked with `pytest.mark.campaign`: each takes long and says of further cases what a test
-of the suite says of some.
+The campaigns are marked with `pytest.mark.campaign`. Each campaign repeats a claim of a regular
+test for additional cases.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ def run(report: Path) -> int:
 
 
 def count(report: Path) -> dict[str, list[int]]:
-    """Count the passed, skipped and failed cases of each test in a report of pytest's."""
+    """Count the passed, skipped and failed cases of each test in a JUnit report of pytest."""
     counts: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0])
     for case in ElementTree.parse(report).iter("testcase"):
         if not case.get("classname"):
-            continue  # a module whose library is not installed
+            continue  # a skipped module: its library is not installed
         name = case.get("name", "").partition("[")[0]
         outcomes = {child.tag for child in case}
         which = 2 if outcomes & {"failure", "error"} else 1 if "skipped" in outcomes else 0
@@ -48,7 +48,7 @@ def count(report: Path) -> dict[str, list[int]]:
 
 
 def page_of(counts: dict[str, list[int]]) -> str:
-    """Return the page with a row for each test."""
+    """Return the summary page, which has a row for each test."""
     rows = [
         f"| `{name}` | {' | '.join(map(str, each))} |\n" for name, each in sorted(counts.items())
     ]
@@ -58,7 +58,7 @@ def page_of(counts: dict[str, list[int]]) -> str:
 def main() -> int:
     """Run the command; return 1 if a test failed."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--page", type=Path, help="where to write the page")
+    parser.add_argument("--page", type=Path, help="file to which the summary is written")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"

@@ -1,7 +1,7 @@
-"""Draw the pictures of the examples and of the notebooks: ``make gallery``.
+"""Pictures of the examples and of the notebooks: ``make gallery``.
 
-``python scripts/gallery.py stiff_disc landmarks`` draws the named ones. Each example runs in a
-temporary folder, and its picture is drawn from its variables.
+``python scripts/gallery.py stiff_disc landmarks`` draws only the named pictures. Each example runs
+in a temporary folder, and its picture is drawn from its variables.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from napari_hmrf.fields import deformation_grid, magnitude
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES, NOTEBOOKS = ROOT / "examples", ROOT / "docs" / "notebooks"
-#: Pictures of the examples; those of the notebooks lie beside the notebooks.
+#: Folder of the examples' pictures. The notebooks' pictures are in a folder next to the notebooks.
 FOLDER = ROOT / "docs" / "examples" / "images"
-#: Dots per inch: a picture of three panels is about 640 pixels wide.
+#: Resolution in dots per inch, at which a picture of three panels is about 640 pixels wide.
 RESOLUTION = 72
-#: Colours of a saved picture: a third of the size of a picture in full colour.
+#: Number of colours of a saved picture, which reduces the file to a third of its full-colour size.
 COLOURS = 256
 
 #: Variables of an example.
 Names = dict[str, Any]
-#: Title, image, colour map, and the value of its last colour.
+#: Title, image, colour map, and value of the last colour (None without a colour scale).
 Panel = tuple[str, Any, str, float | None]
 
 
 def panels(*shown: Panel, unit: str = "", height: float = 3.0) -> Figure:
-    """Draw images side by side; those with a largest value get a colour scale."""
+    """Draw images side by side, with a colour scale for images that have a largest value."""
     figure = Figure(figsize=(3.0 * len(shown), height), layout="constrained")
     for axis, (title, image, colours, largest) in zip(
         figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True
@@ -59,7 +59,7 @@ def panels(*shown: Panel, unit: str = "", height: float = 3.0) -> Figure:
 
 
 def add_grid(axis: Any, solution: Solution, count: int = 18) -> None:
-    """Draw lines that moved with the tissue."""
+    """Draw a grid that moves with the tissue."""
     between = max(solution.tissue.shape) // count
     segments = deformation_grid(
         solution.displacement, spacing=solution.spacing, every=between, tissue=solution.tissue
@@ -84,7 +84,7 @@ def drag(names: Names) -> Figure:
 
 
 def growing_sphere(names: Names) -> Figure:
-    """Draw the middle slice before and after, and its displacement."""
+    """Draw a slice before and after the deformation, and its displacement."""
     volume = names["solution"]
     middle = volume.tissue.shape[0] // 2
     scan = names["sitk"].GetArrayFromImage(names["scan"])
@@ -99,7 +99,7 @@ def growing_sphere(names: Names) -> Figure:
 
 
 def growing_tumour(names: Names) -> Figure:
-    """Draw the brain before and after, and the change of area."""
+    """Draw the brain before and after the growth, and the change of area."""
     jacobian = names["jacobian"]
     return panels(
         ("before", names["brain"].image, "gray", None),
@@ -109,7 +109,7 @@ def growing_tumour(names: Names) -> Figure:
 
 
 def paper_beside_elastic(names: Names) -> Figure:
-    """Draw the distance of each field from finite elements."""
+    """Draw the difference between each field and finite elements."""
     tissue = names["problem"].tissue
     shown = []
     for solution in names["solutions"]:
@@ -126,7 +126,7 @@ def random_deformations(names: Names) -> Figure:
 
 
 def registration(names: Names) -> Figure:
-    """Draw the distance of both fields from the truth."""
+    """Draw the difference between each field and the true displacement."""
     truth, tissue = names["truth"].displacement, names["tissue"]
     shown = []
     for title, field in (("demons alone", "registered"), ("with tissue", "elastic")):
@@ -152,7 +152,7 @@ def slice_in_millimetres(names: Names) -> Figure:
 
 
 def stiff_disc(names: Names) -> Figure:
-    """Draw the stiffness and the largest strain, on a grid that moved."""
+    """Draw the stiffness, and the largest strain with a deformed grid."""
     figure = panels(
         ("stiffness", names["stiffness"], "viridis", 20.0),
         ("largest strain, %", 100 * names["stretch"], "magma", 16.0),
@@ -162,7 +162,7 @@ def stiff_disc(names: Names) -> Figure:
 
 
 def sweep(_: Names) -> Figure:
-    """Draw how the ventricles shrink, for each stiffness of the tumour."""
+    """Plot the shrinkage of the ventricles, for each stiffness of the tumour."""
     figure = Figure(figsize=(4.6, 3.0), layout="constrained")
     axis = figure.subplots()
     areas: dict[str, list[tuple[float, float]]] = {}
@@ -180,7 +180,7 @@ def sweep(_: Names) -> Figure:
 
 
 def volume(names: Names) -> Figure:
-    """Draw the middle slice before and after, and its displacement."""
+    """Draw a slice before and after the deformation, and its displacement."""
     head, length = names["head"], names["length"]
     plane = int(np.argwhere(head.tissue_labels == 3)[:, 0].mean())
     return panels(
@@ -191,7 +191,7 @@ def volume(names: Names) -> Figure:
     )
 
 
-#: How the picture of each example is drawn.
+#: Function that draws the picture of each example.
 PICTURES: dict[str, Callable[[Names], Figure]] = {
     draw.__name__: draw
     for draw in (
@@ -242,7 +242,7 @@ def draw_notebook(path: Path) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as a small PNG."""
+    """Write a figure as a small PNG file."""
     path.parent.mkdir(exist_ok=True)
     drawn = io.BytesIO()
     figure.savefig(drawn, dpi=RESOLUTION)
@@ -252,7 +252,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def main(wanted: Sequence[str]) -> None:
-    """Draw the named pictures, or all of them."""
+    """Draw the named pictures, or all pictures."""
     os.environ.setdefault("MPLBACKEND", "Agg")
     mpl.use("Agg")
     for name in PICTURES:

@@ -1,4 +1,4 @@
-"""Take the pictures of large motion beside linear elasticity, from a real napari window."""
+"""Pictures of a napari window that compare large motion with linear elasticity."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from napari_hmrf.data import phantom, sample
 
 FOLDER = ROOT / "docs" / "validation" / "images"
 SIZE = (1400, 900)
-#: Free above the bar, into which it is bent.
+#: Height of the free region above the bar, into which the bar is bent, in pixels.
 _ABOVE = 150
 
 
 def tumour() -> Study:
-    """Take the picture of the sample's tumour, grown to more than twice its area."""
+    """Return a study of the sample's tumour, which grows to more than twice its area."""
     brain = sample("mass-effect").growing(0.6)
     return Study(
         Grid(brain.image.shape, (1.0, 1.0)),
@@ -31,22 +31,22 @@ def tumour() -> Study:
 
 
 def bar() -> Study:
-    """Take the picture of the sample's bar, whose right end is bent up by 90 degrees."""
+    """Return a study of the sample's bar, with its right end bent up by 90 degrees."""
     straight = phantom("bar", 240)
-    around = (_ABOVE, 10), (30, 30)  # so that all of it is seen
+    around = (_ABOVE, 10), (30, 30)  # so that the whole bent bar is visible
     image, labels = np.pad(straight.image, around), np.pad(straight.tissue_labels, around)
     there = labels > 0
     rows, cols = np.indices(image.shape).astype(float)
     left, right = np.flatnonzero(there.any(axis=0))[[0, -1]]
     middle = np.flatnonzero(there.any(axis=1)).mean()
-    # The neutral line keeps its length: a quarter of a circle.
+    # The neutral line becomes a quarter of a circle with the same length.
     radius = (right - left) / (np.pi / 2)
     c = np.zeros((*image.shape, 2), np.float32)
     y = np.zeros_like(c)
     ends = there & (cols < left + 6), there & (cols > right - 6)
     c[ends[0]] = c[ends[1]] = 1
     angle = (cols - left) / radius
-    height = middle - rows  # above the middle, nearer to the centre of the circle
+    height = middle - rows  # above the neutral line, towards the centre of the circle
     y[..., 0] = np.where(ends[1], middle - (radius - (radius - height) * np.cos(angle)) - rows, 0)
     y[..., 1] = np.where(ends[1], left + (radius - height) * np.sin(angle) - cols, 0)
     return Study(
@@ -58,7 +58,7 @@ def bar() -> Study:
 
 
 def patch() -> Study:
-    """Take the picture of a patch of the brain, dragged across it."""
+    """Return a study in which a patch of the brain is dragged a long way."""
     brain = sample("mass-effect")
     arrow = Arrow(at=(150.0, 110.0), by=(-20.0, 60.0), radius=15.0)
     return Study(
@@ -70,13 +70,13 @@ def patch() -> Study:
 
 
 def main() -> None:
-    """Take each picture: linear elasticity on the left, large motion on the right."""
+    """Take a picture of each study: linear elasticity on the left, large motion on the right."""
     for study in (tumour(), bar(), patch()):
         pair(study)
 
 
 def pair(study: Study) -> None:
-    """Open a study, and take a picture of it by either model."""
+    """Open a study, and take a picture of its solutions with both models."""
     name = study.pictures.name.lower()
     person = Person(SIZE)
     dock = open_dock(person)

@@ -1,10 +1,10 @@
-"""How many lines of code there are, folder by folder.
+"""Number of lines of code in each folder.
 
     python scripts/lines.py [folder ...]
 
-Blank lines, comments and docstrings do not count. By default the folder is the package. Of each
-folder its own modules are counted, and then all that lie below it, too; where several are named, as
-the rooms that belong to the window may be, their sum comes last.
+Blank lines, comments and docstrings are not counted. The default folder is the package. Each row
+has the modules directly in a folder, followed by the modules in the folder and all its subfolders.
+The last row has the total of all given folders.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _NO_CODE = {
 
 
 def lines_of_code(text: str) -> int:
-    """Count the lines of a module that hold code.
+    """Count the lines of a module that contain code.
 
     Parameters
     ----------
     text : str
-        The module's source.
+        Source of the module.
     """
     code: set[int] = set()
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
@@ -52,7 +52,7 @@ def lines_of_code(text: str) -> int:
 
 
 def lines_in(folder: Path) -> dict[Path, list[int]]:
-    """Count the lines of each module in a folder and below it, by the folder it lies in."""
+    """Count the lines of all modules in a folder and its subfolders, grouped by folder."""
     found: dict[Path, list[int]] = {}
     for module in sorted(folder.rglob("*.py")):
         lines = lines_of_code(module.read_text(encoding="utf-8"))
@@ -61,10 +61,10 @@ def lines_in(folder: Path) -> dict[Path, list[int]]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print a table; 1 if a folder holds no module."""
+    """Print the table; return 1 if a folder contains no modules."""
     folders = [Path(each).resolve() for each in arguments] or [PACKAGE]
     totals: Counter[str] = Counter()
-    print(f"{'folder':34}{'modules':>8}{'lines':>8}{'with all below':>22}")
+    print(f"{'folder':34}{'modules':>8}{'lines':>8}{'with subfolders':>22}")
     for folder in folders:
         found = lines_in(folder)
         if not found:
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
             print(f"{name:34}{len(found[each]):>8}{sum(found[each]):>8,}{deeper}")
         totals["modules"] += sum(map(len, found.values()))
         totals["lines"] += sum(map(sum, found.values()))
-    print(f"{'together':34}{totals['modules']:>8}{totals['lines']:>8,}")
+    print(f"{'total':34}{totals['modules']:>8}{totals['lines']:>8,}")
     return 0
 
 

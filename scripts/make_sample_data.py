@@ -1,6 +1,6 @@
-"""Make the files in sample_data: the phantoms at size 300 and their finite-element displacement.
+"""Generator of the files in sample_data: phantoms of size 300 and finite-element displacements.
 
-Run it from a checkout, with the test dependencies installed, after changing a phantom::
+Run the script from a checkout, with the test dependencies installed, after changing a phantom::
 
     python scripts/make_sample_data.py
 """
@@ -21,12 +21,12 @@ from fem import plane_stress_displacement  # noqa: E402
 
 from napari_hmrf.data import PHANTOM_NAMES, phantom  # noqa: E402
 
-#: A fixed date in the archives, so that the same arrays make the same bytes.
+#: Fixed date in the archives, so that equal arrays give identical files.
 DATE = (2000, 1, 1, 0, 0, 0)
 
 
 def sample_arrays(name: str) -> dict[str, np.ndarray]:
-    """Return the arrays of the file of a phantom."""
+    """Return the arrays of a phantom's file."""
     drawn = phantom(name)
     reference = plane_stress_displacement(drawn.problem)
     return {
@@ -38,7 +38,7 @@ def sample_arrays(name: str) -> dict[str, np.ndarray]:
 
 
 def write_archive(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write a compressed .npz whose bytes depend on the arrays alone."""
+    """Write a compressed .npz file, which depends only on the arrays."""
     with zipfile.ZipFile(path, "w") as archive:
         for member, array in arrays.items():
             content = io.BytesIO()
@@ -48,7 +48,7 @@ def write_archive(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def main() -> None:
-    """Write every sample and say how large it is."""
+    """Write all samples, and print the size of each file."""
     folder = ROOT / "sample_data"
     folder.mkdir(exist_ok=True)
     for name in PHANTOM_NAMES:

@@ -1,9 +1,10 @@
-"""Break all but the solver in many places, one at a time, and see a test fail for each.
+"""Mutation tests of the package outside the solver: a test must fail for each mutation.
 
     python scripts/mutations.py [number ...]
 
-Each is a sign, an index, a weight or a constant that a person would notice, and names the tests
-that are to fail. The package and its tests are copied to another folder, and the copy is broken.
+Each mutation changes a sign, an index, a weight or a constant, with an effect that a user would
+notice. At least one of its tests must fail. The mutations are applied one at a time to a copy of
+the package and its tests.
 """
 
 from __future__ import annotations
@@ -19,25 +20,26 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
-#: Folders that the package needs to be imported.
+#: Folders that are copied.
 _FOLDERS = "napari_hmrf", "shaders", "sample_data", "benchmarks", "tests"
-#: Mutations that are tried at once.
+#: Number of mutations that are tested in parallel.
 _AT_ONCE = os.cpu_count() or 1
-#: Exit statuses of pytest if all tests pass, and if one fails; any other says that none was run.
+#: Exit statuses of pytest if all tests pass, and if a test fails. Any other status means that no
+#: test was run.
 _PASSED, _FAILED = 0, 1
 
 
 class Mutation(NamedTuple):
-    """What is broken, and which tests see it.
+    """Error in a source file, and the tests that must detect it.
 
     Attributes
     ----------
     file : str
-        Below `napari_hmrf`.
+        Path of the file, relative to `napari_hmrf`.
     right, wrong : str
-        The text, which occurs once, and what it is replaced by.
+        Correct text, which must occur exactly once in the file, and its replacement.
     tests : str
-        As pytest takes them, below `tests`.
+        Arguments for pytest, separated by spaces: paths relative to `tests`.
     """
 
     file: str
@@ -47,7 +49,7 @@ class Mutation(NamedTuple):
 
 
 MUTATIONS = (
-    # the model of what is edited, and its forms
+    # the edited model and its forms
     Mutation(
         "study/edit_history.py",
         "        self._past.append(step)\n        self._future.clear()",
@@ -144,7 +146,7 @@ MUTATIONS = (
         "return read",
         "ui/motion/test_grab.py",
     ),
-    # solver, study, ui: one queue for all background work
+    # solver, study, ui: the queue of background work
     Mutation(
         "solver/latest_queue.py",
         "        elif not self._is_held:\n",
@@ -193,7 +195,7 @@ MUTATIONS = (
         "        if owner not in self._owners:\n",
         "ui/test_undo_keys.py",
     ),
-    # study: how a study is understood
+    # study: interpretation of a study
     Mutation(
         "study/ground.py",
         "_TISSUE, _SURROUNDINGS = 1.0, 0.01",
@@ -262,7 +264,7 @@ MUTATIONS = (
         "(a - b) * size",
         "layers/test_landmark_boundary.py",
     ),
-    # layers: where things lie, and what is read
+    # layers: positions, and reading of layers
     Mutation(
         "field/frame.py",
         "return tuple(np.linalg.norm(self._steps(), axis=0).tolist())",
@@ -299,7 +301,7 @@ MUTATIONS = (
         "kept = copy",
         "layers/test_layers_inputs.py ui/motion/test_pull.py",
     ),
-    # ui: what is said, shown and played
+    # ui: messages, display and animation
     Mutation(
         "study/ground.py",
         "dark_border(image, len(shape)) & (tissue.labels == 0)",
@@ -337,7 +339,7 @@ MUTATIONS = (
     Mutation(
         "ui/motion/pointer.py", "_LARGER = 1.25", "_LARGER = 0.8", "ui/motion/test_grab_tools.py"
     ),
-    # the tools, and the pointer that passes the mouse to them
+    # tools, and the pointer that passes mouse events to tools
     Mutation(
         "ui/motion/tool.py",
         'return None if self.is_dragging else settings["radius"]',
@@ -392,7 +394,7 @@ MUTATIONS = (
         "layer is None or frame is None",
         "ui/motion/test_grab_tools.py",
     ),
-    # many cases, random deformations and tables of segmentations
+    # batches of cases, random deformations and tables of segmentations
     Mutation("io/sweeps.py", "step * amount / length", "step * amount", "io/test_batch.py"),
     Mutation(
         "io/case_records.py",
@@ -422,18 +424,18 @@ MUTATIONS = (
 
 
 def survives(mutation: Mutation, folder: Path) -> bool:
-    """Return whether no test sees a mutation.
+    """Return whether all tests pass despite a mutation.
 
     Raises
     ------
     SystemExit
-        If the text to replace does not occur once, or the tests could not be run.
+        If the text to replace does not occur exactly once, or if the tests could not be run.
     """
     package = folder / "napari_hmrf"
     file = package / mutation.file
     text = file.read_text(encoding="utf-8")
     if text.count(mutation.right) != 1:
-        raise SystemExit(f"{mutation.file} has {mutation.right!r} not once: mend the list")
+        raise SystemExit(f"{mutation.file} must have {mutation.right!r} once: update MUTATIONS")
     file.write_text(text.replace(mutation.right, mutation.wrong), encoding="utf-8")
     try:
         tests = [f"tests/{each}" for each in mutation.tests.split()]
@@ -448,8 +450,8 @@ def survives(mutation: Mutation, folder: Path) -> bool:
 
 
 def copied(folder: Path) -> Path:
-    """Copy to a folder what the tests of a mutation need, and return the folder."""
-    # The tests too: pytest imports the package that lies beside them.
+    """Copy the package and its tests to a folder, and return the folder."""
+    # Copy the tests too, because pytest imports the package that is next to them.
     for name in _FOLDERS:
         shutil.copytree(ROOT / name, folder / name)
     shutil.copy(ROOT / "pyproject.toml", folder)
@@ -457,7 +459,7 @@ def copied(folder: Path) -> Path:
 
 
 def main(wanted: list[str]) -> int:
-    """Try all mutations, or those with some numbers; return how many survive."""
+    """Test all mutations, or those with the given numbers; return the number that survive."""
     chosen = [int(each) for each in wanted] or range(len(MUTATIONS))
     folders: queue.SimpleQueue[Path] = queue.SimpleQueue()
 
@@ -474,7 +476,7 @@ def main(wanted: list[str]) -> int:
         survivors = 0
         for number, is_alive in pool.map(tried, chosen):
             survivors += is_alive
-            said = "SURVIVES" if is_alive else "is seen"
+            said = "SURVIVES" if is_alive else "detected"
             mutation = MUTATIONS[number]
             print(f"{number:2} {said:8} {mutation.file}: {mutation.wrong.strip()}", flush=True)
     print(f"{survivors} of {len(chosen)} survive")

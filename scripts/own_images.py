@@ -1,4 +1,4 @@
-"""Images as somebody may bring them to the tutorial, made here so that they are nobody's."""
+"""Synthetic images for the tutorial, in place of a user's own images."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ Floats = npt.NDArray[np.float64]
 def ellipse(
     shape: tuple[int, int], centre: tuple[float, float], radii: tuple[float, float]
 ) -> Floats:
-    """How much of each pixel lies in an ellipse, about 0 to 1."""
+    """Return the approximate fraction of each pixel inside an ellipse, from 0 to 1."""
     rows, cols = np.indices(shape)
     away = np.hypot((rows - centre[0]) / radii[0], (cols - centre[1]) / radii[1])
     return np.clip((1 - away) * min(radii) + 0.5, 0, 1)
 
 
 def abdomen(size: float = 1.0, seed: int = 5) -> Floats:
-    """Draw something like a slice through an abdomen, 0 to 255; `size` is that of its lesion."""
+    """Draw a synthetic slice through an abdomen, 0 to 255; `size` scales its lesion."""
     shape = (260, 340)
     picture = np.full(shape, 4.0)
     for centre, radii, value in (
         ((132, 170), (116, 156), 150),  # fat
         ((132, 170), (103, 143), 100),  # muscle
-        ((134, 170), (92, 130), 84),  # what lies between the organs
+        ((134, 170), (92, 130), 84),  # tissue between the organs
         ((118, 112), (68, 70), 165),  # liver
         ((100, 232), (34, 44), 48),  # stomach
         ((160, 262), (38, 24), 150),  # spleen
@@ -46,7 +46,7 @@ def abdomen(size: float = 1.0, seed: int = 5) -> Floats:
 
 
 def gel() -> Floats:
-    """Draw something like a photograph of a block of gel with inclusions, shape (H, W, 3)."""
+    """Draw a synthetic photograph of a block of gel with inclusions, shape (H, W, 3)."""
     shape = (280, 360)
     rows, cols = np.indices(shape)
     block = ellipse(shape, (140, 180), (125, 165)) ** 0.2
@@ -70,7 +70,7 @@ def gel() -> Floats:
 
 
 def write(folder: Path) -> dict[str, Path]:
-    """Write a PNG, a photograph and a stack; where each is."""
+    """Write a slice, a photograph and a stack to files, and return their paths."""
     paths = {
         "png": folder / "abdomen.png",
         "photograph": folder / "gel.png",

@@ -1,12 +1,12 @@
-"""Print the route of one press of Deform, and of one move of a drag, through the modules.
+"""Routes of one press of Deform, and of one move of a drag, through the modules.
 
     python scripts/routes.py [--functions]
 
-A module has a line where it is called first, below the module that calls it: its name and the first
-line of its docstring, then the functions that are called in it, in order. Modules that call no
-further module are the vocabulary of the step (values, checks, units); they are listed by name after
-"with". Changes of the thread are marked. With ``--functions``, every first call of a function has a
-line.
+Each module is printed once, below the module that calls it first: its name, the first line of its
+docstring, and the functions that are called in the module, in order. Modules that do not call any
+other module are the vocabulary of a step (values, checks, units); their names are printed after
+"with". Changes of thread are marked. With ``--functions``, the first call of each function is
+printed.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from typing import Any, NamedTuple
 import napari_hmrf
 
 PACKAGE = Path(napari_hmrf.__file__).parent
-#: Seconds to wait for a result.
+#: Longest wait for a result, in seconds.
 _LONG = 300.0
 #: Width of the column of names, spaces for each level of calls, and the deepest indented level.
 _WIDTH, _INDENT, _DEEPEST = 48, 2, 8
-#: Number of functions of a module that are listed.
+#: Largest number of functions that are listed for a module.
 _FUNCTIONS = 8
 
 
@@ -51,12 +51,12 @@ class Stop(NamedTuple):
 
 
 class Route:
-    """Recorder of the calls in the package, on all threads that start later.
+    """Recorder of calls in the package, on the current thread and on threads that start later.
 
     Parameters
     ----------
     functions : bool
-        Whether to record every function, rather than the first one of each module.
+        True to record each function, False to record only the first function of each module.
     """
 
     def __init__(self, functions: bool) -> None:
@@ -67,7 +67,7 @@ class Route:
         threading.setprofile(self._on_event)
 
     def record(self, action: Callable[[], object]) -> Route:
-        """Record the stops of an action, in the order of their first calls."""
+        """Run an action, and record its stops in the order of their first calls."""
         self.stops, self.called, self._on = {}, {}, True
         sys.setprofile(self._on_event)
         try:
@@ -98,7 +98,7 @@ class Route:
 
 
 def module_of(frame: FrameType) -> str:
-    """Return the module of a frame, as a path in the package; "" if it is outside of it."""
+    """Return the module of a frame, as a path in the package; "" if it is outside the package."""
     file = frame.f_code.co_filename
     inside = file.startswith(f"{PACKAGE}{os.sep}")
     return file.removeprefix(f"{PACKAGE}{os.sep}").replace(os.sep, "/") if inside else ""
@@ -138,12 +138,12 @@ def print_route(title: str, route: Route, functions: bool) -> None:
 
 
 def is_step(name: str) -> bool:
-    """Return whether a function does a step of its own, by its name."""
+    """Return whether a function is listed as a step; special methods are not listed."""
     return not name.split(".")[-1].startswith("__")
 
 
 def print_list(begin: str, names: list[str]) -> None:
-    """Print names in lines of at most 120 characters, unless there are none."""
+    """Print names in lines of at most 120 characters; print nothing for an empty list."""
     if names:
         after = " " * len(begin)
         print(textwrap.fill(", ".join(names), 120, initial_indent=begin, subsequent_indent=after))
@@ -170,7 +170,7 @@ def main() -> None:
         while not done():
             app.processEvents()
             if time.monotonic() > ends:
-                raise TimeoutError("the tissue did not come to rest")
+                raise TimeoutError(f"the solve did not finish within {_LONG:g} s")
 
     viewer = ViewerModel()
     viewer.add_image(phantom("mass-effect", 64).image, name="head")

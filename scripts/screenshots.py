@@ -1,4 +1,4 @@
-"""Take the README's four pictures, from a real napari window: ``make screenshots``."""
+"""Pictures of a napari window for the README: ``make screenshots``."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from window import ROOT, Person, save, wait_until
 FOLDER = ROOT / "docs" / "images"
 SAMPLE = "growth"
 SIZE = (1400, 900)
-#: Steps of a drag: the tissue follows each.
+#: Number of steps of a drag; the script waits for the tissue after each step.
 _STEPS = 10
 
 
 def main() -> None:
-    """Open the sample; a picture of tissue, of a drag, of its result, and of a warning."""
+    """Open the sample, and take pictures of the tissue, a drag, its result and a warning."""
     person = Person(SIZE)
     viewer = person.viewer
     viewer.open_sample("napari-hmrf", SAMPLE)
@@ -39,13 +39,13 @@ def main() -> None:
     person.click(dock._form.footer.chip)
     wait_until(lambda: not dock.busy)
     if "folds" not in dock.warning:
-        raise RuntimeError(f"nothing folds: {dock.warning}")
+        raise RuntimeError(f"the tissue does not fold: {dock.warning}")
     save(person.sight(), FOLDER / "warning.png")
     viewer.close()
 
 
 def drag(person: Person, dock: Any, begin: tuple[int, int], end: tuple[int, int]) -> None:
-    """Press on tissue and drag it, the tissue following; the button stays down."""
+    """Press the mouse button on tissue, and drag it step by step, without releasing the button."""
     person.press(*begin)
     for step in range(1, _STEPS + 1):
         part = step / _STEPS

@@ -1,14 +1,15 @@
-"""Set up what the commands of the Makefile need; does nothing where all of it is there.
+"""Set-up of the system packages and the virtual environment that the Makefile requires.
 
-Two things: the libraries of the system that OpenGL and Qt load (Debian and Ubuntu name them in
-`SYSTEM`; elsewhere they are named and left to the reader), and the virtual environment `.venv` with
-this checkout and all that its tests use. Only Python itself is needed to run this.
+The script installs the system libraries that OpenGL and Qt load: on Debian and Ubuntu the packages
+in `SYSTEM`; on other systems, it only prints their names. It also creates the virtual environment
+`.venv` with this checkout and the dependencies of its tests. It does nothing if everything is
+installed. The script itself requires only Python.
 
-    python3 scripts/setup.py            # with the versions of constraints.txt
-    python3 scripts/setup.py --newest   # with the newest there are, which are then written there
-    python3 scripts/setup.py --for-windows   # fails where Qt's libraries are still missing
-    python3 scripts/setup.py --for-report    # also what the validation report compares with
-    python3 scripts/setup.py --for-docs      # also what the site of the documentation is built with
+    python3 scripts/setup.py                 # with the versions of constraints.txt
+    python3 scripts/setup.py --newest        # with the newest versions; updates constraints.txt
+    python3 scripts/setup.py --for-windows   # fails if libraries of Qt are still missing
+    python3 scripts/setup.py --for-report    # also installs the packages of the validation report
+    python3 scripts/setup.py --for-docs      # also installs the packages that build the site
 """
 
 import ctypes
@@ -30,16 +31,16 @@ CONSTRAINTS = ROOT / "constraints.txt"
 OLDEST = (3, 11)
 VERSION = "{}.{}".format(*sys.version_info)
 
-#: What has to be there, and the Debian package that brings it. A name that ends in .so and a
-#: number is loaded; one with a slash is a pattern for a file; any other is a command.
+#: Requirements, with the Debian package of each requirement. A name with ".so." is a library to
+#: load, a name with a slash is a pattern of a file, and any other name is a command.
 SYSTEM = (
-    # OpenGL: the entry points, and Mesa behind them, whose software rasteriser needs no GPU.
+    # OpenGL: the loader libraries, and Mesa, which has a software rasteriser.
     ("libEGL.so.1", "libegl1"),
     ("libGL.so.1", "libgl1"),
     ("libEGL_mesa.so.0", "libegl-mesa0"),
     ("libGLX_mesa.so.0", "libglx-mesa0"),
     ("/usr/lib*/*/dri/swrast_dri.so", "libgl1-mesa-dri"),
-    # What Qt loads to open a window on X11.
+    # Libraries that Qt loads to open a window on X11.
     ("libglib-2.0.so.0", "libglib2.0-0"),
     ("libfontconfig.so.1", "libfontconfig1"),
     ("libdbus-1.so.3", "libdbus-1-3"),
@@ -55,22 +56,22 @@ SYSTEM = (
     ("libxcb-shm.so.0", "libxcb-shm0"),
     ("libxcb-sync.so.1", "libxcb-sync1"),
     ("libxcb-xfixes.so.0", "libxcb-xfixes0"),
-    # A display where there is none.
+    # Virtual display for machines without a display.
     ("Xvfb", "xvfb"),
     ("xauth", "xauth"),
 )
 VIRTUAL_DISPLAY = {"Xvfb", "xauth"}
-#: What only the validation report uses, which goes without where it cannot be had.
+#: Optional requirements of the validation report.
 FOR_REPORT = (("ccx", "calculix-ccx"),)
 
 
 def say(text):
-    """Tell the reader, at once and in order with what other programs print."""
+    """Print a text immediately, so that it precedes the output of programs that run later."""
     print(text, file=sys.stderr, flush=True)
 
 
 def is_there(need):
-    """Whether a library, a file or a command is on this machine."""
+    """Return whether a library, a file or a command is on this machine."""
     if "/" in need:
         return bool(glob.glob(need))
     if ".so." not in need:
@@ -83,7 +84,7 @@ def is_there(need):
 
 
 def missing(wanted=SYSTEM):
-    """Return what this machine lacks, and the Debian packages that provide it."""
+    """Return the requirements that this machine lacks, with their Debian packages."""
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     lacks = [
         (need, package)
@@ -96,13 +97,13 @@ def missing(wanted=SYSTEM):
 
 
 def can_make_environments():
-    """Whether this Python can make a virtual environment with pip in it (Debian's may not)."""
+    """Return whether this Python can create virtual environments with pip (Debian's may not)."""
     probe = [sys.executable, "-c", "import ensurepip, venv"]
     return subprocess.call(probe, stderr=subprocess.DEVNULL) == 0
 
 
 def become_root():
-    """Return what makes a command run as root without a question, or None if nothing does."""
+    """Return the prefix that runs a command as root without a password, or None."""
     if os.geteuid() == 0:
         return []
     if shutil.which("sudo") and quiet(["sudo", "-n", "true"]):
@@ -111,12 +112,12 @@ def become_root():
 
 
 def quiet(command):
-    """Run a command without its output; whether it succeeded."""
+    """Run a command without printing its output; return whether it succeeded."""
     return subprocess.call(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) == 0
 
 
 def provide_system(wanted=SYSTEM):
-    """Install what is missing of the system, or say how to; what is still missing then."""
+    """Install missing system packages, or print how to; return what is still missing."""
     lacks = missing(wanted) if platform.system() == "Linux" else {}
     if not lacks:
         return {}
@@ -125,9 +126,9 @@ def provide_system(wanted=SYSTEM):
     root = become_root()
     if not shutil.which("apt-get"):
         say(f"Missing on this system, for OpenGL and Qt: {', '.join(lacks)}.")
-        say(f"Its package manager has them; Debian's names are {packages}.")
+        say(f"Install them with the package manager. Their Debian packages are {packages}.")
     elif root is None:
-        say("Missing system packages. Please type this, and then the same make command again:")
+        say("System packages are missing. Run this command, and then the same make command again:")
         say(f"    {by_hand}")
     else:
         say(f"Installing system packages: {packages}")
@@ -138,7 +139,7 @@ def provide_system(wanted=SYSTEM):
 
 
 def apt_get(root, arguments, by_hand):
-    """Run apt-get as root; its output is shown only if it fails, and the next step is tried."""
+    """Run apt-get as root. If it fails, print its output and continue."""
     command = [*root, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-q", "-y"]
     command += ["-o", "DPkg::Lock::Timeout=120", "-o", "Dpkg::Use-Pty=0", *arguments]
     done = subprocess.run(
@@ -150,36 +151,36 @@ def apt_get(root, arguments, by_hand):
     )
     if done.returncode:
         say(done.stdout)
-        say(f"`apt-get {arguments[0]}` failed (above). Should this stay so, type: {by_hand}")
+        say(f"`apt-get {arguments[0]}` failed (see above). If it fails again, run: {by_hand}")
 
 
 def python_of_venv():
-    """Return the interpreter of the environment."""
+    """Return the path of the environment's Python interpreter."""
     return VENV / "bin" / "python"
 
 
 def environment_key():
-    """Return a digest of the sources of the environment, which changes when they do."""
+    """Return a digest of the requirements of the environment, to detect changes."""
     import json
     import tomllib
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     parts = [project["build-system"], project["project"], project["tool"]["hatch"]]
     parts.append(CONSTRAINTS.read_text(encoding="utf-8") if CONSTRAINTS.exists() else "")
-    # An environment does not survive its folder's move, nor another version of Python.
+    # An environment becomes invalid if its folder is moved or the version of Python changes.
     parts += [str(ROOT), VERSION]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
 def provide_environment(newest):
-    """Make or update the virtual environment."""
+    """Create or update the virtual environment."""
     key = environment_key()
     made_from = STAMP.read_text() if STAMP.exists() else None
     if not newest and made_from == key and venv_works():
         return
     if not can_make_environments():
-        say("This Python cannot make virtual environments; nothing goes on without one.")
-        say(f"Debian and Ubuntu have that in the package python{VERSION}-venv.")
+        say("This Python cannot create virtual environments, but the set-up requires one.")
+        say(f"On Debian and Ubuntu, install the package python{VERSION}-venv.")
         sys.exit(1)
     say(f"Setting up {VENV.name} (once; some minutes, about 1.5 GB) ...")
     if newest or not venv_works():
@@ -193,7 +194,7 @@ def provide_environment(newest):
     if newest or not CONSTRAINTS.exists():
         install_with_progress([*pip, "install", *wanted], check=True)
     elif install(constrained):
-        say("The versions of constraints.txt cannot all be had here; taking the newest instead.")
+        say("Some versions of constraints.txt are not available; installing the newest instead.")
         install_with_progress([*pip, "install", *wanted], check=True)
     if newest:
         write_constraints(pip)
@@ -201,12 +202,12 @@ def provide_environment(newest):
 
 
 def pip_of_venv():
-    """Return the command that runs the environment's own pip."""
+    """Return the command that runs pip in the environment."""
     return [str(python_of_venv()), "-m", "pip", "--disable-pip-version-check"]
 
 
 def install(wanted):
-    """Install with uv, which takes a quarter of pip's time, or else with pip; the exit status."""
+    """Install with uv, which is four times as fast as pip, or with pip; return the exit status."""
     uv, python = find_uv(), str(python_of_venv())
     if uv and not install_with_progress([*uv, "pip", "install", "--python", python, *wanted]):
         return 0
@@ -214,9 +215,9 @@ def install(wanted):
 
 
 def find_uv():
-    """Install uv into the environment and return how to run it, or None if pip must do.
+    """Install uv into the environment, and return its command, or None if pip must be used.
 
-    uv does not read pip's settings. Where these name an index of their own, it is not used.
+    uv does not read the settings of pip, so it is not used if these settings name an index.
     """
     pip = pip_of_venv()
     settings = subprocess.run([*pip, "config", "list"], capture_output=True, text=True)
@@ -229,7 +230,10 @@ def find_uv():
 
 
 def install_with_progress(command, check=False):
-    """Run pip or uv, saying how far it is; output is shown on failure. Return the exit status."""
+    """Run pip or uv with a progress display; return the exit status.
+
+    If the command fails, its output is printed.
+    """
     line, output = Line(), []
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     named = CONSTRAINTS.read_text(encoding="utf-8") if CONSTRAINTS.exists() else ""
@@ -247,13 +251,13 @@ def install_with_progress(command, check=False):
 
 
 class Stages:
-    """What pip or uv is doing, in words, from what it says; of about so many packages."""
+    """Progress of pip or uv in words, from its output and the expected number of packages."""
 
     def __init__(self, expected):
         self.expected, self.found, self.words = expected, 0, "downloading ..."
 
     def after(self, said):
-        """Return the words after a line of pip's or uv's."""
+        """Return the progress after a line of output."""
         first, *rest = said.split() or [""]
         if first == "Collecting" and rest:
             self.found += 1
@@ -271,13 +275,13 @@ class Stages:
 
 
 class Line:
-    """One line that changes on a terminal, and a line for each stage elsewhere."""
+    """Progress display: one changing line on a terminal, otherwise one line for each stage."""
 
     def __init__(self):
         self.live, self.shown, self.stage = sys.stderr.isatty(), "", ""
 
     def show(self, words):
-        """Say this now."""
+        """Display the progress."""
         if self.live:
             if words != self.shown:
                 print("\r" + words.ljust(len(self.shown)), end="", file=sys.stderr, flush=True)
@@ -287,26 +291,26 @@ class Line:
             say(f"    {words}")
 
     def end(self):
-        """Make way for other lines."""
+        """Clear the line on a terminal, so that other output can follow."""
         if self.live and self.shown:
             print("\r" + " " * len(self.shown) + "\r", end="", file=sys.stderr, flush=True)
 
 
 def provide_for_report():
-    """Install what the report compares with; without it the report says what is missing."""
+    """Install the packages of the report. The report lists packages that are missing."""
     if not provide_extra("report", "pyamg, SimpleITK"):
-        say("The report will do without what could not be installed (above).")
+        say("The report will omit the packages that could not be installed (see above).")
 
 
 def provide_for_docs():
-    """Install what the site is built with; nothing builds it without that."""
+    """Install the packages that build the site; exit if the installation fails."""
     if not provide_extra("docs", "sphinx, myst_parser, furo"):
-        say("The site cannot be built without what could not be installed (above).")
+        say("The site cannot be built, because packages could not be installed (see above).")
         sys.exit(1)
 
 
 def provide_extra(extra, modules):
-    """Install an extra of pyproject.toml, unless its modules are there; whether they are then."""
+    """Install an extra of pyproject.toml if modules are missing; return whether it succeeded."""
     python = str(python_of_venv())
     if quiet([python, "-c", f"import {modules}"]):
         return True
@@ -315,21 +319,21 @@ def provide_extra(extra, modules):
 
 
 def venv_works():
-    """Whether the environment is there, and is of this version of Python."""
+    """Return whether the environment exists and has this version of Python."""
     check = f"import sys; sys.exit('%d.%d' % sys.version_info[:2] != '{VERSION}')"
     return python_of_venv().exists() and quiet([str(python_of_venv()), "-c", check])
 
 
 def write_constraints(pip):
-    """Write down the versions that are installed."""
+    """Write the installed versions to constraints.txt."""
     frozen = subprocess.check_output([*pip, "freeze", "--exclude-editable"], text=True)
     head = "# The versions the tests were last run with; written by `make constraints`.\n"
     CONSTRAINTS.write_text(head + frozen, encoding="utf-8")
 
 
 def provide_both(newest):
-    """Provide the system's packages and the environment, at once where neither needs the other."""
-    if not can_make_environments():  # the system's packages bring that
+    """Provide the system packages and the environment, in parallel if possible."""
+    if not can_make_environments():  # a system package provides this
         lacks = provide_system()
         provide_environment(newest)
         return lacks
@@ -340,10 +344,10 @@ def provide_both(newest):
 
 
 def main():
-    """Set everything up."""
+    """Run the set-up."""
     if sys.version_info < OLDEST:
         say("Python {}.{} or later is needed; this is {}.".format(*OLDEST, VERSION))
-        say("If there is another one, name it: make test PYTHON=python3.12")
+        say("If a later version is installed, name it: make test PYTHON=python3.12")
         sys.exit(1)
     try:
         lacks = provide_both(newest="--newest" in sys.argv[1:])
@@ -353,11 +357,11 @@ def main():
         if "--for-docs" in sys.argv[1:]:
             provide_for_docs()
     except subprocess.CalledProcessError as error:
-        say(f"Setting up failed: {' '.join(str(part) for part in error.cmd)}")
-        say("What was wrong is above; the next make tries again.")
+        say(f"The set-up failed: {' '.join(str(part) for part in error.cmd)}")
+        say("See the error above. The next make command tries again.")
         sys.exit(1)
     if "--for-windows" in sys.argv[1:] and not VIRTUAL_DISPLAY.issuperset(lacks):
-        say("Without what is missing (above), Qt cannot open a window.")
+        say("Qt cannot open a window without the missing libraries (see above).")
         sys.exit(1)
 
 

@@ -1,11 +1,11 @@
-"""Print the rooms of the package and the imports between them, as a diagram and a table.
+"""Diagram and table of the subpackages of the package, and of the imports between them.
 
     python scripts/structure.py [--write]
 
-A room is a folder of ``napari_hmrf``. The diagram has the rooms that import no other room at the
-bottom; each row may import from the rows below it. The table gives the first sentence of each
-room's docstring and the arrows, without those that follow from others. With ``--write``, both are
-written into `docs/development/architecture.md`, between the markers.
+Each row of the diagram may import from the rows below it; the subpackages in the lowest row do not
+import other subpackages. The table has the first sentence of each docstring, and the imports
+without those that follow from other imports. With ``--write``, the diagram and the table are
+written to `docs/development/architecture.md`, between the markers.
 """
 
 from __future__ import annotations
@@ -18,32 +18,33 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "napari_hmrf"
 PAGE = ROOT / "docs" / "development" / "architecture.md"
-BEGIN = "<!-- begin of what `make structure` writes -->\n"
-END = "<!-- end of what `make structure` writes -->\n"
+BEGIN = "<!-- begin: written by `make structure` -->\n"
+END = "<!-- end: written by `make structure` -->\n"
 _WIDTH = 48
 _Import = ast.Import | ast.ImportFrom
 
 
 def list_rooms() -> list[str]:
-    """List the rooms: the folders of modules."""
+    """List the names of the subpackages."""
     return sorted(each.parent.name for each in PACKAGE.glob("*/__init__.py"))
 
 
 def duty_of(room: str) -> str:
-    """Return the first sentence of a room's docstring."""
+    """Return the first sentence of a subpackage's docstring."""
     tree = ast.parse((PACKAGE / room / "__init__.py").read_text(encoding="utf-8"))
     first = (ast.get_docstring(tree) or "").partition("\n")[0]
     return first.partition(". ")[0].rstrip(".")
 
 
 def find_imports(room: str, *, late: bool = False) -> set[str]:
-    """Find the other rooms that a room imports.
+    """Find the other subpackages that a subpackage imports.
 
     Parameters
     ----------
     room : str
+        Name of the subpackage.
     late : bool
-        Whether to read the imports inside functions, rather than those at import.
+        If True, return imports inside functions; otherwise imports of modules.
     """
     found = set()
     for module in (PACKAGE / room).rglob("*.py"):
@@ -76,7 +77,7 @@ def _in_functions(tree: ast.Module) -> Iterator[_Import]:
 
 
 def find_below(room: str, arrows: Mapping[str, set[str]]) -> set[str]:
-    """Find all rooms that a room needs, directly or through others."""
+    """Find all subpackages that a subpackage imports, directly or indirectly."""
     found: set[str] = set()
     todo = [room]
     while todo:
@@ -87,13 +88,13 @@ def find_below(room: str, arrows: Mapping[str, set[str]]) -> set[str]:
 
 
 def arrange(arrows: Mapping[str, set[str]]) -> list[list[str]]:
-    """Arrange the rooms in rows, from top to bottom: a room is above all that it imports."""
+    """Arrange the subpackages in rows, with each subpackage above all its imports."""
     heights: dict[str, int] = {}
     left = set(arrows)
     while left:
         ready = {room for room in left if arrows[room] <= heights.keys()}
         if not ready:
-            raise ValueError(f"these rooms import each other: {', '.join(sorted(left))}")
+            raise ValueError(f"these subpackages import each other: {', '.join(sorted(left))}")
         for room in ready:
             heights[room] = max((heights[each] + 1 for each in arrows[room]), default=0)
         left -= ready
@@ -104,17 +105,17 @@ def arrange(arrows: Mapping[str, set[str]]) -> list[list[str]]:
 
 
 def draw_structure() -> str:
-    """Draw the diagram and the table, in Markdown."""
+    """Return the diagram and the table, in Markdown."""
     arrows = {room: find_imports(room) for room in list_rooms()}
     in_rows = arrange(arrows)
     names = ["     ".join(row).center(_WIDTH).rstrip() for row in in_rows]
     arrow = "\n" + "|".center(_WIDTH).rstrip() + "\n" + "v".center(_WIDTH).rstrip() + "\n"
     lines = ["```text", arrow.join(names), "```", ""]
-    lines += ["| room | imports | duty |", "| --- | --- | --- |"]
+    lines += ["| subpackage | imports | contents |", "| --- | --- | --- |"]
     for room in (each for row in in_rows for each in row):
         needed = arrows[room]
         through = set[str]().union(*(find_below(each, arrows) for each in needed))
-        direct = ", ".join(f"`{each}`" for each in sorted(needed - through)) or "no other room"
+        direct = ", ".join(f"`{each}`" for each in sorted(needed - through)) or "none"
         lines.append(f"| `{room}/` | {direct} | {duty_of(room)} |")
     upward = {
         room: find_imports(room, late=True) - find_below(room, arrows) - {room} for room in arrows
@@ -125,7 +126,7 @@ def draw_structure() -> str:
         if above
     ]
     if late:
-        lines += ["", f"Only methods import upwards, when they are called: {'; '.join(late)}."]
+        lines += ["", f"Some functions import upwards when they are called: {'; '.join(late)}."]
     return "\n".join(lines) + "\n"
 
 
@@ -137,9 +138,9 @@ def update_page() -> str:
 
 
 def main() -> None:
-    """Print the structure, or write it into the page."""
+    """Print the structure, or write it to the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="write it into the page")
+    parser.add_argument("--write", action="store_true", help="write the structure to the page")
     if parser.parse_args().write:
         PAGE.write_text(update_page(), encoding="utf-8")
         print(f"written: {PAGE.relative_to(ROOT)}")

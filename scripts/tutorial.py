@@ -1,6 +1,7 @@
-"""Take the tutorial's pictures, from a real napari window used with mouse and keys.
+"""Pictures of a napari window for the tutorials, operated with mouse and keyboard.
 
-``make screenshots`` takes all of them; ``python scripts/tutorial.py landmarks`` those of one page.
+``make screenshots`` takes all pictures. ``python scripts/tutorial.py landmarks`` takes the pictures
+of one page.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from qtpy.QtWidgets import QAbstractSpinBox, QApplication
 from window import LEFT, NO_BUTTON, ROOT, Person, save, save_animation, wait, wait_until
 
 FOLDER = ROOT / "docs" / "tutorials" / "images"
-#: Of the windows: what fits on a small screen.
+#: Size of the windows, in pixels, which fit on a small screen.
 SIZE = (1280, 690)
-#: Of the animation: what is seen of the window, how large it becomes, how long a frame stays.
+#: Animation: visible part of the window, size of a frame, and duration of a frame.
 CROP, FRAME, MILLISECONDS = (470, 560), (376, 448), 60
 PLUGIN, TITLE = "napari-hmrf", "Soft tissue"
 GROWING, PUSHED = "Brain with a growing tumour", "Brain with a tumour whose rim is pushed"
-#: Of the tables: growth in per cent, and how far outward a boundary moves.
+#: Table columns: growth in per cent, and outward displacement of a boundary.
 GROWS, OUT = 4, 5
 CTRL = Qt.KeyboardModifier.ControlModifier
 
@@ -36,7 +37,7 @@ CTRL = Qt.KeyboardModifier.ControlModifier
 def keep(
     person: Person, name: str, *around: Any, pointer: bool = True, screen: bool = False
 ) -> None:
-    """Keep a picture of the window, or of what is around some widgets."""
+    """Save a picture of the window, or of the region around widgets."""
     picture = person.screen(pointer) if screen else person.sight(pointer)
     if around:
         picture = picture.crop(person.region(*around))
@@ -44,7 +45,7 @@ def keep(
 
 
 def open_dock(person: Person) -> Any:
-    """Open the dock from the menu, and wait until the tissue has followed what there is."""
+    """Open the dock from the menu, and wait until its solve has finished."""
     person.menu("Plugins", f"{TITLE} ({PLUGIN})")
     wait(0.5)
     dock = person.dock(TITLE)
@@ -59,7 +60,7 @@ def open_sample(person: Person, name: str) -> None:
 
 
 def take(person: Person, dock: Any, tool: str) -> None:
-    """Press the button of a tool, unless it is in the hand already."""
+    """Press the button of a tool, unless the tool is already active."""
     button = dock._form.motion.tools[tool]
     person.show(button)
     if not (dock.active and dock.tool == tool):
@@ -74,7 +75,7 @@ def home(person: Person) -> None:
 
 
 def pulled(person: Person, dock: Any, *places: tuple[float, float], steps: int = 12) -> None:
-    """Press on tissue and drag it through places, the tissue following; the button stays down."""
+    """Press the mouse button on tissue, and drag it through places, without releasing it."""
     person.press(*places[0])
     for begin, end in itertools.pairwise(places):
         for step in range(1, steps + 1):
@@ -122,7 +123,7 @@ def first(_: dict[str, Path]) -> None:
 
 
 def animation(_: dict[str, Path]) -> None:
-    """Tissue that is pulled, as it moves."""
+    """Record the animation of tissue that is pulled."""
     person = Person(SIZE)
     open_sample(person, GROWING)
     dock = open_dock(person)
@@ -140,7 +141,7 @@ def animation(_: dict[str, Path]) -> None:
         frames.append(crop.resize(FRAME, Image.Resampling.LANCZOS))
 
     def go(*places: tuple[float, float], steps: int, held: bool) -> None:
-        """Move from place to place, slowly at either end."""
+        """Move from place to place, and slow down near each place."""
         for begin, end in itertools.pairwise(places):
             for step in range(1, steps + 1):
                 along = 0.5 - 0.5 * math.cos(math.pi * step / steps)
@@ -207,7 +208,7 @@ def tumour(_: dict[str, Path]) -> None:
 
 
 def landmarks(_: dict[str, Path]) -> None:
-    """Landmarks: drawn by the mouse, and two layers of points."""
+    """Take the pictures of landmarks: drawn with the mouse, and from two points layers."""
     person = Person(SIZE)
     open_sample(person, "Brain that expands outward")
     dock = open_dock(person)
@@ -240,20 +241,20 @@ def landmarks(_: dict[str, Path]) -> None:
 
 
 def painting(person: Person, table: Any, row: int) -> None:
-    """Take the brush of a row."""
+    """Activate the brush of a table row."""
     person.show(table)
     person.click(table.viewport(), table.visualRect(table.model().index(row, 0)).center())
 
 
 def ring(person: Person, centre: tuple[float, float], radii: tuple[float, float]) -> None:
-    """Paint a ring with the brush in the hand."""
+    """Paint a ring with the active brush."""
     turns = [2 * math.pi * step / 40 for step in range(41)]
     (row, col), (down, along) = centre, radii
     person.drag(*((row + down * math.sin(t), col + along * math.cos(t)) for t in turns))
 
 
 def typed(person: Person, field: Any, number: str) -> None:
-    """Type a number into a field, or beside a slider."""
+    """Type a number into a field, or into the field next to a slider."""
     person.show(field)
     box = field.native
     box = box if isinstance(box, QAbstractSpinBox) else box.findChild(QAbstractSpinBox)
@@ -265,7 +266,7 @@ def typed(person: Person, field: Any, number: str) -> None:
 
 
 def brushes(_: dict[str, Path]) -> None:
-    """Take the picture of confidence that is painted with a soft edge."""
+    """Take the picture of a confidence stroke with a soft edge."""
     person = Person(SIZE)
     open_sample(person, GROWING)
     dock = open_dock(person)
@@ -315,7 +316,7 @@ def own(images: dict[str, Path]) -> None:
 
 
 def photograph(images: dict[str, Path]) -> None:
-    """Take the pictures of an RGB photograph with stiffness from its intensity."""
+    """Take the pictures of an RGB photograph, with stiffness from its intensity."""
     person = Person(SIZE)
     person.viewer.open(str(images["photograph"]), plugin="napari")
     wait(0.5)
@@ -355,7 +356,7 @@ def stack(images: dict[str, Path]) -> None:
 
 
 def volume(_: dict[str, Path]) -> None:
-    """Take the pictures of a tumour in a volume, pulled in a slice and seen across another axis."""
+    """Take the pictures of a tumour in a volume: pulled in a slice, then in other slices."""
     person = Person(SIZE)
     open_sample(person, "Head with a growing tumour (volume)")
     dock = open_dock(person)
@@ -401,7 +402,7 @@ def views(_: dict[str, Path]) -> None:
     viewer = person.viewer
     wait_until(lambda: dock.solution is not None and not dock.busy)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of that plugin's
+        warnings.simplefilter("ignore")  # warnings of that plugin
         show_orthogonal_views(viewer)
     wait(1)
     for name in ("Boundary", "Tissue"):
@@ -431,7 +432,7 @@ PAGES: dict[str, Callable[[dict[str, Path]], None]] = {
 
 
 def main(names: list[str]) -> None:
-    """Take the pictures of some pages, or of all."""
+    """Take the pictures of the named pages, or of all pages."""
     with tempfile.TemporaryDirectory() as folder:
         images = own_images.write(Path(folder))
         for name in names or list(PAGES):

@@ -1,4 +1,4 @@
-"""A real napari window, somebody before it, and pictures of what they see."""
+"""Simulated user of a real napari window, and pictures of the window."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from qtpy.QtWidgets import QApplication, QLineEdit, QWidget
 ROOT = Path(__file__).resolve().parent.parent
 LEFT, NO_BUTTON = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
 PLAIN = Qt.KeyboardModifier.NoModifier
-#: The pointer, in pixels from its tip.
+#: Corners of the mouse pointer (x, y), in pixels relative to its tip.
 _POINTER = [(0, 0), (0, 17), (4, 13), (7, 20), (10, 19), (7, 12), (12, 12)]
 
-#: How many of the most frequent colours of a picture are kept exactly.
+#: Number of the most frequent colours of a picture that are preserved exactly.
 _FREQUENT = 24
 
 
 def wait(seconds: float) -> None:
-    """Let Qt work for a while."""
+    """Process Qt events for a number of seconds."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         QApplication.processEvents()
@@ -35,26 +35,26 @@ def wait(seconds: float) -> None:
 
 
 def wait_until(done: Callable[[], bool], seconds: float = 120.0, rest: float = 1.0) -> None:
-    """Let Qt work until something is the case, and what follows from it is drawn."""
+    """Process Qt events until a condition is true, and then for `rest` seconds."""
     end = time.monotonic() + seconds
     while not done():
         if time.monotonic() > end:
-            raise TimeoutError(f"nothing happened within {seconds:g} s")
+            raise TimeoutError(f"the condition was not true within {seconds:g} s")
         wait(0.01)
     wait(rest)
 
 
 class Person:
-    """Uses a window as people do, with the mouse and the keyboard.
+    """Simulated user that operates a window with the mouse and the keyboard.
 
     Parameters
     ----------
     size : (int, int)
-        Of the window, in pixels.
+        Width and height of the window, in pixels.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
-        # Pictures show what somebody finds who has never been here, and leave nothing behind.
+        # Use temporary settings, so that the pictures show the window of a new user.
         self._settings = tempfile.TemporaryDirectory()
         QSettings.setPath(
             QSettings.Format.IniFormat, QSettings.Scope.UserScope, self._settings.name
@@ -63,44 +63,44 @@ class Person:
         self.viewer.window.resize(*size)
         self.window: Any = self.viewer.window._qt_window
         self._canvas = self.viewer.window._qt_viewer.canvas
-        #: The pointer, on the screen.
+        #: Position of the mouse pointer on the screen.
         self.at = QPoint(0, 0)
         wait(0.3)
 
-    # What is where
+    # Positions
 
     def place(self, row: float, col: float) -> QPoint:
-        """Return the place of a pixel of the image on the canvas."""
+        """Return the position of an image pixel on the canvas."""
         view = self._canvas.view
         x, y = (view.transform * view.scene.transform).map([col, row])[:2]
         return QPoint(round(x), round(y))
 
     def dock(self, name: str) -> Any:
-        """Return a dock widget by the beginning of its name."""
+        """Return the dock widget with a name that starts with `name`."""
         docks = self.viewer.window.dock_widgets
         return next(inner for title, inner in docks.items() if title.startswith(name))
 
     # The mouse
 
     def point_at(self, widget: QWidget, place: QPoint | None = None) -> QPoint:
-        """Move the pointer onto a widget; where that is in it."""
+        """Move the pointer onto a widget; return the position in the widget."""
         place = widget.rect().center() if place is None else place
         self.at = widget.mapToGlobal(place)
         return place
 
     def click(self, widget: Any, place: QPoint | None = None) -> None:
-        """Click a widget of Qt's or of magicgui's."""
+        """Click a Qt or magicgui widget."""
         native = getattr(widget, "native", widget)
         place = self.point_at(native, place)
         QTest.mouseClick(native, LEFT, PLAIN, place)
         wait(0.1)
 
     def tick(self, box: Any) -> None:
-        """Click the square of a box that can be ticked."""
+        """Click the square of a check box."""
         self.click(box, QPoint(10, box.native.height() // 2))
 
     def menu(self, *titles: str) -> Any:
-        """Go through menus by clicking; the last one opened."""
+        """Click through nested menus; return the last menu that was opened."""
         menu: Any = self.window.menuBar()
         for title in titles:
             (action,) = [each for each in menu.actions() if each.text().replace("&", "") == title]
@@ -113,22 +113,20 @@ class Person:
         return menu
 
     def choose(self, combo: Any, words: str) -> None:
-        """Choose from a list that opens."""
+        """Choose an entry of a drop-down list."""
         native = getattr(combo, "native", combo)
         row = native.findText(words)
         if row < 0:
             raise LookupError(words)
         self.click(native)
         view = native.view()
-        wait_until(
-            view.isVisible, rest=0.5
-        )  # a list that has just opened takes a click for its own
+        wait_until(view.isVisible, rest=0.5)  # a list that has just opened may ignore a click
         view.scrollTo(native.model().index(row, 0))
         self.click(view.viewport(), view.visualRect(native.model().index(row, 0)).center())
         wait_until(lambda: native.currentText() == words, seconds=5, rest=0.2)
 
     def write(self, table: Any, row: int, column: int, text: str) -> None:
-        """Write into the cell of a table."""
+        """Type text into a table cell."""
         self.show(table)
         place = table.visualRect(table.model().index(row, column)).center()
         self.click(table.viewport(), place)
@@ -151,12 +149,12 @@ class Person:
             wait(0.1)
 
     def press(self, row: float, col: float) -> None:
-        """Press the button over a pixel of the image."""
+        """Press the left mouse button over an image pixel."""
         place = self.point_at(self._canvas.native, self.place(row, col))
         QTest.mousePress(self._canvas.native, LEFT, PLAIN, place)
 
     def move(self, row: float, col: float, button: Any = LEFT) -> None:
-        """Move the mouse to a pixel of the image; vispy drops moves that follow closely."""
+        """Move the mouse to an image pixel, and wait, because vispy drops rapid moves."""
         native = self._canvas.native
         place = QPointF(self.point_at(native, self.place(row, col)))
         event = QMouseEvent(
@@ -166,20 +164,20 @@ class Person:
         wait(0.03)
 
     def release(self, row: float, col: float) -> None:
-        """Let the button go over a pixel of the image."""
+        """Release the left mouse button over an image pixel."""
         place = self.point_at(self._canvas.native, self.place(row, col))
         QTest.mouseRelease(self._canvas.native, LEFT, PLAIN, place)
         wait(0.05)
 
     def drag(self, *places: Sequence[float]) -> None:
-        """Drag through pixels of the image."""
+        """Drag the mouse through image pixels."""
         self.press(*places[0])
         for place in places[1:]:
             self.move(*place)
         self.release(*places[-1])
 
     def key(self, key: Any, modifiers: Any = PLAIN) -> None:
-        """Press a key while the canvas listens."""
+        """Press a key while the canvas has the keyboard focus."""
         self._canvas.native.setFocus()
         QTest.keyClick(self._canvas.native, key, modifiers)
         wait(0.1)
@@ -197,7 +195,7 @@ class Person:
         return picture
 
     def screen(self, pointer: bool = True) -> Image.Image:
-        """Return a picture of the window with the open menus in front of it."""
+        """Return a picture of the window, including open menus in front of it."""
         wait(0.2)
         screen = self.window.screen()
         corner = self.window.mapToGlobal(QPoint(0, 0)) - screen.geometry().topLeft()
@@ -210,7 +208,7 @@ class Person:
         return picture
 
     def region(self, *widgets: Any, margin: int = 8) -> tuple[int, int, int, int]:
-        """Return the rectangle of the window around widgets: left, top, right, bottom."""
+        """Return the rectangle around widgets in the window: left, top, right, bottom."""
         around = QRect()
         for widget in widgets:
             native = getattr(widget, "native", widget)
@@ -222,13 +220,13 @@ class Person:
 
     @property
     def canvas(self) -> QWidget:
-        """The canvas."""
+        """Canvas widget of the viewer."""
         native: QWidget = self._canvas.native
         return native
 
 
 def to_pillow(picture: QImage) -> Image.Image:
-    """Convert a picture of Qt to one of Pillow."""
+    """Convert a Qt image to a Pillow image."""
     rgb = picture.convertToFormat(QImage.Format.Format_RGB888)
     bits = rgb.constBits()
     if hasattr(bits, "setsize"):
@@ -238,23 +236,23 @@ def to_pillow(picture: QImage) -> Image.Image:
 
 
 def draw_pointer(picture: Image.Image, tip: tuple[int, int]) -> None:
-    """Draw the pointer: no screenshot has it."""
+    """Draw the mouse pointer, which screenshots do not include."""
     corners = [(tip[0] + x, tip[1] + y) for x, y in _POINTER]
     ImageDraw.Draw(picture).polygon(corners, fill="white", outline="black", width=1)
 
 
 def palette_of(pictures: Sequence[Image.Image], greys: int, colours: int) -> Image.Image:
-    """Find the few colours that show pictures best, as an image that has them.
+    """Return an image with a small palette that represents the given pictures.
 
-    Greys are of tissue, and many; colours are of the window, and some are those of few pixels, such
-    as a label's in a table. The usual methods lose one or the other.
+    Tissue has many greys. The window has colours, and some of them cover only a few pixels, such as
+    the colour of a label in a table. The usual methods lose greys or such colours.
     """
     pixels = np.concatenate([np.asarray(each.convert("RGB")).reshape(-1, 3) for each in pictures])
     coloured = pixels[np.ptp(pixels.astype(int), axis=1) >= 6]
     row = Image.fromarray(coloured[None] if len(coloured) else pixels[None, :1])
     found = row.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     values = found.getpalette() or []
-    # What the window is mostly made of, as it is.
+    # Preserve the most frequent colours, which are those of the window.
     packed = pixels.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
     different, counts = np.unique(packed, return_counts=True)
     for colour in different[np.argsort(counts)[-_FREQUENT:]].tolist():
@@ -267,7 +265,7 @@ def palette_of(pictures: Sequence[Image.Image], greys: int, colours: int) -> Ima
 
 
 def save(picture: Image.Image, path: Path) -> None:
-    """Write a PNG of few colours, which makes it small."""
+    """Write a PNG file with few colours, which reduces its size."""
     path.parent.mkdir(parents=True, exist_ok=True)
     palette = palette_of([picture], greys=64, colours=160)
     few = picture.convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE)
@@ -276,7 +274,7 @@ def save(picture: Image.Image, path: Path) -> None:
 
 
 def save_animation(frames: Iterable[Image.Image], path: Path, milliseconds: int) -> None:
-    """Write a GIF whose frames share their colours; it rests at its end."""
+    """Write a GIF file with the same palette for all frames, and a pause at the end."""
     frames = [frame.convert("RGB") for frame in frames]
     path.parent.mkdir(parents=True, exist_ok=True)
     palette = palette_of(frames[::8], greys=64, colours=32)
@@ -289,5 +287,5 @@ def save_animation(frames: Iterable[Image.Image], path: Path, milliseconds: int)
 
 
 def kilobytes(path: Path) -> str:
-    """How large a file is."""
+    """Return the size of a file as a text, in kilobytes."""
     return f"{path.stat().st_size / 1000:.0f} kB"

@@ -1,20 +1,20 @@
 """Check of the wording of docstrings, comments and messages.
 
     python scripts/words.py                     # count the violations, by kind
-    python scripts/words.py PATH ...            # list them by file and line; PATH may be a folder
-    python scripts/words.py --sample SEED       # draw texts of each kind, to be judged
+    python scripts/words.py PATH ...            # list the violations in files or folders
+    python scripts/words.py --sample SEED       # draw texts of each kind for a reader to judge
 
 Four kinds of violation are counted:
 
 opening    the first line of a docstring or comment begins with one of `OPENINGS`
-people     a sentence has one of the words of `PEOPLE`, as if the software had people in it
+people     a sentence contains one of the words of `PEOPLE`, which treat software as a person
 verb       the docstring of a public function or method does not begin with an imperative verb
-message    a message begins with one of `OPENINGS`, capitalised, and is no question
+message    a message begins with one of `OPENINGS`, capitalised, and is not a question
 
-A message is any string of two words or more that is no docstring. Text between backticks is code
-and is not read. In `tests/project`, `words_verbs.txt` lists the accepted verbs, and
-`words_accepted.txt` the reviewed exceptions. There are rules that no program checks: a sample, read
-by someone who knows only them, measures the rest.
+A message is any string of two or more words that is not a docstring. Text between backticks is code
+and is not checked. In `tests/project`, `words_verbs.txt` lists the accepted verbs, and
+`words_accepted.txt` lists the reviewed exceptions. A program cannot check all rules, so a reader
+judges a sample for the remaining rules.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ RECORDS = ROOT / "tests" / "project"
 VERBS = RECORDS / "words_verbs.txt"
 ACCEPTED = RECORDS / "words_accepted.txt"
 
-#: Number of texts of each kind that a sample has; a message in it has more words than `_SHORT`.
+#: Number of texts of each kind in a sample. Sampled messages have more words than `_SHORT`.
 SAMPLE = {"docstring": 200, "comment": 100, "message": 100}
 _SHORT = 3
 KINDS = ("opening", "people", "verb", "message")
@@ -57,7 +57,7 @@ _WORD = re.compile(r"[A-Za-z][A-Za-z'-]*")
 
 @dataclass(frozen=True)
 class Violation:
-    """One place that breaks a rule."""
+    """Text that violates a rule, with its line."""
 
     line: int
     kind: str
@@ -95,7 +95,7 @@ def _check_docstrings(tree: ast.Module, verbs: set[str]) -> Iterator[Violation]:
 
 
 def _documented(node: ast.AST, is_public: bool) -> Iterator[tuple[ast.AST, bool]]:
-    """Yield each node that may have a docstring, and whether a verb must begin it."""
+    """Yield each node that may have a docstring, and whether it must begin with a verb."""
     is_function = isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
     if is_function:
         yield node, is_public and not node.name.startswith("_") and not _is_property(node)
@@ -127,7 +127,7 @@ def _check_messages(tree: ast.Module) -> Iterator[Violation]:
 
 
 def _strings(node: ast.AST) -> Iterator[tuple[ast.expr, str]]:
-    """Yield the strings of a module; an f-string is one, with `{}` where a value goes."""
+    """Yield the strings of a module; an f-string is one string with `{}` for each value."""
     if isinstance(node, ast.JoinedStr):
         parts = [part.value if isinstance(part, ast.Constant) else "{}" for part in node.values]
         yield node, "".join(parts)
@@ -148,7 +148,7 @@ def _check_comments(source: str) -> Iterator[Violation]:
 
 
 def _comments(source: str) -> Iterator[tuple[int, str]]:
-    """Yield each comment with its line; lines of nothing but comment that follow make one."""
+    """Yield each comment with its line; consecutive comment lines are one comment."""
     begun, block, column = 0, [], -1
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type != tokenize.COMMENT or _PRAGMA.match(token.string):
@@ -172,7 +172,8 @@ def _check_opening(text: str, line: int) -> Iterator[Violation]:
 
 
 def _check_people(text: str, line: int) -> Iterator[Violation]:
-    # A phrase may go on in the next line; what is code keeps its length, so that lines are right.
+    # A phrase may continue on the next line. Code is masked without changing the length of the
+    # text, so that line numbers remain valid.
     plain = _CODE.sub(lambda code: re.sub(r"[^\n]", "`", code.group()), text)
     spaced = re.sub(r"\s", " ", plain)
     spaced = re.sub(r"  +", lambda gap: " " + "\0" * (len(gap.group()) - 1), spaced)
@@ -198,12 +199,12 @@ def modules(paths: Iterable[Path] = (PACKAGE,)) -> list[Path]:
 
 
 def name_of(path: Path) -> str:
-    """Return the path of a file inside of the repository, with slashes."""
+    """Return the path of a file relative to the repository, with slashes."""
     return path.resolve().relative_to(ROOT).as_posix()
 
 
 def check_all(paths: Iterable[Path] = (PACKAGE,)) -> dict[Path, list[Violation]]:
-    """Check files; those without a violation are in the result, too."""
+    """Check files; the result also includes files without violations."""
     verbs, accepted = read_list(VERBS), read_list(ACCEPTED)
     return {
         path: check(path.read_text(encoding="utf-8"), verbs, accepted) for path in modules(paths)
@@ -240,7 +241,7 @@ def sample(seed: int) -> list[tuple[str, Path, int, str]]:
 
 
 def summary(found: dict[Path, list[Violation]]) -> str:
-    """Return how many violations of each kind are left, in one line."""
+    """Return the number of violations of each kind, in one line."""
     kinds = Counter(each.kind for violations in found.values() for each in violations)
     files = sum(bool(violations) for violations in found.values())
     counts = ", ".join(f"{kinds[kind]} {kind}" for kind in KINDS)
@@ -251,7 +252,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command; return 1 if there are violations."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("paths", nargs="*", type=Path, help="files or folders to list")
-    parser.add_argument("--sample", type=int, metavar="SEED", help="draw texts to be judged")
+    parser.add_argument("--sample", type=int, metavar="SEED", help="draw texts to judge")
     options = parser.parse_args(arguments)
     if options.sample is not None:
         for number, (kind, path, line, text) in enumerate(sample(options.sample), 1):

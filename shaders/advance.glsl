@@ -1,4 +1,4 @@
-// Step of an iteration along a direction.
+// Step of an iteration along a search direction.
 //
 //     length = above / below, or `above` alone if SIGNED
 //     further = found + length direction,    left = rest - length image,    share = left . left
@@ -8,7 +8,7 @@
 //          above, below      scalars (scalars.glsl)
 // Outputs: further           pixels; pairs
 //          left              pixels times stiffness; pairs
-//          share             part of each pair in left . left
+//          share             contribution of each pair to left . left
 // Border rule: none needed, because a pair reads only its own texel.
 
 void kernel(ivec2 pair)

@@ -1,14 +1,14 @@
 // Product of the matrix and a displacement, such as a search direction.
 //
-//     image = A d where a component moves, 0 elsewhere;    share = d . image
+//     image = A d where a component is free, 0 elsewhere;    share = d . image
 //
 // Inputs:  displacement      d, pixels; pairs
 //          lame              elastic prior: Lame parameters of elements (elements.glsl); pairs
 //          straight, diagonal  paper's prior: stiffness ratios (ratios.glsl)
-//          inverse_diagonal  D^-1; 0 where a component does not move; pairs
+//          inverse_diagonal  D^-1; 0 where a component is fixed; pairs
 // Outputs: image             pixels times stiffness; pairs
-//          share             part of each pair in the scalar product
-// Border rule: elements and cliques that leave the image do not exist; reads are clamped.
+//          share             contribution of each pair to the scalar product
+// Border rule: elements and cliques that extend beyond the image do not exist; reads are clamped.
 
 void read_row(ivec2 pair, out vec2 row[4])
 {

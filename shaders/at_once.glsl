@@ -1,10 +1,10 @@
-// All steps of a small level's smoother from zero, as one product of a matrix and the load.
+// All smoothing steps of a small level from zero, as one product of a matrix and the load.
 //
 //     corrected(p) = sum over the pairs q of matrix(p, q) load(q),    with blocks of 4 x 4 values
 //
 // Inputs:  load    load of the level, pixels times stiffness; pairs
-//          matrix  1 / stiffness; row p belongs to pair p, in row-major order of the pairs, and its
-//                  texel 4 q + k has the effect of value k of pair q on the four values of pair p
+//          matrix  1 / stiffness; row p belongs to pair p, in row-major order of the pairs, and
+//                  texel 4 q + k contains the effect of value k of pair q on the values of pair p
 // Outputs: corrected  correction, pixels; pairs
 // Border rule: none needed, because each pair is read once.
 

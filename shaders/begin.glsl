@@ -1,18 +1,18 @@
-// Start of a level's smoother, for kernels of smooth.glsl that support START 0 only.
+// Start of a level's smoother, for kernels of smooth.glsl that support only START 0.
 //
 //     START 1    begun = taken = first_scale D^-1 load, the first step from zero
-//     START 2    begun = displacement + P coarse where components move,    taken = 0
+//     START 2    begun = displacement + P coarse where components are free,    taken = 0
 //
-// with the bilinear interpolation P.
+// with the bilinear interpolation P (interpolation.glsl).
 //
 // Inputs:  displacement      correction of the level, pixels; pairs
 //          load              load of the level, pixels times stiffness; pairs
-//          inverse_diagonal  D^-1; 0 where a component does not move; pairs
-//          coarse            correction of the coarser level, pixels (interpolation.glsl); pairs
+//          inverse_diagonal  D^-1; 0 where a component is fixed; pairs
+//          coarse            correction of the coarser level, pixels; pairs
 //          first_scale       no unit
 // Outputs: begun             correction after the start, pixels; pairs
 //          taken             last step, pixels; pairs
-// Border rule: that of interpolation.glsl; other inputs are read at the pair itself only.
+// Border rule: as in interpolation.glsl; the other inputs are read only at the pair itself.
 
 uniform float first_scale;
 

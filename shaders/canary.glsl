@@ -4,13 +4,13 @@
 //     second = (n / 4, row - col)
 //     third  = n / 8 + row col
 //
-// where n is the number at the mirrored site. All numbers are small integers or eighths, so that
-// all operations are exact in float32. The kernel tests a read from another address, arithmetic,
-// three outputs and integer coordinates.
+// where n is the number at the mirrored site. All numbers are integers or multiples of 1/8, so all
+// operations are exact in float32. The kernel tests a read from another address, arithmetic, three
+// outputs and integer coordinates.
 //
 // Inputs:  numbers  integers below 1000, no unit
 // Outputs: first, second, third  no unit
-// Border rule: none needed, because the mirrored site is in the image.
+// Border rule: none needed, because the mirrored site is inside the image.
 
 void kernel(ivec2 site)
 {

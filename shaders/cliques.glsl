@@ -3,21 +3,21 @@
 //     V = w . [ (r_u (d_t - d_s) - (d_u - d_t))^2 + (r_s (d_t - d_u) - (d_s - d_t))^2 ]
 //
 // with r_s = m_t/m_s, r_u = m_t/m_u and the weight w of the line for the (row, col) component.
-// V is a parabola in the displacement of each site. The curvatures A and the slopes b (minus half
-// the derivative at the present displacement) of all cliques of a site are added. The distance of
-// the site from its minimum is then b / A.
+// V is a quadratic function of the displacement of each site. For each site, the curvatures A and
+// the slopes b of its cliques are added. A is half the second derivative of V, and b is minus half
+// the derivative, at the present displacement. The minimum of the sum is at d + b / A.
 //
-// Differences of displacement are computed first, because an assembled stencil would lose whole
-// pixels to cancellation in a large image.
+// Differences of displacement are computed first, because in a large image an assembled stencil
+// would lose whole pixels to cancellation.
 //
-// Inputs:  displacement  d, pixels; pairs (by `read_row`, which a kernel defines)
+// Inputs:  displacement  d, pixels; pairs (read by the kernel's function `read_row`)
 //          straight, diagonal  stiffness ratios, no unit (ratios.glsl)
 //          weights       w, no unit
-// Border rule: a clique that leaves the image or touches void has both ratios 0 (ratios.glsl) and
-// contributes nothing, whatever the displacements.
+// Border rule: a clique that extends beyond the image, or contains void, has two ratios of 0
+// (ratios.glsl) and never contributes.
 
 // Weight of each line for the (row, col) component: `napari_hmrf.solver.priors.line_weights`. The
-// weights of square pixels are constants, so that the compiler removes terms with weight zero.
+// weights of square pixels are constants, so the compiler removes terms with weight zero.
 #if SQUARE
 const vec2 weights[4] = vec2[4](vec2(1.0, 0.0), vec2(0.0, 1.0), vec2(1.0), vec2(1.0));
 #else
@@ -26,14 +26,14 @@ uniform vec2 weights[4];
 
 const float TINY = 1e-30;
 
-/// Sums over the cliques of a site; the energy includes only cliques with the site as middle.
+/// Sums over the cliques of a site. The energy includes only cliques with the site in the middle.
 struct Evidence {
     vec2 curvature;
     vec2 slope;
     float energy;
 };
 
-/// Add a clique with the site as middle; s and u are d_s - d_t and d_u - d_t.
+/// Add a clique with the site in the middle; s and u are d_s - d_t and d_u - d_t.
 void add_middle(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 s, vec2 u)
 {
     float exists = ratio.x > 0.0 ? 1.0 : 0.0;
@@ -46,9 +46,9 @@ void add_middle(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 s, vec2 u
     evidence.energy += energy.x + energy.y;
 }
 
-/// Add a clique with the site as an end. `near` is the displacement of the site minus that of the
-/// middle, and `far` that of the other end minus that of the middle. `ratio` is (m_t / m of the
-/// site, m_t / m of the other end).
+/// Add a clique with the site at an end. `near` is the displacement of the site relative to the
+/// middle, and `far` is the displacement of the opposite end relative to the middle. `ratio` is
+/// (m_t / m of the site, m_t / m of the opposite end).
 void add_end(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 near, vec2 far)
 {
     float exists = ratio.x > 0.0 ? 1.0 : 0.0;
@@ -58,24 +58,24 @@ void add_end(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 near, vec2 f
         counted * (ratio.y * (ratio.y * near + far) + (ratio.x * far + near));
 }
 
-// Displacements around a pair: three rows of four sites, with the pair as sites 1 and 2 of the
-// middle row. An invocation may compute several pairs, one below the other; after the first pair
-// it reads only one new row for each.
+// Displacements around a pair: three rows of four sites, with the pair at indices 1 and 2 of the
+// middle row. An invocation may compute several vertically adjacent pairs; after the first pair, it
+// reads only one new row for each pair.
 vec2 above[4];
 vec2 here[4];
 vec2 below[4];
 
-/// Read the displacement of a pair and of the sites before and after it. A kernel defines this.
+/// Read the displacement of a pair and its left and right neighbours. The kernel defines this.
 void read_row(ivec2 pair, out vec2 row[4]);
 
-/// Prepare the first pair of an invocation. The stage calls this once.
+/// Prepare the first pair of an invocation. The stage calls this function once.
 void enter(ivec2 pair)
 {
     read_row(pair - VERTICAL, here);
     read_row(pair, below);
 }
 
-/// Read the rows for a pair: the first one, or the one below the previous pair.
+/// Read the rows for the first pair, or for the pair below the previous pair.
 void look_around(ivec2 pair)
 {
     above = here;
@@ -83,7 +83,7 @@ void look_around(ivec2 pair)
     read_row(pair + VERTICAL, below);
 }
 
-/// Return the sums over the four cliques with a site, number k of the middle row, as middle.
+/// Return the sums over the four cliques with the site in the middle; k is its index in `here`.
 Evidence centred(ivec2 site, int k)
 {
     vec2 d = here[k];

@@ -2,19 +2,19 @@
 //
 //     f = B^T C B d,    B d = (D_r, D_c, D_x)
 //
-// An element has the index of its first site (least row and column). Its displacement is described
-// by three differences per component: D_r along rows, D_c along columns and the twist D_x. C
-// follows from the Lame parameters and the shape of a pixel. Forces are computed from these
-// differences, because an assembled stencil would lose whole pixels to cancellation in a large
-// image.
+// An element has the index of its first site (smallest row and column). Three differences per
+// component describe its displacement: D_r between the rows, D_c between the columns, and the twist
+// D_x. C depends on the Lame parameters and the shape of a pixel. Forces are computed from these
+// differences, because in a large image an assembled stencil would lose whole pixels to
+// cancellation.
 //
 // Inputs:  lame   Lame parameters of the elements, relative to the stiffest tissue; 0 if one of the
 //                 four sites is void; pairs
 //          shape  constants of the shape of a pixel, no unit
-// Border rule: an element that leaves the image is void. The last row and column of `lame` are 0;
-// before the first ones `lame_at` returns 0.
+// Border rule: an element that extends beyond the image is void. `lame` is 0 in the last row and in
+// the last column, and `lame_at` returns 0 before the first row and column.
 
-// Constants of `napari_hmrf.solver.priors.elements.ElementShape`, in its order: rows, cols, mixed,
+// Constants of `napari_hmrf.solver.priors.elements.ElementShape`, in this order: rows, cols, mixed,
 // twist_rows, twist_cols, twist_volume.
 uniform float shape[6];
 
@@ -25,8 +25,8 @@ vec4 lame_at(ivec2 pair)
     return min(pair.x, pair.y) < 0 ? vec4(0.0) : both;
 }
 
-/// Add the forces of an element at its corners, given their displacements. The first digit of a
-/// corner counts rows, the second columns.
+/// Add the forces of an element on its corners, given the displacements of the corners. The first
+/// digit of a name is the row of the corner, and the second digit is the column.
 void add_element(
     vec2 lame, vec2 d00, vec2 d01, vec2 d10, vec2 d11,
     inout vec2 f00, inout vec2 f01, inout vec2 f10, inout vec2 f11)

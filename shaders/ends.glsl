@@ -1,7 +1,7 @@
-// Cliques that have a site as an end. Together with those that have it as the middle (cliques.glsl)
-// they are all cliques that contain the site, as in the usual interpretation of eq. 7.
+// Cliques with a site at an end. These cliques and the cliques with the site in the middle
+// (cliques.glsl) are all cliques that contain the site, as in the usual interpretation of eq. 7.
 //
-// Border rule: a clique with its middle outside the image does not exist; reads are clamped.
+// Border rule: a clique with its middle outside the image does not exist, and reads are clamped.
 
 #if BLANKET
 /// Add the two cliques of a line; `ratios` is the texture with the ratios of that line.
@@ -22,7 +22,7 @@ void add_ends(
     }
 }
 
-/// Add all eight cliques; d is the displacement of the site.
+/// Add all eight cliques with the site at an end; d is the displacement of the site.
 void add_all_ends(inout Evidence evidence, ivec2 site, vec2 d)
 {
     add_ends(evidence, site, d, VERTICAL, weights[0], straight, false);

@@ -2,26 +2,26 @@
 //
 //     force = (A d) at both sites of the pair
 //
-// An invocation may compute several pairs, one below the other; the forces of the row of elements
-// between two pairs are computed once for both.
+// An invocation may compute several vertically adjacent pairs. The forces of the elements between
+// two pairs are computed once and used for both pairs.
 //
-// Inputs:  displacement  pixels, by the function `read_row` of the kernel
+// Inputs:  displacement  pixels, read by the kernel's function `read_row`
 //          lame, shape   elements (elements.glsl)
 // Border rule: elements outside the image are void (elements.glsl), so the values of clamped reads
 // do not matter.
 
-// Displacement of four sites of a row, with the pair as the middle two: the present row, and the
-// row below it.
+// Displacement of four sites of a row, with the pair in the middle: the present row, and the row
+// below.
 vec2 here[4];
 vec2 below[4];
-// At the two sites of the pair: the force, and the part of the next row's force that is known.
+// Force at the two sites of the pair, and the known part of the force at the sites of the next row.
 vec2 force[2];
 vec2 carried[2];
 
-/// Read the displacement of a pair and of the sites before and after it. A kernel defines this.
+/// Read the displacement of a pair and its left and right neighbours. The kernel defines this.
 void read_row(ivec2 pair, out vec2 row[4]);
 
-/// Compute the forces of the elements between two rows of sites on both; `pair` is the upper one.
+/// Compute the forces of the elements between two rows on both rows; `pair` is in the upper row.
 void pull(ivec2 pair, vec2 up[4], vec2 down[4], out vec2 upper[2], out vec2 lower[2])
 {
     vec2 before = lame_at(pair - HORIZONTAL).zw;
@@ -33,7 +33,7 @@ void pull(ivec2 pair, vec2 up[4], vec2 down[4], out vec2 upper[2], out vec2 lowe
     add_element(both.zw, up[2], up[3], down[2], down[3], upper[1], other, lower[1], other);
 }
 
-/// Prepare the first pair of an invocation. The stage calls this once.
+/// Prepare the first pair of an invocation. The stage calls this function once.
 void enter(ivec2 pair)
 {
     read_row(pair - VERTICAL, here);
@@ -41,7 +41,7 @@ void enter(ivec2 pair)
     pull(pair - VERTICAL, here, below, force, carried);
 }
 
-/// Compute the force at a pair: the first one, or the one below the previous pair.
+/// Compute the force at the first pair, or at the pair below the previous pair.
 void find_forces(ivec2 pair)
 {
     here = below;

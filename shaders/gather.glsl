@@ -2,12 +2,12 @@
 //
 //     coarse_load = even P^T rest
 //
-// with the bilinear interpolation P (interpolation.glsl): coarse site i lies on fine site 2 i, and
-// the fine sites beside it count with weight 1/2 along each axis. With centred cliques a load is a
-// mean over sites. With EVEN the factor `even` therefore makes the sum over tissue as large as a
-// sum over full surroundings; otherwise it is 1.
+// with the bilinear interpolation P (interpolation.glsl): coarse site i coincides with fine site
+// 2 i, and the neighbouring fine sites have weight 1/2 along each axis. With centred cliques, a
+// load is a mean over sites. Therefore, with EVEN, the factor `even` scales a sum over partial
+// surroundings to a sum over full surroundings. Without EVEN, the factor is 1.
 //
-// Inputs:  rest         residual of the fine level, any unit; 0 where nothing moves; pairs
+// Inputs:  rest         residual of the fine level, any unit; 0 where a component is fixed; pairs
 //          even         factor on the coarse level, no unit; pairs
 // Outputs: coarse_load  unit of the residual; pairs
 // Border rule: the residual is 0 outside the image.
@@ -20,7 +20,7 @@ vec4 left(ivec2 pair)
     return in_image(pair, size) ? values : vec4(0.0);
 }
 
-/// Sum the residual along a row of fine sites; `pair` is the pair of the first coarse site.
+/// Return the weighted sum over a row of fine sites; `pair` contains the first coarse site.
 vec4 along(ivec2 pair)
 {
     vec2 before = left(pair - HORIZONTAL).zw;

@@ -3,38 +3,38 @@
 //     force = (A d) at the site
 //
 // Elements are blocks of 2 x 2 x 2 sites (`napari_hmrf.solver.priors.hexahedra`) and have the index
-// of their first site. The displacement of an element is described by seven modes per component,
-// which are its sums and differences along the axes: m100 varies along planes, m010 along rows,
-// m001 along columns, and so on. Forces are computed from differences, because an assembled stencil
-// would lose whole voxels to cancellation in a large volume. Only modes that belong to the same
-// strain are coupled; lambda enters through the mean change of volume only.
+// of their first site. Seven modes per component describe the displacement of an element. The modes
+// are sums and differences of the corners: m100 varies along the plane axis, m010 along the row
+// axis, m001 along the column axis, and so on. Forces are computed from differences, because in a
+// large volume an assembled stencil would lose whole voxels to cancellation. Only modes of the same
+// strain are coupled, and lambda contributes only through the mean change of volume.
 //
-// An invocation computes several sites, one below the other along planes; the forces of the layer
-// of elements between two sites are computed once for both.
+// An invocation computes several sites that are adjacent along the plane axis. The forces of the
+// elements between two planes are computed once and used for both sites.
 //
 // Inputs:  displacement  d, voxels; or the array that DISPLACED defines
 //          lame          mu of each element, and lambda if PARAMETERS is 2; 0 if one of the eight
 //                        sites is void
 //          share         lambda / mu if PARAMETERS is 1, else 1
-//          shape         factors of derivatives along planes, rows and columns
-// Border rule: an element that leaves the volume is void, because `lame` is 0 there.
+//          shape         factors of the derivatives along the plane, row and column axes
+// Border rule: an element that extends beyond the volume is void, because `lame` is 0 there.
 
 #ifndef DISPLACED
 #define DISPLACED(k, number) REAL(displacement[k].at[number])
 #endif
 
-// Factors of derivatives along planes, rows and columns: `BrickShape`.
+// Factors of the derivatives along the plane, row and column axes: `BrickShape`.
 uniform REAL shape[3];
 uniform REAL share;
 
-// Displacement of 3 x 3 sites of a plane, with the invocation's site in the middle, component by
-// component: the present plane, and the plane below it.
+// Displacement of 3 x 3 sites of a plane around the invocation's site, component by component: the
+// present plane, and the next plane.
 REAL here[27];
 REAL below[27];
-// Force at the site, and the part of the next site's force that is known.
+// Force at the site, and the known part of the force at the next site.
 REAL force[3];
 REAL carried[3];
-// Forces of a layer of elements on the site above it, and on the site below it.
+// Forces of the elements between two planes on the site in the first and in the second plane.
 REAL upper[3];
 REAL lower[3];
 
@@ -57,7 +57,7 @@ void read_plane(int at)
     }
 }
 
-/// Return the modes of one component of an element, given the index of its first value.
+/// Return the modes of one component of an element; `first` is the index of its first value.
 Modes modes_of(int first)
 {
     REAL here00 = here[first], here01 = here[first + 1];
@@ -81,7 +81,7 @@ Modes modes_of(int first)
     return m;
 }
 
-/// Add the forces of the modes of component k at the corner with signs `by_row` and `by_col`.
+/// Add the forces of the modes of component k on the corner with signs `by_row` and `by_col`.
 void add_pulls(int k, REAL by_row, REAL by_col, Modes pull)
 {
     REAL both = by_row * by_col;
@@ -91,15 +91,15 @@ void add_pulls(int k, REAL by_row, REAL by_col, Modes pull)
     lower[k] += even + odd;
 }
 
-/// Return the stiffness factor of modes that vary along two axes, and of those along all axes.
+/// Return the stiffness factor of modes that vary along two axes, and along three axes.
 REAL of_two(REAL own, REAL other) { return (REAL(2) * own * own + other * other) / REAL(3); }
 REAL of_three(REAL own, REAL one, REAL other)
 {
     return (REAL(2) * own * own + one * one + other * other) / REAL(9);
 }
 
-/// Add the forces of an element on the invocation's sites, which are corners of the element: in its
-/// first row if `behind_row` is 0, else in its last row; and so for its columns.
+/// Add the forces of an element on the invocation's sites. These sites are in the first row of the
+/// element if `behind_row` is 0, else in its last row. `behind_col` selects the column likewise.
 void add_element(int at, int behind_row, int behind_col)
 {
     REAL mu = REAL(lame[0].at[at]);
@@ -134,20 +134,20 @@ void add_element(int at, int behind_row, int behind_col)
         q0 * t02 + q1 * t12, of_three(q2, q0, q1) * mu * w.m111));
 }
 
-/// Compute the forces of the layer of elements between the two planes; `at` is the upper site.
+/// Compute the forces of the elements between the two planes; `at` is the site in the first plane.
 void pull(int at)
 {
     for (int k = 0; k < 3; ++k) {
         upper[k] = lower[k] = REAL(0);
     }
-    // No loop, because some compilers would not unroll it and would then keep arrays in memory.
+    // Not a loop: some compilers would not unroll it, and would store the arrays in memory.
     add_element(at - pitch() - 1, 1, 1);
     add_element(at - pitch(), 1, 0);
     add_element(at - 1, 0, 1);
     add_element(at, 0, 0);
 }
 
-/// Prepare the first site of an invocation. The stage calls this once.
+/// Prepare the first site of an invocation. The stage calls this function once.
 void enter(int at)
 {
     read_plane(at - stride());
@@ -157,7 +157,7 @@ void enter(int at)
     carried = lower;
 }
 
-/// Compute the force at a site: the first one, or the one below the previous site.
+/// Compute the force at the first site, or at the site in the plane after the previous site.
 void find_forces(int at)
 {
     here = below;

@@ -3,11 +3,11 @@
 //
 //     local energy(e) = A/g e (e - 2 g b/A) + p (|y - d - e| - |y - d|)
 //
-// for a move e, with the damping g. A and b are curvature and slope of the site's cliques
-// (cliques.glsl): of those with the site as middle, or with BLANKET of all that contain it. If
-// STEPS > 0, the move is the best of {0} and {-e, 0, e}^2 for each of the steps e; if two moves are
-// equal, the earlier one is taken. If STEPS is 0, the site moves to the exact minimiser,
-// d = y + soft(q - y, g p / 2A), with q = d + g b/A.
+// for a move e, with the damping g. A and b are the curvature and the slope of the site's cliques
+// (cliques.glsl): the cliques with the site in the middle, or with BLANKET all cliques that contain
+// the site. If STEPS > 0, the move is the best of {0} and {-e, 0, e}^2 for all steps e, and the
+// first of several equally good moves is used. If STEPS is 0, the site moves to the exact minimum,
+// d = y + soft(q - y, g p / 2A), with q = d + g b/A and the soft threshold `soft`.
 //
 // Inputs:  displacement  d, pixels; pairs
 //          straight, diagonal  stiffness ratios (ratios.glsl)
@@ -16,18 +16,18 @@
 //          relaxation    g, in (0, 1]
 //          steps         e, pixels
 // Outputs: moved         new displacement, pixels; pairs
-//          share         energy of each pair *before* the move, pixels squared; the sum is U_total
-// Border rule: cliques that leave the image do not exist; reads are clamped to the image.
+//          share         energy of each pair before the move, pixels squared; the sum is U_total
+// Border rule: cliques that extend beyond the image do not exist, and reads are clamped.
 
 uniform float relaxation;
 #if STEPS > 0
 uniform float steps[STEPS];
 #endif
 
-// Displacement below which it is rounded to 0: denormal numbers are slow on some devices.
+// Smaller displacements are rounded to 0, because denormal numbers are slow on some devices.
 const float FLUSH = 1e-18;
 
-/// Return the displacement with the least local energy among the candidates.
+/// Return the displacement with the lowest local energy.
 vec2 best(vec2 d, vec2 curvature, vec2 slope, vec4 seen)
 {
 #if STEPS > 0
@@ -61,7 +61,7 @@ void read_row(ivec2 pair, out vec2 row[4])
     read_pairs(displacement, pair, row);
 }
 
-/// Return the new displacement of a site, number k of the middle row, and its energy before.
+/// Return the new displacement of a site, and its energy before the move; k is its index in `here`.
 vec2 move(ivec2 site, int k, out float energy)
 {
     vec2 d = here[k];

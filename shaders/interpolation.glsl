@@ -1,11 +1,12 @@
-// Bilinear interpolation of the coarser level's correction; coarse site i lies on fine site 2 i.
+// Bilinear interpolation of the coarser level's correction. Coarse site i coincides with fine site
+// 2 i along each axis.
 //
 //     fine(2 i) = coarse(i),    fine(2 i + 1) = (coarse(i) + coarse(i + 1)) / 2    along each axis
 //
 // Inputs:  coarse  correction of the coarser level, pixels; pairs
-// Border rule: reads are clamped; all sites that move lie between coarse sites.
+// Border rule: reads are clamped, without effect because all free sites are between coarse sites.
 
-/// Read the interpolated correction at the sites of a row.
+/// Read the interpolated correction at the sites of a pair and at their neighbours in the row.
 void read_coarse(ivec2 pair, out vec2 row[4])
 {
     ivec2 size = textureSize(coarse, 0);
@@ -16,7 +17,7 @@ void read_coarse(ivec2 pair, out vec2 row[4])
     near.x = far.x = (pair.x + 1) >> 1;
     vec4 second = texelFetch(coarse, clamped(near, size), 0);
     second += texelFetch(coarse, clamped(far, size), 0);
-    // Twice the correction at three coarse sites: before the pair, on its first site, and after it.
+    // Twice the correction at three columns: left of the pair, at its first site, and right of it.
     bool odd = (pair.x & 1) == 1;
     vec2 before = odd ? first.xy : first.zw;
     vec2 on = odd ? first.zw : second.xy;

@@ -2,9 +2,9 @@
 //
 //     most(block) = max of |value| over the texels of the block
 //
-// Inputs:  values  any unit: with PAIRS a field of pairs, otherwise one value in each texel
+// Inputs:  values  any unit; a field of pairs with PAIRS, otherwise one value in each texel
 // Outputs: most    unit of the values; one texel for each block
-// Border rule: a block that leaves the image uses only its texels inside.
+// Border rule: a block that extends beyond the image uses only its texels inside the image.
 
 void kernel(ivec2 block)
 {

@@ -2,20 +2,20 @@
 //
 //     values(site) = finest(2^level site + 2^(level - 1))
 //
-// This is the pixel nearest to the centre of the site. If two pixels are equally near, it is the
-// one with the larger index.
+// The pixel on the right-hand side is the nearest pixel to the centre of the site. If two pixels
+// are equally near, it is the pixel with the larger index.
 //
-// Inputs:  finest  any unit: with PAIRS stiffness (m, 1/m), pairs, otherwise observation (y, p)
+// Inputs:  finest  any unit; stiffness (m, 1/m) in pairs with PAIRS, otherwise observation (y, p)
 //          level   scale level n >= 0
 //          size    (cols, rows) of the image
 // Outputs: values  unit and layout of `finest`
-// Border rule: a site with its centre outside the image takes the last row or column. A site that
-// is entirely outside, in the additional column of an odd number of columns, is void and gets 0.
+// Border rule: a site with its centre outside the image uses the last row or column. A site in the
+// padding column of an odd number of columns is entirely outside the image, and its values are 0.
 
 uniform int level;
 uniform ivec2 size;
 
-/// Return the pixel from which a site takes its value.
+/// Return the pixel that provides the value of a site.
 ivec2 nearest(ivec2 site)
 {
     return clamped((site << level) + ((1 << level) >> 1), size);

@@ -2,15 +2,15 @@
 //
 //     fine(site) = sum of w coarse(k) / sum of w
 //
-// over those of the four nearest coarse sites k that are in tissue. The weight w is the product of
-// 3/4 or 1/4 for the row and 3/4 or 1/4 for the column.
+// over the four nearest coarse sites k, without sites in void. The weight w is the product of 3/4
+// or 1/4 for the row and 3/4 or 1/4 for the column.
 //
 // Inputs:  coarse            d, pixels; pairs
 //          coarse_stiffness  (m, 1/m), any unit, 0 in void; pairs
 //          stiffness         (m, 1/m) of the finer level, any unit; pairs
-// Outputs: fine              d, pixels; 0 in void, and where no coarse neighbour is tissue; pairs
-// Border rule: coarse border sites are repeated outwards. Void outside would give the same result,
-// because all weights of the remaining column are smaller by the same factor.
+// Outputs: fine              d, pixels; 0 in void and where all coarse neighbours are void; pairs
+// Border rule: coarse border sites are repeated outside the image. The result is the same as with
+// void outside, because the repetition multiplies all remaining weights by the same factor.
 
 vec2 interpolated(ivec2 site)
 {

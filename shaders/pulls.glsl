@@ -1,18 +1,20 @@
-// Force of the paper's cliques at a pair of sites: A d of their linear model.
+// Force of the paper's cliques at a pair of sites: A d of the linear model.
 //
-//     A d = d - q(d) = - b / a                     for cliques with the site as middle
-//     A d = - b, half the gradient of the energy   with BLANKET, for all that contain the site
+//     A d = d - q(d) = - b / a                     for cliques with the site in the middle
+//     A d = - b, half the gradient of the energy   with BLANKET, for all cliques with the site
 //
 // with the curvature a and the slope b of the cliques (cliques.glsl). Without BLANKET, A d is the
-// distance of a site from the minimum q of its local energy: a length, and the diagonal is 1.
+// distance of a site from the minimum q of its local energy. A d is then a length, and the diagonal
+// of A is 1.
 //
 // Inputs:  displacement, straight, diagonal, weights  see cliques.glsl
-// Border rule: cliques that leave the image do not exist; a site without cliques has force 0.
+// Border rule: cliques that extend beyond the image do not exist, and the force at a site without
+// cliques is 0.
 
 // Force at the two sites of the pair.
 vec2 force[2];
 
-/// Return the force at a site, number k of the middle row.
+/// Return the force at a site; k is its index in `here`.
 vec2 answer(ivec2 site, int k)
 {
     Evidence evidence = centred(site, k);
@@ -24,7 +26,7 @@ vec2 answer(ivec2 site, int k)
 #endif
 }
 
-/// Compute the forces at a pair: the first one, or the one below the previous pair.
+/// Compute the forces at the first pair, or at the pair below the previous pair.
 void find_forces(ivec2 pair)
 {
     look_around(pair);

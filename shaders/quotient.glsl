@@ -1,10 +1,10 @@
-// Quotient of two products of scalars of any sign.
+// Quotient of two products of scalars, which may have any sign.
 //
 //     value = (above / below) (above_by / below_by); 0 if a denominator is 0
 //
 // Inputs:  above, above_by, below, below_by  scalars (scalars.glsl), any units
-// Outputs: value  scalar, the unit of the quotient
-// Border rule: none needed, because there is one texel.
+// Outputs: value  scalar, unit of the quotient
+// Border rule: none needed, because there is only one texel.
 
 /// Return a / b; 0 if b is 0.
 float part(sampler2D a, sampler2D b)

@@ -1,13 +1,14 @@
-// Stiffness ratios of the four cliques that have a site as middle.
+// Stiffness ratios of the four cliques with a site in the middle.
 //
-//     straight = (m_t/m_s, m_t/m_u) of the vertical line, then of the horizontal line
-//     diagonal = (m_t/m_s, m_t/m_u) of the diagonal, then of the antidiagonal
+//     straight = (m_t/m_s, m_t/m_u) of the vertical line and of the horizontal line
+//     diagonal = (m_t/m_s, m_t/m_u) of the diagonal and of the antidiagonal
 //
 // Inputs:  stiffness  (m, 1/m), any unit, both 0 in void; pairs
 // Outputs: straight, diagonal  no unit; both ratios of a clique are 0 if it does not exist
-// Border rule: the outside of the image is void, so a clique that leaves the image does not exist.
+// Border rule: sites outside the image are void, so a clique that extends beyond the image does not
+// exist.
 //
-// The ratios are computed once for all sweeps on a level.
+// The ratios of a level are computed once for all sweeps.
 
 /// Return 1/m of a site; 0 in void and outside the image.
 float inverse_stiffness(ivec2 site)

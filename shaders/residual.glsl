@@ -1,14 +1,14 @@
 // Residual of a level, for the paper's prior.
 //
-//     rest = load - (A + W) d where a component moves, 0 elsewhere
+//     rest = load - (A + W) d where a component is free, 0 elsewhere
 //
 // Inputs:  displacement      correction d, pixels; pairs
 //          load              load of the level, unit of A d (pulls.glsl); pairs
 //          straight, diagonal  stiffness ratios (ratios.glsl)
-//          inverse_diagonal  D^-1 of A + W; 0 where a component does not move; pairs
+//          inverse_diagonal  D^-1 of A + W; 0 where a component is fixed; pairs
 //          springs           diagonal matrix W, if SPRINGS; pairs
 // Outputs: rest              unit of the load; pairs
-// Border rule: cliques that leave the image do not exist; reads are clamped.
+// Border rule: cliques that extend beyond the image do not exist; reads are clamped.
 
 void read_row(ivec2 pair, out vec2 row[4])
 {

@@ -1,27 +1,28 @@
 // Restriction of a level's residual to the next coarser level, for the elastic prior.
 //
-//     coarse_load = P^T rest,    rest = load - (A + W) d where a component moves, 0 elsewhere
+//     coarse_load = P^T rest,    rest = load - (A + W) d where a component is free, 0 elsewhere
 //
-// with the bilinear interpolation P (interpolation.glsl): coarse site i lies on fine site 2 i, and
-// the fine sites beside it count with weight 1/2 along each axis.
+// with the bilinear interpolation P (interpolation.glsl): coarse site i coincides with fine site
+// 2 i, and the neighbouring fine sites have weight 1/2 along each axis.
 //
 // Inputs:  correction        d on the fine level, pixels; pairs
 //          load              load of the fine level, pixels times stiffness; pairs
-//          lame              Lame parameters of its elements (elements.glsl); pairs
-//          inverse_diagonal  D^-1; 0 where a component does not move; pairs
+//          lame              Lame parameters of the fine level's elements (elements.glsl); pairs
+//          inverse_diagonal  D^-1; 0 where a component is fixed; pairs
 //          springs           diagonal matrix W, if SPRINGS; pairs
 // Outputs: coarse_load       load of the coarser level, pixels times stiffness; pairs
-// Border rule: the residual is 0 outside the image; elements there are void; reads are clamped.
+// Border rule: outside the image, the residual is 0 and elements are void; reads are clamped.
 //
-// The two coarse sites 2 J and 2 J + 1 need the residual at the fine sites 4 J - 1 to 4 J + 3 of
-// three rows, and thus the displacement of seven sites in five rows. An invocation may compute
-// several pairs, one below the other; the fine row between two pairs is computed once for both.
+// The two coarse sites 2 J and 2 J + 1 require the residual at the fine sites 4 J - 1 to 4 J + 3 of
+// three rows, and therefore the displacement of seven sites in five rows. An invocation may compute
+// several vertically adjacent pairs. The fine row between two pairs is computed once and used for
+// both pairs.
 
 const int SITES = 5;
 
 vec2 below[SITES + 2];
 vec2 carried[SITES];
-// Sum along the fine row above, at the two coarse sites.
+// Weighted sums over the fine row above, at the two coarse sites.
 vec2 half_above[2];
 
 void read_row(ivec2 pair, out vec2 row[SITES + 2])
@@ -70,7 +71,7 @@ vec4 left(ivec2 pair, vec4 pulls, vec4 d)
     return in_image(pair, size) ? rest : vec4(0.0);
 }
 
-/// Sum the residual along a row of fine sites; `pair` is the pair of the first coarse site.
+/// Compute the weighted sums over a row of fine sites; `pair` contains the first coarse site.
 void gather(ivec2 pair, out vec2 across[2])
 {
     vec2 here[SITES + 2] = below;
@@ -89,7 +90,7 @@ void gather(ivec2 pair, out vec2 across[2])
     across[1] = second.xy + 0.5 * (first.zw + second.zw);
 }
 
-/// Prepare the first pair of coarse sites of an invocation. The stage calls this once.
+/// Prepare the first pair of coarse sites of an invocation. The stage calls this function once.
 void enter(ivec2 pair)
 {
     ivec2 fine = 2 * pair - VERTICAL;

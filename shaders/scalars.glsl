@@ -1,9 +1,9 @@
-// Scalars that stay on the device: textures of one texel, which kernels write and read.
+// Scalars on the device: textures of one texel, which kernels write and read.
 //
 //     ratio = above / below; 0 unless both are positive
 //
 // Inputs:  above, below  scalars, any units
-// Border rule: none needed, because there is one texel.
+// Border rule: none needed, because there is only one texel.
 
 /// Return above / below; 0 unless both are positive.
 float ratio()

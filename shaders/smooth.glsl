@@ -4,25 +4,27 @@
 //
 // START selects the correction d before the step:
 //     0  d = `displacement`
-//     1  d = last = first_scale D^-1 load, the first step from zero; this pass adds the second step
-//     2  d = `displacement` plus the interpolated correction of the coarser level
-//        (interpolation.glsl) where components move; a first step, without `last`
+//     1  d = last = first_scale D^-1 load, which is the first step from zero; the pass then runs
+//        the second step
+//     2  d = `displacement`, plus the interpolated correction of the coarser level
+//        (interpolation.glsl) where a component is free; the pass runs the first step, with
+//        last = 0
 //
 // Inputs:  displacement      correction, pixels; pairs
 //          load              load of the level, pixels times stiffness; pairs
 //          lame              elastic prior: Lame parameters of elements (elements.glsl); pairs
 //          straight, diagonal  paper's prior: stiffness ratios (ratios.glsl)
-//          inverse_diagonal  D^-1 of A + W; 0 where a component does not move; pairs
+//          inverse_diagonal  D^-1 of A + W; 0 where a component is fixed; pairs
 //          springs           diagonal matrix W, if SPRINGS; pairs
 //          last              previous step, pixels; pairs
 //          coarse            correction of the coarser level, pixels; pairs
 //          first_scale, scale, momentum  no unit
 // Outputs: corrected         correction after the step, pixels; pairs
-//          taken             the step, pixels; pairs
-// Border rule: elements and cliques that leave the image do not exist; reads are clamped.
+//          taken             step, pixels; pairs
+// Border rule: elements and cliques that extend beyond the image do not exist; reads are clamped.
 //
-// Kernels that read beyond the neighbours of a pair, such as those of blanket cliques, support
-// START 0 only; begin.glsl computes the start for them.
+// Kernels that read sites beyond the neighbours of a pair, such as kernels for blanket cliques,
+// support only START 0; begin.glsl computes their start.
 
 uniform float scale;
 uniform float momentum;

@@ -1,13 +1,13 @@
 // Compute shader of a kernel, in work groups of GROUP_COLS x GROUP_ROWS texels.
 //
-// A kernel for tissue runs on the listed groups, which contain tissue. If it carries values, an
-// invocation computes ROWS texels, one below the other. Other kernels run on a window.
+// A kernel for tissue runs on the listed groups, which contain tissue. If CARRIES, an invocation
+// computes ROWS vertically adjacent texels. Other kernels run on a window.
 //
-// Inputs:  groups      list of groups: (col, row) of each, counted in groups
+// Inputs:  groups      list of groups: (col, row) of each group, in units of groups
 //          first       first row of the list for this dispatch
-//          begin, end  corners of the window, (col, row); for tissue, `end` is that of the grid
+//          begin, end  corners of the window, (col, row); for tissue, `end` is the end of the grid
 //          origin      position of texel (0, 0) in the output textures, (col, row)
-// Border rule: nothing is stored outside the window or the grid.
+// Border rule: texels outside the window or the grid are not stored.
 
 layout(local_size_x = GROUP_COLS, local_size_y = LOCAL_ROWS) in;
 
@@ -24,7 +24,7 @@ vec4 texel(float value) { return vec4(value, 0.0, 0.0, 0.0); }
 vec4 texel(vec2 value) { return vec4(value, 0.0, 0.0); }
 vec4 texel(vec4 value) { return value; }
 
-/// Run the kernel for a texel.
+/// Run the kernel for a texel and store its outputs.
 void run(ivec2 at)
 {
     kernel(at);

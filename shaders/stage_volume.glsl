@@ -1,12 +1,12 @@
 // Compute shader of a kernel for volumes, in work groups of GROUP_COLS x GROUP_ROWS columns of
 // sites, `planes` deep. An invocation computes the sites of one column, plane by plane.
 //
-// A kernel runs on listed groups, those with moving sites, or on all groups. If SHARES, the kernel
-// updates `total` and `most`, and the group computes the sum and the maximum over its invocations.
+// A kernel runs on listed groups, which contain free sites, or on all groups. If SHARES, the kernel
+// updates `total` and `most`, and each group computes the sum and the maximum over its invocations.
 //
-// Inputs:  places        numbers of the listed groups, counted along columns, rows, then planes
+// Inputs:  places        indices of the listed groups; the column axis is the fastest
 //          listed        1 for listed groups, 0 for all groups
-//          first, past   range in the list, or of the numbers of groups; `past` is excluded
+//          first, past   range of entries of the list, or of group indices; `past` is excluded
 // Outputs: shares        if SHARES, (total, most) of each group that runs, in the same order
 // Border rule: sites outside the grid are not computed.
 
@@ -21,7 +21,7 @@ uniform int past;
 shared REAL totals[GROUP_COLS * GROUP_ROWS];
 shared REAL largest[GROUP_COLS * GROUP_ROWS];
 
-/// Reduce the totals and the largest values of all invocations to the first entry.
+/// Reduce the totals and the largest values of all invocations to the first entries.
 void reduce()
 {
     int local = int(gl_LocalInvocationIndex);

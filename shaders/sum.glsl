@@ -4,7 +4,7 @@
 //
 // Inputs:  share  any unit; one value in each texel
 // Outputs: total  unit of the shares; one texel for each block
-// Border rule: a block that leaves the image adds only its texels inside.
+// Border rule: a block that extends beyond the image adds only its texels inside the image.
 
 void kernel(ivec2 block)
 {

@@ -1,8 +1,8 @@
-// Vertex shader of all fragment shaders: one triangle that covers the whole viewport, at depth 0.5.
-// With a mask, which is a depth texture with 1 in tissue and 0 in void, a kernel runs only where
-// the mask is deeper than the triangle.
+// Vertex shader for all fragment shaders: one triangle that covers the whole viewport, at depth
+// 0.5. A mask is a depth texture with 1 in tissue and 0 in void. With a mask, a kernel runs only
+// where the mask is deeper than the triangle.
 //
-// Border rule: the corners of the triangle are outside; the rasteriser clips it to the viewport.
+// Border rule: the rasteriser clips the triangle, which is larger than the viewport.
 
 void main()
 {

@@ -1,4 +1,4 @@
-// Step of an iteration along a direction.
+// Step of an iteration along a search direction.
 //
 //     found += ratio direction,    rest -= ratio image,    total = rest . rest
 //

@@ -1,14 +1,14 @@
 // Product of the matrix and a displacement, such as a search direction.
 //
-//     image = (A + W) d where a component moves, 0 elsewhere;    total = d . image
+//     image = (A + W) d where a component is free, 0 elsewhere;    total = d . image
 //
 // Inputs:  displacement  d, voxels
-//          inverse       D^-1; 0 where a component does not move
+//          inverse       D^-1; 0 where a component is fixed
 //          lame, shape, share  elements (hexahedra.glsl)
-//          springs       diagonal matrix W, if SPRINGS, one component after the other
+//          springs       diagonal matrix W, if SPRINGS; components in consecutive blocks
 // Outputs: image         voxels times stiffness
 //          shares        d . image of each group
-// Border rule: elements that leave the volume do not exist.
+// Border rule: elements that extend beyond the volume do not exist.
 
 void kernel(int at)
 {

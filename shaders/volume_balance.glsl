@@ -1,14 +1,14 @@
-// Residual of a displacement in double precision, which decides whether a solve has converged.
+// Residual of a displacement in double precision, for the convergence test.
 //
-//     rest = - A d / unit where a component moves, 0 elsewhere
+//     rest = - A d / unit where a component is free, 0 elsewhere
 //
 // Inputs:  displacement  d in double precision, voxels
-//          inverse       D^-1; 0 where a component does not move
+//          inverse       D^-1; 0 where a component is fixed
 //          lame, shape, share  elements (hexahedra.glsl)
 //          unit          unit of the result, voxels times stiffness
 // Outputs: rest          in units of `unit`, in single precision
 //          shares        rest . rest and the largest absolute value of each group
-// Border rule: elements that leave the volume do not exist.
+// Border rule: elements that extend beyond the volume do not exist.
 
 uniform double unit;
 

@@ -3,7 +3,7 @@
 //     begun = scale D^-1 load
 //
 // Inputs:  load     load of the level, voxels times stiffness
-//          inverse  D^-1; 0 where a component does not move
+//          inverse  D^-1; 0 where a component is fixed
 //          scale    no unit
 // Outputs: begun    voxels
 // Border rule: none needed, because a site reads only its own values.

@@ -3,7 +3,7 @@
 //     diagonal_k = sum over 8 elements of share lambda q_k^2 + 16 mu (q_k^2 + sum of q^2) / 9
 //
 // Inputs:  lame      mu, and lambda if PARAMETERS is 2 (hexahedra.glsl)
-//          shape     q along planes, rows and columns
+//          shape     q along the plane, row and column axes
 //          share     lambda / mu if PARAMETERS is 1, else 1
 // Outputs: diagonal  stiffness, for each component; relative to the stiffest tissue
 // Border rule: elements outside the grid are void.

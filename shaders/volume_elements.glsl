@@ -1,4 +1,4 @@
-// Parameters of each element, from the means over its sites; 0 if one of the sites is void.
+// Parameters of each element, from means over its sites; 0 if one of the sites is void.
 //
 //     PARAMETERS 1    mu = scale (sum of m over the eight sites)
 //     PARAMETERS 2    mu = scale (sum of m) / (2 + 2 nu),    lambda = 2 mu nu / (1 - 2 nu)

@@ -1,15 +1,15 @@
-// All steps of the coarsest level's smoother in one work group, with one site for each invocation.
+// All smoothing steps of the coarsest level in one work group, with one site per invocation.
 //
 //     step = scale D^-1 (load - (A + W) d) + momentum step,    d = d + step,    from d = 0
 //
 // Inputs:  load          load of the level, voxels times stiffness
-//          inverse       D^-1 of A + W; 0 where a component does not move
+//          inverse       D^-1 of A + W; 0 where a component is fixed
 //          lame, shape, share  elements (hexahedra.glsl)
-//          springs       diagonal matrix W, if SPRINGS, one component after the other
+//          springs       diagonal matrix W, if SPRINGS; components in consecutive blocks
 //          count         number of steps
 //          paces         (scale, momentum) of each step, no unit
 // Outputs: correction    d, voxels
-// Border rule: elements that leave the volume do not exist.
+// Border rule: elements that extend beyond the volume do not exist.
 
 layout(local_size_x = SITES) in;
 

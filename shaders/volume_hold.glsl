@@ -1,11 +1,11 @@
 // Reciprocal of the finest level's diagonal.
 //
-//     inverse = 1 / diagonal; 0 where a component is held, or has no elements
+//     inverse = 1 / diagonal; 0 where a component is prescribed or has no elements
 //
 // Inputs:  inverse  diagonal, stiffness
-//          pins     1 where a component is held, 0 elsewhere
-// Outputs: inverse  its reciprocal, 1 / stiffness
-//          shares   largest reciprocal of each group: positive if a site in the group moves
+//          pins     1 where a component is prescribed, 0 elsewhere
+// Outputs: inverse  reciprocal of the diagonal, 1 / stiffness
+//          shares   largest reciprocal in each group: positive if a site in the group is free
 // Border rule: none needed, because a site reads only its own values.
 
 void kernel(int at)

@@ -1,15 +1,15 @@
 // Trilinear interpolation of the coarser level's correction.
 //
-//     correction += P coarse where a component moves
+//     correction += P coarse where a component is free
 //
-// with coarse site i on fine site 2 i along each axis.
+// with the trilinear interpolation P. Coarse site i coincides with fine site 2 i along each axis.
 //
 // Inputs:  correction  correction of the level, voxels
 //          coarse      correction of the coarser level, voxels
-//          inverse     D^-1; 0 where a component does not move
+//          inverse     D^-1; 0 where a component is fixed
 //          coarse_height, coarse_width  number of rows and columns of the coarser level
 // Outputs: correction  voxels
-// Border rule: none needed, because all sites of the grid lie between coarse sites.
+// Border rule: none needed, because all sites of the grid are between coarse sites.
 
 uniform int coarse_height;
 uniform int coarse_width;

@@ -1,14 +1,14 @@
 // Residual of a level.
 //
-//     rest = load - (A + W) d where a component moves, 0 elsewhere
+//     rest = load - (A + W) d where a component is free, 0 elsewhere
 //
 // Inputs:  displacement  correction d, voxels
 //          load          load of the level, voxels times stiffness
-//          inverse       D^-1; 0 where a component does not move
+//          inverse       D^-1; 0 where a component is fixed
 //          lame, shape, share  elements (hexahedra.glsl)
-//          springs       diagonal matrix W, if SPRINGS, one component after the other
+//          springs       diagonal matrix W, if SPRINGS; components in consecutive blocks
 // Outputs: rest          voxels times stiffness
-// Border rule: elements that leave the volume do not exist.
+// Border rule: elements that extend beyond the volume do not exist.
 
 void kernel(int at)
 {

@@ -1,9 +1,9 @@
-// Restriction of forces, or of held components, to the next coarser level.
+// Restriction of forces, or of counts of prescribed components, to the next coarser level.
 //
 //     coarse = P^T fine
 //
-// with the trilinear interpolation P (volume_interpolate.glsl): coarse site i lies on fine site 2
-// i, and the fine sites beside it count with weight 1/2 along each axis.
+// with the trilinear interpolation P (volume_interpolate.glsl): coarse site i coincides with fine
+// site 2 i, and the neighbouring fine sites have weight 1/2 along each axis.
 //
 // Inputs:  fine                     vector of the finer level, any unit
 //          fine_height, fine_width  number of rows and columns of that level
@@ -13,13 +13,13 @@
 uniform int fine_height;
 uniform int fine_width;
 
-/// Return the sum along a row of fine sites.
+/// Return the weighted sum over a row of fine sites.
 float along(int k, int at)
 {
     return fine[k].at[at] + 0.5 * (fine[k].at[at - 1] + fine[k].at[at + 1]);
 }
 
-/// Return the sum over a plane of fine sites.
+/// Return the weighted sum over a plane of fine sites.
 float across(int k, int at, int next)
 {
     return along(k, at) + 0.5 * (along(k, at - next) + along(k, at + next));

@@ -1,4 +1,4 @@
-// Scalars that stay on the device: one buffer, which volume_total.glsl writes.
+// Scalars on the device: one buffer, which volume_total.glsl writes.
 //
 //     ratio = scalars[above] / scalars[below]; 0 unless both are positive
 //
@@ -9,7 +9,7 @@
 uniform int above;
 uniform int below;
 
-/// Return the ratio.
+/// Return the ratio of the two scalars.
 float ratio()
 {
     float first_of = scalars.at[above];

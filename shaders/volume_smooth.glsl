@@ -4,13 +4,13 @@
 //
 // Inputs:  displacement  correction d, voxels
 //          load          load of the level, voxels times stiffness
-//          inverse       D^-1 of A + W; 0 where a component does not move
+//          inverse       D^-1 of A + W; 0 where a component is fixed
 //          lame, shape, share  elements (hexahedra.glsl)
-//          springs       diagonal matrix W, if SPRINGS, one component after the other
-//          other         correction before the last step, voxels; unused if `back` is 0
+//          springs       diagonal matrix W, if SPRINGS; components in consecutive blocks
+//          other         correction before the previous step, voxels; no effect if `back` is 0
 //          scale, ahead, back  no unit
 // Outputs: other         correction after this step, voxels
-// Border rule: elements that leave the volume do not exist.
+// Border rule: elements that extend beyond the volume do not exist.
 
 uniform float scale;
 uniform float ahead;

@@ -1,15 +1,15 @@
-// Springs of a coarser level, and the reciprocal of its diagonal with them.
+// Springs of a coarser level, and the reciprocal of its diagonal including the springs.
 //
 //     pins = min(pins, most_pins),    springs = strength pins diagonal,
 //     inverse = 1 / (diagonal + springs); 0 where there are no elements
 //
 // Inputs:  inverse   diagonal, stiffness
-//          pins      interpolated count of held components of the finer level, no unit
+//          pins      restricted count of prescribed components of the finer level, no unit
 //          most_pins, strength  no unit (`solver.coarse_levels`)
 // Outputs: inverse   reciprocal, 1 / stiffness
-//          pins      count of held components for the next level, no unit
-//          springs   diagonal matrix W, stiffness, one component after the other
-//          shares    largest reciprocal of each group: positive if a site in the group moves
+//          pins      count of prescribed components for the next level, no unit
+//          springs   diagonal matrix W, stiffness; components in consecutive blocks
+//          shares    largest reciprocal in each group: positive if a site in the group is free
 // Border rule: none needed, because a site reads only its own values.
 
 uniform float most_pins;

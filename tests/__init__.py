@@ -1,6 +1,6 @@
-"""Tests of the package. README.md says where a test and a helper are."""
+"""Tests of the package; README.md lists where tests and helpers are."""
 
 import pytest
 
-# A failed assertion of a helper then shows its values, as that of a test does.
+# Failed assertions in helpers then show their values, as assertions in tests do.
 pytest.register_assert_rewrite("tests.support")

@@ -1,4 +1,4 @@
-"""What tests with a window share; where there is no display they are skipped."""
+"""Fixtures shared by tests; tests that need a window are skipped without a display."""
 
 from __future__ import annotations
 
@@ -28,20 +28,19 @@ from tests.support.napari_caches import (
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG, LONG_MS
 
-# However slow a machine is, what is claimed of tissue is so.
+# A slow machine must not fail a test.
 settings.register_profile("any machine", deadline=None)
 settings.load_profile("any machine")
-# Whoever needs a loop compiles it: no test is to depend on what another process has done by then.
+# Compile loops in the process that needs them, so that no test depends on another process.
 os.environ["NAPARI_HMRF_COMPILE"] = "here"
-# napari reads no settings of the person at this machine, and writes none, which takes long.
+# napari neither reads nor writes the user's settings; writing is slow.
 os.environ["NAPARI_CONFIG"] = ""
-# A window makes hundreds of thousands of objects that stay as long as it does: Python need not look
-# so often which of them are garbage.
+# A window makes hundreds of thousands of long-lived objects, so collect garbage less often.
 gc.set_threshold(50_000, 20, 20)
 if "PYTEST_XDIST_WORKER" in os.environ:
-    # Processes that test side by side leave the cores to each other. What many threads do is asked
-    # of processes that tests begin, and by tests that take as many as there are.
-    # With a thread of its own Mesa 22.3 crashed, rarely, on a busy machine.
+    # Parallel test processes use one core each. Tests of multithreading start processes of their
+    # own, or use all threads explicitly. A rasterizer thread in Mesa 22.3 crashed, rarely, on a
+    # busy machine.
     os.environ.setdefault("LP_NUM_THREADS", "0")
     loader.before_numba()
     import numba
@@ -53,32 +52,32 @@ _NO_DISPLAY = sys.platform == "linux" and not (
     os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
 )
 _WINDOWS = {"make_napari_viewer", "make_napari_viewer_proxy"}
-#: Files with tests that take longest; of several processes none is to begin one as the last.
+#: Files with the slowest tests, which start first in a parallel run.
 _LONG = {
     f"test_{name}.py"
     for name in ("study_file", "trust", "cli", "report", "unsaved", "docks", "soak", "processes")
 }
 
 if _NO_DISPLAY:
-    # Qt would end the process for want of a display; single widgets do without one.
+    # Qt would end the process without a display, but single widgets do not need a display.
     os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 
 def pytest_collection_modifyitems(items):
-    """Begin with what takes long; skip what needs a window where none can be opened."""
+    """Run slow files first, and skip tests of windows if no window can be opened."""
     items.sort(key=lambda item: item.path.name not in _LONG)
     if not _NO_DISPLAY:
         return
     for item in items:
         if _WINDOWS & set(item.fixturenames):
-            item.add_marker(pytest.mark.skip(reason="napari needs a display; make test brings one"))
+            item.add_marker(pytest.mark.skip(reason="napari needs a display; make test starts one"))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop(session):
-    """Processes that test side by side share the work of compiling, which is half of a first run.
+    """Share the compilation, half of a first run, between parallel test processes.
 
-    A run of so many tests needs nearly all loops.
+    A run of more than 1000 tests needs nearly all loops.
     """
     worker = getattr(session.config, "workerinput", None)
     if worker is None:
@@ -90,10 +89,10 @@ def pytest_runtestloop(session):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
-    """Have Python look no more for garbage in what was there before a window is opened.
+    """Freeze existing objects before a window is opened, to shorten garbage collection.
 
-    With each window that napari's fixture closes everything is looked through: modules, compiled
-    loops, what tests are made of. What is new since the last one is little.
+    napari's fixture collects garbage for each closed window, which would examine modules, compiled
+    loops and objects of the tests again.
     """
     if _WINDOWS & set(item.fixturenames):
         read_manifests_once()
@@ -107,14 +106,15 @@ def pytest_runtest_setup(item):
 
 @pytest.fixture(scope="session")
 def settings_folders(tmp_path_factory):
-    """Folders that are not there: to make each, and to look for a name for it, takes long."""
+    """Return paths of folders that do not exist, because making a temporary folder per test is
+    slow."""
     folder = tmp_path_factory.mktemp("settings")
     return (folder / str(number) for number in count())
 
 
 @pytest.fixture(autouse=True)
 def _no_memory(settings_folders):
-    """Nothing is remembered from the person at this machine, from test to test, or for either."""
+    """Isolate the settings of each test from other tests and from the user."""
     from qtpy.QtCore import QSettings
 
     folder = next(settings_folders)
@@ -123,7 +123,7 @@ def _no_memory(settings_folders):
 
 @pytest.fixture
 def widget(qtbot):
-    """The dock beside a viewer without a window, set to be quick."""
+    """Return the dock beside a viewer without a window, with fast settings."""
     from napari.components import ViewerModel
 
     from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -137,13 +137,13 @@ def widget(qtbot):
 
 @pytest.fixture
 def docked(unstyled, make_napari_viewer):
-    """The dock in the window of a real viewer, set to be quick."""
+    """Return the dock in the window of a real viewer, with fast settings."""
     return quick(dock_in(make_napari_viewer()))
 
 
 @pytest.fixture
 def busy_thread():
-    """Keep the compute thread busy until released, as a long compilation would."""
+    """Occupy the compute thread until released, as a long compilation would."""
     release = threading.Event()
     job: Future[bool] = compute_thread.submit(lambda: release.wait(LONG))
     yield release
@@ -153,7 +153,7 @@ def busy_thread():
 
 @pytest.fixture
 def small_sample():
-    """Add a small painted example to a viewer: a block of tissue, held left and pushed right."""
+    """Return a function that adds a painted example: tissue fixed left and pushed right."""
     from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, layer_metadata
     from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
@@ -186,7 +186,7 @@ def small_sample():
 
 @pytest.fixture
 def run(qtbot):
-    """Press Deform and wait for the end; what `finished` said."""
+    """Return a function that presses Deform and returns the first value that `finished` emits."""
 
     def deform(widget):
         said = []
@@ -201,19 +201,19 @@ def run(qtbot):
 
 @pytest.fixture
 def wait_for(qtbot):
-    """Let the window live until something is so."""
+    """Return a function that processes events of the window until a condition is true."""
     return lambda condition: qtbot.waitUntil(condition, timeout=LONG_MS)
 
 
 @pytest.fixture
 def at_rest(qtbot):
-    """Let the windows do all they have to do."""
+    """Return a helper that processes all pending work of the windows."""
     return AtRest(qtbot)
 
 
 @pytest.fixture
 def every_pass_a_batch(monkeypatch):
-    """How often shaders look whether to go on does not depend on how busy the machine is."""
+    """Make shaders check for the end after every pass, for results independent of the load."""
     from napari_hmrf.solver.backends.opengl.context import pace
 
     monkeypatch.setattr(pace, "BATCH_SECONDS", 0.0)
@@ -221,7 +221,7 @@ def every_pass_a_batch(monkeypatch):
 
 @pytest.fixture
 def made(monkeypatch):
-    """Every texture and framebuffer that is made; `left` of it says how many OpenGL still has."""
+    """Return the list of OpenGL objects made; `left` counts those not yet released."""
     import moderngl
 
     from napari_hmrf.solver.backends.opengl.context.device import the_device
@@ -245,13 +245,13 @@ def made(monkeypatch):
 
 @pytest.fixture
 def unstyled(monkeypatch):
-    """Windows in Qt's own style: of napari's, each widget is measured and painted by many rules."""
+    """Open windows in Qt's style, because applying napari's style sheet is slow."""
     monkeypatch.setattr("napari._qt.qt_main_window.get_stylesheet", lambda *_, **__: "")
 
 
 @pytest.fixture
 def without_controls(monkeypatch):
-    """Windows in which napari has no panel of controls for each layer."""
+    """Open windows without napari's panel of controls for each layer."""
     from qtpy.QtWidgets import QFrame
 
     made = "napari._qt.layer_controls.qt_layer_controls_container.create_qt_layer_controls"
@@ -260,7 +260,7 @@ def without_controls(monkeypatch):
 
 @pytest.fixture
 def open_window(unstyled, make_napari_viewer, chequered, qtbot, at_rest):
-    """Open a window with the dock beside an image."""
+    """Return a function that opens a window with the dock beside an image."""
     from tests.support.person import Person
 
     def opened(data=None, **place):
@@ -275,7 +275,7 @@ def open_window(unstyled, make_napari_viewer, chequered, qtbot, at_rest):
 
 @pytest.fixture
 def frame(qtbot):
-    """A viewer without a window, and a frame for docks beside it."""
+    """Return a viewer without a window, with a frame for docks beside it."""
     from tests.support.windowless import Frame
 
     check_widgets_once()
@@ -285,12 +285,12 @@ def frame(qtbot):
 
 @pytest.fixture
 def open_beside(qtbot, chequered, at_rest):
-    """Open the dock beside an image in a viewer without a window."""
+    """Return a function that opens the dock beside an image in a viewer without a window."""
     from tests.support.windowless import Frame, Touch
 
     check_widgets_once()
     check_callbacks_once()
-    frames = []  # which live as long as the test
+    frames = []  # Frames must live as long as the test.
 
     def opened(data=None, **place):
         frame = Frame(qtbot)
@@ -305,27 +305,27 @@ def open_beside(qtbot, chequered, at_rest):
 
 @pytest.fixture
 def chequered():
-    """An image of squares."""
+    """Return a chequered image."""
     rows, cols = np.indices((64, 64))
     return (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
 
 
 @pytest.fixture
 def pulling(open_window, settle):
-    """Somebody with *Pull* in the hand."""
+    """Return a simulated user and the dock, with the *Pull* tool active."""
     person, widget = open_window()
     return person, pull(widget, settle)
 
 
 @pytest.fixture
 def pulling_beside(open_beside, settle):
-    """Somebody with *Pull* in the hand, and no window."""
+    """Return a simulated user and the dock, with the *Pull* tool active, without a window."""
     touch, widget = open_beside()
     return touch, pull(widget, settle)
 
 
 def pull(widget, settle):
-    """Have *Pull* be in the hand, and wait until the tissue is known."""
+    """Activate the *Pull* tool and wait until it is ready."""
     if not widget.active:
         Screen(widget).press("Pull")
     assert widget.active
@@ -335,5 +335,5 @@ def pull(widget, settle):
 
 @pytest.fixture
 def settle(at_rest):
-    """Wait until the tissue has followed, and its displacement is drawn."""
+    """Return a function that waits until the result of the last edit is drawn."""
     return lambda widget: at_rest.until(lambda: not widget.busy)

@@ -1,4 +1,4 @@
-"""Whatever is written is there as a whole or not at all, and takes nothing else's place."""
+"""Tests of `atomic_write`: a file is written completely or not at all."""
 
 import errno
 import os
@@ -19,7 +19,7 @@ from napari_hmrf.io import figures
 from napari_hmrf.io.material_tables import write_preset
 from napari_hmrf.tissue.material_presets import PRESETS
 
-posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are of POSIX")
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions and FIFOs")
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are
         (errno.EIO, "a.png: Input/output error."),
     ],
 )
-def test_what_the_system_says_of_a_file_is_said_in_a_sentence(number, said):
+def test_a_file_system_error_is_reported_in_a_plain_sentence(number, said):
     assert in_words(OSError(number, os.strerror(number), "a.png")).startswith(said)
 
 
@@ -60,13 +60,13 @@ def writer(request):
 
 @pytest.fixture
 def path(tmp_path):
-    """A file that is there already."""
+    """Return the path of an existing file."""
     made = tmp_path / "kept.png"
     made.write_bytes(b"what was there")
     return made
 
 
-def test_a_full_disk_leaves_the_old_file_whole(writer, path, monkeypatch):
+def test_a_full_disk_leaves_the_old_file_unchanged(writer, path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -101,14 +101,14 @@ assert [each.name for each in path.parent.iterdir()] == [path.name]
 
 
 @posix
-def test_a_file_that_the_system_lets_grow_no_further_is_not_cut(tmp_path):
+def test_a_file_at_the_size_limit_of_the_system_is_not_truncated(tmp_path):
     command = [sys.executable, "-c", LIMITED, tmp_path / "file"]
     subprocess.run(command, check=True, timeout=60)
 
 
 @posix
 @pytest.mark.parametrize("mode", [0o640, 0o600, 0o666, 0o755])
-def test_a_file_keeps_its_permissions_when_it_is_replaced(writer, path, mode):
+def test_a_replaced_file_retains_its_permissions(writer, path, mode):
     path.chmod(mode)
     writer(path)
     assert path.read_bytes() != b"what was there"
@@ -116,7 +116,7 @@ def test_a_file_keeps_its_permissions_when_it_is_replaced(writer, path, mode):
 
 
 @posix
-def test_a_new_file_has_the_permissions_that_new_files_have(tmp_path):
+def test_a_new_file_has_default_permissions(tmp_path):
     usual, ours = tmp_path / "usual", tmp_path / "ours"
     before = os.umask(0o027)
     try:
@@ -128,7 +128,7 @@ def test_a_new_file_has_the_permissions_that_new_files_have(tmp_path):
 
 
 @posix
-def test_nobody_else_can_read_a_private_file_while_it_is_replaced(path, monkeypatch):
+def test_a_private_file_is_unreadable_for_others_while_it_is_replaced(path, monkeypatch):
     path.chmod(0o600)
     seen = []
 
@@ -140,8 +140,8 @@ def test_nobody_else_can_read_a_private_file_while_it_is_replaced(path, monkeypa
     assert set(seen) == {0o600}
 
 
-def test_a_file_that_may_not_be_written_is_not_replaced_either(path, monkeypatch):
-    # Root may write to all files, so that only the system's answer can be played.
+def test_a_file_without_write_permission_is_not_replaced(path, monkeypatch):
+    # Root may write to all files, so simulate the answer of the system.
     monkeypatch.setattr(atomic_write.os, "access", lambda *_: False)
     with pytest.raises(PermissionError, match=r"cannot save the file: .*kept\.png"):
         write_whole(path, b"new")
@@ -149,7 +149,7 @@ def test_a_file_that_may_not_be_written_is_not_replaced_either(path, monkeypatch
 
 
 @posix
-def test_a_link_leads_to_the_file_that_is_replaced(writer, path):
+def test_a_link_is_followed_to_the_replaced_file(writer, path):
     link = path.with_name("link.png")
     link.symlink_to(path)
     writer(link)
@@ -158,7 +158,7 @@ def test_a_link_leads_to_the_file_that_is_replaced(writer, path):
 
 
 @posix
-def test_a_fifo_is_written_into_and_stays(writer, tmp_path):
+def test_a_fifo_is_written_and_remains_a_fifo(writer, tmp_path):
     fifo = tmp_path / "fifo.png"
     os.mkfifo(fifo)
     read = []
@@ -171,7 +171,7 @@ def test_a_fifo_is_written_into_and_stays(writer, tmp_path):
 
 
 @posix
-def test_a_device_is_written_into():
+def test_a_device_is_written():
     write_whole("/dev/null", b"anything")
     assert atomic_write.is_stream("/dev/null")
     with pytest.raises(OSError, match=r"cannot save the file: No space left.*full"):

@@ -1,4 +1,4 @@
-"""The commands: what they print, write and answer."""
+"""Tests of the commands: output, written files and exit codes."""
 
 import os
 import re
@@ -19,7 +19,7 @@ from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.optimizers import Monitor
 from tests.support.timeouts import LONG_MS
 
-#: The finite elements that there are for the samples.
+#: Rows of the table that compare a sample with a finite-element field.
 FEM, OTHER = "RMSD from FEM, nu 0.3", "with another material"
 
 
@@ -30,7 +30,7 @@ def _no_window(monkeypatch):
 
 @pytest.fixture
 def pictures():
-    """Have the demo draw its pictures, which takes it longer than all the rest."""
+    """Let the demo draw its pictures, which takes most of its time."""
 
 
 @pytest.fixture(autouse=True)
@@ -47,7 +47,7 @@ def demo(tmp_path, *more):
 
 
 def tables(printed):
-    """What is printed of each model, one beside the other."""
+    """Return the printed table as one dictionary per model."""
     lines = [line for line in printed.partition("\n\n")[0].splitlines() if line]
     names, *columns = zip(*(re.split(r" {2,}", line) for line in lines), strict=True)
     return [dict(zip(names, column, strict=True)) for column in columns]
@@ -57,7 +57,7 @@ def table(printed):
     return tables(printed)[0]
 
 
-def test_the_demo_is_elastic_and_has_the_papers_beside_it(tmp_path, capsys):
+def test_the_demo_compares_the_elastic_model_with_the_paper(tmp_path, capsys):
     assert demo(tmp_path) == 0
     said = capsys.readouterr()
     assert "napari is not opened" in said.err
@@ -80,7 +80,7 @@ def test_the_demo_is_elastic_and_has_the_papers_beside_it(tmp_path, capsys):
     assert written.provenance.model == "elastic"
 
 
-def test_the_demo_measures_the_papers_model_against_finite_elements(tmp_path, capsys):
+def test_the_demo_compares_the_paper_model_with_finite_elements(tmp_path, capsys):
     assert demo(tmp_path, "--model", "paper") == 0
     (measured,) = tables(capsys.readouterr().out)
     assert measured["levels"] == "10"
@@ -90,25 +90,25 @@ def test_the_demo_measures_the_papers_model_against_finite_elements(tmp_path, ca
     assert 0 < float(measured[FEM].removesuffix(" px")) < 1.44
 
 
-def test_the_demo_has_no_finite_elements_at_other_sizes(tmp_path, capsys):
+def test_the_demo_has_no_finite_element_field_at_other_sizes(tmp_path, capsys):
     assert demo(tmp_path, "--size", "40", "--phantom", "mass-effect") == 0
     measured = table(capsys.readouterr().out)
     assert measured[FEM] == "-"
     assert measured["sample"] == "Brain with a tumour whose rim is pushed, 40 x 40"
 
 
-def test_elastic_tissue_of_the_same_material_is_the_finite_element_field(tmp_path, capsys):
+def test_elastic_tissue_of_the_same_material_matches_the_finite_element_field(tmp_path, capsys):
     assert demo(tmp_path, "--model", "elastic", "--poisson", "0.3") == 0
     measured = table(capsys.readouterr().out)
     assert measured["model"] == "elastic (Poisson's ratio 0.3, plane stress), converged"
-    # The field it is held against is stored to a thousandth of a pixel.
+    # The reference field is stored to a thousandth of a pixel.
     assert 0 < float(measured[FEM].removesuffix(" px")) < 0.001
     assert demo(tmp_path, "--model", "elastic", "--plane", "strain", "--force") == 0
     measured = table(capsys.readouterr().out)
     assert measured[OTHER].endswith(" px, nu 0.45, plane strain")
 
 
-def test_the_demo_goes_on_to_convergence_when_asked(tmp_path, capsys):
+def test_the_demo_solves_the_converged_paper_model(tmp_path, capsys):
     options = ("--size", "40", "--model", "paper-converged")
     assert demo(tmp_path, *options) == 0
     measured = table(capsys.readouterr().out)
@@ -116,20 +116,20 @@ def test_the_demo_goes_on_to_convergence_when_asked(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("option", [("--poisson", "0.3"), ("--plane", "strain")])
-def test_the_papers_prior_has_no_poisson_ratio_to_give(tmp_path, capsys, option):
+def test_the_paper_model_refuses_a_poisson_ratio_and_a_plane(tmp_path, capsys, option):
     assert demo(tmp_path, "--size", "40", "--model", "paper", *option) == 1
-    assert f"{option[0]} has no effect here: the paper's" in capsys.readouterr().err
+    assert f"{option[0]} has no effect: the paper's" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("poisson", ["0.5", "-1", "nan", "much"])
-def test_a_poisson_ratio_that_is_none_is_refused_before_any_work(tmp_path, capsys, poisson):
+def test_an_invalid_poisson_ratio_is_refused_before_the_demo_starts(tmp_path, capsys, poisson):
     with pytest.raises(SystemExit):
         demo(tmp_path, "--model", "elastic", "--poisson", poisson)
     assert "is not a number from 0 to 0.499" in capsys.readouterr().err
 
 
-def test_the_demo_writes_pictures_and_a_result_that_opens_again(tmp_path, capsys, pictures):
+def test_the_demo_writes_pictures_and_a_result_that_can_be_read(tmp_path, capsys, pictures):
     from PIL import Image
 
     assert demo(tmp_path, "--size", "48", "--phantom", "bar") == 0
@@ -139,14 +139,16 @@ def test_the_demo_writes_pictures_and_a_result_that_opens_again(tmp_path, capsys
     for name in drawn:
         with Image.open(tmp_path / "out" / name) as picture:
             assert min(picture.size) > 300
-            assert len(set(picture.convert("L").resize((64, 64)).tobytes())) > 3, "an empty page"
+            assert len(set(picture.convert("L").resize((64, 64)).tobytes())) > 3, (
+                "the page is empty"
+            )
     solution = Solution.read(tmp_path / "out" / "solution.npz")
     assert solution.displacement.shape == (16, 48, 2)
     pull = solution.displacement[8, :, 1]
-    assert pull[0] < pull[24] < pull[-1], "the bar is pulled to the right"
+    assert pull[0] < pull[24] < pull[-1], "the bar is not pulled to the right"
 
 
-def test_what_is_drawn_of_non_square_pixels_keeps_their_proportions():
+def test_pictures_preserve_the_proportions_of_non_square_pixels():
     from napari_hmrf import Problem
 
     m = np.ones((20, 30))
@@ -161,7 +163,7 @@ def test_what_is_drawn_of_non_square_pixels_keeps_their_proportions():
     assert box.height / box.width == pytest.approx(20 * 3 / 30, rel=1e-3)
 
 
-def test_arrows_in_pictures_point_where_the_tissue_goes():
+def test_arrows_in_pictures_point_along_the_displacement():
     from matplotlib.quiver import Quiver
 
     bar = phantom("bar", 48)
@@ -172,11 +174,11 @@ def test_arrows_in_pictures_point_where_the_tissue_goes():
         row, col = int(y), int(x)
         assert (down, right) == pytest.approx(tuple(solution.displacement[row, col]), abs=1e-3)
     low, high = figure.axes[0].get_ylim()
-    assert low > high, "rows point down"
+    assert low > high, "the row axis does not point down"
 
 
 @pytest.mark.parametrize("kind", ["magnitude", "jacobian", "strain"])
-def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kind):
+def test_pictures_of_quantities_show_the_image_beneath_and_name_its_state(kind):
     from napari_hmrf.data import phantom
 
     bar = phantom("bar", 48)
@@ -189,12 +191,12 @@ def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kin
     clear = colours.cmap(colours.norm(no_change))[3]
     assert clear == pytest.approx(0, abs=0.02)
     assert colours.cmap(1.0)[3] == 1
-    assert "before it moves" in figure.axes[0].get_title()
+    assert "at the original positions" in figure.axes[0].get_title()
     assert len(draw(solution).axes[0].images) == 1
 
 
 @pytest.mark.parametrize(("backend", "jobs"), [("auto", [EVERYTHING, VOLUMES]), ("cpu", [])])
-def test_the_demo_writes_its_results_before_it_waits_for_compiled_loops(
+def test_the_demo_writes_its_results_before_it_compiles_loops(
     backend, jobs, monkeypatch, tmp_path, capsys
 ):
     waited = []
@@ -213,7 +215,7 @@ def test_the_demo_writes_its_results_before_it_waits_for_compiled_loops(
     assert "next, try:" in said.out
 
 
-def test_progress_where_lines_stay_is_a_line_for_each_stage(capsys):
+def test_progress_prints_one_line_per_stage_without_a_terminal(capsys):
     line = cli._ProgressLine()
     for message in ("compiling loops (1 of 9)", "compiling loops (2 of 9)", "preparing", "level 2"):
         line.show(Monitor(message, 0.1))
@@ -222,16 +224,16 @@ def test_progress_where_lines_stay_is_a_line_for_each_stage(capsys):
     assert said == ["10%  compiling loops (1 of 9)", "10%  preparing"]
 
 
-def test_progress_and_errors_are_not_mixed_with_the_table(tmp_path, capsys):
+def test_progress_and_errors_go_to_stderr_and_the_table_to_stdout(tmp_path, capsys):
     assert demo(tmp_path, "--size", "32") == 0
     said = capsys.readouterr()
     assert "preparing" in said.err
     assert "preparing" not in said.out
-    assert "\r" not in said.err, "no line that changes where there is no terminal"
+    assert "\r" not in said.err, "a line is rewritten without a terminal"
 
 
 @pytest.mark.parametrize("size", ["15", "-3", "2.5", "many"])
-def test_a_size_that_no_phantom_has_is_refused_before_any_work(tmp_path, size, capsys):
+def test_an_invalid_phantom_size_is_refused_before_the_demo_starts(tmp_path, size, capsys):
     with pytest.raises(SystemExit) as refused:
         demo(tmp_path, f"--size={size}")
     assert refused.value.code == 2
@@ -239,7 +241,9 @@ def test_a_size_that_no_phantom_has_is_refused_before_any_work(tmp_path, size, c
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_cannot_be_made_is_named_before_any_work(tmp_path, capsys, monkeypatch):
+def test_an_output_folder_that_cannot_be_made_is_refused_before_the_solve(
+    tmp_path, capsys, monkeypatch
+):
     (tmp_path / "out").write_text("a file is here")
     monkeypatch.setattr("napari_hmrf.samples.demo.solve", None)
     assert demo(tmp_path) == 1
@@ -258,7 +262,9 @@ def test_a_folder_that_cannot_be_made_is_named_before_any_work(tmp_path, capsys,
         ("win32", {"CI": "true"}, False),
     ],
 )
-def test_a_window_opens_only_where_somebody_may_see_it(monkeypatch, platform, variables, window):
+def test_a_window_opens_only_with_a_display_and_outside_ci(
+    monkeypatch, platform, variables, window
+):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "CI"):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
@@ -267,12 +273,12 @@ def test_a_window_opens_only_where_somebody_may_see_it(monkeypatch, platform, va
     assert cli._has_display() is window
 
 
-def test_an_affine_motion_of_the_border_is_an_affine_motion_inside():
+def test_the_affine_example_is_affine_inside_its_border():
     problem, field = selftest.affine_example()
     inside = problem.confidence[..., 0] == 0
     assert np.count_nonzero(inside) == 14 * 21
     assert np.array_equal(problem.observed[~inside], field[~inside].astype(np.float32))
-    # Second differences vanish: the field has no bend for the energy to resist.
+    # Second differences of an affine field vanish, so it has no bending energy.
     assert np.allclose(np.diff(field, 2, axis=0), 0)
     assert np.allclose(np.diff(field, 2, axis=1), 0)
     problem, field = selftest.affine_example((5, 6, 7))
@@ -281,8 +287,8 @@ def test_an_affine_motion_of_the_border_is_an_affine_motion_inside():
         assert np.allclose(np.diff(field, 2, axis=axis), 0)
 
 
-def test_the_self_test_passes_here_and_names_nobody(capsys, monkeypatch):
-    # Timed on an image that takes little time; the checks are those of the command.
+def test_the_self_test_passes_and_prints_no_user_name(capsys, monkeypatch):
+    # A small image shortens the timing; the checks are those of the command.
     monkeypatch.setattr(selftest, "phantom", lambda name: phantom(name, 24))
     home = os.path.expanduser("~")
     passed = cli.main(["selftest"]) == 0
@@ -296,7 +302,7 @@ def test_the_self_test_passes_here_and_names_nobody(capsys, monkeypatch):
     assert "FAIL" not in said
 
 
-def test_the_self_test_fails_when_a_backend_computes_something_else(monkeypatch):
+def test_the_self_test_fails_if_a_backend_returns_a_wrong_field(monkeypatch):
     problem, field = selftest.affine_example()
     monkeypatch.setattr(selftest, "affine_example", lambda *shape: (problem, -field))
     monkeypatch.setattr(selftest, "_BACKENDS", ("cpu",))
@@ -306,12 +312,12 @@ def test_the_self_test_fails_when_a_backend_computes_something_else(monkeypatch)
     assert lines[-1] == "FAIL"
 
 
-def test_the_self_test_leaves_folders_out():
+def test_the_self_test_hides_the_home_folder():
     home = os.path.expanduser("~")
     assert home not in selftest._anonymous(f"libGL.so from {home}/lib")
 
 
-def test_the_commands_say_what_they_are(capsys, monkeypatch):
+def test_the_commands_print_their_version(capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["napari-hmrf", "--version"])
     for command in (cli.main, lambda: runpy.run_module("napari_hmrf", run_name="__main__")):
         with pytest.raises(SystemExit) as asked:
@@ -324,7 +330,7 @@ def test_the_commands_say_what_they_are(capsys, monkeypatch):
 
 
 @pytest.mark.usefixtures("unstyled", "without_controls")
-def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
+def test_the_demo_opens_its_result_in_napari_on_a_display(
     tmp_path, make_napari_viewer, qtbot, monkeypatch
 ):
     import napari
@@ -343,7 +349,7 @@ def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
     assert {"Image", "Labels", "Vectors"} <= {type(layer).__name__ for layer in viewer.layers}
 
 
-def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, capsys, pictures):
+def test_the_volume_demo_reports_the_growth_of_the_tumour(tmp_path, capsys, pictures):
     assert demo(tmp_path, "--volume", "--size", "48") == 0
     said = capsys.readouterr().out
     measured = table(said)
@@ -353,7 +359,7 @@ def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, caps
     ]
     assert measured["sample"] == "Head with a growing tumour, 38 x 48 x 38 voxels of 3.96 mm"
     assert measured["model"] == "elastic (Poisson's ratio 0.45), converged"
-    assert measured["growth"] == "by 2 mm, all around"
+    assert measured["growth"] == "by 2 mm in all directions"
     assert measured["folds"] == "0 voxels"
     assert "folds over itself" not in said
     before, after = (float(measured[f"tumour {when}"].split()[0]) for when in ("before", "after"))
@@ -368,23 +374,24 @@ def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, caps
     assert saved.study.grid.place.axis_labels == tuple(PATIENT_AXES)
 
 
-def test_the_demo_of_a_volume_that_folds_says_where_that_comes_from():
+def test_a_volume_demo_with_folds_explains_their_cause():
     from napari_hmrf.samples.volume_demo import demonstrate_volume
 
     shown = demonstrate_volume(24, backend="cpu", progress=lambda _: None, growth=10.0)
     assert shown.folds == shown.solution.count_folds() > 0
     assert shown.note == (
-        f"the tissue folds over itself at {shown.folds} voxels, which no tissue does: the tumour "
-        "grows by too much (10 mm). From Python, head_phantom(24, growth=5) grows less."
+        f"the tissue folds over itself at {shown.folds} voxels, which real tissue cannot do: the "
+        "growth of the tumour (10 mm) is too large. In Python, use head_phantom(24, growth=5) "
+        "instead."
     )
 
 
-def test_the_demo_of_a_volume_takes_the_paper_s_model_too(tmp_path, capsys):
+def test_the_volume_demo_solves_the_paper_model(tmp_path, capsys):
     assert demo(tmp_path, "--volume", "--size", "24", "--model", "paper-converged") == 0
     assert table(capsys.readouterr().out)["model"] == "the paper's prior (centred), converged"
 
 
-def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(
+def test_slices_of_a_volume_are_drawn_through_one_point_with_the_head_up(
     tmp_path, monkeypatch, pictures
 ):
     from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
@@ -399,25 +406,27 @@ def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(
         across = [axes for axes in figure.axes if axes.get_title()]
         assert [axes.get_title()[0] for axes in across] == ["S", "P", "L"]
         ways = [bottom > top for bottom, top in (axes.get_ylim() for axes in across)]
-        assert ways == [True, False, False], "rows of the first lead to the back, of others up"
+        assert ways == [True, False, False], "a slice is upside down"
         assert len(figure.axes) == (4 if name == "magnitude" else 3)
         figure.draw_without_rendering()
         widths = [
             axes.get_window_extent().width / (axes.get_xlim()[1] - axes.get_xlim()[0])
             for axes in across
         ]
-        assert widths == pytest.approx(widths[:1] * 3, rel=0.05), "one scale"
+        assert widths == pytest.approx(widths[:1] * 3, rel=0.05), "the slices have different scales"
 
 
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        (("--plane", "strain"), "--plane has no effect here: a volume is"),
-        (("--model", "paper", "--poisson", "0.3"), "--poisson has no effect here: the paper"),
+        (("--plane", "strain"), "--plane has no effect: plane stress"),
+        (("--model", "paper", "--poisson", "0.3"), "--poisson has no effect: the paper"),
         (("--size", "20"), "at least 24"),
     ],
 )
-def test_what_no_volume_has_is_refused_before_any_work(tmp_path, capsys, option, said):
+def test_the_volume_demo_refuses_options_without_effect_before_it_starts(
+    tmp_path, capsys, option, said
+):
     assert demo(tmp_path, "--volume", *option) == 1
     printed = capsys.readouterr()
     assert said in printed.err
@@ -425,7 +434,7 @@ def test_what_no_volume_has_is_refused_before_any_work(tmp_path, capsys, option,
 
 
 @pytest.mark.usefixtures("unstyled", "without_controls")
-def test_the_demo_of_a_volume_ends_in_napari_with_all_of_it_deformed(
+def test_the_volume_demo_opens_the_deformed_volume_in_napari(
     tmp_path, make_napari_viewer, qtbot, monkeypatch
 ):
     import napari

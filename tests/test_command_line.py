@@ -1,4 +1,4 @@
-"""Every command explains itself, and none writes over files unasked."""
+"""Tests of the command line: help, options, errors and overwritten files."""
 
 import argparse
 import os
@@ -45,7 +45,7 @@ def commands():
 
 
 @pytest.mark.parametrize("name", sorted(commands()))
-def test_every_command_has_a_sentence_an_example_and_help_for_each_option(name):
+def test_every_command_has_a_description_an_example_and_help_for_each_option(name):
     command = commands()[name]
     assert re.match(r"[A-Z].*\.$", command.description)
     example = command.epilog.removeprefix("example: ")
@@ -54,11 +54,11 @@ def test_every_command_has_a_sentence_an_example_and_help_for_each_option(name):
     assert parser_of_commands().parse_args(typed[1:]).command == name
     bare = [action.dest for action in command._actions if not action.help]
     assert bare == []
-    assert example in command.format_help(), "in one line, to be copied"
+    assert example in command.format_help(), "the example is broken across lines"
 
 
 @pytest.mark.parametrize("command", ["measure {}", "play {} x.gif", "export {} x.mha"])
-def test_an_image_in_place_of_a_result_is_refused_with_what_to_give(tmp_path, capsys, command):
+def test_an_image_instead_of_a_result_is_refused_with_a_hint(tmp_path, capsys, command):
     write_image(tmp_path / "photo.png", ImageFile(np.ones(SHAPE, np.uint8)))
     assert main(command.format(tmp_path / "photo.png").split()) == 1
     said = capsys.readouterr().err
@@ -66,7 +66,7 @@ def test_an_image_in_place_of_a_result_is_refused_with_what_to_give(tmp_path, ca
     assert re.search(r"photo\.png.* Give .*a saved result", said)
 
 
-def test_every_command_takes_its_output_in_the_same_two_ways():
+def test_every_command_names_its_output_option_alike():
     for command in commands().values():
         names = next((a.option_strings for a in command._actions if a.dest == "out"), [])
         assert names in ([], ["-o", "--out"]), command.prog
@@ -74,7 +74,7 @@ def test_every_command_takes_its_output_in_the_same_two_ways():
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """An image with labels, a rim and its tables."""
+    """Write an image with labels, a rim and their tables; return the folder."""
     monkeypatch.chdir(tmp_path)
     labels = np.ones(SHAPE, np.uint8)
     labels[6:12, 6:12] = 2
@@ -98,9 +98,7 @@ def run(line, capsys):
 
 
 @pytest.mark.parametrize("command", [f"{SOLVE} -o out", "replay a.study"])
-def test_the_shell_says_how_far_loops_are_that_a_solve_waits_for(
-    files, capsys, monkeypatch, command
-):
+def test_the_shell_reports_the_progress_of_compiling(files, capsys, monkeypatch, command):
     grid = Grid(SHAPE, (1, 1))
     pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=3),))
     write_study("a.study", Study(grid, Tissue(), Motion(hold_edge=True, drawing=pull)))
@@ -117,7 +115,7 @@ def test_the_shell_says_how_far_loops_are_that_a_solve_waits_for(
     assert err.splitlines() == ["10%  compiling loops (3 of 22), about 9 s left"]
 
 
-def test_an_area_is_printed_in_full(files, capsys):
+def test_an_area_is_printed_without_an_exponent(files, capsys):
     pull = Drawing((Arrow(at=(10, 12), by=(0, 30), radius=30),))
     study = Study(Grid(SHAPE, (10, 10)), Tissue(), Motion(hold_edge=True, drawing=pull))
     write_study("a.study", study, solve_study(study, backend="cpu"))
@@ -126,7 +124,7 @@ def test_an_area_is_printed_in_full(files, capsys):
     assert "48000" in out
 
 
-def test_no_command_writes_over_a_file_unless_it_is_told_to(files, capsys):
+def test_no_command_overwrites_a_file_without_force(files, capsys):
     assert run(f"{SOLVE} -o out", capsys)[0] == 0
     lines = {
         f"{SOLVE} -o out": "image.study",
@@ -152,14 +150,14 @@ def test_no_command_writes_over_a_file_unless_it_is_told_to(files, capsys):
         assert run(f"{line} --force", capsys)[0] == 0, line
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/null"), reason="writes into a device")
-def test_a_device_is_no_file_that_is_written_over(files, capsys):
+@pytest.mark.skipif(not os.path.exists("/dev/null"), reason="needs /dev/null")
+def test_a_device_is_written_without_force(files, capsys):
     assert run(f"{SOLVE} -o out", capsys)[0] == 0
     os.symlink("/dev/null", files / "none.csv")
     assert run("measure out/image.study -o none.csv", capsys)[0] == 0
 
 
-def test_the_shell_gives_the_energy_its_parameters(files, capsys):
+def test_the_shell_sets_the_parameters_of_the_energy(files, capsys):
     line = f"{SOLVE} -o out --poisson 0.3 --plane strain --tolerance 0.01 --penalty 0.5"
     code, out, err = run(f"{line} --weight=-0.01/0.02", capsys)
     assert code == 0, err
@@ -181,15 +179,15 @@ def test_the_shell_gives_the_energy_its_parameters(files, capsys):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ("--model paper --poisson 0.3", "--poisson has no effect here: the paper's model has no"),
-        ("--model paper --plane strain", "--plane has no effect here: the paper's model has no"),
-        ("--model paper-converged --weight 0/1", "--weight has no effect here: the paper's model"),
-        ("--model paper --tolerance 0.1", "--tolerance has no effect here: the paper's schedule"),
+        ("--model paper --poisson 0.3", "--poisson has no effect: the paper's model has no"),
+        ("--model paper --plane strain", "--plane has no effect: the paper's model has nei"),
+        ("--model paper-converged --weight 0/1", "--weight has no effect: the paper's model"),
+        ("--model paper --tolerance 0.1", "--tolerance has no effect: the paper's schedule"),
         ("--weight 0/0/1", "--weight has 3 numbers, but the grid has 2 axes"),
-        ("--forward", "--forward is for a --boundary that is a field"),
+        ("--forward", "--forward requires a --boundary that is a field"),
     ],
 )
-def test_a_parameter_that_a_model_lacks_is_refused_with_the_reason(
+def test_a_parameter_that_the_model_lacks_is_refused_with_the_reason(
     files, capsys, options, sentence
 ):
     code, out, err = run(f"{SOLVE} -o out {options}", capsys)
@@ -200,13 +198,13 @@ def test_a_parameter_that_a_model_lacks_is_refused_with_the_reason(
 
 
 @pytest.mark.parametrize("option", ["--tolerance 0", "--penalty x", "--weight 1", "--plane both"])
-def test_a_parameter_that_is_no_number_is_refused_before_any_work(files, capsys, option):
+def test_an_invalid_parameter_is_refused_before_the_solve(files, capsys, option):
     with pytest.raises(SystemExit):
         run(f"{SOLVE} -o out {option}", capsys)
     assert option.split()[0] in capsys.readouterr().err
 
 
-def test_a_field_leads_forward_where_its_file_cannot_say_so(tmp_path):
+def test_the_forward_option_reads_a_file_as_a_forward_field(tmp_path):
     d = np.zeros((*SHAPE, 2))
     d[..., 1] = np.linspace(0, 3, SHAPE[1])
     write_image(tmp_path / "image.png", ImageFile(np.ones(SHAPE, np.uint8)))
@@ -221,14 +219,17 @@ def test_a_field_leads_forward_where_its_file_cannot_say_so(tmp_path):
     write_field(tmp_path / "own.mha", d, spacing=(1, 1))
 
 
-def test_a_painted_label_that_the_rules_do_not_name_is_refused(files, capsys):
+def test_a_painted_label_without_a_rule_is_refused(files, capsys):
     (files / "r.csv").write_text("label,action\n1,fixed\n")
     code, _, err = run(f"{SOLVE} -o out", capsys)
     assert code == 1
-    assert "r.csv: there is no rule for label 2, painted in rim.png. Add a line such as 2,f" in err
+    assert (
+        "r.csv: there is no rule for label 2, which is used in rim.png. Add a line such as 2,f"
+        in err
+    )
 
 
-def test_a_model_is_called_alike_in_python_and_in_the_shell(files, capsys):
+def test_a_model_has_the_same_names_in_python_and_in_the_shell(files, capsys):
     assert parts_of("large-motion") == parts_of("large motion")
     assert Study(Grid(SHAPE, (1.0, 1.0)), model="large-motion").model_name == "large motion"
     with pytest.raises(HmrfError, match=r"there is no model 'soft'\. Use one of .elastic"):
@@ -239,7 +240,7 @@ def test_a_model_is_called_alike_in_python_and_in_the_shell(files, capsys):
     assert "large motion" not in out
 
 
-def test_notes_of_the_shell_name_its_own_options(files, capsys):
+def test_notes_in_the_shell_name_options_of_the_shell(files, capsys):
     (files / "r.csv").write_text("label,action,row,col\n1,move,1,0\n2,move,1,0\n")
     code, out, _ = run(f"{SOLVE} -o out", capsys)
     assert code == 0
@@ -251,15 +252,15 @@ def test_notes_of_the_shell_name_its_own_options(files, capsys):
     assert "Advanced" not in err
 
 
-def test_a_case_in_which_nothing_is_asked_to_move_is_refused(files, capsys):
+def test_a_case_without_motion_is_refused(files, capsys):
     code, _, err = run("solve image.png --hold-edge -o out", capsys)
     assert code == 1
     assert "nothing moves" in err
     assert "--boundary" in err
-    assert not (files / "out").exists(), "a refusal leaves no empty folder"
+    assert not (files / "out").exists(), "an empty folder was made"
 
 
-def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):
+def test_play_shows_the_middle_slice_of_a_volume_and_prints_its_number(tmp_path, capsys):
     from PIL import Image
 
     shape = (6, 8, 10)
@@ -274,12 +275,15 @@ def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):
     path = write_study(tmp_path / "v.study", study, solve_study(study, backend="cpu"))
     code, out, _ = run(f"play {path} {tmp_path / 'a.gif'}", capsys)
     assert code == 0
-    assert "note: slice 3 of 0 to 5, in the middle; --slice selects another\n" in out
+    assert (
+        "note: showing slice 3, the middle of slices 0 to 5; use --slice to select another slice\n"
+        in out
+    )
     with Image.open(tmp_path / "a.gif") as film:
         assert film.size == (10, 8)
         assert film.n_frames > 10
     assert run(f"play {path} {tmp_path / 'b.gif'} --slice 6", capsys)[2].startswith(
-        "napari-hmrf: the volume has slices 0 to 5, and --slice is 6"
+        "napari-hmrf: --slice is 6, but the volume has slices 0 to 5. Give one of these."
     )
     assert run(f"play {path} {tmp_path / 'b.gif'} --slice 2", capsys)[:2] == (
         0,
@@ -287,7 +291,7 @@ def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):
     )
 
 
-def test_a_demo_writes_over_its_own_folder_alone_and_says_so(tmp_path, capsys, monkeypatch):
+def test_a_demo_overwrites_only_its_own_folder_and_prints_a_note(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CI", "true")
     monkeypatch.setattr("napari_hmrf.samples.demo.write_pictures", lambda *_, **__: [])

@@ -1,4 +1,4 @@
-"""What napari finds in the manifest works when napari calls it."""
+"""Tests of the contributions in the napari manifest."""
 
 import json
 
@@ -47,7 +47,7 @@ def solution():
 
 @pytest.fixture
 def arrows(solution):
-    """Arrows on slice 3 of a turned stack."""
+    """Return the layer of arrows on slice 3 of a rotated stack."""
     stack = Image(
         np.zeros((5, 8, 9)),
         scale=(2.0, 1.0, 0.5),
@@ -62,7 +62,7 @@ def arrows(solution):
     return Layer.create(*result_layers(solution, frame).layers["arrows"])
 
 
-def test_the_manifest_is_valid_and_every_command_is_there():
+def test_the_manifest_is_valid_and_every_command_exists():
     manifest = PluginManifest.from_distribution("napari-hmrf")
     for command in manifest.contributions.commands:
         assert callable(
@@ -90,7 +90,7 @@ def _imported(python_name):
     ],
     ids=["expansion", "growth", "mass-effect", "bar"],
 )
-def test_a_sample_makes_the_very_problem_of_its_phantom(opened, drawn):
+def test_a_sample_gives_the_problem_of_its_phantom(opened, drawn):
     image, tissue, boundary = (Layer.create(*data) for data in opened())
     assert isinstance(image, Image)
     assert isinstance(tissue, Labels)
@@ -111,7 +111,7 @@ def head_layers():
     return [Layer.create(*data) for data in sample_head()]
 
 
-def test_the_sample_of_a_volume_makes_the_very_problem_of_its_phantom(head_layers):
+def test_the_sample_volume_gives_the_problem_of_its_phantom(head_layers):
     image, tissue, boundary = head_layers
     view = View((1, 2), (0.0, 0.0, 0.0), volume=True)
     rows = rows_of(tissue, "tissue"), rows_of(boundary, "boundary")
@@ -123,7 +123,7 @@ def test_the_sample_of_a_volume_makes_the_very_problem_of_its_phantom(head_layer
         np.testing.assert_array_equal(getattr(problem, field), getattr(expected, field))
 
 
-def test_the_sample_of_a_volume_lies_in_the_patient_and_is_deformed_whole(head_layers):
+def test_the_sample_volume_has_patient_axes_and_is_deformed_as_a_whole(head_layers):
     for layer in head_layers:
         assert layer.axis_labels == tuple(PATIENT_AXES)
         assert [str(unit) for unit in layer.units] == ["millimeter"] * 3
@@ -135,13 +135,13 @@ def test_the_sample_of_a_volume_lies_in_the_patient_and_is_deformed_whole(head_l
     assert (superior > 5, posterior > 20, left > 20) == (True,) * 3
 
 
-def test_samples_can_be_painted_on_and_their_tables_saved_as_text():
+def test_samples_are_writeable_and_their_tables_are_valid_json():
     for data, attributes, _ in sample_bar():
         assert data.flags.writeable
         json.dumps(attributes["metadata"])
 
 
-def test_arrows_are_saved_whole_and_come_back_in_their_place(arrows, solution, tmp_path):
+def test_saved_arrows_are_read_back_with_solution_and_place(arrows, solution, tmp_path):
     path = tmp_path / "kept.npz"
     data, attributes, _ = arrows.as_layer_data_tuple()
     assert write_solution(str(path), data, attributes) == [str(path)]
@@ -160,14 +160,14 @@ def test_arrows_are_saved_whole_and_come_back_in_their_place(arrows, solution, t
     np.testing.assert_array_equal(kept.energy, solution.energy)
 
 
-def test_a_solution_that_came_from_no_layer_lies_at_the_origin(solution, tmp_path):
+def test_a_solution_without_a_layer_lies_at_the_origin(solution, tmp_path):
     path = str(solution.write(tmp_path / "script.npz"))
     ((data, kwargs, kind),) = open_solution(path)(path)
     layer = Layer.create(data, kwargs, kind)
     np.testing.assert_array_equal(layer.scale, (1.0, 0.5))
 
 
-def test_arrows_of_others_are_not_saved_as_a_solution(tmp_path):
+def test_foreign_arrows_are_not_saved_as_a_solution(tmp_path):
     with pytest.raises(ValueError, match="'flow' is not a result"):
         write_solution(
             str(tmp_path / "x.npz"), np.zeros((1, 2, 2)), {"name": "flow", "metadata": {}}
@@ -175,7 +175,7 @@ def test_arrows_of_others_are_not_saved_as_a_solution(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_archives_of_others_are_left_to_other_readers(tmp_path, solution):
+def test_foreign_archives_are_left_to_other_readers(tmp_path, solution):
     foreign = tmp_path / "foreign.npz"
     np.savez(foreign, a=np.zeros(3))
     ours = str(solution.write(tmp_path / "ours.npz"))
@@ -185,7 +185,7 @@ def test_archives_of_others_are_left_to_other_readers(tmp_path, solution):
     assert len(open_solution([ours, ours])([ours, ours])) == 2
 
 
-def test_a_file_whose_frame_is_nonsense_is_refused_by_name(solution, tmp_path):
+def test_a_file_with_an_invalid_frame_is_refused_by_name(solution, tmp_path):
     from dataclasses import replace
 
     path = str(replace(solution, frame={"plane": "up"}).write(tmp_path / "odd.npz"))
@@ -202,14 +202,14 @@ def test_napari_saves_and_opens_the_result(make_napari_viewer, arrows, tmp_path)
     np.testing.assert_array_equal(layer.data, arrows.data)
 
 
-def test_the_field_of_a_result_is_saved_for_other_tools(arrows, solution, tmp_path):
+def test_the_field_of_a_result_is_exported_for_other_tools(arrows, solution, tmp_path):
     data, attributes, _ = arrows.as_layer_data_tuple()
     (path,) = write_solution(str(tmp_path / "field.mha"), data, attributes)
     assert 0 < np.abs(read_field(path).displacement).max() < 2.5
 
 
 @pytest.mark.parametrize("ending", [".mha", ".nrrd", ".nii.gz", ".h5"])
-def test_file_save_writes_the_field_and_says_how_good_its_inverse_is(
+def test_saving_a_field_in_napari_reports_the_error_of_its_inverse(
     make_napari_viewer, arrows, tmp_path, ending
 ):
     from napari.utils.notifications import notification_manager
@@ -222,10 +222,10 @@ def test_file_save_writes_the_field_and_says_how_good_its_inverse_is(
     assert said.startswith(f"Saved field{ending}: the backward field, which moves images. ")
     viewer.layers.clear()
     (layer,) = viewer.open(path, plugin="napari-hmrf")
-    assert np.abs(layer.data[:, 1]).max() > 0.5, "what was saved is a field that opens again"
+    assert np.abs(layer.data[:, 1]).max() > 0.5, "the saved field has no motion when it is opened"
 
 
-def test_a_scan_is_opened_where_it_lies_in_the_patient(tmp_path):
+def test_a_scan_is_opened_at_its_place_in_the_patient(tmp_path):
     turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), turn)
     pixels = np.arange(4 * 5 * 6, dtype=np.int16).reshape(4, 5, 6)
@@ -240,16 +240,18 @@ def test_a_scan_is_opened_where_it_lies_in_the_patient(tmp_path):
         np.testing.assert_allclose(layer.data_to_world((z, y, x)), lps[::-1], atol=1e-5)
     one = str(write_image(tmp_path / "one.mha", ImageFile(pixels[0], place)))
     ((data, attributes, kind),) = open_scan(one)(one)
-    assert Layer.create(data, attributes, kind).data.shape == (1, 5, 6), "a slice of a volume"
+    assert Layer.create(data, attributes, kind).data.shape == (1, 5, 6), (
+        "a slice of a volume lost an axis"
+    )
 
 
-def test_a_folder_is_a_scan_only_if_it_holds_one(tmp_path):
+def test_a_folder_without_a_scan_is_left_to_other_readers(tmp_path):
     assert open_scan(str(tmp_path)) is None
     (tmp_path / "notes.txt").write_text("of the scan")
     assert open_scan(str(tmp_path)) is None
 
 
-def test_landmarks_of_slicer_lie_on_a_scan_of_the_patient(tmp_path):
+def test_landmarks_of_slicer_lie_at_their_place_in_the_patient(tmp_path):
     path = str(write_points(tmp_path / "nose.mrk.json", [[5.0, 20.0, -10.0]]))
     ((data, attributes, kind),) = open_landmarks(path)(path)
     layer = Layer.create(data, attributes, kind)
@@ -257,17 +259,17 @@ def test_landmarks_of_slicer_lie_on_a_scan_of_the_patient(tmp_path):
     assert [str(unit) for unit in layer.units] == ["millimeter"] * 3
 
 
-def test_pairs_of_bigwarp_become_two_layers_of_points_in_one_order(tmp_path):
+def test_pairs_of_bigwarp_become_two_layers_of_points_in_the_same_order(tmp_path):
     path = str(write_points(tmp_path / "pairs.csv", [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]]))
     where, should = (Layer.create(*made) for made in open_landmarks(path)(path))
     assert (where.name, should.name) == ("pairs", "pairs, should be")
     np.testing.assert_array_equal(should.data - where.data, [[0.5, 0], [0, 1]])
     others = tmp_path / "others.csv"
     others.write_text("index,axis-0,axis-1\n0,1,2\n")
-    assert open_landmarks(str(others)) is None, "napari reads its own"
+    assert open_landmarks(str(others)) is None, "napari reads this file itself"
 
 
-def test_pairs_of_bigwarp_are_in_the_unit_of_the_image_that_is_open(tmp_path, make_napari_viewer):
+def test_pairs_of_bigwarp_have_the_unit_of_the_open_image(tmp_path, make_napari_viewer):
     viewer = make_napari_viewer()
     viewer.add_image(np.zeros((8, 9)), scale=(2, 2), units=("mm", "mm"))
     path = write_points(tmp_path / "pairs.csv", [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]])
@@ -275,14 +277,14 @@ def test_pairs_of_bigwarp_are_in_the_unit_of_the_image_that_is_open(tmp_path, ma
     assert {str(unit) for each in (where, should) for unit in each.units} == {"millimeter"}
 
 
-def test_the_dock_is_in_the_menus():
+def test_the_dock_is_listed_in_the_menus():
     manifest = PluginManifest.from_distribution("napari-hmrf")
     menus = manifest.contributions.menus
     assert "napari-hmrf.soft_tissue" in [item.command for item in menus["napari/layers/transform"]]
     assert [widget.display_name for widget in manifest.contributions.widgets] == ["Soft tissue"]
 
 
-def test_a_study_that_was_saved_under_another_ending_is_offered_to_be_opened(tmp_path):
+def test_a_study_saved_with_another_suffix_is_opened_as_a_study(tmp_path):
     from napari_hmrf import Grid, Motion, Study, write_study
 
     path = write_study(tmp_path / "mine.npz", Study(Grid((8, 8), (1.0, 1.0)), motion=Motion(True)))

@@ -1,4 +1,4 @@
-"""The public face: what a script imports, how it is called, and what it says of a mistake."""
+"""Tests of the public interface: exported names, signatures and errors."""
 
 import doctest
 import inspect
@@ -32,9 +32,9 @@ from napari_hmrf.study.models import parts_of
 from napari_hmrf.tissue import StiffnessCurve, boundary_images, poisson_image, stiffness_image
 from tests.support.public_names import PACKAGES, public_names
 
-#: The public names without their packages.
+#: Public objects by name, without their packages.
 NAMES = {full.rpartition(".")[2]: found for full, found in public_names().items()}
-#: How many arguments may go without their name.
+#: Number of arguments that may be given by position.
 WHAT_A_CALL_IS_ABOUT = {
     "BoundaryRule": 2,
     "ElasticPrior": 1,
@@ -83,7 +83,7 @@ WHAT_A_CALL_IS_ABOUT = {
 }
 
 
-def test_a_script_makes_tissue_solves_and_measures_it_with_what_the_package_exports():
+def test_a_script_with_exported_names_builds_solves_and_measures_tissue():
     tissue, boundary = np.ones((20, 30), int), np.zeros((20, 30), int)
     tissue[8:12] = 2
     boundary[:, :2], boundary[:, -2:] = 1, 2
@@ -99,8 +99,8 @@ def test_a_script_makes_tissue_solves_and_measures_it_with_what_the_package_expo
     assert bright(np.uint8([[0, 255]])).tolist() == [[1, 100]]
 
 
-def test_every_name_that_is_exported_is_there_once_and_says_what_it_is():
-    assert len(NAMES) == len(public_names()), "no two packages have the same name"
+def test_every_exported_name_exists_once_and_has_a_docstring():
+    assert len(NAMES) == len(public_names()), "two packages export the same name"
     for module in PACKAGES.values():
         assert len(module.__all__) == len(set(module.__all__))
     for found in NAMES.values():
@@ -108,7 +108,7 @@ def test_every_name_that_is_exported_is_there_once_and_says_what_it_is():
         assert not callable(found) or inspect.getdoc(found)
 
 
-def test_the_top_has_few_names_and_leads_to_the_packages_without_another_import():
+def test_the_top_package_has_few_names_and_imports_its_packages_on_demand():
     assert len(napari_hmrf.__all__) < 40
     for package, module in PACKAGES.items():
         name = package.removeprefix("napari_hmrf").lstrip(".")
@@ -120,7 +120,7 @@ def test_the_top_has_few_names_and_leads_to_the_packages_without_another_import(
         napari_hmrf.tissue.Material  # noqa: B018
 
 
-def test_help_is_a_page_with_every_package_and_an_example_that_runs():
+def test_the_help_lists_every_package_and_its_example_runs():
     page = inspect.getdoc(napari_hmrf)
     for package, module in PACKAGES.items():
         assert re.search(rf"^{package} +\w", page, re.M), package
@@ -132,25 +132,23 @@ def test_help_is_a_page_with_every_package_and_an_example_that_runs():
     assert said == []
 
 
-def test_files_are_read_and_written_by_one_pair_of_verbs():
+def test_functions_for_files_begin_with_read_or_write():
     methods = {each for found in NAMES.values() if isinstance(found, type) for each in dir(found)}
     verbs = {name.partition("_")[0] for name in {*NAMES, *methods}}
     assert {"read", "write"} <= verbs
     assert not verbs & {"save", "open", "dump", "store"}
-    assert not [name for name in NAMES if name.startswith("load_")], (
-        "the load of a prior is a force"
-    )
+    assert not [name for name in NAMES if name.startswith("load_")], "'load' denotes a force here"
 
 
 @pytest.mark.parametrize(("name", "count"), WHAT_A_CALL_IS_ABOUT.items())
-def test_all_but_what_a_call_is_about_has_to_be_named(name, count):
+def test_optional_arguments_are_keyword_only(name, count):
     parameters = inspect.signature(NAMES[name]).parameters.values()
     unnamed = [each for each in parameters if each.kind is each.POSITIONAL_OR_KEYWORD]
     assert len(unnamed) == count
 
 
-def test_whatever_has_a_choice_is_in_that_list():
-    """But for `phantom(name, size)`, and records: rows of tables, marks, studies and results."""
+def test_every_callable_with_options_is_in_the_list():
+    """Except `phantom(name, size)` and records: rows of tables, marks, studies and results."""
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
     records |= {"Study", "Grid", "Frame", "Tissue", "Motion", "Pictures"}
     records |= {"Field", "LandmarkFile", "Measurement", "NamedMaterials"}
@@ -165,7 +163,7 @@ def test_whatever_has_a_choice_is_in_that_list():
     assert choices - records - {"equivalent_strain"} <= set(WHAT_A_CALL_IS_ABOUT)
 
 
-def test_tissue_is_elastic_unless_a_script_asks_for_the_papers_and_a_result_says_which(tmp_path):
+def test_the_default_model_is_elastic_and_a_result_names_its_model(tmp_path):
     problem = napari_hmrf.data.phantom("mass-effect", 32).problem
     usual, elastic, large, papers, converged = (
         solve(problem, backend="cpu"),
@@ -187,19 +185,21 @@ def test_tissue_is_elastic_unless_a_script_asks_for_the_papers_and_a_result_says
 
 
 @pytest.mark.parametrize("name", get_args(ModelName))
-def test_a_name_chooses_the_model_that_has_it(name):
+def test_a_model_name_selects_the_model(name):
     prior, optimizer = parts_of(name)
     parameters = {"prior": prior.parameters, "optimizer": optimizer.parameters}
     assert model_name(parameters) == name
-    assert Provenance("cpu", "a device", parameters=parameters).model == name, "older files"
+    assert Provenance("cpu", "a device", parameters=parameters).model == name, (
+        "the model of older files was not recognised"
+    )
 
 
 @pytest.mark.parametrize("parameters", [{}, {"prior": 3}, {"prior": {"name": "?"}}, None, [1]])
-def test_what_is_not_told_has_no_name(parameters):
+def test_unknown_parameters_have_no_model_name(parameters):
     assert model_name(parameters) == ""
 
 
-def test_the_blanket_reading_has_a_name_of_its_own():
+def test_the_blanket_conditional_has_its_own_model_name():
     problem = napari_hmrf.data.phantom("bar", 32).problem
     blanket = SeilerPrior(conditional="blanket")
     for optimizer, name in ((ICM(3), "paper, blanket"), (Multigrid(), "paper, blanket, converged")):
@@ -214,11 +214,11 @@ PROBLEM = Problem(FIELD, HELD, IMAGE)
 MOVED = {"displacement": FIELD, "spacing": (1, 1), "tissue": None}
 
 
-def ruled(**of_the_rule):
+def images_of_rule(**of_the_rule):
     return boundary_images(LABELS, [BoundaryRule(**of_the_rule)], spacing=1)
 
 
-#: What works, argument by argument.
+#: Valid arguments of each call.
 CALLS = {
     "Problem": {"observed": FIELD, "confidence": HELD, "stiffness": IMAGE, "spacing": (1, 1)},
     "solve": {
@@ -263,7 +263,7 @@ CALLS = {
     "luminance": {"colours": np.zeros((3, 3, 3))},
     "is_solution_file": {"path": "none.npz"},
 }
-#: What is made first and looked at when it is used.
+#: Objects that are made first and checked on use.
 CALLS_OF = {
     "a picture": (
         lambda **of: Warper(Picture(**of), spacing=(1, 1)),
@@ -277,8 +277,11 @@ CALLS_OF = {
         lambda **of: poisson_image(LABELS, [Material(1, "a", **of)]),
         {"stiffness": 1.0, "poisson": 0.3},
     ),
-    "a move": (ruled, {"label": 1, "action": "move", "vector": (1, 1), "confidence": (1, 1)}),
-    "an expansion": (ruled, {"label": 1, "action": "expand", "amount": 1.0}),
+    "a move": (
+        images_of_rule,
+        {"label": 1, "action": "move", "vector": (1, 1), "confidence": (1, 1)},
+    ),
+    "an expansion": (images_of_rule, {"label": 1, "action": "expand", "amount": 1.0}),
     "intensities": (StiffnessCurve(((0, 1), (1, 2))), {"intensities": IMAGE}),
     "percentiles": (StiffnessCurve.from_percentiles, {"intensities": np.arange(20.0)}),
     "a stored curve": (StiffnessCurve.from_dict, {"values": {"points": ((0, 1), (1, 2))}}),
@@ -300,14 +303,14 @@ WRONG = [
 
 
 @pytest.mark.parametrize("name", CALLS_OF)
-def test_whatever_is_given_by_mistake_is_refused_by_an_error_of_ours_in_short(
+def test_any_wrong_argument_is_refused_with_a_short_error_of_the_package(
     name, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     call, good = CALLS_OF[name]
     said = []
     for argument in good:
-        # A whole number may be an open file, which is not ours to close.
+        # An integer may be an open file descriptor, which the test must not close.
         wrong = [each for each in WRONG if argument != "path" or type(each) not in (int, bool, str)]
         for each in wrong:
             try:
@@ -338,19 +341,19 @@ def test_whatever_is_given_by_mistake_is_refused_by_an_error_of_ours_in_short(
         (lambda: napari_hmrf.data.phantom("liver"), "no phantom 'liver'; choose from expansion"),
     ],
 )
-def test_a_mistake_is_answered_by_what_was_given_and_what_to_give(mistake, says):
+def test_an_error_names_the_given_value_and_the_expected_value(mistake, says):
     with pytest.raises(HmrfError, match=says) as refused:
         mistake()
-    assert isinstance(refused.value, ValueError), "as those who catch Python's own expect"
+    assert isinstance(refused.value, ValueError), "the error is no ValueError"
 
 
-def test_what_is_no_kind_of_argument_is_caught_as_a_type_error_too():
+def test_an_argument_of_a_wrong_type_raises_a_type_error():
     with pytest.raises(TypeError):
         solve(IMAGE)
     assert issubclass(ArgumentError, TypeError)
 
 
-def test_every_public_function_says_what_it_takes_and_returns():
+def test_every_public_function_documents_its_parameters_and_return_value():
     for name, found in NAMES.items():
         text = inspect.getdoc(found) or ""
         if inspect.isfunction(found):
@@ -362,7 +365,7 @@ def test_every_public_function_says_what_it_takes_and_returns():
             assert re.search(r"^(Parameters|Attributes)\n-----", text, re.M), name
 
 
-def test_a_function_of_a_displacement_cannot_be_called_without_its_spacing():
+def test_a_function_of_a_displacement_requires_its_spacing():
     for name, found in NAMES.items():
         parameters = inspect.signature(found).parameters if inspect.isfunction(found) else {}
         if "displacement" in parameters and name != "magnitude":

@@ -1,4 +1,4 @@
-"""Public records are printed in a line, however large their arrays are."""
+"""Tests of the `repr` of public records, which fits on one line."""
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def test_every_public_record_is_printed_in_a_short_line(tmp_path):
 
 
 @pytest.mark.parametrize("prior", [ElasticPrior, NeoHookeanPrior])
-def test_a_prior_is_printed_with_the_size_of_its_map_of_ratios(prior):
+def test_a_prior_is_printed_with_the_shape_of_its_map_of_ratios(prior):
     assert repr(prior(RATIOS)).startswith(
         f"{prior.__name__}(poisson=map of 20 x 30, plane='stress'"
     )

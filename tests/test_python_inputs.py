@@ -1,4 +1,4 @@
-"""Landmarks and maps of tissue in Python: drawings and tissue made of plain arrays."""
+"""Tests of landmarks and tissue maps given as arrays."""
 
 from dataclasses import replace
 
@@ -51,12 +51,12 @@ def test_landmarks_move_tissue_from_source_to_target():
         ([[1, 2, 3]], [[1, 2, 4]], "3 coordinates each, but the image has 2 axes"),
     ],
 )
-def test_landmarks_that_are_none_are_refused(source, target, said):
+def test_invalid_landmarks_are_refused(source, target, said):
     with pytest.raises(ProblemError, match=said):
         Drawing.from_landmarks(source, target, radius=1, shape=SHAPE)
 
 
-def test_a_grid_takes_points_of_the_patient_to_its_pixels():
+def test_a_grid_converts_points_in_physical_space_to_pixels():
     turn = np.eye(4)
     turn[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, -1, 0]]
     turn[:3, 3] = 3, -4, 5
@@ -78,14 +78,14 @@ def test_a_grid_takes_points_of_the_patient_to_its_pixels():
 def maps(high=1.0):
     grey, white = np.zeros((2, *SHAPE))
     grey[:, :10], white[:, 8:20] = 0.9 * high, 0.95 * high
-    grey[:, :3] = 0.4 * high  # "none" has more
+    grey[:, :3] = 0.4 * high  # "none" is more likely.
     if high != 1:
-        white[1, 12] = high  # so that it is seen what is certain
+        white[1, 12] = high  # The largest value makes the scale of the maps unambiguous.
     return {"grey matter": grey, "white matter": white}
 
 
 @pytest.mark.parametrize("high", [1.0, 255.0])
-def test_the_most_likely_tissue_counts(high):
+def test_each_site_has_its_most_likely_tissue(high):
     tissue = Tissue.from_maps(maps(high), {"white matter": 2.0, "grey matter": 1.5, "none": 0.0})
     expected = np.zeros(SHAPE, int)
     expected[:, 3:8], expected[:, 8:20] = 1, 2
@@ -114,7 +114,7 @@ def test_python_and_the_shell_read_the_same_tissue_from_maps(tmp_path):
     ]
 
 
-def test_published_values_are_taken_by_name_and_unknown_names_refused():
+def test_published_stiffness_is_found_by_name_and_unknown_names_are_refused():
     tissue = Tissue.from_maps(maps())
     assert [row.label for row in tissue.materials] == [1, 2]
     assert tissue.unit == "kPa"
@@ -149,12 +149,12 @@ def test_published_values_are_taken_by_name_and_unknown_names_refused():
         ({"a": np.full((2, 3), 60, np.uint8)}, {"a": 1}, "scale may be 100 or 255"),
     ],
 )
-def test_maps_and_materials_that_do_not_go_together_are_refused(given, materials, said):
+def test_maps_that_do_not_match_their_materials_are_refused(given, materials, said):
     with pytest.raises(ProblemError, match=said):
         Tissue.from_maps(given, materials)
 
 
-def test_the_scale_of_maps_is_that_of_all_or_the_given_one():
+def test_the_scale_of_maps_is_common_to_all_maps_or_given():
     grey, white = np.array([[30, 0, 100]], np.uint8), np.array([[25, 60, 0]], np.uint8)
     materials, shares = {"a": 1.0, "b": 2.0}, {"a": grey, "b": white}
     assert Tissue.from_maps(shares, materials, scale=100).labels.tolist() == [[0, 2, 1]]

@@ -1,4 +1,4 @@
-"""A Python argument of another type is refused by name, with an example of the right one."""
+"""Tests of errors for arguments of a wrong type, which name the argument and the right type."""
 
 import numpy as np
 import pytest
@@ -79,12 +79,12 @@ def solution():
         (lambda: solve_study(Study(GRID), stated=3), "stated must be a Statement, such as build_p"),
     ],
 )
-def test_an_argument_of_another_type_is_refused_by_name(call, said):
+def test_an_argument_of_a_wrong_type_is_refused_by_name(call, said):
     with pytest.raises(ArgumentError, match=said):
         call()
 
 
-def test_arguments_beside_a_solution_are_refused_by_name(solution):
+def test_a_wrong_argument_besides_a_solution_is_refused_by_name(solution):
     with pytest.raises(ArgumentError, match="names must be a mapping of labels to names, such as"):
         measure(solution, np.ones((16, 16), int), names=["bone"])
     with pytest.raises(ArgumentError, match="solution must be a Solution"):
@@ -94,7 +94,7 @@ def test_arguments_beside_a_solution_are_refused_by_name(solution):
 
 
 @pytest.mark.parametrize("call", [solve_study, build_problem])
-def test_a_problem_is_sent_to_solve(call):
+def test_a_problem_in_place_of_a_study_is_refused_with_a_hint_to_solve(call):
     problem = Problem(np.zeros((*SHAPE, 2)), np.ones((*SHAPE, 2)), ONES)
     with pytest.raises(ArgumentError, match=r"study is a Problem\. Call solve\(problem\)"):
         call(problem)
@@ -114,12 +114,12 @@ def test_a_problem_is_sent_to_solve(call):
         (SHAPE, (1, -1), "spacing: is"),
     ],
 )
-def test_a_grid_of_no_shape_or_spacing_is_refused(shape, spacing, said):
+def test_a_grid_with_an_invalid_shape_or_spacing_is_refused(shape, spacing, said):
     with pytest.raises(ProblemError, match=said):
         Grid(shape, spacing)
 
 
-def test_a_grid_takes_any_sequence_and_one_number_for_the_size_of_its_pixels():
+def test_a_grid_accepts_any_sequence_as_shape_and_one_number_as_spacing():
     made = Grid(np.array(SHAPE), 2)
     assert made == Grid(SHAPE, (2.0, 2.0))
     assert Study(made, Tissue(stiffness=ONES)).grid.shape == SHAPE
@@ -134,13 +134,13 @@ def test_a_grid_takes_any_sequence_and_one_number_for_the_size_of_its_pixels():
         (SHAPE, Stroke("pin", (((1, 3, 3),),), 1), "the Stroke at"),
     ],
 )
-def test_a_mark_of_another_number_of_axes_than_the_grid_is_refused(shape, mark, said):
+def test_a_mark_with_another_number_of_axes_than_the_grid_is_refused(shape, mark, said):
     grid = Grid(shape, (1.0,) * len(shape))
     with pytest.raises(ProblemError, match=f"drawing: has .*{said}"):
         solve_study(Study(grid, motion=Motion(drawing=Drawing((mark,)))))
 
 
-def test_lists_of_rows_become_tuples():
+def test_lists_of_rows_are_converted_to_tuples():
     tissue = Tissue(materials=[Material(1, "brain", 3.0)])
     motion = Motion(rules=[BoundaryRule(1, "fixed")], weight=[0, 1])
     assert (type(tissue.materials), type(motion.rules), motion.weight) == (tuple, tuple, (0.0, 1.0))

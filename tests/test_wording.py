@@ -1,4 +1,4 @@
-"""Messages are in the words of the interface that shows them, and hints lead somewhere."""
+"""Tests that messages use the terms of the interface that shows them."""
 
 import ast
 import re
@@ -16,12 +16,12 @@ from napari_hmrf.wording import TERMS, in_words_of
 
 PACKAGE = Path(napari_hmrf.__file__).parent
 ROOT = PACKAGE.parent
-#: The rooms whose messages every interface shows.
+#: Subpackages whose messages are shown by all interfaces.
 CORE = ("solver", "field", "tissue", "study", "io", "augmentation", "samples")
 
 
 def messages(path):
-    """Return the strings of a module that are no docstrings, each as it is shown."""
+    """Yield the strings of a module that are not docstrings."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     bare = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
@@ -29,11 +29,11 @@ def messages(path):
             yield node.value
 
 
-def core():
+def core_modules():
     return [path for room in CORE for path in (PACKAGE / room).rglob("*.py")]
 
 
-def test_a_setting_is_named_as_the_interface_has_it():
+def test_a_setting_is_named_in_the_terms_of_the_interface():
     said = "hold its edge (`hold_edge=True`), or paint what stays there"
     assert in_words_of("shell", said) == "hold its edge (--hold-edge), or paint what stays there"
     assert in_words_of("window", said) == "hold its edge, or paint what stays there"
@@ -44,20 +44,23 @@ def test_a_setting_is_named_as_the_interface_has_it():
     assert "('holding force' under 'Advanced' at 'by confidence')" in in_short(error)
 
 
-def test_every_setting_in_a_message_has_words_in_the_shell_and_in_the_window():
+def test_every_setting_in_a_message_has_a_term_for_shell_and_window():
     found = {
         setting
-        for path in core()
+        for path in core_modules()
         for text in messages(path)
         for setting in re.findall(r"\(`([^`]+)`\)", text)
     }
     assert found == set(TERMS)
 
 
-def test_no_message_of_the_core_names_a_box_of_the_window():
+def test_no_message_of_the_core_names_a_control_of_the_window():
     window = re.compile(r"'Advanced'|\btick\b|under 'Ad|\bpress Deform|\bthe menu\b", re.IGNORECASE)
     found = [
-        f"{path.name}: {text}" for path in core() for text in messages(path) if window.search(text)
+        f"{path.name}: {text}"
+        for path in core_modules()
+        for text in messages(path)
+        if window.search(text)
     ]
     assert found == []
 
@@ -68,7 +71,7 @@ def test_extras_are_installed_from_a_copy_of_the_repository():
     assert set(get_args(Extra)) <= set(extras["project"]["optional-dependencies"])
 
 
-@pytest.mark.skipif(not (ROOT / "docs").exists(), reason="looks at a checkout of the repository")
+@pytest.mark.skipif(not (ROOT / "docs").exists(), reason="needs a checkout of the repository")
 def test_no_hint_installs_an_extra_from_a_registry():
     files = [
         path

@@ -1,8 +1,9 @@
-"""Where tissue goes, exactly: an oracle that shares nothing with the package but its equations.
+"""Exact solutions as a reference; they share only the equations with the package.
 
-Matrices are assembled entry by entry from fractions, in pairs of float64 (32 digits), factorised
-without iteration, and observations that slip are decided by conditions that prove the result. It
-is slow and cannot be wrong by a digit that matters; what it is not sure of, it says.
+Matrices are assembled entry by entry from fractions, as pairs of float64 (32 digits), and are
+factorized without iteration. The states of observations that slip are verified by optimality
+conditions. The computation is slow, but a result is accurate in all relevant digits unless it is
+marked as not sure.
 """
 
 from __future__ import annotations
@@ -19,28 +20,29 @@ from exact.matrices import Matrix, matrix_of
 from exact.slip import Marks, balance, shortest
 from napari_hmrf import ElasticPrior, Problem, SeilerPrior
 
-#: Tissue that resists some motion with less than this part of what holds its sites is free.
+#: Relative stiffness of a motion below which tissue is free to move.
 FREE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Exact:
-    """The field of a problem.
+    """Exact displacement field of a problem.
 
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2), float64
-        In pixels. Of several in balance (see `motions`), the one whose sum of squares is least.
+        Displacement in pixels. If several fields are in equilibrium (see `motions`), the field with
+        the least sum of squares.
     moving : ndarray of bool, shape (H, W, 2)
-        What anything pulls at: elsewhere tissue is where it was seen, or at rest.
+        Mask of components with forces. Other components are at their observed position or at rest.
     motions : int
-        The number of independent motions that cost nothing, observations counted as they are.
+        Number of independent zero-energy motions, given the observations.
     sure : bool
-        Whether the field is proven; else it is only where the search ended.
+        True if the field is proven; False if it is only the last field of the search.
     edge : bool
-        Whether a millionth of some force decides how many motions there are.
+        True if a relative change of some force by 1e-6 would change the number of motions.
     accuracy : float
-        What the last step of refinement changed, in pixels.
+        Change of the displacement in the last refinement step, in pixels.
     """
 
     displacement: npt.NDArray[np.float64]
@@ -55,19 +57,19 @@ class Exact:
 
     @functools.cached_property
     def least(self) -> float:
-        """The least eigenvalue if all that is observed is held, the diagonal scaled to 1.
+        """Least eigenvalue with all observations prescribed, for a diagonal scaled to 1.
 
-        0 if tissue could still move at no cost.
+        It is 0 if there is still a zero-energy motion.
         """
         if not self._matrix.symmetric:
-            return 1.0  # a maximum principle holds: each site hangs on one that stays where it is
+            return 1.0  # by a maximum principle, each site depends on a site that is prescribed
         return Factors(self._matrix, np.flatnonzero(self._loose)).least
 
     @functools.cached_property
     def least_found(self) -> float:
-        """The least eigenvalue if only the observations that do not slip are held.
+        """Least eigenvalue if only the observations that do not slip are prescribed.
 
-        Below the rounding of double precision, the field depends on digits that it does not have.
+        If it is below the rounding of double precision, double precision cannot resolve the field.
         """
         if not self._matrix.symmetric:
             return 1.0
@@ -75,21 +77,23 @@ class Exact:
 
     @property
     def free(self) -> bool:
-        """Whether some tissue could move at no cost even if all that is observed is held."""
+        """True if there is a zero-energy motion even with all observations prescribed."""
         return self.least < FREE
 
 
 def exact_field(
     problem: Problem, prior: ElasticPrior | SeilerPrior, strength: npt.ArrayLike = 1.0
 ) -> Exact:
-    """Find the field in which tissue and observations balance.
+    """Find the field in which tissue and observations are in equilibrium.
 
     Parameters
     ----------
     problem : Problem
+        Problem to solve.
     prior : ElasticPrior or SeilerPrior
+        Prior of the tissue.
     strength : array_like, broadcast to (H, W, 2)
-        Multiplies the force of each observation, to see how much depends on it.
+        Factor on the force of each observation, to test the sensitivity to it.
     """
     matrix = matrix_of(problem, prior)
     moving = matrix.diagonal > 0

@@ -1,4 +1,4 @@
-"""Direct solution of a part of a matrix, in double double, with the motions that cost nothing."""
+"""Direct solution of a part of a matrix in double-double precision, with its null space."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from exact.matrices import Array, Matrix, Numbers
 
 
 class Factors:
-    """The factors of the rows and columns of some unknowns of a matrix.
+    """Factorization of the rows and columns of some unknowns of a matrix.
 
     Parameters
     ----------
     matrix : Matrix
+        Matrix of all n components.
     unknowns : ndarray of int
-        Which; the others are prescribed.
+        Indices of the unknowns; the other components are prescribed.
     springs : ndarray, shape (n,), optional
-        Added to the diagonal.
+        Values that are added to the diagonal.
 
     Attributes
     ----------
     motions : ndarray, shape (motions, n)
-        A basis of the motions of the unknowns that cost nothing, in terms of all n.
+        Basis of the zero-energy motions of the unknowns (the null space).
     """
 
     def __init__(self, matrix: Matrix, unknowns: Numbers, springs: Array | None = None) -> None:
@@ -54,7 +55,7 @@ class Factors:
             self.motions[number, self.unknowns] = motion
 
     def solution(self, right: Array) -> tuple[Array, Array]:
-        """The unknowns for a right-hand side, in terms of all n; the others are 0."""
+        """Return the solution for a right-hand side, shape (n,); 0 at prescribed components."""
         found_high, found_low = np.zeros(self._matrix.size), np.zeros(self._matrix.size)
         high = right[self.unknowns]
         low = np.zeros_like(high)
@@ -63,13 +64,13 @@ class Factors:
         return found_high, found_low
 
     def displaced(self, prescribed: Array, load: Array) -> tuple[Array, Array]:
-        """Where the unknowns balance a load, (high, low).
+        """Return the displacement, (high, low), at which the unknowns are in equilibrium.
 
-        The others are where `prescribed` says, and so is one unknown of each motion that costs
-        nothing.
+        Prescribed components have the values of `prescribed`, and so does one unknown of each
+        zero-energy motion.
         """
         high, low = prescribed.copy(), np.zeros_like(prescribed)
-        # The second time around is a step of refinement: it corrects what is left, if anything.
+        # The second pass is a refinement step: it corrects the residual of the first pass.
         for _ in range(2):
             rest_high, rest_low = self._matrix.times(high, low)
             rest_high, rest_low = dd.add((-rest_high, -rest_low), (load, np.zeros_like(load)))
@@ -85,7 +86,7 @@ class Factors:
 
     @functools.cached_property
     def least(self) -> float:
-        """The least eigenvalue of the symmetric matrix whose diagonal is scaled to 1."""
+        """Least eigenvalue of the symmetric matrix, with its diagonal scaled to 1."""
         if len(self.motions):
             return 0.0
         if not len(self.unknowns):
@@ -106,7 +107,7 @@ class Factors:
 
 
 def _narrow(rows: Numbers, columns: Numbers, size: int) -> Numbers:
-    """An order in which what pulls at each other is close: piece by piece, or Cuthill-McKee."""
+    """Return the order with the smaller bandwidth: by connected piece, or Cuthill-McKee."""
     if size == 0:
         return np.zeros(0, np.int64)
     pattern = scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(size, size))

@@ -1,8 +1,8 @@
-"""Arithmetic on pairs of float64 whose sum is the number: 106 bits, about 32 digits.
+"""Double-double arithmetic: pairs of float64 whose sum is the number, with about 32 digits.
 
-What tissue of contrast 1e7 weighs, squared, leaves float64 no digits for its softest motions. Here
-it leaves sixteen. A number is (high, low); the sums and products are those of Dekker (1971) and of
-Knuth.
+For tissue with a contrast of 1e7, squared stiffness ratios leave no correct float64 digits for the
+softest motions. Double-double numbers leave sixteen digits. A number is (high, low). The sums and
+products are those of Dekker (1971) and Knuth.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ _scalar = numba.njit(cache=True, error_model="numpy")
 _loop = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 _SPLIT = 134217729.0  # 2^27 + 1
-#: A pivot below this part of its diagonal is looked at: its motion may cost nothing.
+#: Pivots below this fraction of their diagonal are examined for a zero-energy motion.
 _SUSPECT = 1e-9
-#: What costs less than this part of what it could is free. Rounding is 1e-31, the weakest tissue
-#: that hangs together 1e-24.
+#: Relative energy below which a motion counts as zero-energy. Rounding errors are 1e-31, and the
+#: relative energy of the weakest connected tissue is 1e-24.
 FREE = 1e-28
 
 
 @_scalar
 def two_sum(a, b):
-    """The sum of two float64, exactly."""
+    """Return the exact sum of two float64 numbers."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
@@ -31,7 +31,7 @@ def two_sum(a, b):
 
 @_scalar
 def two_product(a, b):
-    """The product of two float64, exactly."""
+    """Return the exact product of two float64 numbers."""
     product = a * b
     wide = _SPLIT * a
     a_high = wide - (wide - a)
@@ -44,7 +44,7 @@ def two_product(a, b):
 
 @_scalar
 def add(a, b):
-    """A sum."""
+    """Return the sum of two numbers."""
     high, low = two_sum(a[0], b[0])
     low += a[1] + b[1]
     total = high + low
@@ -53,7 +53,7 @@ def add(a, b):
 
 @_scalar
 def multiply(a, b):
-    """A product."""
+    """Return the product of two numbers."""
     high, low = two_product(a[0], b[0])
     low += a[0] * b[1] + a[1] * b[0]
     total = high + low
@@ -62,13 +62,13 @@ def multiply(a, b):
 
 @_scalar
 def negative(a):
-    """The number of opposite sign."""
+    """Return the number with the opposite sign."""
     return -a[0], -a[1]
 
 
 @_scalar
 def divide(a, b):
-    """A quotient, by two corrections."""
+    """Return the quotient of two numbers, by two corrections."""
     first = a[0] / b[0]
     rest = add(a, negative(multiply((first, 0.0), b)))
     second = rest[0] / b[0]
@@ -78,7 +78,7 @@ def divide(a, b):
 
 @_loop
 def gather_sums(rows, columns, high, low):
-    """Sums of entries of a matrix, sorted by place: (number of sums, first of each, high, low)."""
+    """Sum sorted matrix entries at the same position; return (count, first index, high, low)."""
     count = -1
     first = np.empty(len(rows), np.int64)
     total_high, total_low = np.empty(len(rows)), np.empty(len(rows))
@@ -94,7 +94,7 @@ def gather_sums(rows, columns, high, low):
 
 @_loop
 def product(starts, columns, high, low, x_high, x_low):
-    """The product of a sparse matrix and a vector."""
+    """Return the product of a sparse matrix and a vector."""
     out_high, out_low = np.empty(len(starts) - 1), np.empty(len(starts) - 1)
     for i in range(len(starts) - 1):
         total = (0.0, 0.0)
@@ -107,11 +107,11 @@ def product(starts, columns, high, low, x_high, x_low):
 
 @_loop
 def factorise(high, low, width, symmetric):
-    """Turn a band matrix into its factors L U, in place, without pivoting.
+    """Factorize a band matrix as L U in place, without pivoting.
 
-    Entry (i, j) is at [i, j - i + width]. Of a symmetric matrix that is positive but for motions
-    that cost nothing, returns one unknown of each such motion, which is left out from there on, and
-    the motion with that unknown at 1, (motions, n).
+    Entry (i, j) is stored at [i, j - i + width]. A symmetric matrix may be positive semidefinite.
+    For each motion in its null space, one unknown is excluded from the factorization. Return the
+    mask of excluded unknowns, and the motions, (motions, n), scaled to 1 at the excluded unknown.
     """
     n = len(high)
     left_out = np.zeros(n, np.bool_)
@@ -154,7 +154,7 @@ def factorise(high, low, width, symmetric):
 
 @_loop
 def _subtract(f_high, f_low, x_high, x_low, high, low, count):
-    """Subtract f x from a vector, in place."""
+    """Subtract f x from a vector in place."""
     wide = _SPLIT * f_high
     a_high = wide - (wide - f_high)
     a_low = f_high - a_high
@@ -177,7 +177,7 @@ def _subtract(f_high, f_low, x_high, x_low, high, low, count):
 
 @_loop
 def _motion(high, low, width, left_out, k):
-    """The motion that has unknown k at 1, those after it at 0, and no force before it."""
+    """Return the motion with unknown k at 1, later unknowns at 0, and no force before k."""
     z_high, z_low = np.zeros(len(high)), np.zeros(len(high))
     z_high[k] = 1.0
     for i in range(k - 1, -1, -1):
@@ -193,7 +193,7 @@ def _motion(high, low, width, left_out, k):
 
 @_loop
 def substitute(high, low, width, left_out, x_high, x_low):
-    """Solve L U x = b, in place; what was left out stays 0."""
+    """Solve L U x = b in place; excluded unknowns stay 0."""
     n = len(high)
     for i in range(n):
         total = (x_high[i], x_low[i])

@@ -1,12 +1,13 @@
-"""The forces of tissue as sparse matrices, from the equations alone.
+"""Forces of tissue as sparse matrices, from the equations alone.
 
-A matrix A says what a displacement costs: at rest, ``A d + p sign(d - y) = 0`` for what is
-observed with a penalty p, and ``A d = 0`` for the rest. For elastic tissue and for the blanket
-reading A is the second derivative of the energy; for the centred reading each row is the
-derivative, by a site's own displacement, of the cliques whose middle the site is.
+A matrix A maps a displacement to forces. In equilibrium, ``A d + p sign(d - y) = 0`` for
+components that are observed with a penalty p, and ``A d = 0`` for other components. For elastic
+tissue and for the blanket reading, A is the second derivative of the energy. For the centred
+reading, each row is the derivative of the energy of the cliques centred at a site with respect to
+that site's displacement.
 
-Displacements are in pixels (`Problem.unit`), and component k of site (i, j) is number
-``2 (i W + j) + k``. Geometry is in fractions, and the entries are `double_double`.
+Displacements are in pixels (`Problem.unit`), and component k of site (i, j) has the index
+``2 (i W + j) + k``. Geometry is expressed in fractions, and entries are `double_double` numbers.
 """
 
 from __future__ import annotations
@@ -28,21 +29,22 @@ Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 _loop = numba.njit(cache=True, nogil=True, error_model="numpy")
 
-#: (row, col) from the middle of a clique to its end u (figure 2).
+#: Step (row, col) from the middle of a clique to its end u (figure 2).
 LINES = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])
 
 
 @dataclass(frozen=True, eq=False)
 class Matrix:
-    """A sparse square matrix of double doubles, in compressed rows.
+    """Sparse square matrix of double-double numbers, in compressed rows.
 
     Attributes
     ----------
     starts, columns : ndarray of int
+        Start of each row, and column of each entry.
     high, low : ndarray
-        The entries.
+        Entries.
     symmetric : bool
-        Whether it is the second derivative of an energy.
+        True if the matrix is the second derivative of an energy.
     """
 
     starts: Numbers
@@ -53,31 +55,31 @@ class Matrix:
 
     @property
     def size(self) -> int:
-        """The number of unknowns."""
+        """Number of unknowns."""
         return len(self.starts) - 1
 
     @functools.cached_property
     def rows(self) -> Numbers:
-        """The row of each entry."""
+        """Row of each entry."""
         return np.repeat(np.arange(self.size), np.diff(self.starts))
 
     @functools.cached_property
     def diagonal(self) -> Array:
-        """The diagonal; 0 where nothing pulls at a component."""
+        """Diagonal; 0 at components without forces."""
         made = np.zeros(self.size)
         own = self.rows == self.columns
         made[self.columns[own]] = self.high[own]
         return made
 
     def times(self, high: Array, low: Array | None = None) -> tuple[Array, Array]:
-        """The product with a vector."""
+        """Return the product with a vector."""
         low = np.zeros_like(high) if low is None else low
         about = self.starts, self.columns, self.high, self.low
         return dd.product(*about, np.ascontiguousarray(high), np.ascontiguousarray(low))
 
 
 def matrix_of(problem: Problem, prior: ElasticPrior | SeilerPrior) -> Matrix:
-    """The matrix of a problem's tissue."""
+    """Return the matrix of a problem's tissue."""
     m = problem.stiffness.astype(np.float64)
     if isinstance(prior, ElasticPrior):
         nu = np.broadcast_to(np.asarray(prior.poisson, dtype=np.float64), m.shape)
@@ -92,7 +94,7 @@ def matrix_of(problem: Problem, prior: ElasticPrior | SeilerPrior) -> Matrix:
 
 
 def pairs(fractions: npt.NDArray[Any]) -> tuple[Array, Array]:
-    """Fractions as double doubles."""
+    """Convert fractions to double-double numbers."""
     high = fractions.astype(np.float64)
     to_fraction: Callable[..., Any] = np.frompyfunc(Fraction, 1, 1)
     return high, (fractions - to_fraction(high)).astype(np.float64)
@@ -101,11 +103,11 @@ def pairs(fractions: npt.NDArray[Any]) -> tuple[Array, Array]:
 def element_matrices(
     spacing: tuple[float, ...], twist: bool
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """The integrals over an element of the squares that lambda and mu multiply, each (8, 8).
+    """Return the element matrices V and S for lambda and mu, each of shape (8, 8).
 
-    The energy of an element is half of ``lambda d^T V d + mu d^T S d``, its sites in the order
-    (0, 0), (0, 1), (1, 0), (1, 1), each with its row and its col component. Without `twist`, the
-    change of volume is that in the middle of the element.
+    The energy of an element is ``(lambda d^T V d + mu d^T S d) / 2``, with its sites in the order
+    (0, 0), (0, 1), (1, 0), (1, 1), and the row and column component of each site. Without `twist`,
+    the change of volume is evaluated at the middle of the element.
     """
     ratio = Fraction(spacing[0]) / Fraction(spacing[1])
     corners = [(0, 0), (0, 1), (1, 0), (1, 1)]
@@ -113,7 +115,7 @@ def element_matrices(
     shear = np.full((8, 8), Fraction(0))
     for a, (i, j) in enumerate(corners):
         for b, (k, l) in enumerate(corners):  # noqa: E741
-            # How fast the shape functions of the two sites grow along rows and along columns.
+            # Signs of the derivatives of the shape functions of the two sites, along both axes.
             up, right, up_too, right_too = 2 * i - 1, 2 * j - 1, 2 * k - 1, 2 * l - 1
             along = Fraction(1, 3) if j == l else Fraction(1, 6)
             across = Fraction(1, 3) if i == k else Fraction(1, 6)
@@ -132,13 +134,13 @@ def element_matrices(
 
 
 def line_fractions(spacing: tuple[float, ...]) -> list[list[Fraction]]:
-    """What each line of cliques counts for each component, (4, 2).
+    """Return the weight of each line of cliques for each component, (4, 2).
 
-    Such that the lines stand for ``3 d_ii + 2 d_jj = 0`` in lengths, the diagonals as much as they
-    can without any line counting less than nothing.
+    With these weights, the lines represent ``3 d_ii + 2 d_jj = 0`` in physical lengths. The weights
+    of the diagonals are as large as possible without any negative weight.
     """
     row, col = (Fraction(size) for size in spacing)
-    rows, cols = row / col, col / row  # squared, in units of one pixel
+    rows, cols = row / col, col / row  # squared sides; their product is 1
     slant = 1 / max(rows, cols)
     return [
         [3 / rows - 2 * slant, 2 / rows - 2 * slant],
@@ -150,7 +152,7 @@ def line_fractions(spacing: tuple[float, ...]) -> list[list[Fraction]]:
 
 @_loop
 def _elastic_entries(m, nu, strain, volume, volume_low, shear, shear_low):
-    """Every entry of every element: (row, column, high, low)."""
+    """Return every entry of every element: (row, column, high, low)."""
     height, width = m.shape
     most = 64 * max(height - 1, 0) * max(width - 1, 0)
     rows, columns = np.empty(most, np.int64), np.empty(most, np.int64)
@@ -184,7 +186,7 @@ def _elastic_entries(m, nu, strain, volume, volume_low, shear, shear_low):
 
 @_loop
 def _clique_entries(m, lines, weights, weights_low, blanket):
-    """Every entry of every clique, for each component: (row, column, high, low)."""
+    """Return every entry of every clique, for each component: (row, column, high, low)."""
     height, width = m.shape
     most = 72 * height * width
     rows, columns = np.empty(most, np.int64), np.empty(most, np.int64)
@@ -205,7 +207,7 @@ def _clique_entries(m, lines, weights, weights_low, blanket):
                 sites = (si * width + sj, i * width + j, ui * width + uj)
                 to_u = dd.divide((m[i, j], 0.0), (m[ui, uj], 0.0))
                 to_s = dd.divide((m[i, j], 0.0), (m[si, sj], 0.0))
-                # What is squared: r_u (d_t - d_s) - (d_u - d_t) and r_s (d_t - d_u) - (d_s - d_t).
+                # Squared terms: r_u (d_t - d_s) - (d_u - d_t) and r_s (d_t - d_u) - (d_s - d_t).
                 first = (dd.negative(to_u), dd.add(one, to_u), minus)
                 second = (minus, dd.add(one, to_s), dd.negative(to_s))
                 for k in range(2):
@@ -227,7 +229,7 @@ def _clique_entries(m, lines, weights, weights_low, blanket):
 
 
 def _summed(sites: int, entries: tuple[Numbers, Numbers, Array, Array], symmetric: bool) -> Matrix:
-    """A matrix from entries, those of the same place added."""
+    """Return a matrix from its entries; entries at the same position are added."""
     rows, columns, high, low = entries
     order = np.lexsort((columns, rows))
     rows, columns = rows[order], columns[order]

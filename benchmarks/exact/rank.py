@@ -1,10 +1,10 @@
-"""Exact number of motions that cost the cliques of the blanket reading nothing.
+"""Exact number of zero-energy motions in the blanket reading.
 
-A clique costs nothing where two linear expressions with integer coefficients are 0, as stiffnesses
-are binary fractions. The number of motions is the number of unknowns less the rank of these
-expressions, which is found in arithmetic modulo a prime, without any rounding. A rank modulo a
-prime is never too large, and too small with a probability of about n / prime, so that the larger
-rank of two primes counts.
+Stiffnesses are binary fractions, so the energy of a clique is zero if two linear expressions with
+integer coefficients are 0. The number of motions is the number of unknowns minus the rank of these
+expressions. The rank is computed in arithmetic modulo a prime, without rounding. A rank modulo a
+prime is never too large, and is too small with a probability of about n / prime, so the larger rank
+for two primes is used.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from napari_hmrf import Problem
 
 _loop = numba.njit(cache=True, nogil=True)
 _PRIMES = (2147483647, 2147483629)
-# Stiffness is float32: a whole number of these.
+# Exponent of the smallest float32; all stiffnesses are multiples of this power of two.
 _SMALLEST_EXPONENT = -149
 
 
 def free_motions(problem: Problem) -> int:
-    """Return the number of independent motions of what is not observed that cost nothing.
+    """Return the number of independent zero-energy motions of the unobserved components.
 
-    Components that no clique touches are not counted: they stay where they are.
+    Components that belong to no clique are not counted, because they stay at rest.
 
     Parameters
     ----------
     problem : Problem
-        In the blanket reading.
+        Problem in the blanket reading.
     """
     return min(_count(problem, prime) for prime in _PRIMES)
 
 
 def _count(problem: Problem, prime: int) -> int:
-    """Return the number of motions as arithmetic modulo a prime tells it."""
+    """Return the number of motions in arithmetic modulo a prime."""
     m = problem.stiffness
     turned = m.shape[1] > m.shape[0]
     m = m.T if turned else m
@@ -68,7 +68,7 @@ def _residue(value: float, prime: int) -> int:
 
 @_loop
 def _expressions(m, known, offsets, prime):
-    """Return columns (n, 3), -1 where held, and coefficients (n, 3) of all expressions."""
+    """Return the columns (n, 3), -1 if prescribed, and coefficients (n, 3) of all expressions."""
     height, width = m.shape
     most = 2 * len(offsets) * height * width
     columns, rows = np.empty((most, 3), np.int64), np.empty((most, 3), np.int64)
@@ -89,7 +89,7 @@ def _expressions(m, known, offsets, prime):
                     columns[count, 0] = -1 if known[si, sj] else si * width + sj
                     columns[count, 1] = -1 if known[i, j] else i * width + j
                     columns[count, 2] = -1 if known[ui, uj] else ui * width + uj
-                    # m_t (d_t - d_s) - m_u (d_u - d_t), and the same from the other end.
+                    # m_t (d_t - d_s) - m_u (d_u - d_t), and the same with s and u exchanged.
                     other = u if way == 0 else s
                     ends = (t, other) if way == 0 else (other, t)
                     rows[count, 0] = prime - ends[0]
@@ -101,7 +101,7 @@ def _expressions(m, known, offsets, prime):
 
 @_loop
 def _inverse(value, prime):
-    """Return the inverse modulo a prime, by Fermat."""
+    """Return the inverse modulo a prime by Fermat's little theorem."""
     result, power, exponent = 1, value % prime, prime - 2
     while exponent:
         if exponent & 1:
@@ -113,7 +113,7 @@ def _inverse(value, prime):
 
 @_loop
 def _rank(columns, rows, size, prime):
-    """Return the rank of a matrix of narrow rows, by elimination row by row."""
+    """Return the rank of a matrix with narrow rows, by row elimination."""
     width = 1
     for k in range(len(columns)):
         low, high = size, -1

@@ -1,13 +1,15 @@
-"""The L1 observations of eq. 19, exactly: each is held, or slips with its whole force.
+"""Exact solution with the L1 observations of eq. 19: each is fixed, or slips with its full force.
 
-Wanted is d with ``A d + force = 0``, where the force of an observed component is anything from -p
-to p at its mark y, and p sign(d - y) elsewhere; for a symmetric A, that is the least energy. The
-states are found by exchanging all that contradict themselves. Where that fails, a primal-dual
-interior point (symmetric A), or nested policy iteration (the centred A, an M-matrix), finds them.
-Whatever the way, the result is proven by its own conditions, in double double.
+The solution d satisfies ``A d + force = 0``. The force of an observed component is between -p and p
+if d = y, and p sign(d - y) otherwise. For a symmetric A, this is the minimum of the energy. The
+states (fixed or slipping) are found by exchanging all states that contradict the solution. If this
+fails, they are found by a primal-dual interior-point method (symmetric A), or by nested policy
+iteration (the centred A, an M-matrix). In all cases the result is verified by the conditions above
+in double-double precision.
 
-The forces of all fields of least energy are the same. So these fields differ by motions that cost
-nothing and that the components held by less than p stop; the one of least length is returned.
+All fields of least energy have the same forces. Therefore they differ only by zero-energy motions
+that do not move the fixed components with a force below p. The field with the smallest sum of
+squares is returned.
 """
 
 from __future__ import annotations
@@ -25,16 +27,16 @@ from exact import double_double as dd
 from exact.direct import Factors
 from exact.matrices import Array, Matrix, Numbers
 
-# A component may contradict its state by so many pixels, or by this part of its limit.
+# Tolerance for contradictions of a state: in pixels, or as a fraction of the limit.
 _SLACK = 1e-10
-#: A force that is the limit but for this part of it is the limit.
+#: Relative difference between a force and its limit below which they are considered equal.
 TIE = 1e-9
-# A force so close to the limit may be the limit to somebody who computes in single precision.
+# Relative difference below which they may be considered equal in single precision.
 _NEARLY = 1e-6
 _EXCHANGES = 40
 _SINGLE = 200
 _STEPS = 100
-# An interior point ends where no product of slack and passage is more.
+# The interior-point method stops if no product of slack and passage exceeds this value.
 _GAP = 1e-22
 _SIDE = np.array([[1.0], [-1.0]])
 
@@ -43,16 +45,16 @@ Flags = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """What is observed of components that move.
+    """Observations of components that move.
 
     Attributes
     ----------
     at : ndarray of int
-        Which components.
+        Indices of the components.
     y : ndarray
-        Where they were seen, in pixels.
+        Observed positions, in pixels.
     limit : ndarray
-        The greatest force p on each.
+        Largest force p on each component.
     """
 
     at: Numbers
@@ -62,19 +64,20 @@ class Marks:
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """A displacement in balance.
+    """Displacement in equilibrium.
 
     Attributes
     ----------
     displacement : ndarray, shape (n,)
+        Displacement, in pixels.
     motions : int
-        The number of independent motions by which other fields of the same energy differ.
+        Number of independent motions by which other fields of the same energy differ.
     edge : bool
-        Whether a part of 1e-6 of an observation's limit decides if there are others.
+        True if a relative change of an observation's limit by 1e-6 would change `motions`.
     last_step : float
-        What the last step of refinement changed, in pixels.
+        Change in the last refinement step, in pixels.
     held : ndarray of bool, shape (marks,)
-        Which observations do not slip.
+        Mask of the observations that do not slip.
     """
 
     displacement: Array
@@ -87,15 +90,18 @@ class Balance:
 def balance(
     matrix: Matrix, moving: npt.NDArray[np.bool_], marks: Marks, rest: Array
 ) -> Balance | None:
-    """Find the displacement in balance; None if it is not found.
+    """Find the displacement in equilibrium; return None if the search fails.
 
     Parameters
     ----------
     matrix : Matrix
+        Matrix of the tissue.
     moving : ndarray of bool, shape (n,)
-        The components that anything pulls at; the others stay where `rest` says.
+        Mask of the components with forces; other components stay at `rest`.
     marks : Marks
+        Observations that may slip.
     rest : ndarray, shape (n,)
+        Initial displacement, and values of the components that do not move.
     """
     search = _Search(matrix, moving, marks)
     found = search.exchange(np.zeros(len(marks.at)), rest)
@@ -108,7 +114,7 @@ def balance(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """States that do not contradict themselves: 0 held, else the sign of d - y."""
+    """Consistent states: 0 if fixed, otherwise the sign of d - y."""
 
     states: Array
     displacement: Array
@@ -117,7 +123,7 @@ class _Found:
 
 
 class _Point(NamedTuple):
-    """Where an interior point is: `past` and `slack` (2, observations) are of either side."""
+    """Iterate of the interior-point method; `past` and `slack` have shape (2, observations)."""
 
     past: Array
     slack: Array
@@ -127,15 +133,16 @@ class _Point(NamedTuple):
 
 
 class _Search:
-    """The search for the states of observations."""
+    """Search for the states of the observations."""
 
     def __init__(self, matrix: Matrix, moving: Flags, marks: Marks) -> None:
         self._matrix, self._moving, self._marks = matrix, moving, marks
 
     def exchange(self, states: Array, start: Array, singly: bool = False) -> _Found | None:
-        """Exchange states that contradict themselves until none does; None if that fails.
+        """Exchange contradicting states until all are consistent; return None if this fails.
 
-        `singly`: in the end one after the other, the last of them (Murty's rule).
+        With `singly`, only the last contradicting state is exchanged in later iterations (Murty's
+        rule).
         """
         marks = self._marks
         for number in range(_EXCHANGES + _SINGLE * singly):
@@ -161,7 +168,7 @@ class _Search:
         return None
 
     def least(self, found: _Found) -> Balance:
-        """Of all fields with these forces, the one of least length."""
+        """Return the displacement with the least sum of squares for these forces."""
         part = np.abs(found.forces) / self._marks.limit
         held = found.states == 0
         tied, nearly = held & (part >= 1 - TIE), held & (part >= 1 - _NEARLY)
@@ -174,12 +181,12 @@ class _Search:
         return Balance(displacement, len(motions), more > len(motions), found.last_step, held)
 
     def interior_point(self, start: Array) -> tuple[Array, Array]:
-        """States, and the displacement, to which Mehrotra's method leads."""
+        """Return the states and the displacement found by Mehrotra's method."""
         marks, size = self._marks, self._matrix.size
         at, limit = marks.at, marks.limit
         unknowns = np.flatnonzero(self._moving)
         d, low = np.where(self._moving, 0.0, start), np.zeros(size)
-        # What is past its mark on either side, and how far the force is from either limit.
+        # Distance past the mark on each side, and distance of the force from each limit.
         room = max(float(np.abs(marks.y).max()), 1e-3)
         past = np.stack([np.maximum(s * (d[at] - marks.y), 0) + room for s in (1, -1)])
         slack = np.stack([limit, limit])
@@ -213,7 +220,7 @@ class _Search:
     def _step(
         self, factors: Factors, point: _Point, aim: Array
     ) -> tuple[tuple[Array, Array], Array, Array, Array]:
-        """How all changes if products of slack and passage are to become `aim`."""
+        """Return the changes of all variables for which slack times passage equals `aim`."""
         past, slack, weights, out, apart = point
         at = self._marks.at
         shift = apart + (_SIDE * (past * slack - aim) / slack).sum(axis=0)
@@ -226,10 +233,11 @@ class _Search:
         return way, pull, narrower, wider
 
     def policy(self, start: Array) -> Array:
-        """States by nested policy iteration, which ends for certain where A is an M-matrix.
+        """Return the states of nested policy iteration, which terminates if A is an M-matrix.
 
-        Wanted is ``max(A d - p, min(A d + p, d - y)) = 0``: outside, which components take the
-        first; within, which of the other two the rest takes.
+        The equation is ``max(A d - p, min(A d + p, d - y)) = 0``. The outer iteration determines
+        the components whose first argument is the maximum. The inner iteration determines which of
+        the other two arguments is the minimum.
         """
         marks = self._marks
         below = np.zeros(len(marks.at), np.bool_)
@@ -239,7 +247,7 @@ class _Search:
                 states = np.where(below, -1.0, np.where(above, 1.0, 0.0))
                 displacement, forces = self._for_states(states, start)
                 off = displacement[marks.at] - marks.y
-                # One of A d + p and d - y is 0; the unit of the other does not matter.
+                # Either A d + p or d - y is 0, so the unit of the nonzero term does not matter.
                 takes = np.where(above, off >= 0, marks.limit - forces < 0) & ~below
                 if (takes == above).all():
                     break
@@ -251,7 +259,7 @@ class _Search:
         return states
 
     def _for_states(self, states: Array, start: Array) -> tuple[Array, Array]:
-        """The displacement, and the forces on what is observed, for some states."""
+        """Return the displacement, and the forces on observations, for given states."""
         marks, held = self._marks, states == 0
         begin, load = start.copy(), np.zeros(self._matrix.size)
         begin[marks.at[held]] = marks.y[held]
@@ -265,7 +273,7 @@ class _Search:
         return Factors(self._matrix, np.flatnonzero(free))
 
     def _shortest(self, d: Array, motions: Array, states: Array) -> Array:
-        """The field of least length among d and motions, what slips staying on its side."""
+        """Return d plus motions with the least norm; slipping components stay on their side."""
         marks, slips = self._marks, states != 0
         return shortest(self._matrix, d, motions, marks.at[slips], states[slips], marks.y[slips])
 
@@ -273,16 +281,16 @@ class _Search:
 def shortest(
     matrix: Matrix, d: Array, motions: Array, at: Numbers, signs: Array, y: Array
 ) -> Array:
-    """Add motions such that the sum of squares is least, and ``signs (d[at] - y) >= 0``.
+    """Add motions that minimize ||d|| subject to ``signs (d[at] - y) >= 0``.
 
-    Returns d as it is where there is no such field. Every piece of tissue is its own problem.
+    Return d unchanged if there is no such field. Each piece of tissue is a separate problem.
     """
     d = d.copy()
     graph = scipy.sparse.csr_matrix(
         (np.ones(len(matrix.rows)), (matrix.rows, matrix.columns)), shape=(matrix.size,) * 2
     )
     _, piece = csgraph.connected_components(graph, directed=False)
-    # The components that are not 0 of a motion are of one piece.
+    # The nonzero components of a motion belong to a single piece.
     owner = piece[np.abs(motions).argmax(axis=1)] if len(motions) else np.zeros(0, int)
     for number in np.unique(owner):
         here = np.flatnonzero(piece == number)
@@ -299,7 +307,7 @@ def shortest(
 
 
 def _least_distance(rows: Array, needed: Array) -> Array | None:
-    """The shortest x with ``rows x >= needed`` (Lawson and Hanson 1974, chapter 23), or None."""
+    """Return the shortest x with ``rows x >= needed``, or None (Lawson and Hanson, chapter 23)."""
     matters = np.abs(rows).max(axis=1, initial=0.0) > 1e-12
     if (needed[~matters] > _SLACK).any():
         return None
@@ -316,19 +324,19 @@ def _least_distance(rows: Array, needed: Array) -> Array | None:
         return None
     if rest < 1e-10:
         return None
-    # What is touched is touched exactly.
+    # Solve the active constraints exactly.
     active = pressed > 0
     return np.asarray(np.linalg.lstsq(rows[active], needed[active], rcond=None)[0])
 
 
 def _balanced(motions: Array, load: Array) -> bool:
-    """Whether a load does no work in any of the motions."""
+    """Return whether a load does no work in any of the motions."""
     most = np.abs(motions).max(axis=1, initial=0.0) * np.abs(load).max(initial=0.0)
     return bool((np.abs(motions @ load) <= _SLACK * most).all())
 
 
 def _part(slack: Array, narrower: Array, past: Array, wider: Array, most: float) -> float:
-    """The part of a step after which everything positive still is."""
+    """Return the fraction of a step, at most 1, after which all values are still positive."""
     parts = [1.0]
     for value, change in ((slack, narrower), (past, wider)):
         falls = change < 0

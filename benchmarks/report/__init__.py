@@ -1,5 +1,5 @@
-"""The validation report: one module for each of its sections, and what they share.
+"""Validation report: one module per section, and shared modules.
 
-`python benchmarks/validation.py` writes the page. A section is a function from `Settings` to a
-`Section`; a tool that is not installed makes a line in its section, and no failure.
+`python benchmarks/validation.py` writes the page. A section is a function that takes `Settings` and
+returns a `Section`. If a tool is not installed, its section contains a line about it.
 """

@@ -1,4 +1,4 @@
-"""Against fields known in closed form: patch, bar, annulus, inclusion; three kinds of error."""
+"""Comparison with fields in closed form: patch, bar, annulus, inclusion; three kinds of error."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ PATCH = 1e-4  # px
 
 
 class Case(NamedTuple):
-    """A problem and its exact field (H, W, 2), in pixels."""
+    """Problem and its exact field (H, W, 2), in pixels, with a mask of the free sites."""
 
     problem: Problem
     exact: Float64Array
     inside: npt.NDArray[np.bool_]
 
     def error(self, field: npt.ArrayLike) -> float:
-        """RMSD over the sites that were not prescribed, over the field's rms there."""
+        """Return the RMSD over the free sites, relative to the rms of the exact field there."""
         size = rmsd(self.exact, 0 * self.exact, self.inside)
         return rmsd(field, self.exact, self.inside) / size
 
 
 def patch(size: int) -> Case:
-    """Uniform strain, prescribed on the border of the image."""
+    """Return a uniform strain that is prescribed on the border of the image."""
     i, j = np.mgrid[:size, :size] - (size - 1) / 2
     exact = np.stack([0.02 * i - 0.01 * j, 0.03 * j + 0.015 * i], axis=-1)
     inside = np.zeros((size, size), dtype=bool)
@@ -44,11 +44,11 @@ def patch(size: int) -> Case:
 
 
 def bar(size: int, ratio: float = 5.0) -> Case:
-    """Two halves in series, no Poisson effect, pulled: strain divides as 1 / stiffness.
+    """Return a bar of two halves in series under tension, without Poisson effect.
 
-    Young's modulus is that of an element, the mean of its sites, so the interface is half-way
-    between two columns and the one column of elements over it has the mean modulus: exactly solved
-    is that bar of three pieces.
+    The strain of each half is proportional to 1 / stiffness. Young's modulus of an element is the
+    mean over its sites. The interface is between two columns of sites, so the column of elements
+    across it has the mean modulus. The exact field is that of this bar with three moduli.
     """
     stiffness = np.where(np.arange(size) < size // 2, ratio, 1.0)
     element = (stiffness[:-1] + stiffness[1:]) / 2
@@ -62,7 +62,7 @@ def bar(size: int, ratio: float = 5.0) -> Case:
 
 
 def sharp_bar(size: int, ratio: float = 5.0) -> Float64Array:
-    """The field of `bar` if the interface were sharp, half-way between its two columns."""
+    """Return the field of `bar` for a sharp interface half-way between its two columns."""
     at = np.arange(size, dtype=float)
     middle = size // 2 - 0.5
     along = np.minimum(at, middle) / ratio + np.maximum(at - middle, 0)
@@ -72,10 +72,10 @@ def sharp_bar(size: int, ratio: float = 5.0) -> Float64Array:
 
 
 def annulus(size: int) -> Case:
-    """Lame's ring: u_r = A r + B / r, whatever stiffness and Poisson's ratio.
+    """Return Lame's ring: u_r = A r + B / r for any stiffness and Poisson's ratio.
 
-    The edge of a ring of pixels is a staircase. Sites at and beyond the true edge are prescribed
-    the exact field, tissue on either side, so that the error that is left is the interior's.
+    The edge of a ring of pixels is a staircase. The exact field is prescribed at all sites on and
+    beyond the true edges, with tissue on both sides, so that only the interior has an error.
     """
     row, col, r = _polar(size)
     inner, outer = 0.3, 0.9
@@ -85,14 +85,15 @@ def annulus(size: int) -> Case:
 
 
 def inclusion(size: int, ratio: float = 5.0) -> Case:
-    """A stiff disc in a disc whose rim moves outwards (plane stress).
+    """Return a stiff disc in a disc with a rim that moves outwards (plane stress).
 
-    Inside u_r = C r, outside A r + B / r; displacement and radial stress are continuous at the
-    interface. The rim is prescribed as the annulus's is; the interface is a staircase of pixels.
+    The field is u_r = C r inside and A r + B / r outside; displacement and radial stress are
+    continuous at the interface. The rim is prescribed as in `annulus`, but the interface is a
+    staircase of pixels.
     """
     row, col, r = _polar(size)
     inner, outer = 0.4, 0.9
-    # In units of the soft disc's: sigma_rr = (E / (1 - nu)) A - (E / (1 + nu)) B / r^2.
+    # In units of the soft disc's modulus: sigma_rr = (E / (1 - nu)) A - (E / (1 + nu)) B / r^2.
     bulk, shear = 1 / (1 - POISSON), 1 / (1 + POISSON)
     # C = A + B / a^2, ratio bulk C = bulk A - shear B / a^2, A b + B / b = rim.
     share = -(ratio - 1) * bulk / (ratio * bulk + shear)  # B / a^2 over A
@@ -120,7 +121,7 @@ def _held_outside(exact: Float64Array, inside: npt.NDArray[np.bool_], m: npt.Arr
 
 
 class Errors(NamedTuple):
-    """Of one case at one size: three errors, each relative to the field's rms."""
+    """Three errors of a case at one size, each relative to the field's rms."""
 
     size: int
     algebraic: float
@@ -129,10 +130,11 @@ class Errors(NamedTuple):
 
 
 def errors(case: Case, size: int, poisson: float = POISSON) -> Errors:
-    """Tell the errors apart.
+    """Separate the errors of a case.
 
-    Algebraic: Multigrid against the direct solve of its own energy. Discretisation: the direct
-    solve against the exact field. Model: the paper's converged prior against the exact field.
+    Algebraic: Multigrid relative to a direct solve of the same energy. Discretisation: the direct
+    solve relative to the exact field. Model: the paper's converged prior relative to the exact
+    field.
     """
     prior = ElasticPrior(poisson)
     direct = solve_directly(case.problem, prior)
@@ -144,7 +146,7 @@ def errors(case: Case, size: int, poisson: float = POISSON) -> Errors:
 
 
 def observed_order(measured: Sequence[Errors]) -> float:
-    """The power of the pixel with which the discretisation error falls, from first to last."""
+    """Return the exponent of the pixel size in the discretisation error, from first to last."""
     first, last = measured[0], measured[-1]
     return math.log(first.discretisation / last.discretisation) / math.log(last.size / first.size)
 
@@ -153,7 +155,7 @@ CASES: dict[str, Callable[[int], Case]] = {"annulus": annulus, "inclusion, 5 tim
 
 
 def section(settings: Settings) -> Section:
-    """Patch test, bar, annulus and inclusion."""
+    """Return the section with patch test, bar, annulus and inclusion."""
     page = Section("Analytic fields")
     _patch(page, settings)
     _bar(page, settings)
@@ -201,7 +203,7 @@ def section(settings: Settings) -> Section:
         this error, too: no solver removes it, and the error of a segmentation is probably
         larger. The algebraic error is what the tolerance allows, at most a hundredth of a pixel
         at any size; one or two more cycles reduce it. The paper's prior does not converge to
-        elasticity: its model error stays constant however small the pixels are."""
+        elasticity: its model error does not decrease with the pixel size."""
     )
     page.targets.append(Target("annulus: observed order", ring, 1.8, at_least=True))
     return page
@@ -232,7 +234,7 @@ def _bar(page: Section, settings: Settings) -> None:
         found = solve(case.problem, prior, optimizer=Multigrid(0.001), backend="cpu").displacement[
             0, :, 1
         ]
-        # One element in from the interface and from the ends.
+        # Exclude one element at the interface and at the ends.
         middle = size // 2
         soft = (found[-1] - found[middle]) / (size - 1 - middle)
         stiff = (found[middle - 1] - found[0]) / (middle - 1)
@@ -252,6 +254,6 @@ def _bar(page: Section, settings: Settings) -> None:
         elements over the interface has the mean stiffness. This shifts the field by a fraction
         of a pixel (third column), a first-order error. The paper's energy has another ratio:
         slightly too large in the centred reading. In the blanket reading, which minimises eq. 7
-        exactly, it is worse the finer the image."""
+        exactly, the error increases with the resolution."""
     )
     page.targets.append(Target("bar: error of the strain ratio", abs(last / ratio - 1), 0.01))

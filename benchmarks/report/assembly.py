@@ -1,8 +1,8 @@
-"""The elastic energy as an assembled matrix: what the direct solver and PyAMG are given.
+"""Elastic energy as an assembled matrix, for the direct solver and PyAMG.
 
-Bilinear quads on a regular grid all have the same 8 x 8 stiffness but for their modulus, so the
-matrix is added up slice by slice over the image, without a list of triplets to sort. It is tested
-against `ElasticPrior.forces`, with which it shares no code.
+Bilinear quadrilaterals on a regular grid all have the same 8 x 8 stiffness matrix except for their
+modulus. The matrix is therefore assembled by adding slices of the image, without sorting a list of
+triplets. It is tested against `ElasticPrior.forces`, which shares no code with it.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ CORNERS = ((0, 0), (0, 1), (1, 0), (1, 1))
 
 
 class System(NamedTuple):
-    """The linear system of the free sites.
+    """Linear system of the free sites.
 
     Attributes
     ----------
     matrix : bsr_array, 2 x 2 blocks
-        Symmetric and positive definite. A component that is prescribed at a free site has the
-        diagonal alone.
+        Symmetric positive definite matrix. A prescribed component of a free site has only its
+        diagonal entry.
     load : ndarray, shape (2 * sites,)
+        Right-hand side.
     free : ndarray, shape (H, W), bool
-        The sites with a component to be found, in the order of the system.
+        Mask of the sites with an unknown component, in the order of the system.
     start : ndarray, shape (H, W, 2)
-        What is prescribed, 0 elsewhere; in pixels.
+        Prescribed displacement in pixels; 0 elsewhere.
     """
 
     matrix: sp.bsr_array
@@ -41,17 +42,17 @@ class System(NamedTuple):
     start: Float64Array
 
     def field(self, solution: Float64Array) -> Float64Array:
-        """The displacement (H, W, 2), in pixels, of a solution of the system."""
+        """Return the displacement (H, W, 2), in pixels, of a solution of the system."""
         field = self.start.copy()
         field[self.free] = solution.reshape(-1, 2)
         return field
 
 
 def element_stiffness(prior: ElasticPrior, spacing: tuple[float, ...]) -> Float64Array:
-    """K of a bilinear quad with Young's modulus 1, (4, 2, 4, 2), by 2 x 2 Gauss points.
+    """Return K, (4, 2, 4, 2), of a quadrilateral with Young's modulus 1, by 2 x 2 Gauss points.
 
-    Corners as in `CORNERS`, components (row, col). In plane strain the change of volume is taken
-    at the middle alone (selective reduced integration).
+    Corners are ordered as in `CORNERS`, and components as (row, col). In plane strain, the change
+    of volume is evaluated only at the middle (selective reduced integration).
     """
     nu = float(prior.poisson)
     shear = 1 / (2 * (1 + nu))
@@ -80,7 +81,7 @@ def element_stiffness(prior: ElasticPrior, spacing: tuple[float, ...]) -> Float6
 
 
 def element_modulus(problem: Problem) -> Float64Array:
-    """Young's modulus of each 2 x 2 block of sites, (H - 1, W - 1); 0 where one is void."""
+    """Return Young's modulus of each 2 x 2 block of sites, (H - 1, W - 1); 0 if one is void."""
     m = problem.stiffness.astype(np.float64) / float(problem.stiffness.max())
     corners = (m[:-1, :-1], m[:-1, 1:], m[1:, :-1], m[1:, 1:])
     whole = np.logical_and.reduce([corner > 0 for corner in corners])
@@ -89,7 +90,7 @@ def element_modulus(problem: Problem) -> Float64Array:
 
 
 def assemble(problem: Problem, prior: ElasticPrior) -> System:
-    """Assemble what `prior` says of `problem`; boundaries held exactly where c > 0."""
+    """Assemble the system of a problem, with boundaries prescribed exactly where c > 0."""
     k = element_stiffness(prior, problem.spacing).transpose(0, 2, 1, 3)
     modulus = element_modulus(problem)
     row, col = np.nonzero(modulus)
@@ -102,7 +103,7 @@ def assemble(problem: Problem, prior: ElasticPrior) -> System:
     # blocks[n, 3 a + b] couples site n with its neighbour a - 1 rows and b - 1 columns away.
     blocks = np.zeros((int(exists.sum()), 9, 2, 2))
     for here, (i, j) in enumerate(CORNERS):
-        # No two elements have the same site as the same corner, so that += misses none.
+        # No two elements have the same site at the same corner, so += adds all contributions.
         sites = number[1 + row + i, 1 + col + j]
         for there, (a, b) in enumerate(CORNERS):
             blocks[sites, 3 * (a - i + 1) + (b - j + 1)] += modulus * k[here, there]
@@ -125,14 +126,14 @@ def _free_part(
     held: npt.NDArray[np.bool_],
     start: Float64Array,
 ) -> tuple[sp.bsr_array, Float64Array]:
-    """The rows and columns of the sites that are not held, and the load that the others exert."""
+    """Return rows and columns of the free sites, and the load of the prescribed components."""
     load = np.zeros_like(start)
     is_near_held = ((near >= 0) & held.any(axis=1)[near]).any(axis=1)
     seen = near[is_near_held]
     values = np.where((seen >= 0)[..., None], start[seen], 0.0)
     load[is_near_held] = -np.einsum("nokl,nol->nk", blocks[is_near_held], values)
     for component in (0, 1):
-        # Of a component that is held at a site that is not, its diagonal alone is left.
+        # A prescribed component of a free site is reduced to its diagonal entry.
         at = held[:, component] & ~held.all(axis=1)
         diagonal = blocks[at, 4, component, component]
         blocks[at, :, component, :] = 0
@@ -142,7 +143,7 @@ def _free_part(
         load[at, component] = diagonal * start[at, component]
     free = ~held.all(axis=1)
     count = int(free.sum())
-    renumber = np.full(len(free) + 1, -1, dtype=np.int32)  # the last is for no neighbour, -1
+    renumber = np.full(len(free) + 1, -1, dtype=np.int32)  # the last entry is for index -1
     renumber[:-1][free] = np.arange(count, dtype=np.int32)
     columns = renumber[near[free]]
     there = columns >= 0
@@ -153,7 +154,7 @@ def _free_part(
 
 
 def factorise(matrix: sp.sparray) -> SuperLU:
-    """Factorise a symmetric, positive definite matrix, in symmetric mode by minimum degree."""
+    """Factorize a symmetric positive definite matrix in symmetric mode by minimum degree."""
     return splu(
         matrix.tocsc(),
         permc_spec="MMD_AT_PLUS_A",
@@ -163,6 +164,6 @@ def factorise(matrix: sp.sparray) -> SuperLU:
 
 
 def solve_directly(problem: Problem, prior: ElasticPrior) -> Float64Array:
-    """The field of least energy in float64 by SuperLU, (H, W, 2), in pixels."""
+    """Return the field of least energy, (H, W, 2), in pixels, by SuperLU in float64."""
     system = assemble(problem, prior)
     return system.field(factorise(system.matrix).solve(system.load))

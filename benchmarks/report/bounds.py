@@ -1,4 +1,4 @@
-"""What bounds the rest: sweeps against the whole, and a sweep against memory."""
+"""Limits of the speed: time of sweeps relative to a solve, and memory bandwidth of a sweep."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from napari_hmrf.solver.optimizers.cycle import chebyshev
 from report.contenders import PHANTOM, PRIOR, Measured
 from report.page import Section, duration
 
-# Bytes per site that moves of one sweep, if nothing is read twice: the displacement, that before
-# the last sweep, load, Lame's parameters and inverse diagonal are read, the displacement written.
+# Bytes per free site of a sweep if nothing is read twice: displacement, previous displacement,
+# load, Lame's parameters and inverse diagonal are read, and the displacement is written.
 SWEEP_BYTES = 4 * 2 * (5 + 1)
-# Sweeps of a cycle in sweeps over the finest level: with all others visited twice, the levels have
-# 5/3 of its sites.
+# Sweeps of a cycle in units of sweeps over the finest level. Coarser levels are visited twice, so
+# all visits together cover 5/3 of its sites.
 CYCLE_SWEEPS = 4 * 5 / 3
 
 
 class Bound(NamedTuple):
-    """What bounds a solve at one size: times in seconds, bandwidth in bytes per second."""
+    """Limits of a solve at one size: sweep in seconds, bandwidth in bytes/s, free sites."""
 
     sweep: float
     bandwidth: float
@@ -34,7 +34,7 @@ class Bound(NamedTuple):
 
 
 def add_bounds(page: Section, runs: dict[int, Measured]) -> None:
-    """Say which share of a solve is sweeps, and of a sweep memory; `runs` by size."""
+    """Add the time of sweeps and the memory time of a sweep to the page; `runs` is by size."""
     rows = []
     for size, run in runs.items():
         found = bound(phantom(PHANTOM, size).problem)
@@ -55,7 +55,7 @@ def add_bounds(page: Section, runs: dict[int, Measured]) -> None:
     page.say(
         f"""**Limits of the speed.** A cycle smooths twice down and twice up; over all levels
         this equals {CYCLE_SWEEPS:.1f} sweeps over the finest. The number of sweeps times the
-        time per sweep is the part that any such method has to spend. The rest is residuals, dot
+        time per sweep is the unavoidable part of any such method. The rest is residuals, dot
         products, transfers, set-up, and reading the images. A sweep moves at least {SWEEP_BYTES}
         bytes per free site. The memory's bandwidth is that of a = b + s c (a triad over
         single-precision arrays as large as the data of a sweep, all threads). The last column
@@ -67,7 +67,7 @@ def add_bounds(page: Section, runs: dict[int, Measured]) -> None:
 
 
 def bound(problem: Problem) -> Bound:
-    """Time a smoothing sweep on the finest level, and a triad over as much memory."""
+    """Measure a smoothing sweep on the finest level, and a triad over as much memory."""
     system_sites = int((((problem.confidence == 0).any(axis=-1)) & problem.tissue).sum())
 
     def job() -> float:
@@ -102,7 +102,7 @@ def _triad(a, b, c, s):
 
 
 def triad(size: int) -> float:
-    """Bytes per second of a = b + s c, over arrays of `size` bytes together, best of several."""
+    """Return the best bandwidth of a = b + s c in bytes/s, over `size` bytes in three arrays."""
 
     def job() -> float:
         a, b, c = (np.ones(max(size // 12, 1000), dtype=np.float32) for _ in range(3))

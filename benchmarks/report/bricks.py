@@ -1,4 +1,4 @@
-"""Volumes: against CalculiX, a uniform strain, a hollow sphere, and what their solves take."""
+"""Volumes: comparison with CalculiX, a uniform strain, and a hollow sphere."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OBLONG = (1.0, 1.7, 0.6)
 
 
 def section(settings: Settings) -> Section:
-    """The independent assembly, the patch test, and the order of the method."""
+    """Return the section with the independent assembly, the patch test and the order."""
     page = Section("Volumes")
     _assembly(page, settings)
     _patch(page)
@@ -29,7 +29,7 @@ def section(settings: Settings) -> Section:
 
 
 def mixed(size: int) -> Problem:
-    """Voxels of random stiffness, up to a hundred times as stiff, between two plates."""
+    """Return voxels of random stiffness, with a contrast of 100, between two plates."""
     shape = (size, size, size)
     y, c = np.zeros((*shape, 3)), np.zeros((*shape, 3))
     c[[0, -1]], y[-1] = 1, np.array((1.0, 0.5, -0.3)) * OBLONG
@@ -102,7 +102,7 @@ def _sphere(page: Section, settings: Settings) -> None:
 
 
 def hollow_sphere(size: int) -> float:
-    """Rms error in units of half a side."""
+    """Return the rms error of Lame's hollow sphere, in units of half a side."""
     places = np.moveaxis((np.indices((size,) * 3) - (size - 1) / 2) / (size / 2), 0, -1)
     r = np.linalg.norm(places, axis=-1)
     tissue = (r > 0.3) & (r < 0.97)
@@ -116,5 +116,5 @@ def hollow_sphere(size: int) -> float:
 
 
 def _apart(one: npt.ArrayLike, other: npt.ArrayLike, problem: Problem) -> float:
-    """The largest difference, in voxels."""
+    """Return the largest difference, in voxels."""
     return float(np.abs(np.asarray(one) - np.asarray(other)).max()) / problem.unit

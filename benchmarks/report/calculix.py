@@ -1,8 +1,9 @@
-"""CalculiX, the open solver that reads ABAQUS decks: write the deck, run it, read the field.
+"""CalculiX, an open solver for ABAQUS decks: functions that write the deck and read the field.
 
-CalculiX's plane-stress elements expand to bricks whose stress across the plane vanishes only
-weakly; for displacement-only data and one Poisson's ratio the textbook's plane stress is plane
-strain with nu / (1 + nu), which its CPE4 solves. x of the deck is our row, y our col.
+CalculiX expands its plane-stress elements to bricks whose out-of-plane stress vanishes only in a
+weak sense. For data without forces and with a single Poisson's ratio, textbook plane stress equals
+plane strain with nu / (1 + nu), which CPE4 elements solve. x in the deck is our row, and y our
+column.
 """
 
 from __future__ import annotations
@@ -23,19 +24,19 @@ from report.assembly import element_modulus
 Float64Array = npt.NDArray[np.float64]
 ElementType = Literal["CPS3", "CPS4", "CPS4R", "CPE4"]
 
-#: How to have it, for the report.
+#: Installation instruction for the report.
 HOW = "Debian and Ubuntu have it as `calculix-ccx`"
 _AROUND = ((0, 0), (1, 0), (1, 1), (0, 1))  # corners of an element, anticlockwise in x, y
-_TRIANGLES = (((0, 1, 2), (0, 2, 3)), ((0, 1, 3), (1, 2, 3)))  # diagonals in turn
+_TRIANGLES = (((0, 1, 2), (0, 2, 3)), ((0, 1, 3), (1, 2, 3)))  # diagonals alternate
 
 
 def is_there() -> bool:
-    """Whether CalculiX can be run here."""
+    """Return whether CalculiX is installed."""
     return shutil.which("ccx") is not None
 
 
 def textbook_plane_stress(problem: Problem, poisson: float) -> Float64Array:
-    """Solve plane stress as the textbooks have it."""
+    """Solve textbook plane stress."""
     return solve(problem, "CPE4", poisson / (1 + poisson))
 
 
@@ -45,12 +46,12 @@ def solve(problem: Problem, element: ElementType, poisson: float) -> Float64Arra
     Returns
     -------
     ndarray, shape (H, W, 2)
-        In the unit of the problem.
+        Displacement, in the unit of the problem.
 
     Raises
     ------
     RuntimeError
-        If the program fails, with the end of what it printed.
+        If the program fails; the message contains the end of its output.
     """
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "job.inp").write_text(deck(problem, element, poisson), encoding="ascii")
@@ -77,7 +78,7 @@ def solve(problem: Problem, element: ElementType, poisson: float) -> Float64Arra
 
 
 def deck(problem: Problem, element: ElementType, poisson: float) -> str:
-    """The input file: a node per site, numbered by row; one material per modulus."""
+    """Return the input file: a node per site, numbered by row, and one material per modulus."""
     modulus = element_modulus(problem)
     row, col = np.nonzero(modulus)
     number = 1 + np.arange(problem.stiffness.size).reshape(problem.shape)
@@ -108,12 +109,12 @@ def deck(problem: Problem, element: ElementType, poisson: float) -> str:
 
 
 def _halves() -> list[tuple[list[int], list[int]]]:
-    """Corners of the first and second triangle, for either diagonal."""
+    """Return the corners of the first and second triangle, for either diagonal."""
     return [(list(a), list(b)) for a, b in zip(*_TRIANGLES, strict=True)]
 
 
 def read_displacements(path: Path) -> tuple[npt.NDArray[np.int64], Float64Array]:
-    """The last table of displacements in a .dat file: numbers of the nodes and their values."""
+    """Return the node numbers and values of the last displacement table in a .dat file."""
     text = path.read_text(encoding="ascii")
     start = text.rindex("displacements (vx,vy,vz)")
     table = np.loadtxt(text[start:].splitlines()[2:], ndmin=2)

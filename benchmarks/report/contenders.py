@@ -1,8 +1,8 @@
-"""The solvers that are held against each other, each in a process of its own.
+"""Solvers that are compared, each in a separate process.
 
     python -m report.contenders NAME SIZE REPEATS REFERENCE
 
-A process has one solver and one size, so that its memory can be told. It is warmed up on a small
+A process runs one solver at one size, so that its memory can be measured. It warms up on a small
 image, times `REPEATS` solves from a `Problem` to a displacement, and prints one line of JSON.
 """
 
@@ -31,7 +31,7 @@ from report.assembly import System, assemble, solve_directly
 from report.memory import peak_megabytes, peak_of_programs
 
 Field = npt.NDArray[Any]
-#: What "converged" means here: no site further than this from the converged field, in pixels.
+#: Definition of "converged": largest distance of any site from the converged field, in pixels.
 WITHIN = 0.01
 PHANTOM = "mass-effect"
 PRIOR = ElasticPrior()
@@ -40,17 +40,18 @@ WARM_UP_SIZE = 64
 
 @dataclass(frozen=True)
 class Measured:
-    """One solver at one size.
+    """Result of one solver at one size.
 
     Attributes
     ----------
     seconds : float
         Median wall time of a solve, from a `Problem` to its displacement.
     megabytes : float
-        Peak memory of the process during the solves, less what it had before them.
+        Peak memory of the process during the solves minus its memory before.
     error : float
         Largest distance of a site from the converged field, in pixels.
     iterations : int
+        Number of iterations.
     """
 
     seconds: float
@@ -60,13 +61,13 @@ class Measured:
 
 
 def run_multigrid(problem: Problem, iterations: int, backend: str) -> tuple[Field, int]:
-    """napari-hmrf, to `WITHIN` by its own estimate."""
+    """Solve by napari-hmrf, to `WITHIN` by its own error estimate."""
     found = solve(problem, PRIOR, optimizer=Multigrid(tolerance=WITHIN), backend=backend)
     return found.displacement, found.iterations
 
 
 def run_superlu(problem: Problem, iterations: int, tuned: bool) -> tuple[Field, int]:
-    """SciPy's sparse direct solver as `spsolve` calls it, or told that the matrix is symmetric."""
+    """Solve by SuperLU as called by `spsolve`, or in symmetric mode if `tuned`."""
     if tuned:
         return solve_directly(problem, PRIOR), 1
     system = assemble(problem, PRIOR)
@@ -74,12 +75,12 @@ def run_superlu(problem: Problem, iterations: int, tuned: bool) -> tuple[Field, 
 
 
 def run_calculix(problem: Problem, iterations: int) -> tuple[Field, int]:
-    """CalculiX, textbook plane stress; writing the deck and reading the result included."""
+    """Solve textbook plane stress by CalculiX, including writing the deck and reading results."""
     return calculix.textbook_plane_stress(problem, float(PRIOR.poisson)), 1
 
 
 def run_pyamg(problem: Problem, iterations: int, tuned: bool) -> tuple[Field, int]:
-    """Smoothed aggregation with the rigid-body modes, and conjugate gradients."""
+    """Solve by conjugate gradients and smoothed aggregation with the rigid-body modes."""
     system = assemble(problem, PRIOR)
     field = system.field(solve_by_pyamg(system, iterations, tuned, None))
     return field, iterations
@@ -93,10 +94,10 @@ def solve_by_pyamg(
     each: Callable[[Field], None] | None = None,
     tolerance: float = 1e-14,
 ) -> Field:
-    """Set up and solve; `each` is told every iterate."""
+    """Set up PyAMG and solve; `each` is called with every iterate."""
     import pyamg
 
-    # Tuned: no relaxation of the rigid-body modes, which are right already; it saves set-up.
+    # Tuned: do not relax the rigid-body modes, which are already correct. This saves set-up time.
     options = {"improve_candidates": None} if tuned else {}
     hierarchy = pyamg.smoothed_aggregation_solver(
         system.matrix, B=rigid_body_modes(system), symmetry="symmetric", **options
@@ -108,7 +109,7 @@ def solve_by_pyamg(
 
 
 def rigid_body_modes(system: System) -> Field:
-    """Two translations and the rotation, (unknowns, 3)."""
+    """Return two translations and the rotation as columns, (unknowns, 3)."""
     places = np.argwhere(system.free).astype(np.float64)
     places -= places.mean(axis=0)
     modes = np.zeros((2 * len(places), 3))
@@ -119,7 +120,7 @@ def rigid_body_modes(system: System) -> Field:
 
 
 def pyamg_iterations(problem: Problem, reference: Field, tuned: bool) -> int:
-    """Iterations until no site is further than `WITHIN`: it need not know when to stop itself."""
+    """Return the number of iterations until no site is further than `WITHIN` from `reference`."""
     system = assemble(problem, PRIOR)
     expected = reference[system.free]
     off: list[float] = []
@@ -138,7 +139,7 @@ def pyamg_iterations(problem: Problem, reference: Field, tuned: bool) -> int:
     raise RuntimeError(f"PyAMG is still {min(off):.2g} px away after {len(off)} iterations")
 
 
-#: Name, what it is called in the report, and how to run it.
+#: Title in the report, and function that solves, by name.
 SOLVERS: dict[str, tuple[str, Callable[..., tuple[Field, int]]]] = {
     "cpu": ("Multigrid, compiled loops", lambda p, k: run_multigrid(p, k, "cpu")),
     "cpu-again": ("the same, tissue as before", lambda p, k: run_multigrid(p, k, "cpu")),
@@ -152,7 +153,7 @@ SOLVERS: dict[str, tuple[str, Callable[..., tuple[Field, int]]]] = {
 
 
 def is_there(name: str) -> bool:
-    """Whether what a solver needs is installed."""
+    """Return whether the required package of a solver is installed."""
     if name.startswith("pyamg"):
         return importlib.util.find_spec("pyamg") is not None
     return name != "calculix" or calculix.is_there()
@@ -164,10 +165,10 @@ def measure(name: str, size: int, repeats: int, reference: Path) -> Measured:
     Raises
     ------
     RuntimeError
-        If it fails, with the last line it wrote.
+        If the process fails; the message is the last line of its error output.
     """
     command = [sys.executable, "-m", "report.contenders", name, str(size), str(repeats)]
-    # Threads of the dense kernels only get in PyAMG's way: without them it is faster.
+    # PyAMG is faster without threads in dense kernels.
     environment = {**os.environ, **({"OPENBLAS_NUM_THREADS": "1"} if "pyamg" in name else {})}
     done = subprocess.run(
         [*command, str(reference)],
@@ -183,7 +184,7 @@ def measure(name: str, size: int, repeats: int, reference: Path) -> Measured:
 
 
 def main(name: str, size: int, repeats: int, reference_file: str) -> Measured:
-    """Measure here."""
+    """Measure a solver in this process."""
     _, run = SOLVERS[name]
     reference = np.load(reference_file)
     problem = phantom(PHANTOM, size).problem
@@ -192,8 +193,8 @@ def main(name: str, size: int, repeats: int, reference_file: str) -> Measured:
         run(phantom(PHANTOM, WARM_UP_SIZE).problem, iterations)
     if name.startswith("pyamg"):
         iterations = pyamg_iterations(problem, reference, tuned=name.endswith("tuned"))
-    # The same tissue in another unit of stiffness: nothing set up before can be used again.
-    turns = 3 + repeats if repeats > 3 else repeats  # a warm process's first few are slower
+    # The same tissue in another unit of stiffness, so that no earlier set-up can be reused.
+    turns = 3 + repeats if repeats > 3 else repeats  # the first solves are slower
     before = peak_megabytes(begin=True)
     seconds = []
     for turn in range(turns):

@@ -1,4 +1,4 @@
-"""Against finite elements: scikit-fem always, CalculiX where it is installed."""
+"""Comparison with finite elements: scikit-fem, and CalculiX if it is installed."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ TISSUES: tuple[tuple[float, Plane], ...] = (
     (0.45, "strain"),
     (0.499, "strain"),
 )
-SAME_ENERGY = 0.005  # px, to a direct solve of the same energy
+SAME_ENERGY = 0.005  # px, distance from a direct solve of the same energy
 OTHER_PROGRAM = (
-    0.01  # px, to another program's finite elements, and of the paper's prior to its own
+    0.01  # px, distance from another program, or of the paper's prior from its direct solve
 )
 
 
 def section(settings: Settings) -> Section:
-    """Figures 4 and 5, and a table of who is how far from whom."""
+    """Return the section with figures 4 and 5, and a table of distances between fields."""
     page = Section("Finite elements")
     size = settings.choose(300, 32)
     page.say(
@@ -116,7 +116,7 @@ def _figure_5(page, settings, name, problem, fields, truth) -> None:
 
 
 def _many_materials(page: Section, settings: Settings) -> None:
-    """Ratios of stiffness from 1 to 1e6, Poisson's ratios from 0 to 0.499."""
+    """Add a table for ratios of stiffness from 1 to 1e6 and Poisson's ratios from 0 to 0.499."""
     size = settings.choose(96, 32)
     base = phantom("mass-effect", size).problem
     rows, worst = [], 0.0

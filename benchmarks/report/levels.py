@@ -1,4 +1,4 @@
-"""The paper's open question: how the number of levels influences the iterations needed."""
+"""The paper's open question: influence of the number of levels on the number of iterations."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from report.page import Section, Settings
 from report.pictures import COLOURS, new_figure, save
 
-#: Within how many pixels (root mean square) of its converged field an image is to come.
+#: Root mean square distance from the converged field to reach, in pixels.
 WITHIN = 0.01
-# A coarser level is left when no site moves further than this in a sweep, in pixels.
+# Sweeps of a coarser level end if no site moves further than this in a sweep, in pixels.
 _STILL = 1e-4
 _MOST = 200_000
 
 
 class _Shallow:
-    """A backend, or a model, of which no more than so many levels are used."""
+    """Wrapper of a backend or model that restricts the number of levels."""
 
     def __init__(self, inner: Any, count: int) -> None:
         self._inner, self._count = inner, count
@@ -43,7 +43,7 @@ class _Shallow:
 
 
 class _Alone:
-    """A level that would take all coarser ones with it, but does not."""
+    """Wrapper of a level that would otherwise include all coarser levels in its cycle."""
 
     takes_rest = False
 
@@ -54,12 +54,12 @@ class _Alone:
         return getattr(self._inner, name)
 
     def finish(self, steps: Any, coarsest: Any) -> None:
-        """Relax as the coarsest level."""
+        """Smooth as the coarsest level."""
         self._inner.descend(coarsest, None)
 
 
 def multigrid_cycles(problem: Problem, count: int | None = None) -> tuple[int, int]:
-    """Cycles to `WITHIN` with the finest `count` levels, and how many levels there are in all."""
+    """Return the number of cycles with `count` levels, and the number of all levels."""
     deepest = 0
 
     def job() -> int:
@@ -81,7 +81,7 @@ def multigrid_cycles(problem: Problem, count: int | None = None) -> tuple[int, i
 
 @numba.njit(cache=True, error_model="numpy")
 def _sweep(m, held, d, target):
-    """One simultaneous centred update of all sites; returns the furthest that one moved."""
+    """Update all sites simultaneously (centred), and return the largest displacement change."""
     furthest = 0.0
     height, width = m.shape
     for i in range(height):
@@ -118,12 +118,12 @@ def _sweep(m, held, d, target):
 
 
 def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> list[float]:
-    """ICM in closed form through the finest `count` levels, from a field of zero.
+    """Run ICM in closed form through the finest `count` levels, from a field of zero.
 
     Returns
     -------
     list of float
-        For each level, finest first, its sweeps in sweeps over the finest.
+        Number of sweeps of each level, finest first, in units of sweeps over the finest level.
     """
     coarse = coarse_m = None
     spent = []
@@ -153,7 +153,7 @@ def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> 
 
 
 def section(settings: Settings) -> Section:
-    """Plot iterations against levels, for ICM and for Multigrid."""
+    """Return the section with iterations plotted against levels, for ICM and Multigrid."""
     page = Section("How many levels?")
     size = settings.choose(200, 32)
     problem = phantom("mass-effect", size).problem

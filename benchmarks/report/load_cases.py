@@ -1,4 +1,4 @@
-"""Loads: against CalculiX with growth, weight and pressure of its own, and closed forms."""
+"""Loads: comparison with CalculiX's growth, weight and pressure, and with closed forms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from report.page import Section, Settings, Target
 
 Float64Array = npt.NDArray[np.float64]
 POISSON = 0.3
-#: What is compared with CalculiX: axes, plane and Poisson's ratio.
+#: Cases for the comparison with CalculiX: name, axes, plane and Poisson's ratio.
 CALCULIX = (
     ("plane stress, CPE4 with textbook constants", 2, "stress", POISSON),
     ("plane strain, nu 0, CPE4", 2, "strain", 0.0),
@@ -28,7 +28,7 @@ CALCULIX = (
     ("volume, nu 0, C3D8", 3, "strain", 0.0),
     ("volume, C3D8", 3, "strain", POISSON),
 )
-# Corners of an element in CalculiX's order, and its faces as corners, by their number.
+# Corners of an element in CalculiX's order, and the corner numbers of its faces.
 _CORNERS = {
     2: ((0, 0), (1, 0), (1, 1), (0, 1)),
     3: tuple((*face, k) for k in (0, 1) for face in ((0, 0), (1, 0), (1, 1), (0, 1))),
@@ -40,7 +40,7 @@ _FACES = {
 
 
 class Case(NamedTuple):
-    """Tissue that is held at its first sites, with what grows, pulls and presses."""
+    """Tissue that is fixed at its first sites, with growth, weight and pressure."""
 
     stiffness: Float64Array
     strain: Float64Array
@@ -51,7 +51,7 @@ class Case(NamedTuple):
 
     @property
     def problem(self) -> Problem:
-        """The same for us."""
+        """Problem of this package for the case."""
         m, c = self.stiffness, np.zeros((*self.stiffness.shape, self.stiffness.ndim))
         c[0] = 1
         loads = growth(self.strain) + weight(m, self.pull, spacing=self.spacing)
@@ -60,7 +60,7 @@ class Case(NamedTuple):
 
 
 def tissue(size: int, axes: int) -> Case:
-    """Blocks of random stiffness around a hole under pressure; a disc or ball grows."""
+    """Return blocks of random stiffness around a hole, where a disc or ball grows."""
     rng, shape = np.random.default_rng(5), (size,) * axes
     blocks = math.ceil(size / 8)
     m = np.kron(10 ** rng.random((blocks,) * axes), np.ones((8,) * axes))
@@ -75,7 +75,7 @@ def tissue(size: int, axes: int) -> Case:
 
 
 def section(settings: Settings) -> Section:
-    """CalculiX, a bar, an annulus, a disc, and the balance of forces."""
+    """Return the section with CalculiX, annulus, disc, and equilibrium of forces."""
     page = Section("Loads")
     _calculix(page, settings)
     _closed_forms(page, settings)
@@ -92,17 +92,17 @@ def _calculix(page: Section, settings: Settings) -> None:
         size = sizes[axes - 2]
         off, most, unbalanced = to_calculix(tissue(size, axes), plane, nu)
         rows.append([name, f"{size}", f"{most:.2f} px", f"{off:.1e} px", f"{unbalanced:.1e}"])
-        if (plane, nu) != ("strain", POISSON):  # those have other elements
+        if (plane, nu) != ("strain", POISSON):  # CalculiX uses other elements for this case
             claim = f"loads to CalculiX, {name}: largest difference in px"
             page.targets.append(Target(claim, off, 0.01))
     page.say(
-        """**Question.** Does tissue under growth, weight and pressure move as in CalculiX?
-        Blocks have random stiffness, up to ten times as stiff, in oblong pixels, and are held
-        along one edge. A disc (a ball) grows by 15 %, all tissue is heavy, and the whole surface
-        is pressed, including that of a square hole. CalculiX takes growth as thermal expansion,
-        weight as gravity, and pressure on the faces of its elements: its loads are independent
-        of this package. The last column is the imbalance of forces and reactions, relative to
-        the forces."""
+        """**Question.** Does tissue under growth, weight and pressure move as in CalculiX? Blocks
+        have random stiffness, up to ten times as stiff, in oblong pixels, and are held along one
+        edge. A disc (a ball) grows by 15 %, all tissue is heavy, and the whole surface is
+        pressed, including that of a square hole. CalculiX represents growth as thermal
+        expansion, weight as gravity, and pressure as loads on the faces of its elements: its
+        loads are independent of this package. The last column is the imbalance of forces and
+        reactions, relative to the forces."""
     )
     page.table(["case", "pixels along a side", "moves by", "largest difference", "balance"], rows)
     page.say(
@@ -115,7 +115,7 @@ def _calculix(page: Section, settings: Settings) -> None:
 
 
 def to_calculix(case: Case, plane: str, nu: float) -> tuple[float, float, float]:
-    """The largest difference and motion, in pixels, and what forces miss of balance."""
+    """Return the largest difference and motion, in pixels, and the relative imbalance."""
     prior = ElasticPrior(nu, plane="stress" if plane == "stress" else "strain")
     problem, axes = case.problem, case.stiffness.ndim
     found = solve(problem, prior, optimizer=Multigrid(1e-5), backend="cpu")
@@ -131,7 +131,7 @@ def to_calculix(case: Case, plane: str, nu: float) -> tuple[float, float, float]
 
 
 def by_calculix(case: Case, poisson: float, stress: bool) -> Float64Array:
-    """The field by CalculiX, in the unit of the spacing."""
+    """Return the field by CalculiX, in the unit of the spacing."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "job.inp").write_text(deck(case, poisson, stress), encoding="ascii")
         threads = {"OMP_NUM_THREADS": str(os.cpu_count() or 1)}
@@ -153,7 +153,7 @@ def by_calculix(case: Case, poisson: float, stress: bool) -> Float64Array:
 
 
 def deck(case: Case, poisson: float, stress: bool) -> str:
-    """The input file; plane stress is plane strain with other constants."""
+    """Return the input file; plane stress is plane strain with other constants."""
     axes, shape = case.stiffness.ndim, case.stiffness.shape
     number = 1 + np.arange(case.stiffness.size).reshape(shape)
     young, nu, expansion = 1.0, poisson, 1.0
@@ -223,12 +223,13 @@ def _closed_forms(page: Section, settings: Settings) -> None:
     order = math.log(rings[0] / rings[-1]) / math.log(sizes[-1] / sizes[0])
     rows.append(["annulus of round edges", *(f"{e:.1e}" for e in rings), f"{order:.2f}"])
     page.say(
-        """**Question.** How fast does the error fall with the pixel size? *Annulus*: Lame's
-        field of a ring under inner pressure, cut out along pixels, with the ring's stress on its
+        """**Question.** How fast does the error fall with the pixel size? *Annulus*: Lame's field
+        of a ring under inner pressure, cut out along pixels, with the ring's stress on its
         edges. *Disc*: Eshelby's field of a disc that grows in a matrix of the same material,
         with each pixel weighted by the part of it inside the disc; a tenth of the image at its
-        edge is left out. *Of round edges*: the ring itself, whose edges are staircases, under
-        pressure, without the tenth beside them. Errors are relative to the field's rms."""
+        edge is left out. *Annulus of round edges*: the ring itself under pressure, with
+        staircase edges; sites near the edges are excluded. Errors are relative to the field's
+        rms."""
     )
     page.table(["case", *(f"{size} px" for size in sizes), "observed order"], rows)
     page.say(
@@ -241,7 +242,7 @@ def _closed_forms(page: Section, settings: Settings) -> None:
 
 
 def lame(at: Float64Array, plane: str, inner: float, outer: float) -> tuple[Float64Array, ...]:
-    """Displacement and stress of a ring of modulus 1 under an inner pressure of 0.1."""
+    """Return displacement and stress of a ring of modulus 1 under an inner pressure of 0.1."""
     square = np.maximum((at**2).sum(axis=-1), inner**2 / 4)
     even = 0.1 * inner**2 / (outer**2 - inner**2)
     uneven = even * outer**2 / square
@@ -253,7 +254,7 @@ def lame(at: Float64Array, plane: str, inner: float, outer: float) -> tuple[Floa
 
 
 def annulus(size: int, plane: str) -> float:
-    """Error of a square part of the ring, with a square hole."""
+    """Return the error of a square part of the ring with a square hole."""
     step = 1.4 / size
     at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
     exact, stress = lame(at, plane, 0.3, 1.0)
@@ -270,7 +271,7 @@ def annulus(size: int, plane: str) -> float:
 
 
 def round_ring(size: int) -> float:
-    """Error of a ring of those elements whose middle is in it."""
+    """Return the error of a ring of the elements whose middle is inside it."""
     step, inner, outer = 2 / size, 0.35, 0.9
     at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
     middle = np.hypot(*((np.indices((size, size)) - (size - 1) / 2) * step))
@@ -300,7 +301,7 @@ def _error(
 
 
 def disc(size: int, plane: str, radius: float = 0.4, strain: float = 0.1) -> float:
-    """Error of a disc that grows, whose surroundings are held where they belong."""
+    """Return the error of a growing disc with the exact displacement prescribed around it."""
     step, parts = 2 / size, 8
     at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
     fine = (np.arange((size + 1) * parts) + 0.5) / parts - 0.5 - size / 2

@@ -1,4 +1,4 @@
-"""How much memory a process had at most, as far as the system tells."""
+"""Peak memory of a process, if the operating system reports it."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ try:
 except ImportError:  # Windows
     resource = None  # type: ignore[assignment]
 
-# Linux counts in KiB, macOS in bytes.
+# Unit of ru_maxrss: KiB on Linux, bytes on macOS.
 _PER_MEGABYTE = 1024**2 if sys.platform == "darwin" else 1024
-# M_ARENA_MAX of glibc's malloc.h.
+# Value of M_ARENA_MAX in glibc's malloc.h.
 _ARENAS = -8
 
 
 def peak_megabytes(begin: bool = False) -> float:
-    """Peak memory of this process; on Linux since the last call with `begin`, else since its start.
+    """Return the peak memory of this process in MiB, or NaN if it is unknown.
 
-    NaN where the system does not tell.
+    On Linux, the peak is measured since the last call with `begin`; elsewhere since the start.
     """
     if resource is None:
         return math.nan
@@ -37,20 +37,20 @@ def peak_megabytes(begin: bool = False) -> float:
 
 
 def peak_of_programs() -> float:
-    """Peak memory of the largest program that this process has run to its end, in megabytes."""
+    """Return the peak memory of the largest child process that has ended, in MiB."""
     if resource is None:
         return math.nan
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / _PER_MEGABYTE
 
 
 def one_heap() -> None:
-    """Let threads that begin from now on share a heap: what it keeps can be given back."""
-    with contextlib.suppress(OSError, TypeError, AttributeError):  # not of glibc
+    """Make threads that start from now on share a heap, so that freed memory can be returned."""
+    with contextlib.suppress(OSError, TypeError, AttributeError):  # only glibc has this function
         ctypes.CDLL(None).mallopt(_ARENAS, 1)
 
 
 def trim_memory() -> None:
-    """Give back what was freed: a peak counts from what the process still has."""
+    """Return freed memory to the system, so that later peaks start from memory in use."""
     gc.collect()
     with contextlib.suppress(OSError, TypeError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -1,4 +1,4 @@
-"""The paper's claim about global optimisers: Metropolis sampling with annealing."""
+"""The paper's claim about global optimizers: Metropolis sampling with annealing."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from report.pictures import COLOURS, new_figure, save
 
 Float64Array = npt.NDArray[np.float64]
 SIZE = 32
-#: Reached is the minimum when the energy above it is this fraction of the minimum itself.
+#: The minimum is reached if the relative excess of the energy is below this.
 NEAR = 1e-6
-# Annealing: from a temperature at which the field is shaken through, down by this much in all.
+# Annealing: ratio of the final temperature to the initial one, which randomizes the field.
 _COOLED = 1e-14
 _ROUNDS = 60
 
 
 @dataclass
 class Curve:
-    """Energy above the minimum, as a fraction of that, against time in seconds."""
+    """Energy above the minimum, relative to the minimum, against time in seconds."""
 
     name: str
     seconds: list[float] = field(default_factory=list)
@@ -38,14 +38,14 @@ class Curve:
 
     @property
     def arrival(self) -> float:
-        """When it had come near the minimum; infinite if it had not."""
+        """Time at which the minimum was reached; infinity if it was not reached."""
         pairs = zip(self.seconds, self.excess, strict=True)
         return min((second for second, above in pairs if above <= NEAR), default=math.inf)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _anneal(data, indices, indptr, load, x, temperature, step, sweeps, rng):
-    """Metropolis sweeps over a quadratic energy x A x / 2 - load x; returns the share accepted."""
+    """Run Metropolis sweeps for the energy x A x / 2 - load x; return the acceptance rate."""
     accepted = 0
     for _ in range(sweeps):
         for i in range(len(x)):
@@ -64,11 +64,11 @@ def _anneal(data, indices, indptr, load, x, temperature, step, sweeps, rng):
 
 
 def anneal(matrix, load: Float64Array, least: Float64Array, minimum: float, sweeps: int) -> Curve:
-    """Cool a field of zero down geometrically; the proposals keep about 40 % accepted."""
+    """Cool a field of zero geometrically, with proposals adapted to about 40 % acceptance."""
     curve = Curve(f"annealed, {sweeps * _ROUNDS} sweeps")
     args = (matrix.data, matrix.indices, matrix.indptr, load)
     x, rng = np.zeros(len(load)), np.random.default_rng(0)
-    _anneal(*args, x.copy(), 1.0, 0.1, 1, rng)  # compiled before the clock starts
+    _anneal(*args, x.copy(), 1.0, 0.1, 1, rng)  # compile before timing
     temperature, step, spent = minimum / len(load), 1.0, 0.0
     for _ in range(_ROUNDS):
         started = time.perf_counter()
@@ -83,13 +83,13 @@ def anneal(matrix, load: Float64Array, least: Float64Array, minimum: float, swee
 
 
 def best_annealed(lengths: Sequence[int], *problem: Any) -> Curve:
-    """The schedule that comes near the minimum first; the longest if none does."""
+    """Return the schedule that reaches the minimum first, or the longest if none does."""
     curves = [anneal(*problem, sweeps) for sweeps in lengths]
     return min(reversed(curves), key=lambda curve: curve.arrival)
 
 
 def timed(name: str, energy: Callable[[Solution], float], runs: list[Callable[[], Solution]]):
-    """A curve whose points are whole solves, each from zero; the shortest of several times."""
+    """Return a curve of whole solves, each from zero, with the shortest of several times."""
     curve = Curve(name)
     for run in runs:
         times = []
@@ -103,7 +103,7 @@ def timed(name: str, energy: Callable[[Solution], float], runs: list[Callable[[]
 
 
 def paper_curves(problem: Problem, lengths: Sequence[int], counts: Sequence[int]) -> list[Curve]:
-    """Eq. 7 with the boundary held, so that the data term is zero; ICM for so many sweeps."""
+    """Return the curves of eq. 7 with prescribed boundary; `counts` are the sweeps of ICM."""
     prior = SeilerPrior(conditional="blanket")
     truth = solve_exactly(problem, "blanket")
     matrix, load, free = _quadratic(problem)
@@ -130,7 +130,7 @@ def paper_curves(problem: Problem, lengths: Sequence[int], counts: Sequence[int]
 
 
 def _quadratic(problem: Problem):
-    """Eq. 7 over the free components, by impulses: its gradient is linear."""
+    """Return the matrix, load and free components of eq. 7, which is quadratic."""
     import scipy.sparse as sp
 
     free = (problem.confidence == 0) & problem.tissue[..., None]
@@ -143,7 +143,7 @@ def _quadratic(problem: Problem):
 
 
 def _residual_matrix(problem: Problem):
-    """All terms of all cliques as rows of a matrix, over the components of all sites."""
+    """Return all terms of all cliques as matrix rows over the components of all sites."""
     import scipy.sparse as sp
 
     from napari_hmrf.solver.priors import line_steps
@@ -168,7 +168,7 @@ def _residual_matrix(problem: Problem):
 
 
 def elastic_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
-    """The elastic energy: sampled, and solved by Multigrid to ever smaller tolerances."""
+    """Return the curves of the elastic energy, by annealing and by Multigrid."""
     prior = ElasticPrior()
     system = assemble(problem, prior)
     least = solve_directly(problem, prior)
@@ -187,7 +187,7 @@ def elastic_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
 
 
 def section(settings: Settings) -> Section:
-    """Energy over time."""
+    """Return the section with energy over time."""
     page = Section("Global optimisers")
     sizes = settings.choose((16, SIZE, 64), (16, SIZE))
     lengths = settings.choose((3, 10, 30, 100), (3,))
@@ -201,8 +201,8 @@ def section(settings: Settings) -> Section:
         "do not guarantee convergence and the computation time is enormous", and gives no number.
         Here the mass-effect phantom at {SIZE} x {SIZE} is sampled by Metropolis's algorithm: one
         component of one site at a time, compiled, cooled geometrically by {_COOLED:.0e} in
-        {_ROUNDS} rounds, steps adapted to 40 % acceptance. Of several lengths of schedule the
-        first that came near the minimum is shown. Beside it are the package's optimizers; every
+        {_ROUNDS} rounds, steps adapted to 40 % acceptance. Of several lengths of schedule, the
+        first that reaches the minimum is shown, together with the package's optimizers; every
         point is a whole solve. The curves show by what fraction the energy exceeds its exact
         minimum (float64 direct solve)."""
     )
@@ -228,10 +228,10 @@ def section(settings: Settings) -> Section:
     gains = {size: curves[0].arrival / curves[1].arrival for size, curves in elastic.items()}
     page.say(
         f"""**Conclusion.** Both energies are convex: annealing has no local minimum to escape
-        from, and reaches the minimum at the end of its schedule. But a move of one site carries
-        motion across one pixel only. So the number of sweeps grows with the square of the
-        image's width, and the work with its fourth power. For the elastic energy Multigrid comes
-        near the minimum
+        from, and reaches the minimum at the end of its schedule. However, a move of one site
+        propagates motion by one pixel only, so the number of sweeps grows with the square of the
+        image's width, and the work with its fourth power. For the elastic energy Multigrid
+        reaches the minimum
         {", ".join(f"{gains[size]:.0f} times sooner at {size} x {size}" for size in sizes)}. The
         paper's claim holds, but local minima are not the reason. ICM minimises eq. 7 in its
         blanket reading here."""

@@ -1,4 +1,4 @@
-"""The page: what a section is made of, and how it becomes Markdown."""
+"""Page of the report: its sections, and their conversion to Markdown."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Target:
-    """A figure to reach, and whether it was."""
+    """Required value of a result, and the measured value."""
 
     claim: str
     found: float
@@ -24,11 +24,11 @@ class Target:
 
     @property
     def met(self) -> bool:
-        """Whether the figure was reached."""
+        """True if the target was met."""
         return self.found >= self.bound if self.at_least else self.found <= self.bound
 
     def __str__(self) -> str:
-        """One line of the list of targets."""
+        """Return a line for the list of targets."""
         sign = ">=" if self.at_least else "<="
         verdict = "met   " if self.met else "MISSED"
         return f"{verdict}  {self.claim}: {self.found:.3g} ({sign} {self.bound:g})"
@@ -36,16 +36,16 @@ class Target:
 
 @dataclass(frozen=True)
 class Settings:
-    """How large a report to make, and where its pictures go.
+    """Size of the report, and its output folder.
 
     Attributes
     ----------
     out : Path
-        An existing folder.
+        Existing output folder.
     quick : bool
-        Small sizes: whether it runs, and not what it finds.
+        True for small sizes, to test that the report runs; its results are not meaningful.
     note : str
-        What the reader should know of this run.
+        Remark about this run, for the reader.
     """
 
     out: Path
@@ -53,38 +53,38 @@ class Settings:
     note: str = ""
 
     def choose(self, full: Any, quick: Any) -> Any:
-        """Return the first, or the second for a quick report."""
+        """Return the first argument, or the second for a quick report."""
         return quick if self.quick else full
 
 
 @dataclass
 class Section:
-    """A part of the page: paragraphs, tables and pictures in order, and the targets it checked."""
+    """Section of the page: paragraphs, tables and pictures in order, and checked targets."""
 
     title: str
     blocks: list[str] = field(default_factory=list)
     targets: list[Target] = field(default_factory=list)
 
     def say(self, text: str) -> None:
-        """Add a paragraph; line breaks and indentation in it are of no meaning."""
+        """Add a paragraph; line breaks and indentation are ignored."""
         self.blocks.append(" ".join(text.split()))
 
     def missing(self, tool: str, how: str) -> None:
-        """Say in one line that a tool is not there, and how to have it."""
+        """Add a line that a tool is not installed, with an installation instruction."""
         self.blocks.append(f"*{tool} is not installed here, so its part is left out: {how}.*")
 
     def table(self, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Add a table; numbers that are no text yet get three significant digits."""
+        """Add a table; numbers are formatted with three significant digits."""
         lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
         lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
         self.blocks.append("\n".join(lines))
 
     def picture(self, path: Path, caption: str) -> None:
-        """Add a picture that was written beside the page."""
+        """Add a picture from the folder of the page."""
         self.blocks.append(f"![{caption}]({path.name})")
 
     def __str__(self) -> str:
-        """Markdown."""
+        """Return the section as Markdown."""
         return "\n\n".join([f"## {self.title}", *self.blocks])
 
 
@@ -97,12 +97,12 @@ def _cell(value: Any) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time for people to read."""
+    """Return a time as text."""
     return f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
 
 
 def machine() -> str:
-    """One line about the processor, the system and the versions."""
+    """Return a line about the processor, the system and the versions."""
     name = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -116,12 +116,12 @@ def machine() -> str:
 
 
 def load() -> float | None:
-    """How many programs wanted to run over the last minute, or None where nobody counts."""
+    """Return the load average over the last minute, or None if it is unknown."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def write_page(path: Path, sections: Sequence[Section], settings: Settings, begun: float) -> None:
-    """Write the page: what it is, the targets of all sections, the sections."""
+    """Write the page with its header, the targets of all sections, and the sections."""
     targets = [target for section in sections for target in section.targets]
     met = sum(target.met for target in targets)
     minutes = (time.perf_counter() - begun) / 60
@@ -133,7 +133,7 @@ def write_page(path: Path, sections: Sequence[Section], settings: Settings, begu
         + (f", load at the end {busy:.1f}." if busy is not None else "."),
     ]
     if settings.quick:
-        lines.append("**A quick report: sizes are tiny, and its numbers say nothing.**")
+        lines.append("**A quick report: sizes are tiny, and its numbers are not meaningful.**")
     if settings.note:
         lines.append(f"**{settings.note}**")
     lines += [

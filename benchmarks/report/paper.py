@@ -1,4 +1,4 @@
-"""The paper's two tables, with what came after beside them."""
+"""The paper's two tables, with results of this package."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from report.page import Section, Settings
 
 
 def section(settings: Settings) -> Section:
-    """Tables 1 and 2."""
+    """Return the section with tables 1 and 2."""
     page = Section("The paper's tables")
     size = settings.choose(300, 48)
     page.say(

@@ -1,4 +1,4 @@
-"""What the pictures of the page have in common."""
+"""Functions shared by the pictures of the page."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ COLOURS = ("#0b7285", "#e8590c", "#5f3dc4", "#2b8a3e", "#868e96", "#c2255c", "#1
 
 
 def new_figure(width: float, height: float) -> Any:
-    """Return an empty figure; sizes in inches."""
+    """Return an empty figure; sizes are in inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def save(figure: Any, settings: Settings, name: str) -> Path:
-    """Write a figure beside the page."""
+    """Write a figure to the folder of the page."""
     from PIL import Image
 
     path = settings.out / f"{name}.png"
     drawn = BytesIO()
     figure.savefig(drawn, dpi=100, facecolor="white")
-    # A palette makes the file a third as large; more colours than this the eye does not tell apart.
+    # A palette reduces the file to a third, without a visible difference.
     Image.open(drawn).convert("RGB").quantize(128).save(path, optimize=True)
     return path
 
 
 def draw_grid(axes: Any, field: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]) -> None:
-    """Draw a square grid that moved with the tissue (figure 4); field in pixels."""
+    """Draw a square grid that moves with the tissue (figure 4); the field is in pixels."""
     from matplotlib.collections import LineCollection
 
     every = max(1, max(tissue.shape) // 50)
@@ -53,7 +53,7 @@ def draw_grid(axes: Any, field: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
 def draw_differences(
     axes_row: Any, found: npt.NDArray[Any], truth: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]
 ) -> Any:
-    """Draw figure 5: difference in magnitude, in x (col) and in y (row); returns the last panel."""
+    """Draw figure 5, differences in magnitude, x (col) and y (row), and return the last panel."""
     error = np.where(tissue[..., None], found - truth, np.nan)
     length = np.linalg.norm(found, axis=-1) - np.linalg.norm(truth, axis=-1)
     panels = (np.where(tissue, length, np.nan), error[..., 1], error[..., 0])

@@ -1,7 +1,7 @@
-"""Fields that others are measured against: direct solves in float64, refined until they are exact.
+"""Reference fields: direct solves in float64, refined until they are exact.
 
-The residual is that of displacement differences within each element, in extended precision where
-the machine has it: at a contrast of 1e7 an assembled matrix forgets what the soft part pulls with.
+The residual is computed from displacement differences within each element, in extended precision if
+available: at a contrast of 1e7, an assembled matrix loses the forces of the soft part by rounding.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from report.assembly import (
 )
 from report.tissues import Images
 
-#: How well a reference is known, in pixels: more than its last correction.
+#: Estimated error of a reference, in pixels: an upper bound of its last correction.
 KNOWN = 1e-6
 _MOST_CORRECTIONS = 30
 
 
 def pull(images: Images, prior: ElasticPrior, d: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """What all elements together pull at each site, (H, W, 2), in the precision of `d`."""
+    """Return the total force of the elements at each site, (H, W, 2), in the precision of `d`."""
     k = element_stiffness(prior, images.spacing).astype(d.dtype)
     modulus = element_modulus(images).astype(d.dtype)[..., None]
     height, width = images.shape
@@ -40,7 +40,7 @@ def pull(images: Images, prior: ElasticPrior, d: npt.NDArray[Any]) -> npt.NDArra
     ways = [modulus * (d[place] - d[places[0]]) for place in places]
     total = np.zeros_like(d)
     for here, place in enumerate(places):
-        # Moved as a whole an element pulls with nothing: its first corner counts as at rest.
+        # A translation exerts no force, so displacements are relative to the first corner.
         total[place] += sum(ways[there] @ k[here, :, there].T for there in (1, 2, 3))
     return total
 
@@ -52,23 +52,25 @@ def refined(
     factor: Callable[[Float64Array], Float64Array],
     solution: Float64Array,
 ) -> Float64Array:
-    """The exact field (H, W, 2) in pixels, from a solution that a direct solver found.
+    """Return the exact field (H, W, 2) in pixels, refined from a direct solution.
 
     Parameters
     ----------
     images : Images or Problem
+        Observations and stiffness.
     prior : ElasticPrior
+        Prior of the tissue.
     system : System
-        Of the two.
+        System of the images and the prior.
     factor : callable
-        Solves the system for another load.
+        Function that solves the system for another load.
     solution : ndarray
-        What it found for the system's own load.
+        Direct solution for the load of the system.
 
     Raises
     ------
     RuntimeError
-        If the corrections do not come below `KNOWN`.
+        If the corrections do not decrease below `KNOWN`.
     """
     field = system.field(solution).astype(np.longdouble)
     held = images.known[system.free].ravel()
@@ -85,19 +87,21 @@ def refined(
 
 
 def exact_field(images: Images, prior: ElasticPrior) -> Float64Array:
-    """The field of least energy, (H, W, 2), in pixels."""
+    """Return the field of least energy, (H, W, 2), in pixels."""
     system = assemble(images, prior)
     factor = factorise(system.matrix)
     return refined(images, prior, system, factor.solve, factor.solve(system.load))
 
 
 def bodies(bone: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
-    """Number the rigid bodies, from 1: all sites of all elements with a corner in a bone, (H, W).
+    """Return the number of the rigid body at each site, from 1, or 0; shape (H, W).
+
+    A body consists of all sites of connected elements with a corner in a bone.
 
     Raises
     ------
     ValueError
-        If two bodies meet in a site.
+        If two bodies share a site.
     """
     element = bone[:-1, :-1] | bone[:-1, 1:] | bone[1:, :-1] | bone[1:, 1:]
     numbers, _ = ndimage.label(element)
@@ -110,9 +114,9 @@ def bodies(bone: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
 
 
 def rigid_field(images: Images, prior: ElasticPrior) -> Float64Array:
-    """The field (H, W, 2), in pixels, of tissue in which m = inf is rigid.
+    """Return the field (H, W, 2), in pixels, of tissue that is rigid where m = inf.
 
-    The soft elements alone are assembled; the sites of a body move by its three degrees of freedom.
+    Only the soft elements are assembled; the sites of a body have its three degrees of freedom.
     """
     bone = np.isinf(images.stiffness)
     system = assemble(
@@ -149,7 +153,7 @@ def rigid_field(images: Images, prior: ElasticPrior) -> Float64Array:
 def _rigid_modes(
     at: npt.NDArray[np.int64], body: npt.NDArray[np.int32], number: int
 ) -> tuple[Float64Array, Float64Array]:
-    """How sites move along rows and columns in a body's three motions, (sites, 3) each."""
+    """Return the row and column displacement of sites in a body's three motions, (sites, 3)."""
     row, col = (at - np.argwhere(body == number).mean(axis=0)).T
     one, none = np.ones(len(at)), np.zeros(len(at))
     return np.stack([one, none, -col], axis=-1), np.stack([none, one, row], axis=-1)

@@ -1,4 +1,4 @@
-"""Against an elastic image registration, as in figure 4c: intensities alone, no mechanics."""
+"""Comparison with elastic image registration, as in figure 4c: intensities, no mechanics."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ HOW = '`pip install -e ".[report]"`'
 
 
 def is_there() -> bool:
-    """Whether SimpleITK is installed."""
+    """Return whether SimpleITK is installed."""
     return importlib.util.find_spec("SimpleITK") is not None
 
 
 def register(
     image: npt.NDArray[Any], moved: npt.NDArray[Any], spline: int
 ) -> npt.NDArray[np.float64]:
-    """Find where each pixel of `image` is seen in `moved`, by B-splines `spline` pixels apart.
+    """Find the position of each pixel of `image` in `moved`, by B-splines `spline` pixels apart.
 
-    The image is fixed and the moved one moving: the transform then takes X to X + d(X), which is
-    the material displacement that the other fields are. Mean squares, three resolutions, L-BFGS.
+    The original image is fixed and the deformed image is moving, so the transform maps X to
+    X + d(X), the material displacement of the other fields. The registration uses mean squares,
+    three resolutions and L-BFGS.
 
     Returns
     -------
     ndarray, shape (H, W, 2)
-        In (row, col) order, in pixels.
+        Displacement in (row, col) order, in pixels.
     """
     import SimpleITK as sitk
 
@@ -50,7 +51,7 @@ def register(
     method.SetOptimizerAsLBFGS2(numberOfIterations=50)
     method.SetShrinkFactorsPerLevel([4, 2, 1])
     method.SetSmoothingSigmasPerLevel([2, 1, 0])
-    # The control points get denser as the images do.
+    # The density of control points increases with the image resolution.
     method.SetInitialTransformAsBSpline(transform, inPlace=True, scaleFactors=[1, 2, 4])
     method.Execute(fixed, moving)
     found = sitk.TransformToDisplacementField(transform, sitk.sitkVectorFloat64, fixed.GetSize())
@@ -58,7 +59,7 @@ def register(
 
 
 def section(settings: Settings) -> Section:
-    """Register the image that finite elements deformed, and look at the field."""
+    """Return the section with the registration of an image that finite elements deformed."""
     page = Section("Elastic registration")
     if not is_there():
         page.missing("SimpleITK", HOW)
@@ -107,10 +108,10 @@ def section(settings: Settings) -> Section:
     page.table(["phantom", "field", "RMSD in the body", "away from the boundary", "time"], rows)
     page.say(
         """**Conclusion.** Registration makes the two images alike. Where grey values are
-        informative (these phantoms have texture everywhere, and no noise) it comes about as
-        close as the paper's converged prior (*The paper's tables*): its RMSD is not large. It
-        errs where they are not: along edges, and across interfaces of tissue, where the true
-        strain jumps and the spline is smooth, as the paper observed; see the differences. This
+        informative (these phantoms have texture everywhere, and no noise), its RMSD is about that
+        of the paper's converged prior (*The paper's tables*). It is wrong where grey values are not
+        informative: along edges, and across interfaces of tissue, where the true strain jumps and
+        the spline is smooth, as the paper observed; see the differences. This
         repeats the paper's comparison, which is not fair in either direction: registration has
         no information about the cause of the motion, and mechanics has no second image."""
     )

@@ -1,4 +1,4 @@
-"""Three solvers on one hard problem: ours, PyAMG and SuperLU; their time, memory and true error."""
+"""Time, memory and true error of three solvers on a hard problem: ours, PyAMG and SuperLU."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from report.reference import exact_field, refined
 from report.tissues import TISSUES, Images
 
 Field = npt.NDArray[Any]
-#: The true error that a solver has to reach, in pixels.
+#: Required true error of a solver, in pixels.
 WITHIN = 3e-3
 PRIOR = ElasticPrior(0.3)
-# Below so many seconds a solver is timed three times.
+# Solvers are timed three times if a solve takes less than this, in seconds.
 _SHORT = 1.0
 _MOST_ITERATIONS = 300
 _MOST_DECADES = 14
-#: The best of 18 that were tried at 257 x 257: symmetric strength with thresholds from 0 to 0.08,
-#: and evolution; prolongators smoothed by Jacobi (filtered, by blocks, locally) or by energy;
-#: relaxation by Gauss-Seidel (symmetric, or forward and back) or Chebyshev.
+#: Best of 18 settings that were tested at 257 x 257: symmetric strength with thresholds from 0 to
+#: 0.08, and evolution; prolongators smoothed by Jacobi (filtered, by blocks, locally) or by energy;
+#: relaxation by Gauss-Seidel (symmetric, or forward and backward) or Chebyshev.
 SETTING: dict[str, Any] = {
     "strength": ("symmetric", {"theta": 0.03}),
     "smooth": ("jacobi", {"omega": 4 / 3, "weighting": "block"}),
@@ -55,24 +55,25 @@ SETTING: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Run:
-    """What a solver did.
+    """Result of a solver.
 
     Attributes
     ----------
     field : ndarray, shape (H, W, 2), or None
-        In pixels; None where there is none.
+        Displacement in pixels; None if the solver failed.
     iterations : int
+        Number of iterations.
     fault : str
-        "" or why there is no field, or none that is close enough.
+        "", or the reason why there is no field or no sufficiently accurate field.
     reported, error : float
-        How far the field is from exact as the solver says, and in truth: the distance of the site
-        that is furthest off, in pixels.
+        Reported error, and true error: the largest distance of a site from the exact field, in
+        pixels.
     how : str
-        How it was solved, or how PyAMG knew when to stop.
+        Method of the solution, or stopping criterion of PyAMG.
     seconds : float
-        From a problem to a field; the median of three if short.
+        Time from a problem to a field; the median of three runs if short.
     megabytes : float
-        Peak memory of the first time over what the process had before.
+        Peak memory of the first run minus memory before the run.
     """
 
     field: Field | None
@@ -85,19 +86,19 @@ class Run:
     error: float = math.nan
 
     def against(self, exact: Field | None) -> Run:
-        """Return it with its true error, and without its field."""
+        """Return the result with its true error and without its field."""
         if self.field is None or exact is None:
             return replace(self, field=None)
         return replace(self, field=None, error=distance(self.field, exact))
 
 
 def distance(field: Field, exact: Field) -> float:
-    """How far the site that is furthest off is from where it belongs."""
+    """Return the largest distance of a site from its exact position."""
     return float(np.linalg.norm(field - exact, axis=-1).max())
 
 
 def timed(run: Callable[[int], Run]) -> Run:
-    """Run, measure, and repeat if it was short; `run` is told how often it ran."""
+    """Run and measure, and repeat short runs; `run` receives the number of the run."""
     trim_memory()
     before = peak_megabytes(begin=True)
     seconds: list[float] = []
@@ -106,7 +107,7 @@ def timed(run: Callable[[int], Run]) -> Run:
         started = time.perf_counter()
         latest = run(turn)
         took = time.perf_counter() - started
-        # A run that knows its own time had other things to do, too.
+        # A run may report its own time, which excludes other work.
         seconds.append(took if math.isnan(latest.seconds) else latest.seconds)
         if found is None:
             found = replace(latest, megabytes=peak_megabytes() - before)
@@ -117,7 +118,7 @@ def timed(run: Callable[[int], Run]) -> Run:
 
 
 def run_ours(images: Images, prior: ElasticPrior = PRIOR) -> Run:
-    """napari-hmrf at its default tolerance, of tissue that it has not seen before."""
+    """Solve tissue that was not solved before by napari-hmrf at its default tolerance."""
 
     def run(turn: int) -> Run:
         _forget(prior)
@@ -143,17 +144,17 @@ def run_ours(images: Images, prior: ElasticPrior = PRIOR) -> Run:
 
 
 def _forget(prior: ElasticPrior) -> None:
-    """Solve another tissue: with that and another unit of stiffness nothing kept is of any use."""
+    """Solve another tissue to invalidate the caches."""
     solve(phantom("bar", 24).problem, prior, optimizer=Multigrid(), backend="cpu")
 
 
 def _how(found: Solution) -> str:
-    """How it was solved, where a solution says so."""
+    """Return the method of a solution, or "" if it is unknown."""
     return str(getattr(found.convergence, "way", ""))
 
 
 def run_superlu(images: Images) -> tuple[Run, Field]:
-    """SciPy's SuperLU in symmetric mode by minimum degree; and its field, refined to exact."""
+    """Solve by SuperLU in symmetric mode by minimum degree; also return the exact field."""
     kept: list[Any] = []
 
     def run(turn: int) -> Run:
@@ -169,29 +170,29 @@ def run_superlu(images: Images) -> tuple[Run, Field]:
 
 
 class _Enough(Exception):
-    """Stop iterating."""
+    """Exception that stops the iteration because the error is small enough."""
 
 
 class _Late(Exception):
-    """Stop iterating: others are there by now."""
+    """Exception that stops the iteration because another solver would have finished."""
 
 
 def has_pyamg() -> bool:
-    """Whether PyAMG is installed."""
+    """Return whether PyAMG is installed."""
     return importlib.util.find_spec("pyamg") is not None
 
 
 def run_pyamg(images: Images, exact: Field, patience: float = math.inf) -> Run:
-    """Smoothed aggregation with the rigid-body modes, and conjugate gradients.
+    """Solve by conjugate gradients and smoothed aggregation with the rigid-body modes.
 
-    It stops by the loosest of the relative residuals 0.1, 0.01, ... at which its true error is
-    within `WITHIN`, and is later than others after `patience` seconds.
+    The iteration stops at the first of the relative residuals 0.1, 0.01, ... with a true error of
+    at most `WITHIN`. It counts as late after `patience` seconds.
     """
     import pyamg
 
     def run(turn: int) -> Run:
         started = time.perf_counter()
-        np.random.seed(2008)  # it estimates spectral radii from a random vector  # noqa: NPY002
+        np.random.seed(2008)  # PyAMG estimates spectral radii from a random vector  # noqa: NPY002
         system = assemble(images, PRIOR)
         modes = rigid_body_modes(system)
         hierarchy = pyamg.smoothed_aggregation_solver(
@@ -233,7 +234,7 @@ def run_pyamg(images: Images, exact: Field, patience: float = math.inf) -> Run:
 
 
 def warm_up() -> None:
-    """Let every solver import and compile what it needs; first of all in a process."""
+    """Import and compile all solvers; must be called first in a process."""
     one_heap()
     for contrast in (4.0, 1e6):
         images = TISSUES["noise-2"](33).images(contrast)
@@ -245,7 +246,7 @@ def warm_up() -> None:
 
 
 def stored_reference(images: Images, prior: ElasticPrior, folder: Path) -> Field:
-    """The exact field, from an earlier run where there is one."""
+    """Return the exact field, loaded from an earlier run if possible."""
     file = _file(images, prior, folder)
     if file.exists():
         return np.load(file)
@@ -255,7 +256,7 @@ def stored_reference(images: Images, prior: ElasticPrior, folder: Path) -> Field
 
 
 def store_reference(images: Images, prior: ElasticPrior, folder: Path, exact: Field) -> None:
-    """Keep a reference for later runs, to a millionth of a pixel."""
+    """Store a reference for later runs, with an accuracy of a millionth of a pixel."""
     folder.mkdir(parents=True, exist_ok=True)
     np.save(_file(images, prior, folder), exact.astype(np.float32))
 
@@ -265,6 +266,6 @@ def _file(images: Images, prior: ElasticPrior, folder: Path) -> Path:
 
 
 def digest(images: Images) -> str:
-    """The same for the same images."""
+    """Return a digest that is equal for equal images."""
     parts = (images.observed, images.confidence, images.stiffness)
     return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()

@@ -1,4 +1,4 @@
-"""Elastic speed against the solvers one could pick instead, and what bounds the rest."""
+"""Speed of the elastic model compared with other solvers, and limits of the speed."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from report.contenders import PHANTOM, PRIOR, SOLVERS, WITHIN, Measured
 from report.page import Section, Settings, Target, duration
 from report.warm import add_warm_start
 
-#: Above these sizes a solver is left out: its time or its memory, as measured at smaller ones.
+#: Largest size for a solver, from its time or memory at smaller sizes.
 LARGEST = {"superlu": 600, "superlu-tuned": 600, "calculix": 300}
 REPEATS = {"cpu": 15, "cpu-again": 15, "opengl": 7}
-# Times as fast, by (backend, other, size).
+# Required ratio of times, by (backend, other solver, size).
 BOUNDS = {
     ("cpu", "pyamg", 300): 80.0,
     ("cpu", "pyamg", 600): 90.0,
@@ -37,7 +37,7 @@ Results = dict[tuple[str, int], Measured]
 
 
 def section(settings: Settings) -> Section:
-    """The table, the targets, and what bounds the rest."""
+    """Return the section with the table, the targets, and the limits of the speed."""
     page = Section("Speed")
     sizes = settings.choose((150, 300, 600, 1200), (48, 64))
     page.say(
@@ -46,9 +46,9 @@ def section(settings: Settings) -> Section:
         site is further than {WITHIN} px from the converged field? Every solver and size has its
         own process, warmed up. Assembly and set-up count in every solve (only the second row has
         tissue that was solved before, whose set-up the package keeps). Multigrid stops by its
-        own estimate. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) stops
-        at no cost: the number of iterations that it needs is determined beforehand. The matrix
-        is added up slice by slice, without triplets to sort. *Tuned* means: PyAMG without
+        own estimate. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) needs
+        no stopping criterion: its number of iterations is determined beforehand. The matrix is
+        assembled slice by slice, without sorting triplets. *Tuned* means: PyAMG without
         relaxing the modes it is given; SuperLU in symmetric mode with minimum-degree ordering.
         CalculiX writes and reads text. The converged field is PyAMG's, to rounding, where it is
         available. Memory is the peak of the process during the solves minus its memory before
@@ -71,7 +71,7 @@ def section(settings: Settings) -> Section:
 
 
 def measure_all(page: Section, sizes: Sequence[int]) -> Results:
-    """Measure every solver that is there at every size that it can."""
+    """Measure every available solver at every feasible size."""
     results: Results = {}
     with tempfile.TemporaryDirectory() as folder:
         for size in sizes:
@@ -94,7 +94,7 @@ def measure_all(page: Section, sizes: Sequence[int]) -> Results:
 
 
 def converged_field(problem: Problem) -> npt.NDArray[np.float64]:
-    """The field to rounding, (H, W, 2): by PyAMG from a close start, else by other means."""
+    """Return the converged field, (H, W, 2), by PyAMG if it is installed."""
     if not contenders.is_there("pyamg"):
         if max(problem.shape) <= LARGEST["superlu-tuned"]:
             return solve_directly(problem, PRIOR)
@@ -109,7 +109,7 @@ def converged_field(problem: Problem) -> npt.NDArray[np.float64]:
 
 
 def speed_targets(results: Results, sizes: Sequence[int]) -> list[Target]:
-    """Times as fast, iterations per size, and growth with the number of sites."""
+    """Return targets for ratios of times, iterations per size, and growth with the sites."""
     targets = []
     for (backend, other, size), bound in BOUNDS.items():
         if (backend, size) in results and (other, size) in results:
@@ -150,16 +150,17 @@ def _reading(page: Section, results: Results, sizes: Sequence[int]) -> None:
             gains.append(f"{gain:.0f} times at {size} ({title})")
     page.say(
         f"""**Conclusion.** Compared with the fastest other solver at each size, tuned ones
-        included, the compiled loops win {"; ".join(gains) or "nothing that was measured"}. Part
-        of the difference is not the algorithm: the others are general programs for any matrix,
-        on one thread except for their dense kernels, in double precision, and they include its
-        assembly. This solver uses the fact that its mesh is an image, runs on all cores, and
-        computes in single precision where this is sufficient.{_left_out(results, sizes)}"""
+        included, the compiled loops are faster:
+        {"; ".join(gains) or "no comparison was measured"}. Part of the difference is not the
+        algorithm: the others are general programs for any matrix, on one thread except for their
+        dense kernels, in double precision, and they include its assembly. This solver uses the
+        fact that its mesh is an image, runs on all cores, and computes in single precision where
+        this is sufficient.{_left_out(results, sizes)}"""
     )
 
 
 def _left_out(results: Results, sizes: Sequence[int]) -> str:
-    """Which sizes were not measured, and what they would take by the growth so far."""
+    """Return notes about sizes that were not measured, with extrapolated time and memory."""
     notes = ""
     for name in ("superlu-tuned", "calculix"):
         done = [size for size in sizes if (name, size) in results]

@@ -1,4 +1,4 @@
-"""Tissue that is hard on a solver: stiff parts of many shapes and sizes, at any contrast."""
+"""Tissue that is difficult for solvers: stiff parts of many shapes and sizes, at any contrast."""
 
 from __future__ import annotations
 
@@ -15,20 +15,22 @@ from scipy import ndimage
 from napari_hmrf.data import phantom
 
 Array = npt.NDArray[Any]
-#: How far the last row is pushed, in pixels: 4, towards the first and to the right.
+#: Displacement of the last row, in pixels: 4 px, towards the first row and to the right.
 PUSH = (-3.2, 2.4)
-#: The contrast of both phantoms as they are.
+#: Contrast of the unchanged phantoms.
 PHANTOM_CONTRAST = 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """What a `Problem` has, unchecked: also of tissue that a `Problem` refuses.
+    """Data of a `Problem` without validation, also for tissue that a `Problem` refuses.
 
     Attributes
     ----------
     observed, confidence : ndarray, shape (H, W, 2), float32
+        Observed displacement, and its confidence.
     stiffness : ndarray, shape (H, W), float32
+        Stiffness; 0 is void.
     """
 
     observed: Array
@@ -40,35 +42,36 @@ class Images:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The grid: (H, W)."""
+        """Shape of the grid, (H, W)."""
         return self.stiffness.shape
 
     @cached_property
     def rigid(self) -> Array:
-        """Where stiffness is infinite."""
+        """Mask of sites with infinite stiffness."""
         return np.isinf(self.stiffness)
 
     @cached_property
     def tissue(self) -> Array:
-        """Where stiffness is above 0."""
+        """Mask of sites with positive stiffness."""
         return self.stiffness > 0
 
     @property
     def known(self) -> Array:
-        """Which components are held, (H, W, 2)."""
+        """Mask of the prescribed components, (H, W, 2)."""
         return (self.confidence > 0) & self.tissue[..., None]
 
 
 class Layout(NamedTuple):
-    """A case at one size, of any contrast.
+    """Case at one size, for any contrast.
 
     Attributes
     ----------
     pattern : ndarray, shape (H, W)
-        0 where tissue is soft, 1 where it is stiff: the logarithm of its stiffness to the base of
-        the contrast.
+        Logarithm of the stiffness to the base of the contrast: 0 in soft tissue, 1 in stiff tissue.
     void : ndarray of bool, shape (H, W)
+        Mask of void.
     observed, confidence : ndarray, shape (H, W, 2)
+        Observed displacement, and its confidence.
     """
 
     pattern: Array
@@ -83,7 +86,7 @@ class Layout(NamedTuple):
 
 
 def _pushed(stiff: Array, void: Array | None = None) -> Layout:
-    """First and last row are held, the last is pushed."""
+    """Return a layout with first and last row prescribed, and the last row pushed."""
     y, c = np.zeros((*stiff.shape, 2)), np.zeros((*stiff.shape, 2))
     c[0] = c[-1] = 1
     y[-1] = PUSH
@@ -98,12 +101,12 @@ def _noise(n: int, sigma: float, seed: int) -> Array:
 
 
 def noise(n: int, sigma: float, seed: int = 2008) -> Layout:
-    """Two phases of equal volume, by a threshold of smoothed noise."""
+    """Return two phases of equal volume, by a threshold on smoothed noise."""
     return _pushed(_noise(n, sigma, seed))
 
 
 def ribs(n: int) -> Layout:
-    """Vertebrae with soft discs, slanted ribs on both sides, and void gaps between those."""
+    """Return vertebrae with soft discs, and slanted ribs on both sides with void gaps."""
     row, col = np.indices((n, n)) / (n - 1)
     side = np.abs(col - 0.5)
     count = min(12, max(2, n // 12))
@@ -116,20 +119,20 @@ def ribs(n: int) -> Layout:
 
 
 def checkerboard(n: int) -> Layout:
-    """Fields of 5 x 5 sites; stiff ones hang together at their corners."""
+    """Return squares of 5 x 5 sites; stiff squares are connected at their corners."""
     row, col = np.indices((n, n)) // 5
     return _pushed((row + col) % 2 == 0)
 
 
 def fibres(n: int) -> Layout:
-    """Slanted fibres one pixel wide, in pieces of 23 rows with 4 between them."""
+    """Return slanted fibres one pixel wide, in pieces of 23 rows with gaps of 4 rows."""
     row, col = np.indices((n, n))
     number, place = np.divmod(col - np.rint(0.35 * row).astype(int), 7)
     return _pushed((place == 0) & ((row + 11 * number) % 27 >= 4))
 
 
 def holes(n: int, seed: int = 2008) -> Layout:
-    """A grid of round holes, nine pixels wide with four between them, in two phases."""
+    """Return a grid of round holes, nine pixels wide and four apart, in two phases."""
     row, col = np.indices((n, n)) - (n % 13) // 2
     void = (row % 13 - 6) ** 2 + (col % 13 - 6) ** 2 <= 20
     void[:2] = void[-2:] = False
@@ -137,13 +140,13 @@ def holes(n: int, seed: int = 2008) -> Layout:
 
 
 def inclusion(n: int) -> Layout:
-    """A stiff disc, a little off the middle."""
+    """Return a stiff disc, slightly off the middle."""
     row, col = np.indices((n, n)) / (n - 1)
     return _pushed((row - 0.55) ** 2 + (col - 0.42) ** 2 < 0.2**2)
 
 
 def brain(n: int, name: str) -> Layout:
-    """A phantom, the logarithms of its stiffnesses stretched to the contrast."""
+    """Return a phantom with the logarithms of its stiffnesses scaled to the contrast."""
     problem = phantom(name, n).problem
     void = ~problem.tissue
     m = np.where(
@@ -154,8 +157,8 @@ def brain(n: int, name: str) -> Layout:
     )
 
 
-#: The cases, by name: from a size to a layout. With the seeds of the smoothest noise an iteration
-#: that estimates its error by what it has seen misses how a stiff part moves (n = 97, 257).
+#: Functions from a size to a layout, by name. For the seeds of the smoothest noise, an iteration
+#: that estimates its error from previous iterates misses the motion of a stiff part (n = 97, 257).
 TISSUES: dict[str, Callable[..., Layout]] = {
     "noise-2": partial(noise, sigma=2),
     "noise-5": partial(noise, sigma=5),
@@ -169,34 +172,34 @@ TISSUES: dict[str, Callable[..., Layout]] = {
     "expansion": partial(brain, name="expansion"),
     "mass-effect": partial(brain, name="mass-effect"),
 }
-#: Those that take a seed.
+#: Names of the cases with a seed.
 SEEDED = ("noise-2", "noise-5", "noise-10", "noise-20", "holes")
 
 
 def disc(n: int) -> Array:
-    """A round bone, (n, n) of bool."""
+    """Return a round bone, (n, n) of bool."""
     row, col = np.indices((n, n)) / (n - 1)
     return (row - 0.55) ** 2 + (col - 0.42) ** 2 < 0.15**2
 
 
 def bar(n: int) -> Array:
-    """A thin slanted bone, (n, n) of bool."""
+    """Return a thin slanted bone, (n, n) of bool."""
     row, col = np.indices((n, n)) / (n - 1) - 0.5
     along, across = 0.8 * row + 0.6 * col, 0.8 * col - 0.6 * row
     return (np.abs(along) < 0.35) & (np.abs(across) < max(0.008, 1.5 / n))
 
 
 def bones(n: int) -> Array:
-    """Both, side by side."""
+    """Return the two bones side by side."""
     return np.roll(disc(n), n // 5, axis=1) | np.roll(bar(n), -n // 5, axis=1)
 
 
-#: Bones that are rigid, by name.
+#: Rigid bones, by name.
 BONES: dict[str, Callable[[int], Array]] = {"disc": disc, "bar": bar, "disc and bar": bones}
 
 
 def bone_images(bone: Array) -> Images:
-    """Soft tissue around a bone that has no end of stiffness; the last row is pushed."""
+    """Return soft tissue around a rigid bone, with the last row pushed."""
     soft = _pushed(bone).images(1.0)
     return Images(
         soft.observed, soft.confidence, np.where(bone, np.inf, soft.stiffness).astype(np.float32)

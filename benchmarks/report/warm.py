@@ -1,9 +1,8 @@
-"""How much of a cold solve a small edit costs.
+"""Cost of a small edit relative to a cold solve.
 
     python -m report.warm SIZE REPEATS
 
-A process of its own, as the solvers have that are held against each other; it prints one line of
-JSON.
+Runs in a separate process, like the solvers in `report.contenders`, and prints one line of JSON.
 """
 
 from __future__ import annotations
@@ -25,24 +24,25 @@ from report.contenders import PHANTOM, PRIOR, WITHIN
 from report.page import Section, Settings, Target, duration
 
 _Timed = tuple[float, Solution]
-# A warm process's first few are slower.
+# Number of solves that are discarded, because the first solves of a process are slower.
 _DISCARDED = 3
 
 
 @dataclass(frozen=True)
 class Warmth:
-    """Median seconds, and cycles.
+    """Median times, and numbers of cycles.
 
     Attributes
     ----------
     cold, warm, again : float
-        Of a solve from nothing, from the earlier field, and from two earlier fields.
+        Seconds of a cold start, of a start from the earlier field, and of a start from two earlier
+        fields.
     cycles : list of int
-        Of the three.
+        Number of cycles of each of the three solves.
     apart : float
-        The largest distance of the cold field from that begun with the earlier one, in pixels.
+        Largest distance between the fields of the cold and the warm start, in pixels.
     push : float
-        The longest displacement that is observed, in pixels: how far off nothing is.
+        Largest observed displacement, in pixels, which is the initial error of a cold start.
     """
 
     cold: float
@@ -54,7 +54,7 @@ class Warmth:
 
 
 def add_warm_start(page: Section, settings: Settings) -> None:
-    """Say how much a small edit costs."""
+    """Add the cost of a small edit to the page."""
     size = settings.choose(300, 48)
     command = [sys.executable, "-m", "report.warm", str(size), "25"]
     done = subprocess.run(
@@ -69,28 +69,29 @@ def add_warm_start(page: Section, settings: Settings) -> None:
     first, drag = found.warm / found.cold, found.again / found.cold
     least = math.log(1 / WITHIN) / math.log(found.push / WITHIN)
     page.say(
-        f"""**Question.** After an edit (an eighth of the tumour's rim moved by a pixel) at
-        {size} x {size}, how long does a solve take that starts from the earlier one, relative to
-        a cold solve? In a process of its own: cold {duration(found.cold)} in {found.cycles[0]}
-        cycles, warm {duration(found.warm)} in {found.cycles[1]}. The ratio is {first:.2f}, and
-        the two fields are at most {found.apart:.0e} px apart. **Conclusion.** A first move saves
-        the set-up (the tissue is the same) and the cycles that the earlier field is ahead. At a
-        fixed rate, from one pixel to {WITHIN:g} px takes {least:.2f} of the cycles from the
-        {found.push:.1f} px of the whole push, so no such iteration can reach a third. Where the
-        patch was moved before (here by half as much), a sum of the earlier fields solves the new
-        problem. Its error is at most the sum of the errors of its parts: the solve takes
-        {duration(found.again)} in {found.cycles[2]} cycles, {drag:.2f} of a cold solve."""
+        f"""**Question.** After an edit (an eighth of the tumour's rim moved by a pixel) at {size}
+        x {size}, how long does a solve take that starts from the earlier one, relative to a cold
+        solve? In a process of its own: cold {duration(found.cold)} in {found.cycles[0]} cycles,
+        warm {duration(found.warm)} in {found.cycles[1]}. The ratio is {first:.2f}, and the two
+        fields are at most {found.apart:.0e} px apart. **Conclusion.** A first move saves the
+        set-up (the tissue is the same) and the cycles by which the earlier field is closer to
+        the solution. At a fixed convergence rate, the cycles from one pixel to {WITHIN:g} px are
+        {least:.2f} of the cycles from the {found.push:.1f} px of the whole push, so no such
+        iteration can achieve a third. Where the patch was moved before (here by half as much), a
+        sum of the earlier fields solves the new problem. Its error is at most the sum of the
+        errors of its parts: the solve takes {duration(found.again)} in {found.cycles[2]} cycles,
+        {drag:.2f} of a cold solve."""
     )
     page.targets.append(Target(f"warm restart over cold, {size}, first move", first, 1 / 3))
     page.targets.append(Target(f"warm restart over cold, {size}, moved before", drag, 1 / 3))
 
 
 def main(size: int, repeats: int) -> Warmth:
-    """Measure here."""
+    """Measure in this process."""
     before = phantom(PHANTOM, size).problem
     times: list[tuple[float, ...]] = []
     for number in range(_DISCARDED + repeats):
-        # Stiffness in another unit: what was set up for the last problem is of no use to this.
+        # Stiffness in another unit, so that the set-up of the last problem cannot be reused.
         after = moved_patch(before)
         cold = _timed(
             Problem(
@@ -125,7 +126,7 @@ def _timed(problem: Problem, start: Solution | list[Solution] | None = None) -> 
 
 
 def moved_patch(problem: Problem, pixels: float = 1.0) -> Problem:
-    """The problem with an eighth of its moving boundary moved further down."""
+    """Return the problem with an eighth of its moving boundary moved further down."""
     y = problem.observed.copy()
     moving = (problem.confidence > 0).all(axis=-1) & (np.abs(y).max(axis=-1) > 0)
     place = np.argwhere(moving)

@@ -1,1 +1,1 @@
-"""Random deformations of a case: training data, and ground truth for validation."""
+"""Random deformations of a case, for training data and for validation with ground truth."""

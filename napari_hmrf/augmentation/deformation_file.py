@@ -1,4 +1,4 @@
-"""File of the unit solutions of a case, from which samples are drawn without a solve."""
+"""File format for unit solutions, from which samples can be drawn without solving again."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _describe(solutions: UnitSolutions) -> tuple[Header, Arrays]:
 
 
 def _check_shapes(_: Header, arrays: Arrays) -> None:
-    """Refuse arrays whose shapes do not match."""
+    """Raise `Invalid` if the shapes of the arrays do not match."""
     labels, displacements = arrays["labels"], arrays["displacements"]
     for name in ("patches", "tissue"):
         if arrays[name].shape != labels.shape:
@@ -78,7 +78,7 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
     return UnitSolutions(case, displacements, tissue)
 
 
-#: Format of the files of `RandomDeformation.write`.
+#: Format of the files that `RandomDeformation.write` writes.
 DEFORMATION_FORMAT: array_file.Format[UnitSolutions] = array_file.Format(
     name="napari-hmrf random deformation",
     schema=1,

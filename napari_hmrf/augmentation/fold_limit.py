@@ -1,4 +1,4 @@
-"""Largest scale of a displacement that neither folds tissue nor compresses it too much."""
+"""Largest scale at which a displacement does not fold tissue or compress it too much."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 # Relative accuracy of the scale.
 _NEAR = 1e-4
-# Margin above the least allowed determinant; larger than rounding errors.
+# Margin above the smallest allowed determinant, which is larger than rounding errors.
 _MARGIN = 1e-5
 # Number of sites processed together, so that intermediate arrays stay in the cache.
 _SITES = 1 << 17
@@ -28,10 +28,10 @@ _SITES = 1 << 17
 def largest_scale(
     displacement: FloatArray, spacing: Sequence[float], tissue: BoolArray, least: float
 ) -> float:
-    """Find the largest scale, at most 1, at which a displacement compresses no tissue too much.
+    """Find the largest scale, at most 1, at which a displacement keeps Jacobians above a limit.
 
-    The determinant at each corner of each element, as for `smallest_determinant`, must stay at or
-    above a limit, at the returned scale and at all smaller scales.
+    At the returned scale and at all smaller scales, the Jacobian determinant at each corner of each
+    element (see `smallest_determinant`) is at least `least`.
 
     Parameters
     ----------
@@ -40,13 +40,14 @@ def largest_scale(
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     tissue : ndarray of bool, shape ([D,] H, W)
+        Mask of tissue.
     least : float
         Smallest allowed determinant, above 0 and below 1.
 
     Returns
     -------
     float
-        Above 0, and at most 1.
+        Scale, above 0 and at most 1.
     """
     least = least + _MARGIN
     planes = max(1, _SITES // math.prod(tissue.shape[1:]))
@@ -64,14 +65,14 @@ def _corners_of(
     least: float,
     slab: slice,
 ) -> Float64Array:
-    """Return the `_corners` of the sites of a slab that may be compressed too much."""
+    """Return the coefficients (`_corners`) of the sites in a slab that may violate the limit."""
     n = tissue.ndim
     wide, inner = with_neighbours(slab, len(tissue))
     d, mask = displacement[wide].reshape(-1, n), tissue[wide]
     weights = (1 / np.square(spacing)).astype(d.dtype)
-    # For a gradient of norm g < 1 the determinant is at least (1 - g)^n. Corners for which this is
-    # above the limit are skipped. g^2 is bounded by the sum, over the axes, of the squares of the
-    # longer of both steps.
+    # If the displacement gradient has norm g < 1, the determinant is at least (1 - g)^n. Skip
+    # corners where this bound is above the limit. g^2 is at most the sum, over the axes, of the
+    # squared length of the longer of the two steps along each axis.
     squares, steps = np.zeros(len(d), dtype=d.dtype), []
     for axis in range(n):
         step = _steps(mask, axis)
@@ -89,7 +90,7 @@ def _corners_of(
 
 
 class _Steps(NamedTuple):
-    """Steps from each site to the next site along an axis, for flattened arrays."""
+    """Steps from each site to the next site along an axis, in flattened arrays."""
 
     # Distance to the next site in the flattened array.
     stride: int
@@ -112,8 +113,11 @@ def _corners(
     sites: npt.NDArray[np.intp],
     least: float,
 ) -> Float64Array:
-    """Return the coefficients, (n, corners), of the corners' determinants as polynomials in s."""
-    # det(I + s G) = 1 + s a + s^2 b + s^3 c. Corners that cannot reach the limit are omitted.
+    """Return the coefficients, (n, corners), of each corner's determinant as a polynomial in s.
+
+    Corners at which the determinant cannot reach the limit are omitted.
+    """
+    # det(I + s G) = 1 + s a + s^2 b + s^3 c.
     n, sides = len(steps), []
     size = np.asarray(spacing, dtype=np.float64)
     for stride, exists in steps:
@@ -144,9 +148,9 @@ def _corners(
 
 
 def _march(coefficients: Float64Array, least: float) -> float:
-    """Return the first scale, from 0 to 1, at which a determinant reaches the limit."""
-    # Up to scale 1 no determinant decreases faster than `fall`, so that a step of slack / fall is
-    # never too long.
+    """Return the smallest scale at which a determinant reaches the limit, at most 1."""
+    # Up to scale 1, no determinant decreases faster than `fall`, so a step of slack / fall does not
+    # cross the limit.
     powers, scale = np.arange(1, len(coefficients) + 1), 0.0
     fall = powers @ np.abs(coefficients)
     while scale < 1:

@@ -1,4 +1,4 @@
-"""Pairs of images with a known deformation, to validate a registration."""
+"""Pairs of images with a known deformation, for the validation of a registration."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from napari_hmrf.study.study import Pictures, Study
 
 # Approximate number of landmarks per pair.
 _LANDMARKS = 200
-#: Files of each pair.
+#: Names of the files of each pair.
 _OF_PAIRS = "deformed.mha", "deformed_labels.mha", "field.mha", "landmarks.csv", "truth.study"
 
 
@@ -40,10 +40,10 @@ class Truth:
     farthest : float
         Largest displacement of the tissue, in the unit of the study.
     scale : float
-        Factor, at most 1, by which the drawn deformation was scaled down so that no tissue is
+        Factor, at most 1, by which the drawn deformation was multiplied so that tissue is not
         compressed too much.
     inexact : float
-        Largest error of the written field as the inverse of the motion, in pixels.
+        Largest error of the written field, which is the inverse of the motion, in pixels.
     """
 
     folder: Path
@@ -71,24 +71,25 @@ def write_truth(
     on_written: Callable[[Truth], None] = lambda _: None,
     **options: Any,
 ) -> list[Truth]:
-    """Deform an image at random, and write the results and their ground truth.
+    """Deform an image randomly, and write the deformed images with their ground truth.
 
-    The folder gets ``image.mha`` and ``labels.mha``, and for each pair a folder ``001``, ``002``
-    ... with:
+    The function writes ``image.mha`` and ``labels.mha`` to the folder. For each pair, it writes
+    these files to a subfolder ``001``, ``002``, ...:
 
     - ``deformed.mha`` and ``deformed_labels.mha``;
-    - ``field.mha``, the displacement that warps the image to the deformed image, in the convention
-      of registrations (backward, from each deformed pixel to its origin, in mm, LPS);
-    - ``landmarks.csv``, pairs of points in the image and in the deformed image, in the columns of
-      BigWarp;
-    - ``truth.study``, which can be solved and opened in napari.
+    - ``field.mha``, the displacement field that warps the image to the deformed image, in the
+      convention of registration software (backward, from each deformed pixel to its origin, in mm,
+      LPS);
+    - ``landmarks.csv``, corresponding points in the image and in the deformed image, with the
+      columns of BigWarp;
+    - ``truth.study``, a study that can be solved and opened in napari.
 
     Parameters
     ----------
     case : Case
-        Image with labels and materials, or a study that has them.
+        Image with labels and materials, or a study that contains them.
     folder : Path
-        Folder of the results, which is created.
+        Output folder, which is created if it does not exist.
     count : int
         Number of pairs.
     seed : int
@@ -96,7 +97,7 @@ def write_truth(
     progress : callable, optional
         As for `RandomDeformation`.
     on_written : callable, optional
-        Called with the `Truth` of each pair after it is written.
+        Function called with the `Truth` of each pair after the pair is written.
     **options
         Options of `RandomDeformation`, such as `amplitude`.
 
@@ -116,7 +117,7 @@ def write_truth(
     if image is None or labels is None:
         missing = "image" if image is None else "labels. Give --labels, or --maps"
         raise HmrfError(f"{case.image.name} has no {missing}")
-    folder.mkdir(parents=True, exist_ok=True)  # before the work, to fail early
+    folder.mkdir(parents=True, exist_ok=True)  # before the solves, to fail early
     colours = image.ndim > len(study.grid.shape)
     random = RandomDeformation(
         labels,
@@ -159,14 +160,14 @@ def _write_motion(within: Path, sample: RandomSample, solution: Solution, place:
     points = landmarks(sample.tissue)
     ends = []
     for each in (points, sample.points(points)):
-        # The place of a slice has one more axis, along which the index of the slice is 0.
+        # The place of a slice has an additional first axis, on which the index is 0.
         ends.append(place.to_space(np.pad(each, ((0, 0), (len(place.spacing) - n, 0)))))
     write_points(within / "landmarks.csv", *ends)
     return inexact
 
 
 def landmarks(tissue: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """Pick about two hundred pixels that are spread evenly over tissue; return indices, (N, n)."""
+    """Return the indices, shape (N, n), of about 200 pixels that are evenly spread over tissue."""
     apart = max(1.0, (float(tissue.sum()) / _LANDMARKS) ** (1 / tissue.ndim))
     return spread(tissue, apart)
 

@@ -1,4 +1,4 @@
-"""MONAI transform of random deformations; the extra ``monai`` installs MONAI.
+"""MONAI transform for random deformations, which requires the optional dependency ``monai``.
 
 No other module imports MONAI or this module.
 """
@@ -37,19 +37,19 @@ _ORDERS = {"bilinear": 1, "nearest": 0}
 
 
 class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
-    """Transform that warps the arrays of a dictionary by one random deformation.
+    """Transform that warps all arrays of a dictionary with the same random deformation.
 
-    It has the interface of `Rand2DElasticd` and `Rand3DElasticd`, but the deformation is physical:
-    bone stays rigid, air has no tissue, and tissue does not fold. Arrays are channel first. NumPy
-    arrays, torch tensors and `MetaTensor` keep their type.
+    The interface is similar to `Rand2DElasticd` and `Rand3DElasticd`, but the deformation is
+    physical: bone stays rigid, air is void, and tissue does not fold. Arrays are channel first, and
+    are returned with their type: NumPy array, torch tensor or `MetaTensor`.
 
     Parameters
     ----------
     keys : hashable or sequence of hashable
         Keys of arrays, (channels, H, W) or (channels, D, H, W), on the grid of the deformation.
     deformation : RandomDeformation or callable
-        Deformation of the case to which all dictionaries belong; or a callable that returns the
-        deformation for a dictionary, for example by its subject.
+        Deformation of the case that all dictionaries belong to, or a callable that returns the
+        deformation for a dictionary, for example for its subject.
     prob : float
         Probability that a dictionary is deformed.
     mode : {"bilinear", "nearest"} or sequence of these
@@ -85,12 +85,12 @@ class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
         self._seed = 0
 
     def randomize(self, data: Any = None) -> None:
-        """Draw at random whether to deform the next dictionary, and the seed of its sample."""
+        """Draw whether the next dictionary is deformed, and the seed of its sample."""
         super().randomize(data)
         self._seed = int(self.R.randint(2**31 - 1))
 
     def __call__(self, data: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
-        """Return a dictionary with the deformed arrays.
+        """Return a copy of a dictionary, with its arrays deformed.
 
         Parameters
         ----------

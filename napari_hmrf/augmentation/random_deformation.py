@@ -1,9 +1,9 @@
-"""Random deformations of a case, each as exact as a solve, computed as sums of unit solutions.
+"""Random deformations of a case, computed as sums of unit solutions.
 
-Linear elasticity allows superposition: the displacement by two pulls is the sum of the
-displacements by each pull. One unit solution for each cause of motion is therefore solved once, and
-each random field is a random linear combination of them. A combination that would compress tissue
-too much is scaled down, so that no tissue folds.
+Linear elasticity allows superposition: the displacement due to two pulls is the sum of the
+displacements due to each pull. Therefore one unit solution is computed for each cause of motion,
+and each random field is a random linear combination of the unit solutions, as accurate as a solve.
+A combination that would compress tissue too much is scaled down, so tissue does not fold.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ from napari_hmrf.tissue.usual_lengths import usual_radius
 #: Argument of `numpy.random.default_rng`: a seed, or a generator, which is advanced.
 Seed = int | Sequence[int] | np.random.Generator | None
 
-# Default number of control patches in an image, with two unit solutions per patch, and in a volume,
-# with three.
+# Default number of control patches in an image (two unit solutions per patch) and in a volume
+# (three unit solutions per patch).
 _PATCHES = {2: 12, 3: 8}
 # Default largest pull, as a fraction of the mean distance between neighbouring patches.
 _REACH = {2: 1 / 4, 3: 1 / 8}
@@ -76,10 +76,10 @@ class RandomSample:
     causes : Causes
         Pulls, growth and weight that cause the motion, already multiplied by `scale`.
     scale : float
-        Factor, at most 1, by which the drawn deformation was scaled down so that no tissue is
+        Factor, at most 1, by which the drawn deformation was multiplied so that tissue is not
         compressed too much.
     case : MovableTissue
-        The tissue.
+        Tissue that was deformed.
     """
 
     displacement: npt.NDArray[np.float32]
@@ -100,7 +100,7 @@ class RandomSample:
 
     @cached_property
     def study(self) -> Study:
-        """Study whose solution is this displacement, for `solve_study` and `write_study`."""
+        """Study that has this displacement as its solution, for `solve_study` and `write_study`."""
         return self.case.study(self.causes)
 
     @cached_property
@@ -133,7 +133,7 @@ class RandomSample:
         )
 
     def pictures(self, *pictures: Picture) -> list[npt.NDArray[Any]]:
-        """Warp several pictures together, which is faster than one after the other.
+        """Warp several pictures together, which is faster than separate calls.
 
         Parameters
         ----------
@@ -150,7 +150,7 @@ class RandomSample:
             If a picture is not on the grid of the labels.
         """
         images = [as_image(each.image, self.tissue.shape) for each in pictures]
-        # Pixels outside the box do not move. Splines of order 2 or more need the whole image.
+        # Pixels outside the box do not move, but splines of order 2 or more need the whole image.
         smooth = any(each.order > 1 for each in pictures)
         box = (slice(None),) * self.tissue.ndim if smooth else self._box
         parts = [
@@ -192,78 +192,78 @@ class RandomSample:
         Returns
         -------
         ndarray, shape and dtype of the image
-            Uncovered pixels are black in colour images; in other images they have the lowest value
-            of the image, which is air in CT.
+            Warped image. Pixels that tissue has left are black in colour images; in other images,
+            they have the lowest value of the image, which is air in CT.
         """
         pixels = as_numbers("image", image)
         fill = emptiness(pixels, self.tissue.ndim)
         return self.pictures(Picture(pixels, order=order, fill=fill))[0]
 
     def labels(self, labels: npt.ArrayLike, *, fill: int = 0) -> npt.NDArray[Any]:
-        """Warp labels, ([D,] H, W): each pixel gets the label of the tissue that moves there."""
+        """Warp a label image, shape ([D,] H, W); pixels that tissue has left become `fill`."""
         return self.pictures(Picture(labels, order=0, fill=fill))[0]
 
     def points(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Move points, (N, n) in pixels in the order of the axes, with the tissue."""
+        """Move points with the tissue: shape (N, n), in pixels, in the order of the axes."""
         refuse_outside(points, self.tissue.shape)
         return moved_points(points, self.displacement, spacing=self.spacing)
 
 
 class RandomDeformation:
-    """Source of random deformations of the tissue in a label image.
+    """Generator of random deformations of the tissue in a label image.
 
-    The constructor solves all unit solutions: two for each patch (three in a volume), one for each
-    tissue that grows, and one for the weight along each axis. After that, each sample is only a
-    sum.
+    The constructor computes all unit solutions: two for each patch (three in a volume), one for
+    each tissue that grows, and one for the weight along each axis. After that, each sample is only
+    a weighted sum.
 
     Parameters
     ----------
     labels : array_like of int, shape (H, W) or (D, H, W)
         Label of the tissue at each pixel.
     materials : iterable of Material
-        A material for each value in `labels`, 0 included. A stiffness of 0 is void; rigid tissue
-        moves as a rigid body; tissue with a growth grows by a random fraction of it.
+        Materials for all values in `labels`, including 0. A stiffness of 0 means void. Rigid
+        tissue moves as a rigid body. Tissue with growth grows by a random fraction of its growth.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis; a single number applies to all axes.
     unit : str
         Unit of all lengths.
     amplitude : float or (float, float), optional
         Largest pull of a control patch, in the unit of `spacing`: one length for all samples, or
-        bounds between which it is drawn uniformly. By default from 0 to a quarter of the distance
-        between neighbouring patches, in a volume an eighth. A sample that would compress tissue
-        too much is scaled down; its attribute `amplitude` is the actual largest pull, and a
-        warning is logged if that is below the lower bound.
+        bounds (low, high) of a uniform distribution. The default is (0, r), where r is the mean
+        distance between neighbouring patches, divided by 4 in an image and by 8 in a volume. A
+        sample that would compress tissue too much is scaled down. `RandomSample.amplitude` is the
+        actual largest pull; if it is below the lower bound, a warning is logged.
     patches : int, optional
-        Largest number of control patches; there are fewer if the tissue has no room for more. By
-        default 12, in a volume 8.
+        Maximum number of control patches; fewer are used if the tissue does not have enough room.
+        The default is 12 in an image and 8 in a volume.
     radius : float, optional
-        Radius of a control patch, in the unit of `spacing`; by default a 32nd of the shortest
-        side, in a volume a 16th.
+        Radius of a control patch, in the unit of `spacing`. The default is 1/32 of the shortest
+        side in an image and 1/16 in a volume.
     smoothness : float, optional
-        Correlation length of the pulls of patches, in the unit of `spacing`; by default the mean
-        distance between neighbouring patches.
+        Correlation length of the pulls of patches, in the unit of `spacing`. The default is the
+        mean distance between neighbouring patches.
     weight : float
-        Largest body force, in a random direction, in the unit of stiffness per length. It models
-        the weight of the tissue in other postures. 0 is no body force.
+        Largest body force, in a random direction, in the unit of stiffness per length. The force
+        models the weight of the tissue in other postures. 0 means no body force.
     hold_edge : bool
-        If True, hold the outer edge of the tissue in place.
+        If True, the outer edge of the tissue is fixed.
     least_jacobian : float
-        Smallest allowed ratio of the deformed to the original area, or volume, at any corner of any
-        pixel; above 0, so that no tissue folds.
+        Smallest allowed ratio of the deformed to the original area or volume, at every corner of
+        every pixel. It is above 0, so tissue does not fold.
     memory : float, optional
-        Largest memory of the unit solutions, in bytes; by default half of the free memory.
+        Maximum memory of the unit solutions, in bytes. The default is half of the free memory.
     backend : str
         As for `solve`.
     progress : callable, optional
-        Called after each solve with the number of finished solves and the total.
+        Function called after each solve with the number of finished solves and the total.
 
     Raises
     ------
     ArgumentError
         If an argument has the wrong type or is out of range.
     ProblemError
-        If labels and materials do not make a valid problem, if there is no room for a patch, or if
-        the unit solutions need more than `memory`.
+        If the labels and materials do not define a valid problem, if the tissue does not have room
+        for a patch, or if the unit solutions need more than `memory`.
     ConvergenceError, BackendError
         As for `solve`.
 
@@ -318,8 +318,8 @@ class RandomDeformation:
         above = 0 < real(least_jacobian) < 1
         refuse_unless(above, "least_jacobian", least_jacobian, "a number above 0 and below 1")
         usual = usual_radius(image.shape, sizes)
-        # A pulled ball compresses the tissue around it more than a disc of the same radius, and the
-        # compression is larger for a smaller radius.
+        # A pulled ball compresses the surrounding tissue more than a disc of the same radius, and a
+        # larger radius reduces the compression. Therefore patches are larger in volumes.
         size = usual * (n - 1) / 2 if radius is None else float(radius)
         where, centres = control_patches(
             image, rows, sizes, count=int(count), radius=size, hold_edge=hold_edge
@@ -365,12 +365,12 @@ class RandomDeformation:
         Parameters
         ----------
         path : str or path-like
-            ".npz" is appended if the name has no suffix.
+            Path of the file; ".npz" is appended if the name has no suffix.
 
         Returns
         -------
         Path
-            The written file.
+            Path of the written file.
 
         Raises
         ------
@@ -381,13 +381,14 @@ class RandomDeformation:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RandomDeformation:
-        """Read a file of `write`, without solving.
+        """Read a file that `write` has written, without solving again.
 
-        The same seeds give bit-identical samples before and after.
+        The same seed gives bit-identical samples before writing and after reading.
 
         Parameters
         ----------
         path : str or path-like
+            Path of the file.
 
         Returns
         -------
@@ -419,7 +420,7 @@ class RandomDeformation:
         ----------
         seed : int, sequence of int or numpy.random.Generator, optional
             Seed of the random numbers: the same seed gives a bit-identical displacement for the
-            same unit solutions. A generator is advanced. By default the seed is unpredictable.
+            same unit solutions. A generator is advanced. The default is an unpredictable seed.
 
         Returns
         -------
@@ -442,7 +443,7 @@ class RandomDeformation:
         return sample
 
     def _warn_if_small(self, sample: RandomSample) -> None:
-        """Log a warning, only once, if the amplitude of a sample is below the lower bound."""
+        """Log a warning if the amplitude of a sample is below the lower bound, but only once."""
         least = self.amplitude[0]
         if self._has_warned or sample.amplitude >= least * (1 - 1e-6):
             return
@@ -484,12 +485,12 @@ def _range(amplitude: Any, usual: float) -> tuple[float, float]:
     given = reals(amplitude, 2) if np.ndim(amplitude) else (real(amplitude),) * 2
     low, high = given[0], given[-1]
     right = 0 <= low <= high < math.inf and high > 0
-    refuse_unless(right, "amplitude", amplitude, "a length above 0, or two of them, (low, high)")
+    refuse_unless(right, "amplitude", amplitude, "a length above 0, or two lengths, (low, high)")
     return low, high
 
 
 def _distance_to_next(centres: Array, alone: float) -> float:
-    """Return the mean distance of patches from the nearest patch; `alone` for a single patch."""
+    """Return the mean distance between nearest patches, or `alone` for a single patch."""
     if len(centres) == 1:
         return alone
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
@@ -500,7 +501,8 @@ def _distance_to_next(centres: Array, alone: float) -> float:
 def _factor(centres: Array, smoothness: float) -> Array:
     """Return the Cholesky factor of the covariance of the pulls of patches.
 
-    Its product with independent normal numbers is correlated over the length `smoothness`.
+    The product of this factor and independent normal numbers has the correlation length
+    `smoothness`.
     """
     distances = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
     covariance = np.exp(-0.5 * (distances / smoothness) ** 2)

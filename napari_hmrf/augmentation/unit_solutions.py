@@ -24,7 +24,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 #: Largest error of a linear combination, in pixels.
 WRONG = 5e-3
-# Number of values that are summed together, which fit the CPU cache.
+# Number of values that are summed together, so that they fit into the CPU cache.
 _BLOCK = 1 << 16
 _GIB = 2.0**30
 
@@ -53,7 +53,7 @@ class Causes:
 
     @property
     def values(self) -> Array:
-        """Array of the values of all causes: pulls, growth and weight."""
+        """Values of all causes in one array: pulls, growth and weight."""
         return np.concatenate([self.pulls.ravel(), self.growth, self.weight])
 
 
@@ -69,7 +69,7 @@ class MovableTissue:
     materials : tuple of Material
         Materials of the labels.
     hold_edge : bool
-        If True, the outer edge of the tissue is held in place.
+        If True, the outer edge of the tissue is fixed.
     patches : ndarray of int, shape ([D,] H, W)
         Number of the control patch at each pixel, counted from 1; 0 outside patches.
     centres : ndarray, shape (patches, n)
@@ -97,13 +97,13 @@ class MovableTissue:
 
     @cached_property
     def growing(self) -> tuple[Material, ...]:
-        """Materials of tissues in the labels that may grow."""
+        """Materials that may grow and occur in the labels."""
         present = set(np.unique(self.labels).tolist())
         return tuple(row for row in self.materials if row.grows and row.label in present)
 
     @property
     def units(self) -> list[Causes]:
-        """Causes of each unit solution: one cause alone, with the largest value of a sample."""
+        """Causes of each unit solution: a single cause, with its largest value in any sample."""
         n, tissues = len(self.grid.shape), len(self.growing)
         none = Causes(np.zeros_like(self.centres), np.zeros(tissues), np.zeros(n))
         pulls = [self.amplitude[1] * each for each in np.eye(self.centres.size)]
@@ -114,11 +114,12 @@ class MovableTissue:
         return alone
 
     def study(self, causes: Causes, tolerance: float = 1e-3) -> Study:
-        """Return the study of this tissue with some causes.
+        """Return the study in which the given causes deform the tissue.
 
         Parameters
         ----------
         causes : Causes
+            Causes of the motion.
         tolerance : float
             Tolerance of the optimizer, in pixels.
 
@@ -159,7 +160,7 @@ def control_patches(
     radius: float,
     hold_edge: bool,
 ) -> tuple[npt.NDArray[np.int32], Array]:
-    """Spread patches over soft tissue, far from each other, from its edge and from rigid tissue.
+    """Distribute patches over soft tissue, far from each other, from edges and from rigid tissue.
 
     Parameters
     ----------
@@ -170,11 +171,11 @@ def control_patches(
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     count : int
-        Largest number of patches; there are fewer if the tissue has no room for more.
+        Maximum number of patches; fewer are used if the tissue does not have enough room.
     radius : float
         Radius of a patch, in the unit of the spacing.
     hold_edge : bool
-        If True, patches also keep their distance from the outermost pixels, which are held.
+        If True, the outermost pixels of the tissue are fixed, and patches do not overlap them.
 
     Returns
     -------
@@ -186,7 +187,7 @@ def control_patches(
     Raises
     ------
     ProblemError
-        If there is no room for a patch.
+        If the tissue does not have room for a patch.
     """
     m = stiffness_image(labels, materials)
     soft = (m > 0) & np.isfinite(m)
@@ -203,10 +204,11 @@ def control_patches(
             "smaller radius.",
         )
     at = sites * np.asarray(spacing)
-    room = depth[tuple(sites.T)].astype(np.float64)  # distance from held and rigid tissue
+    room = depth[tuple(sites.T)].astype(np.float64)  # distance from edges, fixed and rigid tissue
     patches, centres = np.zeros(m.shape, dtype=np.int32), np.empty((0, m.ndim))
     axes = np.ogrid[tuple(map(slice, m.shape))]
-    # Each patch is placed at the site with most room; two patches share the distance between them.
+    # Place each patch at the site with the most room, which is at most half the distance to each
+    # existing patch.
     while len(centres) < count and room.max() > radius:
         centre = at[room.argmax()]
         centres = np.concatenate([centres, centre[None]])
@@ -221,13 +223,13 @@ def control_patches(
 
 @dataclass(frozen=True, eq=False)
 class UnitSolutions:
-    """Displacements of tissue by one unit of each cause.
+    """Displacement fields of a tissue, for one unit of each cause.
 
     Attributes
     ----------
     case : MovableTissue
     displacements : ndarray, shape (causes, sites, n), float32
-        Material displacement of all sites of tissue by each of the units of the case.
+        Material displacement of all tissue sites, for each of `case.units`.
     tissue : ndarray of bool, shape ([D,] H, W)
         Mask of the tissue that moves.
     """
@@ -246,12 +248,12 @@ class UnitSolutions:
         return np.flatnonzero(np.repeat(self.tissue.ravel(), self.tissue.ndim))
 
     def field(self, causes: Causes) -> npt.NDArray[np.float32]:
-        """Return the material displacement by all causes together, ([D,] H, W, n).
+        """Return the material displacement due to all causes together, ([D,] H, W, n).
 
-        The result is equal bit by bit on all machines, because each product is rounded before it
-        is added.
+        The result is bit-identical on all machines, because each product is rounded before it is
+        added.
         """
-        # If the weight of the case is 0, there are no unit solutions for it.
+        # If the weight of the case is 0, there are no unit solutions for the weight.
         shares = (causes.values[: len(self._most)] / self._most).astype(np.float32)
         units = self.displacements.reshape(len(shares), -1)
         total = np.zeros(units.shape[1], dtype=np.float32)
@@ -273,7 +275,7 @@ def solve_units(
     memory: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> UnitSolutions:
-    """Solve a case for each of its units.
+    """Solve a case for each of its unit causes.
 
     Parameters
     ----------
@@ -281,9 +283,9 @@ def solve_units(
     backend : str
         As for `solve`.
     memory : float, optional
-        Largest memory of the solutions, in bytes; by default half of the free memory.
+        Maximum memory of the solutions, in bytes. The default is half of the free memory.
     progress : callable, optional
-        Called after each solve with the number of finished solves and the total.
+        Function called after each solve with the number of finished solves and the total.
 
     Returns
     -------
@@ -292,7 +294,7 @@ def solve_units(
     Raises
     ------
     ProblemError
-        If the solutions need more memory, or if the case is not a valid problem.
+        If the solutions need more than `memory`, or if the case is not a valid problem.
     ConvergenceError, BackendError
         As for `solve`.
     """
@@ -308,7 +310,8 @@ def solve_units(
             f"enough for {int(allowed / needed * len(units))}. Crop the labels, use fewer patches, "
             "or allow more memory.",
         )
-    # No cause of a sample exceeds its unit, so the error of a sum is at most the sum of the errors.
+    # The causes of a sample do not exceed the units, so the error of a linear combination is at
+    # most the sum of the errors of the unit solutions.
     tolerance = WRONG / len(units)
     displacements = np.empty((0, 0, n), dtype=np.float32)
     for number, unit in enumerate(units):

@@ -1,1 +1,1 @@
-"""Effects of a displacement: moved images, strain, folds, and the inverse motion."""
+"""Quantities computed from a displacement: warped images, strain, folds, inverse motion."""

@@ -1,4 +1,4 @@
-"""Animation of a result: its image and overlays after any fraction of the deformation."""
+"""Animation of a result: its image and overlays at any fraction of the deformation."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.solver.solution import Solution
 
-#: Kinds of faulty sites that can be marked.
+#: Kinds of site that can be marked: folded sites, and sites that overlap other tissue.
 Mark = Literal["folds", "overlaps"]
 MARKS: tuple[Mark, ...] = get_args(Mark)
-#: Lines of the grid across the longer side.
+#: Number of grid lines that cross the longer side of an image.
 _LINES = 30
-#: Size of the cache of moments, in bytes. Moments in the cache are not computed again.
+#: Size of the cache of moments, in bytes. Cached moments are not computed again.
 _KEPT = 256 * 2**20
 
 
@@ -51,7 +51,9 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Deformation from rest (0) to the solution (1): at f, the tissue from X is at X + f d(X).
+    """Motion from the state at rest to a solution, as a function of a fraction f.
+
+    At fraction f, the tissue with reference position X is at X + f d(X).
 
     Attributes
     ----------
@@ -59,14 +61,14 @@ class Motion:
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
         Image before the motion.
     overlay : ndarray, shape ([D,] H, W), optional
-        Overlay before the motion: labels, or a quantity of the tissue, NaN outside tissue. The
-        sites of a boolean overlay are moved one by one, because a warped picture would lose them
-        where tissue folds.
+        Overlay before the motion: labels, or a quantity of the tissue that is NaN outside tissue.
+        The sites of a boolean overlay are moved individually, because a warped image would lose
+        sites where tissue folds.
     grid : bool
-        If True, move the deformation grid of a slice, too.
+        If True, the deformation grid of a slice is drawn as well.
     quantity : Quantity, optional
-        Quantity whose values at fraction 1 are in `overlay`; the values at other fractions are
-        recomputed.
+        Quantity in `overlay`, which contains its values at fraction 1. The values at other
+        fractions are recomputed.
     """
 
     solution: Solution
@@ -76,17 +78,17 @@ class Motion:
     quantity: Quantity | None = None
 
     def at(self, fraction: float) -> Moment:
-        """Move the images by a fraction of the displacement; call on the compute thread only.
+        """Warp the images by a fraction of the displacement; call on the compute thread only.
 
         Parameters
         ----------
         fraction : float
-            Between 0, for no motion, and 1, for the full displacement.
+            From 0 (no motion) to 1 (full displacement).
 
         Returns
         -------
         Moment
-            At fraction 1 the images are identical to the layers of the result.
+            At fraction 1, its images are identical to the layers of the result.
         """
         solution = self.solution
         parts: dict[str, npt.NDArray[Any]] = {}
@@ -105,12 +107,15 @@ class Motion:
         return moment
 
     def cached(self, fraction: float) -> Moment | None:
-        """Return a moment cached by `at`, or None; any thread may call this."""
+        """Return a moment that `at` has cached, or None; callable from any thread."""
         return self._cache.get(fraction)
 
     @property
     def finest(self) -> float:
-        """Smallest step of the fraction at which the cache holds all moments; 0 if it is empty."""
+        """Smallest step between fractions at which all moments fit in the cache.
+
+        It is 0 if the cache is empty.
+        """
         sizes = [moment.nbytes for moment in [*self._cache.values()]]
         return max(sizes, default=0) / _KEPT
 
@@ -129,7 +134,7 @@ class Motion:
         return pictures
 
     def _values_at(self, fraction: float, whole: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return the quantity after a fraction of the displacement, on the unmoved pixel grid."""
+        """Return the quantity at a fraction of the displacement, on the grid before the motion."""
         if fraction == 1 or self.quantity is None:
             return whole
         return values_of(self.solution, self.quantity, fraction)
@@ -146,7 +151,7 @@ def _overlaid(values: npt.NDArray[Any]) -> Picture:
 def moved_marks(
     solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> npt.NDArray[np.uint8]:
-    """Mark the pixels nearest to the marked sites after a fraction of the deformation.
+    """Mark the pixels nearest to the moved positions of marked sites.
 
     Parameters
     ----------
@@ -154,7 +159,7 @@ def moved_marks(
     marks : ndarray of bool, shape ([D,] H, W)
         Marked sites before the motion.
     fraction : float
-        Part of the displacement, from 0 to 1.
+        Fraction of the displacement, from 0 to 1.
 
     Returns
     -------
@@ -168,7 +173,7 @@ def moved_marks(
 
 
 def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
-    """Return a mask of the sites where tissue folds, or where it overlaps other tissue.
+    """Return a mask of the sites at which tissue folds or overlaps other tissue.
 
     Parameters
     ----------
@@ -191,7 +196,7 @@ def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
 
 
 def fullest_planes(marks: npt.NDArray[Any]) -> tuple[int, ...]:
-    """Return for each axis the index of the plane with the most marked pixels."""
+    """Return, for each axis, the index of the plane with the most marked pixels."""
     axes = range(marks.ndim)
     planes = (marks.sum(axis=tuple(set(axes) - {axis})) for axis in axes)
     return tuple(int(each.argmax()) for each in planes)
@@ -200,7 +205,7 @@ def fullest_planes(marks: npt.NDArray[Any]) -> tuple[int, ...]:
 def _moved_sites(
     solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return the marked sites, (N, n), that stay in the image, and the pixels they move to."""
+    """Return the marked sites, (N, n), that stay in the image, and their moved pixels, (N, n)."""
     sites = np.argwhere(marks)
     step = fraction * solution.displacement[marks] / solution.spacing
     places = np.rint(sites + step).astype(np.intp)
@@ -209,10 +214,10 @@ def _moved_sites(
 
 
 def moved_grid(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.float32]:
-    """Draw the `deformation_grid` after a fraction of the deformation."""
+    """Return the `deformation_grid` at a fraction of the deformation."""
     tissue, spacing = solution.tissue, solution.spacing
     every = pixels_between(_LINES, tissue.shape, spacing)
-    # During the motion, lines of fewer pieces are sufficient and are drawn twice as fast.
+    # During playback, two segments between crossings are sufficient and are drawn twice as fast.
     pieces = 5 if fraction == 1 else 2
     displacement = solution.displacement * np.float32(fraction)
     return deformation_grid(

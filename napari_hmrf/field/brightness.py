@@ -1,4 +1,4 @@
-"""Brightness of colour images, and confidence at the edges of images."""
+"""Brightness of colour images, and edge confidence of images."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
 
-# Weights of red, green and blue in the brightness (ITU-R BT.709).
+# Weights of red, green and blue in the luminance (ITU-R BT.709).
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
-# Quantile of the slope above which a pixel belongs to an edge.
+# Quantile of the gradient magnitude above which a pixel belongs to an edge.
 _SHARE = 0.9
 
 
 def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Compute the brightness of colours, from 0 to the largest value of their type.
+    """Compute the luminance of colours, from 0 to the largest value of their type.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def edge_confidence(image: npt.NDArray[Any], *, axes: int = 2) -> npt.NDArray[np
     ----------
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
     axes : int
-        Number of axes without the axis of colours: 2 for a slice, 3 for a volume.
+        Number of spatial axes: 2 for a slice, 3 for a volume.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Colour maps and scales of strain and displacement, for the viewer and for saved pictures."""
+"""Colour maps and colour scales of strain and displacement, for the viewer and saved pictures."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: Colour map of signed values: purple and orange differ for every kind of colour blindness.
+#: Colour map of signed values; purple and orange are distinguishable with any colour blindness.
 DIVERGING = "PuOr_r"
-#: Colour map of values from 0 upwards: its lightness rises monotonically.
+#: Colour map of non-negative values; its lightness increases monotonically.
 RISING = "magma"
-#: Colour of folds: bright on the dark purple of tissue that is nearly folded.
+#: Colour of folds, which contrasts with the dark purple of tissue that is almost folded.
 FOLDED = "#ffee00"
-#: Largest opacity of the colours over the image.
+#: Largest opacity of a colour overlay on the image.
 OPACITY = 0.8
-# Fraction of the range of values from which on colours are fully opaque.
+# Fraction of the colour range above which colours have full opacity.
 _OPAQUE = 0.4
-# Percentile of the absolute values at which a scale ends; larger values are a few at corners.
+# Percentile of the absolute values at the end of a scale; a few values, at corners, exceed it.
 _WITHIN = 99.0
-# Values beyond a scale by less than this fraction of its length are not reported.
+# Values beyond a scale by less than this fraction of its range are not reported.
 _NEARLY = 0.01
-#: Smallest end of a scale; a hundred times this for values in per cent.
+#: Smallest end of a scale, for values that are not in per cent. In per cent it is 100 times this.
 SMALLEST = 1e-3
-# Ends of a scale with 0 in its middle, up to a power of ten. For these ends napari writes at least
-# two numbers beside the scale; for ends such as 0.45 or 0.8 it writes only the 0.
+# Possible ends of a symmetric scale, up to a power of ten. napari writes at least two numbers
+# beside a scale with such an end; with an end such as 0.45 or 0.8 it writes only the 0.
 _ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 10.0)
 
 
 def opacity(part: npt.ArrayLike, signed: bool) -> npt.NDArray[np.float64]:
-    """Return the opacity of colours; it is low near no change, so that the image stays visible.
+    """Return the opacity of colours, which is low for small values to keep the image visible.
 
     Parameters
     ----------
     part : array_like
         Position in the range of the colour map, from 0 to 1.
     signed : bool
-        True if no change is in the middle of the range; False if it is at the lower end.
+        True if the middle of the range means no change; False if the lower end does.
 
     Returns
     -------
     ndarray
-        From 0, transparent, to 1, opaque.
+        Opacity from 0 (transparent) to 1 (opaque).
     """
     position = np.asarray(part, dtype=np.float64)
     amount = np.abs(2 * position - 1) if signed else position
@@ -50,17 +50,17 @@ def opacity(part: npt.ArrayLike, signed: bool) -> npt.NDArray[np.float64]:
 
 
 def reach_of(values: npt.NDArray[Any], signed: bool = False, least: float = SMALLEST) -> float:
-    """Return the end of a scale from 0 that covers nearly all values.
+    """Return the end of a scale that starts at 0 and covers nearly all values.
 
     Parameters
     ----------
     values : ndarray
-        Values that are not finite are ignored.
+        Values; entries that are not finite are ignored.
     signed : bool
-        True for a scale from the negative end to the positive end: the end is then rounded up to a
-        number for which napari labels the scale. Otherwise it is rounded up to two digits.
+        If True, the scale is symmetric, and its end is rounded up to a number at which napari
+        labels the scale. If False, its end is rounded up to two significant digits.
     least : float
-        Smallest end.
+        Smallest end of the scale.
 
     Returns
     -------
@@ -79,13 +79,13 @@ def reach_of(values: npt.NDArray[Any], signed: bool = False, least: float = SMAL
 
 
 def beyond(values: npt.NDArray[Any], limits: tuple[float, float]) -> str:
-    """Describe, in a clause, the values beyond the ends of a scale; "" if there are none.
+    """Describe the values beyond the ends of a scale in a clause; "" if there are none.
 
     Parameters
     ----------
     values : ndarray
     limits : (float, float)
-        Ends of the scale.
+        Lower and upper end of the scale.
 
     Returns
     -------
@@ -102,6 +102,6 @@ def beyond(values: npt.NDArray[Any], limits: tuple[float, float]) -> str:
 
 
 def area_limits(jacobian: npt.NDArray[Any], folded: bool) -> tuple[float, float]:
-    """Return the ends of a scale of area ratios, with 1 in its middle; (0, 2) for folded tissue."""
+    """Return the ends of a scale of area ratios, centred at 1; (0, 2) for folded tissue."""
     reach = 1.0 if folded else min(1.0, reach_of(jacobian - 1, True))
     return 1 - reach, 1 + reach

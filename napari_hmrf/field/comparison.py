@@ -1,4 +1,4 @@
-"""Comparison of a result with a reference: another result, or a field of another tool."""
+"""Comparison of a result with a reference: another result, or a field from another program."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from napari_hmrf.solver.solution import Solution
 
 
 class Comparison(NamedTuple):
-    """Difference between a result and a reference, over the tissue that the reference covers.
+    """Difference between a result and a reference, in the tissue that the reference covers.
 
     Attributes
     ----------
     reference : str
         Name of the reference.
     difference : ndarray, shape ([D,] H, W), float32
-        Length of the difference of both displacements at each site, in the unit of the result;
-        NaN outside the tissue that the reference covers.
+        Distance between the two moved positions of each site, in the unit of the result; NaN
+        outside the tissue that the reference covers.
     rmsd : float
         Root mean square of `difference`; NaN if the reference covers none of the tissue.
     part : float
@@ -35,7 +35,7 @@ class Comparison(NamedTuple):
     part: float
 
     def in_words(self, solution: Solution, unit: str) -> str:
-        """Describe the comparison in a sentence; rounding errors count as 0.
+        """Describe the comparison in a sentence, in which rounding errors are shown as 0.
 
         Parameters
         ----------
@@ -56,16 +56,16 @@ class Comparison(NamedTuple):
 
 
 def compare(solution: Solution, frame: Frame, field: PixelField, reference: str) -> Comparison:
-    """Compare a result with a reference field, which is resampled on the pixels of the result.
+    """Compare a result with a reference field that is resampled on the pixels of the result.
 
     Parameters
     ----------
     solution : Solution
         Result of a slice or a volume.
     frame : Frame
-        Place of the result.
+        Place of the result in the world.
     field : PixelField
-        Reference, which may lie elsewhere or have other pixels.
+        Reference field, which may have another place and other pixels.
     reference : str
         Name of the reference.
 

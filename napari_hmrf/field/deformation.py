@@ -1,6 +1,6 @@
 """Local volume change, folds, grids and arrows of a displacement.
 
-Segments and arrows are in pixels, in the order of the axes, as napari's Vectors layer takes them.
+Segments and arrows are in pixels, with components in axis order, as for napari's Vectors layer.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from napari_hmrf.solver.backends.thread import compute_thread
 
 FloatArray = npt.NDArray[np.float32]
 
-# Number of rows of an image processed together, and of planes of a volume.
+# Rows of an image, and planes of a volume, that are processed together.
 _STRIP, _SLAB = 64, 8
-# Reductions of the determinants around a site; the loop for volumes takes their index.
+# Reductions of the determinants around a site; the loop for volumes receives the index.
 _Kind = Literal["smallest", "mean", "mean or fold"]
 _KINDS: tuple[_Kind, ...] = get_args(_Kind)
-# Largest distance between lines, in pixels: larger than any image.
+# Upper bound of the distance between lines, in pixels; it exceeds the size of any image.
 _FAR = 2**31
-# Arrows shorter than this fraction of the longest are left out: they would look like dots.
+# Arrows shorter than this fraction of the longest arrow are omitted: they would look like dots.
 _LEAST = 0.1
 
 
 def magnitude(displacement: npt.ArrayLike) -> FloatArray:
-    """Return the length of the displacement of each site.
+    """Return the length of the displacement at each site.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ def magnitude(displacement: npt.ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        In the same unit.
+        Lengths in the same unit.
 
     Raises
     ------
     ProblemError
-        If the displacement has another shape, or is not numeric.
+        If the displacement has an invalid shape or is not numeric.
     """
     length: FloatArray = np.linalg.norm(as_field(displacement), axis=-1).astype(np.float32)
     return length
@@ -68,25 +68,25 @@ def jacobian_determinant(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the Jacobian determinant det(I + dd/dX), the ratio of areas or volumes at each site.
+    """Return the Jacobian determinant det(I + dd/dX), the ratio of areas or volumes, at each site.
 
-    Tissue keeps its size at 1, shrinks below 1, grows above 1, and is folded at 0 or below.
-    Differences are central, or one-sided where a neighbour is missing; a site without neighbours
-    along an axis counts as unstrained along that axis.
+    At 1 the size of the tissue is unchanged; below 1 tissue shrinks, above 1 it grows, and at 0 or
+    below it is folded. Differences are central, or one-sided if a neighbour is missing. If both
+    neighbours along an axis are missing, the tissue is assumed to be unstrained along that axis.
 
     Parameters
     ----------
-    displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
+    displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
         Material displacement in the order of the axes, in the unit of `spacing`.
     spacing : float or sequence of float, shape (n,)
-        Size of a pixel along each axis, or along all of them.
+        Size of a pixel along each axis; a scalar applies to all axes.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        Mask of the tissue; by default all sites. Differences are never taken across its border.
+        Mask of the tissue; by default all sites. No difference crosses the border of the tissue.
 
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        NaN outside tissue.
+        Determinants; NaN outside tissue.
 
     Raises
     ------
@@ -106,9 +106,9 @@ def count_folds(
 ) -> int:
     """Count the sites at which tissue folds over itself or collapses.
 
-    A site counts if its determinant is 0 or below in any of its elements: the blocks of 2 x 2
-    pixels, or 2 x 2 x 2 voxels, that contain the site and only tissue. Central differences alone
-    would miss a single site that has moved past its neighbour.
+    A site is counted if the determinant is 0 or below in at least one element around it. Elements
+    are blocks of 2 x 2 pixels, or 2 x 2 x 2 voxels, that contain only tissue. Central differences
+    alone would miss a single site that has moved past its neighbour.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def smallest_determinant(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the smallest determinant of each site over its elements, a measure of folding.
+    """Return the smallest determinant among the elements around each site, a measure of folding.
 
     Parameters
     ----------
@@ -145,8 +145,8 @@ def smallest_determinant(
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        0 or below where the tissue folds; 1 at tissue that belongs to no element (see
-        `count_folds`); NaN outside tissue.
+        0 or below where tissue folds; 1 at tissue sites without an element (see `count_folds`);
+        NaN outside tissue.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def determinant_or_fold(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the `jacobian_determinant`, but at folds the `smallest_determinant`, at most 0."""
+    """Return the `smallest_determinant` at folds, and the `jacobian_determinant` elsewhere."""
     return _over_quadrants("mean or fold", *moved_sites(displacement, spacing, tissue))
 
 
@@ -174,16 +174,16 @@ def deformation_grid(
     tissue: npt.ArrayLike | None = None,
     pieces: int = 5,
 ) -> FloatArray:
-    """Draw a square grid that moves with the tissue, as in figure 4 of the paper.
+    """Return the lines of a square grid that moves with the tissue, as in figure 4 of the paper.
 
     Parameters
     ----------
     displacement, spacing, tissue
-        As in `jacobian_determinant`, for a slice; lines are drawn in tissue only.
+        As in `jacobian_determinant`, for a slice. Lines are drawn in tissue only.
     every : int
-        Distance of two lines, in pixels. If pixels are not square, this is the distance along the
-        axis with the smaller pixel size; the other distance is chosen to make the cells nearly
-        square.
+        Distance between neighbouring lines, in pixels. If pixels are not square, this is the
+        distance along the axis with the smaller pixel size, and the other distance is chosen to
+        make the cells nearly square.
     pieces : int
         Largest number of straight segments of a line between two crossings. Fewer segments are
         drawn faster.
@@ -196,13 +196,13 @@ def deformation_grid(
     Raises
     ------
     ProblemError
-        As for `jacobian_determinant`, or if the displacement is that of a volume.
+        As for `jacobian_determinant`, or if the displacement belongs to a volume.
     """
     every = _checked_count("every", every, "pixels")
     pieces = _checked_count("pieces", pieces, "pieces")
     moved, mask = moved_sites(displacement, spacing, tissue)
     if mask.ndim != 2:
-        raise ProblemError("displacement", "is of a volume. Draw the grid of one of its slices.")
+        raise ProblemError("displacement", "is for a volume. Draw the grid of one of its slices.")
     sizes = checked_sizes(spacing)
     rows, cols = (min(max(1, round(every * min(sizes) / size)), _FAR) for size in sizes)
     along_cols = _lines(moved, mask, rows, max(1, cols // pieces))
@@ -217,7 +217,7 @@ def _checked_count(name: str, count: int, of: str) -> int:
 
 
 def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -> int:
-    """Return the distance, in pixels, of `lines` grid lines along the longer side of an image."""
+    """Return the distance, in pixels, between `lines` grid lines along the longer side."""
     longer = max(count * size for count, size in zip(shape, spacing, strict=True))
     return max(1, round(longer / min(spacing) / lines))
 
@@ -229,19 +229,19 @@ def arrows(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Pick arrows that show the displacement without hiding the image.
+    """Return arrows that show the displacement without hiding the image.
 
     Parameters
     ----------
     displacement, spacing, tissue
-        As in `jacobian_determinant`; arrows are in tissue only.
+        As in `jacobian_determinant`. Arrows start in tissue only.
     about : int
         Approximate number of arrows.
 
     Returns
     -------
     ndarray, shape (N, 2, n), float32
-        Arrows as (start, step), each in pixels along the axes, at their true length.
+        Arrows as (start, step), in pixels, without scaling.
 
     Raises
     ------
@@ -259,7 +259,7 @@ def arrows(
     )
     chosen[lines] = mask[lines]
     starts = np.argwhere(chosen)
-    if not len(starts):  # no tissue lies on the lattice
+    if not len(starts):  # the lattice contains no tissue
         sites = np.argwhere(mask)
         starts = sites[:: max(1, round(len(sites) / about))]
     ends = moved[tuple(starts.T)]
@@ -273,9 +273,9 @@ def arrows_apart(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Pick `arrows` that do not overlap, and omit very short arrows.
+    """Return `arrows` that do not overlap, without very short arrows.
 
-    Parameters, return value and errors are those of `arrows`.
+    The parameters, return value and errors are those of `arrows`.
     """
     found = arrows(displacement, spacing=spacing, tissue=tissue, about=about)
     lengths = np.linalg.norm(found[:, 1], axis=1)
@@ -295,11 +295,12 @@ def arrows_in_slices(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Pick arrows of a volume for display in slices; the fullest slice gets `about` arrows or so.
+    """Return arrows of a volume for display in slices.
 
-    The arrows lie on a lattice without rows along any slice: x + s y + s^2 z = 0 modulo the number
-    of voxels per arrow, with s near the golden section of that number. Very short arrows are
-    omitted. Parameters, return value and errors are those of `arrows`.
+    The slice with the most tissue has approximately `about` arrows. Arrows start at voxels with
+    x + s y + s^2 z = 0 modulo m, where m is the number of voxels per arrow in that slice and s is
+    near the golden section of m. Slices along any axis therefore show no visible rows of arrows.
+    Very short arrows are omitted. The parameters, return value and errors are those of `arrows`.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     sites = max(1, round(int(mask.sum(axis=(1, 2)).max()) / about))
@@ -319,19 +320,19 @@ def arrows_in_slices(
 
 
 def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
-    """Pick evenly spread pixels of a region: in each cell the pixel nearest to its centre.
+    """Return evenly distributed pixels of a region: the pixel nearest to the centre of each cell.
 
     Parameters
     ----------
     where : ndarray of bool, shape ([D,] H, W)
         Mask of the region.
     apart : float or array_like, shape (n,)
-        Side of a cell along each axis, in pixels.
+        Length of a cell along each axis, in pixels.
 
     Returns
     -------
     ndarray of int, shape (N, n)
-        Indices of the pixels.
+        Indices of the chosen pixels.
     """
     pixels = np.argwhere(where)
     if not len(pixels):
@@ -345,13 +346,13 @@ def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
 
 
 def _apart(arrows: FloatArray, gap: float, spacing: Float64Array) -> npt.NDArray[np.intp]:
-    """Return the indices of arrows at least `gap` apart, in the unit of `spacing`.
+    """Return the indices of arrows that are at least `gap` apart; longer arrows have priority.
 
-    Longer arrows are preferred.
+    `gap` is in the unit of `spacing`.
     """
     if not len(arrows):
         return np.zeros(0, dtype=np.intp)
-    # The cells are as wide as the gap: a chosen arrow occupies its cells and their neighbours.
+    # A cell is as long as the gap: a chosen arrow occupies its cells and their neighbours.
     starts, steps = arrows[:, 0] * spacing / gap, arrows[:, 1] * spacing / gap
     lowest = np.minimum(starts, starts + steps).min(axis=0) - 1
     starts = starts - lowest
@@ -384,9 +385,9 @@ def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
 
 
 def _is_little_strained(moved: Float64Array) -> bool:
-    """Return whether the strain is so small everywhere that no tissue can fold."""
-    # If each step between neighbours differs by less than half a pixel along both axes from the
-    # step at rest, the matrix of steps is diagonally dominant and its determinant is positive.
+    """Return whether the strain is small enough everywhere to exclude folds."""
+    # If each step between neighbours differs by less than half a pixel, along both axes, from the
+    # step at rest, then the matrix of steps is diagonally dominant and its determinant is positive.
     return all(
         bool(np.abs(np.diff(moved, axis=axis) - step).max(initial=0) < 0.5)
         for axis, step in enumerate(np.eye(2))
@@ -394,7 +395,7 @@ def _is_little_strained(moved: Float64Array) -> bool:
 
 
 def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatArray:
-    """Reduce the determinants of the quadrants around each site to one; NaN outside tissue."""
+    """Reduce the determinants of the quadrants around each site; NaN outside tissue."""
     if mask.ndim == 3 and loops.ready_for_volumes():
         loader.before_numba()
         from napari_hmrf.field.volume_loops import determinants  # heavy: numba
@@ -405,7 +406,7 @@ def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatA
             part = loops.only_read(mask[wide])
             values[slab] = determinants(moved[wide], part, elements(mask[wide]), number)[inner]
         return values
-    # Process strips with one more row on each side, so that temporary arrays stay in the CPU cache.
+    # A strip has one extra row on each side; strips are small enough for the CPU cache.
     result = np.full(mask.shape, np.nan, dtype=np.float32)
     strip = _STRIP if mask.ndim == 2 else _SLAB
     for begin in range(0, len(mask), strip):
@@ -432,10 +433,10 @@ def _reduced(kind: _Kind, each: list[Float64Array], mask: BoolArray) -> Float64A
 
 
 def elements(mask: BoolArray) -> BoolArray:
-    """Return a mask of the elements whose corners are all tissue.
+    """Return a mask of the elements with tissue at all corners.
 
-    The element before a site along all axes has the index of that site, so the mask has one more
-    entry along each axis than there are sites.
+    The element that precedes a site along all axes has the index of that site. The mask therefore
+    has one more entry along each axis than the mask of the sites.
     """
     exist = mask
     for axis in range(mask.ndim):
@@ -446,12 +447,12 @@ def elements(mask: BoolArray) -> BoolArray:
 
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
     """Return, for each quadrant around a site, the determinant of its one-sided differences."""
-    # The pixel sizes cancel in the determinant, so pixels can be the unit.
+    # The determinant does not depend on the pixel sizes, so the steps are in pixels.
     return [determinant(steps) for steps in product(*differences_along_axes(moved, mask))]
 
 
 def determinant(steps: Sequence[Float64Array]) -> Float64Array:
-    """Compute determinants of matrices from their n columns, each of shape (..., n)."""
+    """Compute the determinants of matrices, given as n columns of shape (..., n)."""
     if len(steps) == 2:
         down, along = steps
         return down[..., 0] * along[..., 1] - down[..., 1] * along[..., 0]
@@ -463,7 +464,7 @@ def determinant(steps: Sequence[Float64Array]) -> Float64Array:
 
 
 def differences_along_axes(moved: Float64Array, mask: BoolArray) -> list[list[Float64Array]]:
-    """Return the `one_sided_differences` of all sites along each axis, in the order of the axes."""
+    """Return the `one_sided_differences` of all sites along each axis, in axis order."""
     differences = []
     for axis, step in enumerate(np.eye(mask.ndim)):
         both = one_sided_differences(moved.swapaxes(0, axis), mask.swapaxes(0, axis), step)
@@ -474,9 +475,9 @@ def differences_along_axes(moved: Float64Array, mask: BoolArray) -> list[list[Fl
 def one_sided_differences(
     moved: Float64Array, mask: BoolArray, unstrained: Float64Array
 ) -> list[Float64Array]:
-    """Return the differences to the next and to the previous site along the first axis.
+    """Return the differences with the next and the previous site along the first axis.
 
-    If one neighbour is missing, both differences are those to the other neighbour; if both
+    If one neighbour is missing, both differences are those with the existing neighbour. If both
     neighbours are missing, both differences are `unstrained`.
 
     Parameters
@@ -484,17 +485,17 @@ def one_sided_differences(
     moved : ndarray, shape ([D,] H, W, n)
         Moved positions of all sites, from `moved_sites`.
     mask : ndarray of bool, shape ([D,] H, W)
-        Mask of the tissue; differences are never taken across its border.
+        Mask of the tissue; no difference crosses its border.
     unstrained : ndarray, shape (n,)
-        Step along the axis without any motion.
+        Step to the next site in unstrained tissue.
 
     Returns
     -------
     list of two ndarrays, shape ([D,] H, W, n)
-        Differences to the next site, and from the previous site.
+        Steps to the next site and from the previous site.
     """
     height = len(mask)
-    # For site i: entry i + 1 is True if there is a next site, entry i if there is a previous one.
+    # Entry i + 1 is True if site i has a next site; entry i is True if it has a previous site.
     exists = np.zeros((height + 1, *mask.shape[1:], 1), dtype=bool)
     exists[1:-1, ..., 0] = mask[1:] & mask[:-1]
     steps = np.empty((height + 1, *moved.shape[1:]))
@@ -507,7 +508,7 @@ def one_sided_differences(
 
 
 def _lines(moved: Float64Array, mask: BoolArray, every: int, step: int) -> Float64Array:
-    """Return the segments, within tissue, of every `every`-th line along the second axis."""
+    """Return the segments, within tissue, of lines along the second axis, `every` rows apart."""
     lines = slice((len(moved) - 1) % every // 2, None, every)
     # Segments span several sites, because fewer segments are drawn faster.
     place, tissue = moved[lines], mask[lines]

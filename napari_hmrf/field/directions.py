@@ -1,7 +1,7 @@
 """Directions of the rows and columns of a slice, in the patient or on the screen.
 
-Directions in the patient are known if the axes of the layer, study or result are named after them,
-as the axes of scans are.
+Directions in the patient are known if the axes of the layer, study or result have the names of
+patient axes, as in medical scans.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from napari_hmrf.field.drawn_slice import nearest_axes, rotation_of
 from napari_hmrf.field.frame import PATIENT_AXES, Frame, as_tuples
 
-#: Smallest component of a unit pixel step along its named direction; sheared axes have less.
+#: Smallest cosine between a pixel axis and its named direction; sheared axes may be below it.
 _ASIDE = 0.5
 #: Pairs of opposite directions.
 _PAIRS = (
@@ -31,16 +31,16 @@ _SIDES = {"S": "head", "I": "feet", "A": "front", "P": "back", "R": "right", "L"
 
 
 class Directions(NamedTuple):
-    """Nearest named direction, in the patient or on the screen, of a step of one pixel.
+    """Named directions, in the patient or on the screen, nearest to the pixel axes.
 
-    The directions of an image in patient coordinates are letters, as at the edges of the canvas,
-    because the left of the patient is not the left of the screen. The directions of sheared pixels
-    are "".
+    For an image in patient coordinates the directions are letters, as at the edges of the canvas,
+    because the left of the patient is not the left of the screen. For strongly sheared pixels the
+    directions are "".
 
-    Components of a displacement keep the order and the sign of the pixel axes. A medical image
-    that is stored mirrored is displayed unmirrored, so that its columns run to the left. For a
-    layer that is rotated by an angle, within its slices or out of them, displayed components are
-    along the directions of the screen, or of the patient.
+    Components of a displacement have the order and sign of the pixel axes. A medical image that is
+    stored mirrored is displayed unmirrored, so its column numbers increase to the left. For a layer
+    that is rotated by an angle, within its slices or out of them, displayed components are along
+    the directions of the screen or of the patient.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class Directions(NamedTuple):
         Direction of increasing slice numbers in a volume; "" for a slice.
     order : tuple of int
         Axes of the displacement, in the order ([deep,] rows, columns).
-    turn : n x n numbers
-        Matrix from components along the axes, in this order, to components along the named
-        directions; empty if the axes are not rotated.
+    turn : nested tuple of float, shape (n, n)
+        Rotation matrix from components along the axes, in the order `order`, to components along
+        the named directions; empty if the axes are not rotated.
     """
 
     rows: str = "down"
@@ -68,7 +68,7 @@ class Directions(NamedTuple):
         drawn: Sequence[int] | None = None,
         canvas: tuple[str, str] = ("down", "right"),
     ) -> Directions:
-        """Return the directions of a slice, or of a volume that is displayed in slices.
+        """Return the directions of a slice, or of a volume that is displayed as slices.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class Directions(NamedTuple):
         drawn : sequence of int, shape (2,), optional
             Axes of the frame that are displayed as rows and columns; by default its last two.
         canvas : (str, str)
-            Directions of rows and columns on the screen, for axes outside patient coordinates.
+            Directions of rows and columns on the screen, for axes without a patient direction.
 
         Returns
         -------
@@ -86,7 +86,7 @@ class Directions(NamedTuple):
         across = [axis for axis in frame.plane if axis not in axes]
         axes = [*across, *axes]
         order = tuple(frame.plane.index(axis) for axis in axes)
-        # Names of both directions of each world axis, in the patient or on the canvas.
+        # Names of the two directions of each world axis, in the patient or on the canvas.
         pairs = [PATIENT_AXES.get(frame.axis_labels[axis], ()) for axis in axes]
         if not all(pairs[-2:]):
             pairs[-2:] = [(way, _OPPOSITE[way]) for way in canvas]
@@ -106,7 +106,7 @@ class Directions(NamedTuple):
         Parameters
         ----------
         by : tuple of float
-            Displacement in the order of the axes; missing leading components count as 0.
+            Displacement in axis order; missing leading components are 0.
 
         Returns
         -------
@@ -118,9 +118,9 @@ class Directions(NamedTuple):
         return as_tuples(np.array(self.turn) @ seen) if self.turn else seen
 
     def from_display(self, seen: tuple[float, ...]) -> tuple[float, ...]:
-        """Return a displacement, in the order of the axes, from its components along directions.
+        """Return the displacement, in axis order, from its components along named directions.
 
-        This is the inverse of `to_display`. A missing component across the slices counts as 0.
+        This is the inverse of `to_display`. A missing component perpendicular to the slices is 0.
         """
         back = (*(0.0,) * (len(self.order) - len(seen)), *seen)
         if self.turn:
@@ -129,7 +129,7 @@ class Directions(NamedTuple):
 
     @property
     def steps(self) -> list[tuple[str, tuple[float, ...]]]:
-        """Label of each named direction, with a step of 1 along it in the order of the axes."""
+        """Label and unit step, in axis order, of each named direction."""
         size, found = len(self.order), []
         for number, way in enumerate((self.deep, self.rows, self.cols)[-size:]):
             for sign, word in ((1.0, way), (-1.0, _OPPOSITE[way])):
@@ -139,49 +139,47 @@ class Directions(NamedTuple):
         return found
 
     def nearest(self, step: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the equal step of `steps`, up to rounding, or else the given step."""
+        """Return the step in `steps` that equals `step` up to rounding, or `step` itself."""
         same = (each for _, each in self.steps if np.shape(each) == np.shape(step))
         return next((each for each in same if np.allclose(each, step, atol=1e-6)), step)
 
     def steps_with(self, step: tuple[float, ...]) -> list[tuple[str, tuple[float, ...]]]:
-        """Return `steps`, followed by the given step if it is neither among them nor empty."""
+        """Return `steps`, followed by the given step if it is not empty and not among them."""
         steps = self.steps
         if step and step not in [each for _, each in steps]:
             steps.append((self.step(tuple(round(part, 2) for part in self.to_display(step))), step))
         return steps
 
     def about(self, axis: int) -> str:
-        """Return the tooltip of a number along rows (0) or columns (1).
+        """Return the tooltip of a distance along the row axis (0) or the column axis (1).
 
-        An example is "Distance down, along the rows; below 0: up".
+        An example is "Distance down, along the row axis; below 0: up".
         """
-        along, way = ("the rows", "the columns")[axis], self[:2][axis]
+        along, way = ("the row axis", "the column axis")[axis], self[:2][axis]
         if not way:
-            return f"Distance along {along}, in the order of the pixels"
-        along = (
-            "as it is seen, whichever way the layer is turned" if self.turn else f"along {along}"
-        )
+            return f"Distance along {along}, in pixel order"
+        along = "as displayed, however the layer is rotated" if self.turn else f"along {along}"
         return f"Distance {_to(way)}, {along}; below 0: {_to(_OPPOSITE[way])}"
 
     def label(self, axis: int) -> str:
-        """Return the label of a number along rows (0) or columns (1): "down", "right", "to R"."""
+        """Return the label of the row axis (0) or column axis (1): "down", "right", "to R"."""
         way = self[:2][axis] or ("along rows", "along columns")[axis]
         return f"to {way}" if way in _SIDES else way
 
     def only(self, axis: int) -> str:
-        """Return the label of a choice of one axis of the image alone: "A-P only (rows)"."""
+        """Return the label of the choice to constrain one axis only: "A-P only (rows)"."""
         name, both = ("rows", "columns")[axis], self.both(axis)
         return f"{both} only ({name})" if both else f"across the image's {name} only"
 
     def both(self, axis: int) -> str:
-        """Return the name of both directions of an axis: "up and down", "A-P"; "" if rotated."""
+        """Return the names of both directions of an axis: "up and down", "A-P"; "" if rotated."""
         way = self[:2][axis]
         if not way or self.turn:
             return ""
         return ("-" if way in _SIDES else " and ").join(next(p for p in _PAIRS if way in p))
 
     def step(self, seen: tuple[float, ...]) -> str:
-        """Describe a step by its components along directions: "5 down, 10 right", "5 P, 10 R"."""
+        """Describe a step from its components along directions: "5 down, 10 right", "5 P, 10 R"."""
         if not self.rows:
             return f"({', '.join(f'{length:g}' for length in seen)})"
         ways = (self.deep, self.rows, self.cols)[-len(seen) :]

@@ -1,4 +1,4 @@
-"""Displacement field as it is stored, forward or backward, and its motion."""
+"""Forward or backward displacement field, as it is stored in a file or a layer."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from napari_hmrf.field.moved_points import interpolate_linearly
 
 @dataclass(frozen=True, eq=False)
 class DisplacementField:
-    """Displacement field as it is stored, forward or backward.
+    """Displacement field, either forward or backward.
 
     Attributes
     ----------
     vectors : ndarray, shape ([D,] H, W, n)
-        Vectors in the unit of `spacing`, components in the order of the axes.
+        Vectors in the unit of `spacing`, with components in axis order.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     back : bool
-        True for a backward field, which leads from each moved position to its origin and serves to
-        warp images. False for a forward, or material, field, which leads from each point of tissue
-        to its moved position.
+        True for a backward field, which maps each moved position to its origin and is used to
+        warp images. False for a forward (material) field, which maps each point of tissue to its
+        moved position.
     """
 
     vectors: npt.NDArray[Any]
@@ -36,11 +36,11 @@ class DisplacementField:
 
     @classmethod
     def in_pixels(cls, vectors: npt.NDArray[Any], back: bool = False) -> DisplacementField:
-        """Return a field whose vectors are in pixels."""
+        """Create a field from vectors in pixels."""
         return cls(vectors, (1.0,) * vectors.shape[-1], back)
 
     def to_pixels(self) -> DisplacementField:
-        """Return the same field in pixels."""
+        """Return the same field with vectors in pixels."""
         if all(size == 1 for size in self.spacing):
             return self
         steps = self.vectors / np.asarray(self.spacing, self.vectors.dtype)
@@ -52,9 +52,9 @@ class DisplacementField:
         return self.vectors.shape[:-1]
 
     def at(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.floating]:
-        """Return the forward displacement of the tissue at some points.
+        """Return the forward displacement of the tissue at the given points.
 
-        A backward field of a volume is inverted at these points only.
+        For a backward field of a volume, only the given points are inverted.
 
         Parameters
         ----------
@@ -64,7 +64,7 @@ class DisplacementField:
         Returns
         -------
         ndarray, shape (N, n)
-            In the unit of `spacing`.
+            Displacement in the unit of `spacing`.
         """
         if not self.back or self.vectors.shape[-1] != 3:
             return interpolate_linearly(self.displacement, points)
@@ -72,7 +72,7 @@ class DisplacementField:
         return (origins - points) * self.spacing
 
     def arrows(self, about: int) -> tuple[npt.NDArray[np.float32], int]:
-        """Return evenly spread arrows of the forward displacement.
+        """Return evenly spaced arrows of the forward displacement.
 
         Parameters
         ----------
@@ -82,9 +82,9 @@ class DisplacementField:
         Returns
         -------
         arrows : ndarray, shape (N, 2, n)
-            Arrows as (start, step); starts in pixels, steps in the unit of `spacing`.
+            Arrows as (start, step), with starts in pixels and steps in the unit of `spacing`.
         apart : int
-            Distance of neighbouring arrows, in pixels.
+            Distance between neighbouring arrows, in pixels.
         """
         shape = self.shape
         apart = max(1, round((shape[-2] * shape[-1] / about) ** 0.5))
@@ -101,7 +101,7 @@ class DisplacementField:
 
     @property
     def backward(self) -> npt.NDArray[Any]:
-        """Backward displacement from each site, after the motion, to its origin."""
+        """Backward displacement, from each site after the motion to its origin."""
         return self.vectors if self.back else self._inverse.displacement
 
     @property

@@ -1,7 +1,8 @@
-"""Positions of the pixels that napari draws of a layer whose transform tilts its slices.
+"""Pixels that napari draws of a layer with a transform that tilts the slices.
 
-napari ignores rotations out of a slice. The transform restricted to the displayed axes places rows
-and columns; the inverse transform restricted to the other axes, rounded, selects the slice.
+napari ignores rotations out of a slice. It places rows and columns by the transform restricted to
+the displayed axes, and selects the slice by the inverse transform restricted to the other axes,
+rounded to whole pixels.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ def pixel_drawn(matrix: Array, drawn: list[int], world: Array) -> Array:
     Parameters
     ----------
     matrix : ndarray, shape (D + 1, D + 1)
-        Homogeneous transform from pixels to the world.
+        Homogeneous transform from pixels to world coordinates.
     drawn : list of int
         Displayed axes.
     world : ndarray, shape (D,)
@@ -30,11 +31,11 @@ def pixel_drawn(matrix: Array, drawn: list[int], world: Array) -> Array:
     Returns
     -------
     ndarray, shape (D,)
-        Position in pixels; a whole number on the axes that are not displayed.
+        Position in pixels, which is a whole number on axes that are not displayed.
     """
     inverse, others = np.linalg.inv(matrix), _others(matrix, drawn)
     pixel = np.empty(len(world))
-    # The matrix is singular for a volume that is displayed edge-on.
+    # The matrix is singular if a volume is displayed edge-on, hence the pseudo-inverse.
     seen = np.linalg.pinv(matrix[np.ix_(drawn, drawn)])
     pixel[drawn] = seen @ (world - matrix[:-1, -1])[drawn]
     across = inverse[np.ix_(others, others)] @ world[others] + inverse[others, -1]
@@ -43,7 +44,7 @@ def pixel_drawn(matrix: Array, drawn: list[int], world: Array) -> Array:
 
 
 def sliders_at(matrix: Array, drawn: list[int], pixel: npt.ArrayLike) -> dict[int, float]:
-    """Return the slider positions at which napari draws the slice of a pixel.
+    """Return the slider positions at which napari draws the slice that contains a pixel.
 
     Parameters
     ----------
@@ -68,19 +69,19 @@ def _others(matrix: Array, drawn: list[int]) -> list[int]:
 
 
 def nearest_axes(linear: Array) -> tuple[tuple[int, ...], Array]:
-    """Assign to each pixel axis the nearest world axis.
+    """Assign the nearest world axis to each pixel axis.
 
     Parameters
     ----------
     linear : ndarray, shape (n, n)
-        World steps of one pixel along each axis, as columns.
+        World step of one pixel along each axis, as columns.
 
     Returns
     -------
     main : tuple of int
         World axis of each pixel axis.
     steps : ndarray, shape (n, n)
-        Unit steps of the pixel axes, as columns; rows in the order of `main`.
+        Unit vectors of the pixel axes, as columns, with rows in the order of `main`.
     """
     linear = linear / np.linalg.norm(linear, axis=0)
 
@@ -92,7 +93,7 @@ def nearest_axes(linear: Array) -> tuple[tuple[int, ...], Array]:
 
 
 def rotation_of(linear: Array) -> Array:
-    """Return the rotation nearest to a matrix; an array of shape (0, 0) for the identity."""
+    """Return the rotation nearest to a matrix, or an array of shape (0, 0) for the identity."""
     left, _, right = np.linalg.svd(linear)
     turn = np.round(left @ right, 9) + 0.0
     return np.empty((0, 0)) if np.array_equal(turn, np.eye(len(turn))) else turn

@@ -1,23 +1,23 @@
-"""Elastic strain of a solution: the strain that stores energy in its model.
+"""Elastic strain of a solution: the part of the strain that stores elastic energy.
 
-Elastic strain excludes growth and includes the direction across an image. With H = dd/dX, the
-growth strain g and its component g_z across an image,
+Elastic strain excludes growth and includes the strain perpendicular to an image. With H = dd/dX,
+the growth strain g and its component g_z perpendicular to an image,
 
     linear elasticity   e = (H + H^T) / 2 - g
     large motion        e = (Fe^T Fe - I) / 2,   Fe = (I + H) (I + g)^-1,   J = det Fe
 
-and across an image
+and, perpendicular to an image,
 
-                        plane stress                              plane strain
-    linear elasticity   e_z = -nu / (1 - nu) (e_rr + e_cc)        e_z = -g_z
-    large motion        e_z = nu (1 - J^2) / 2 (1 - 2 nu + nu J^2)   e_z = ((1 + g_z)^-2 - 1) / 2
+                        plane stress                                     plane strain
+    linear elasticity   e_z = -nu / (1 - nu) (e_rr + e_cc)               e_z = -g_z
+    large motion        e_z = nu (1 - J^2) / (2 (1 - 2 nu + nu J^2))   e_z = ((1 + g_z)^-2 - 1) / 2
 
-In plane stress, e_z follows from zero stress across a slice that is free to bulge. Shear strains
-across the image are taken as 0. Differences are those of `green_lagrange_strain`; growth and
-Poisson's ratio at a site are means over the elements around the site, as in the model.
+In plane stress, the stress perpendicular to the slice is zero, which determines e_z. Shear strains
+perpendicular to the image are assumed to be 0. Differences are those of `green_lagrange_strain`.
+Growth and Poisson's ratio at a site are means over the elements around the site, as in the model.
 
 The paper's model has neither Poisson's ratio nor a third direction, and growth is unknown for a
-displacement without a model. In both cases the total Green-Lagrange strain is used.
+displacement without a model. In these two cases the total Green-Lagrange strain is used.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ from napari_hmrf.solver.solution import Solution
 
 #: Kinds of strain: elastic strain; total strain within an image; total strain of a volume.
 StrainKind = Literal["elastic", "in-plane", "total"]
-#: Function from strains, (N, n, n), and strains across an image, (N,) or 0, to values, (N,).
+#: Function that maps strains, (N, n, n), and strains perpendicular to an image, (N,) or 0, to
+#: values, (N,).
 StrainValue = Callable[[Float64Array, npt.ArrayLike], npt.NDArray[np.floating]]
 
 #: Names of the models with elastic strain.
@@ -53,7 +54,7 @@ _BY_MODEL = ("ElasticPrior", "NeoHookeanPrior")
 
 
 def strain_kind(solution: Solution) -> StrainKind:
-    """Return the kind of strain of a solution that `measure` and the colours show."""
+    """Return the kind of strain that `measure` and the colour overlays use for a solution."""
     if solution.elasticity is not None:
         return "elastic"
     return "in-plane" if solution.tissue.ndim == 2 else "total"
@@ -63,7 +64,7 @@ def strain_note(solution: Solution) -> str:
     """Explain in a clause why the elastic strain of a solution is unknown; "" if it is known."""
     if solution.elasticity is not None:
         return ""
-    total = "its strain is the total one"
+    total = "its strain is the total strain"
     total += ", within the image" if solution.tissue.ndim == 2 else ""
     prior = solution.provenance.parameters.get("prior")
     name = prior.get("name") if isinstance(prior, dict) else None
@@ -78,7 +79,7 @@ def strain_note(solution: Solution) -> str:
 
 
 def elastic_strain(solution: Solution) -> FloatArray:
-    """Return the elastic strain tensor of a solution, in all three directions.
+    """Return the elastic strain tensor of a solution in all three dimensions.
 
     Parameters
     ----------
@@ -88,14 +89,14 @@ def elastic_strain(solution: Solution) -> FloatArray:
     Returns
     -------
     ndarray, shape ([D,] H, W, 3, 3), float32
-        Symmetric tensors before the motion, in the order of the axes; the first axis of an image's
-        tensors is across the image. Small strain for `ElasticPrior`, Green-Lagrange strain for
-        `NeoHookeanPrior`. NaN outside tissue.
+        Symmetric tensors before the motion, with components in axis order. For an image, the first
+        component is perpendicular to the image. Small strain for `ElasticPrior`, Green-Lagrange
+        strain for `NeoHookeanPrior`. NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        If the model has no elastic strain, or the file of the solution lacks its parameters.
+        If the model has no elastic strain, or the file of the solution lacks the parameters.
     """
     if solution.elasticity is None:
         raise ProblemError(
@@ -111,15 +112,15 @@ def elastic_strain(solution: Solution) -> FloatArray:
 
 
 def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1.0) -> FloatArray:
-    """Compute a scalar of the strain at each site; `strain_kind` gives the kind of strain.
+    """Compute a scalar from the strain at each site, for the kind of strain of `strain_kind`.
 
     Parameters
     ----------
     solution : Solution
     value : callable
-        Function from strains to scalars, such as `equivalent_strain`.
+        Function that maps strains to scalars, such as `equivalent_strain`.
     fraction : float
-        Part of the deformation and of the growth, from 0 to 1.
+        Fraction of the deformation and of the growth, from 0 to 1.
 
     Returns
     -------
@@ -137,9 +138,10 @@ def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1
 def _total(
     solution: Solution, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
-    """Compute total Green-Lagrange strain in a range of the first axis.
+    """Compute the total Green-Lagrange strain in a range of the first axis.
 
-    Return the strain, (N, n, n), the strain across the image, 0, and the mask of the N sites.
+    Return the strain, (N, n, n), the strain perpendicular to the image, 0, and the mask of the N
+    sites.
     """
     d = solution.displacement[sites] * np.float32(fraction)
     gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
@@ -149,15 +151,16 @@ def _total(
 def _elastic(
     solution: Solution, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
-    """Compute elastic strain in a range of the first axis; 0 in rigid tissue.
+    """Compute the elastic strain in a range of the first axis; 0 in rigid tissue.
 
-    Return the strain, (N, n, n), the strain across the image, and the mask of the N sites.
+    Return the strain, (N, n, n), the strain perpendicular to the image, and the mask of the N
+    sites.
     """
     elasticity = solution.elasticity
     assert elasticity is not None
     strain, across, mask = _of_model(solution, elasticity, sites, fraction)
     if elasticity.rigid is not None:
-        # Differences at the rim of rigid tissue include its neighbours, but its strain is 0.
+        # Differences at the border of rigid tissue include soft neighbours, but its strain is 0.
         rigid = elasticity.rigid[sites][mask]
         strain[rigid], across = 0, np.where(rigid, 0.0, across)
     return strain, across, mask
@@ -166,7 +169,7 @@ def _elastic(
 def _of_model(
     solution: Solution, elasticity: Elasticity, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
-    """Compute strain as in `_elastic`, without regard to rigid tissue."""
+    """Compute the strain as in `_elastic`, without setting it to 0 in rigid tissue."""
     d = solution.displacement[sites] * np.float32(fraction)
     gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
     growth, growth_across = _growth_at(elasticity, sites, mask, fraction)
@@ -198,7 +201,7 @@ def _of_model(
 def _growth_at(
     elasticity: Elasticity, sites: slice, mask: BoolArray, fraction: float
 ) -> tuple[Float64Array | None, npt.ArrayLike]:
-    """Return the growth strain at tissue sites, (N, n, n) or None, and its part across an image."""
+    """Return the growth strain at N tissue sites, (N, n, n) or None, and its normal component."""
     if elasticity.growth is None or not (grown := elasticity.growth[sites])[mask].any():
         return None, 0.0
     n = mask.ndim
@@ -216,9 +219,9 @@ def _axes(tensors: npt.NDArray[Any]) -> range:
 
 
 def _of_elements(values: npt.NDArray[Any], mask: BoolArray) -> Float64Array:
-    """Return, for each site of tissue, the mean over the elements around it.
+    """Return, for each tissue site, the mean over the elements around it.
 
-    The value of an element is the mean of its corners; a site without elements keeps its value.
+    The value of an element is the mean of its corners. A site without elements retains its value.
     """
     elements = in_elements(mask)
     own = np.where(mask, values, 0).astype(np.float64)

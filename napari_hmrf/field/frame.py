@@ -1,4 +1,4 @@
-"""Place of a slice or a volume in the world, as a value that is independent of the layer."""
+"""Place of a slice or a volume in the world, independent of the layer."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from napari_hmrf.solver.solution import Solution
 
 Matrix = tuple[tuple[float, ...], ...]
 
-#: Names of the world axes of a layer in patient coordinates: the side of the patient to which each
-#: axis leads, with the letters of that side and of the opposite side.
+#: Names of the world axes of a layer in patient coordinates. Each name is the side of the patient
+#: towards which coordinates increase, with the letters of that side and of the opposite side.
 PATIENT_AXES = {"superior": ("S", "I"), "posterior": ("P", "A"), "left": ("L", "R")}
 #: Attributes of a layer, and keyword arguments of a new layer, that define its place.
 PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 #: Attributes of a `Frame` that are stored in files.
 _STORED = ("plane", "index", *PLACE, "matrix")
-#: Largest distance of corresponding corners of layers at the same place, in pixels.
+#: Largest distance, in pixels, between corresponding corners of layers at the same place.
 _TOLERANCE = 1e-3
 #: Upper bound of the index of a slice in a file.
 _FARTHEST = 2**31
@@ -35,7 +35,7 @@ _FARTHEST = 2**31
 class Frame:
     """Place of a slice or a volume in the world: its axes in a layer, and the layer's transform.
 
-    A volume has a third axis before rows and columns. Below, "slice" includes volumes.
+    A volume has a depth axis before rows and columns. Below, "slice" also means a volume.
 
     Attributes
     ----------
@@ -43,14 +43,14 @@ class Frame:
         Axes of the layer that are the axes of the slice, (row, col), or of the volume, (depth,
         row, col).
     index : tuple of int
-        Position of the slice on each axis of the layer; 0 on the axes of the plane.
+        Position of the slice along each axis of the layer; 0 for the axes in `plane`.
     scale, translate, rotate, shear, affine, units, axis_labels
         Attributes of the layer, as in napari.
-    matrix : (D + 1) x (D + 1) numbers
+    matrix : nested tuple of float, shape (D + 1, D + 1)
         Homogeneous transform from pixels of the layer to the world.
     sliders : tuple of (float, float)
-        Start and step of the viewer's slider of each axis, in the world; empty without a viewer.
-        Used only for the displayed number of the slice.
+        Start and step of the viewer's slider for each axis, in world units; empty without a
+        viewer. Used only for the displayed number of the slice.
     """
 
     plane: tuple[int, ...]
@@ -65,7 +65,7 @@ class Frame:
     matrix: Matrix
     sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
 
-    # `TypeAdapter` reads this configuration when it validates a file.
+    # `TypeAdapter` applies this configuration when it validates the content of a file.
     __pydantic_config__ = ConfigDict(allow_inf_nan=False)
 
     @classmethod
@@ -79,16 +79,16 @@ class Frame:
         axis_labels: Sequence[str] | None = None,
         volume: bool = False,
     ) -> Frame:
-        """Return the place of a slice along the last two axes of a layer that is not rotated.
+        """Return the place of a slice along the last two axes of an unrotated layer.
 
         Parameters
         ----------
         scale : sequence of float
             Size of a pixel along each axis.
         units, index, axis_labels
-            See the attributes; by default the first slice, and axes without names.
+            As in the class attributes; by default the first slice, and axes without names.
         affine : array_like, shape (D + 1, D + 1), optional
-            Homogeneous transform to the world, applied after the scale.
+            Homogeneous transform to the world that is applied after the scale.
         volume : bool
             If True, return the place of a volume along the last three axes.
 
@@ -128,35 +128,36 @@ class Frame:
 
     @property
     def unit(self) -> str:
-        """Unit of length of `spacing`, which is the unit of the rows' axis."""
+        """Unit of length of `spacing`, which is the unit of the row axis."""
         return self.units[self.plane[-2]]
 
     @property
     def spacing(self) -> tuple[float, ...]:
-        """Length of a pixel along ([depth,] row, col) in the world, in `unit`."""
+        """Size of a pixel along ([depth,] row, col) in the world, in `unit`."""
         return tuple(np.linalg.norm(self._steps(), axis=0).tolist())
 
     @property
     def skew(self) -> float:
-        """Deviation of the sides of a pixel from a right angle, in degrees."""
+        """Largest deviation of the angles between pixel axes from 90 degrees, in degrees."""
         steps = self._steps()
         sides = steps / np.linalg.norm(steps, axis=0)
         cosine = np.abs(np.triu(sides.T @ sides, k=1)).max()
         return float(np.degrees(np.arcsin(min(cosine, 1))))
 
     def _steps(self) -> npt.NDArray[np.float64]:
-        """Return the world steps of one pixel along the axes of the plane, as columns in `unit`."""
+        """Return the world step of one pixel along each axis of the plane, as columns in `unit`."""
         linear = np.array(self.matrix)[:-1, list(self.plane)]
         factors = np.array([unit_factor(unit, self.unit) for unit in self.units])
-        # World axes whose unit is not a length, such as time, are ignored.
+        # World axes without a unit of length, such as time, are ignored.
         steps: npt.NDArray[np.float64] = linear * np.nan_to_num(factors)[:, None]
         return steps
 
     @property
     def slice_name(self) -> str:
-        """Name of the slice by its index, such as "z = 12"; "" for a whole layer.
+        """Name of the slice from its index, such as "z = 12"; "" for a whole layer.
 
-        If the only axis across the slice has no name, the name is such as "slice 12".
+        If the slice has a single perpendicular axis, and this axis has no name, the name of the
+        slice is of the form "slice 12".
         """
         return self._named(self.index)
 
@@ -164,10 +165,10 @@ class Frame:
     def slice_seen(self) -> str:
         """Displayed name of the slice; in patient coordinates its position, such as "S 22 mm".
 
-        In other layers the name has the number that the viewer's slider shows. This number can
-        differ from the index: a slider counts from the lowest world coordinate, which is that of
-        the last slice if an axis runs backwards, and a study that is opened again has only one
-        slice, with index 0.
+        For other layers the name contains the number on the viewer's slider. This number can differ
+        from the index for two reasons. The slider starts at the lowest world coordinate, which
+        belongs to the last slice if an axis is reversed. A study that was saved and opened again
+        has a single slice, with index 0.
         """
         world = np.array(self.matrix) @ np.array([*self.index, 1.0])
         seen = list(self.index)
@@ -177,18 +178,18 @@ class Frame:
         return self._named(seen, placed=True)
 
     def _in_patient(self, axis: int) -> str:
-        """Return the place of the slice on an axis of the patient; "" for other axes."""
+        """Return the position of the slice on an axis of the patient; "" for other axes."""
         letters, unit = PATIENT_AXES.get(self.axis_labels[axis]), self.units[axis]
         if letters is None or unit == "pixel":
             return ""
-        # Measured along the normal, so that all points of an oblique slice have the same position.
+        # The position is measured along the normal: all points of an oblique slice share it.
         matrix = np.array(self.matrix)
         normal = np.linalg.inv(matrix)[axis, :-1]
         towards = math.copysign(float(np.linalg.norm(normal)), normal[axis])
         far = float(normal @ (matrix @ [*self.index, 1.0])[:-1]) / towards
-        # Round to a hundredth of the distance to the next slice, or finer.
+        # Round to a hundredth of the distance between slices, or finer.
         digits = max(2 + math.ceil(math.log10(abs(towards))), 0)
-        # The first rounding hides rounding errors of files and of the inverse matrix.
+        # The first rounding removes rounding errors of files and of the inverse matrix.
         far = round(round(far, digits + 4), digits)
         return f"{letters[int(far < 0)]} {abs(far):.12g} {unit_symbol(unit)}"
 
@@ -206,7 +207,7 @@ class Frame:
         return ", ".join(names)
 
     def plane_at(self, across: int, number: int) -> Frame:
-        """Return the place of one plane of this volume, by its number along the axis `across`."""
+        """Return the place of one plane of this volume, from its number on the axis `across`."""
         index = list(self.index)
         index[self.plane[across]] = number
         plane = (*self.plane[:across], *self.plane[across + 1 :])
@@ -220,20 +221,20 @@ class Frame:
     def take(self, data: Any) -> npt.NDArray[Any]:
         """Copy the slice from the data of a layer, with axes in the order of the plane.
 
-        An axis of colours stays last.
+        A colour axis remains the last axis.
         """
         part = data[self.pixels]
         if hasattr(part, "compute"):  # converting a dask array with NumPy would lose a mask
             part = part.compute()
-        # The mask is kept, because the caller refuses masked layers with the layer's name.
+        # Preserve the mask: the caller raises an error for a masked layer, with the layer's name.
         masked = isinstance(part, np.ma.MaskedArray)
         picture: npt.NDArray[Any] = np.ma.array(part, copy=True) if masked else np.array(part)
         return _ordered(picture, np.argsort(np.argsort(self.plane)))
 
     def put_image(self, picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return a picture of the slice, ([D,] H, W[, colours]), with all axes of the layer.
+        """Return an image of the slice, ([D,] H, W[, colours]), with all axes of the layer.
 
-        The axes across the slice have length 1.
+        Axes perpendicular to the slice have length 1.
         """
         picture = _ordered(picture, np.argsort(self.plane))
         return np.ascontiguousarray(np.expand_dims(picture, self.others))
@@ -241,7 +242,7 @@ class Frame:
     def put_field(self, steps: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         """Return a field of the slice, ([D,] H, W, n) in pixels, with all axes of the layer.
 
-        The steps have a component along each axis of the layer, 0 across the slice.
+        The field has a component along each axis of the layer, 0 perpendicular to the slice.
         """
         placed = np.zeros((*steps.shape[:-1], self.ndim))
         placed[..., list(self.plane)] = steps
@@ -250,8 +251,8 @@ class Frame:
     def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Return arrows of the slice, (N, 2, n), as arrows of the layer, (N, 2, D).
 
-        Arrows are (start, step) in pixels. If there are none, a two-dimensional layer gets one
-        invisible arrow of length 0, because napari cannot draw an empty layer in three dimensions.
+        Arrows are (start, step) in pixels. If there are no arrows, a two-dimensional layer gets
+        one invisible arrow of length 0, because napari cannot draw an empty layer in 3D.
         """
         if not len(arrows) and self.ndim == 2:
             arrows = np.zeros((1, 2, 2))
@@ -261,12 +262,13 @@ class Frame:
         return placed
 
     def placement(self, image: bool = False) -> dict[str, Any]:
-        """Return the keyword arguments that place a new layer at the same place as its source.
+        """Return keyword arguments that place a new layer where its source layer is.
 
         Parameters
         ----------
         image : bool
-            True if the data of the new layer come from `put_image`, and so begin at the slice.
+            True if the data of the new layer are the output of `put_image`, which starts at the
+            slice.
 
         Returns
         -------
@@ -287,10 +289,10 @@ class Frame:
         }
 
     def same_place(self, other: Frame, shape: tuple[int, ...]) -> bool:
-        """Return whether a slice of a shape covers the same part of the world in both frames.
+        """Return whether a slice with the given shape covers the same region in two frames.
 
-        Only the axes that both layers have are compared: a layer of fewer dimensions appears on
-        all slices.
+        Only the axes that both layers have are compared, because napari shows a layer with fewer
+        dimensions on all slices.
         """
         to = self.from_pixels_of(other)
         if to is None or len(self.plane) != len(other.plane):
@@ -299,14 +301,14 @@ class Frame:
         return bool(np.abs(apart).max() <= _TOLERANCE)
 
     def slice_in(self, other: Frame, sizes: Sequence[int], shape: tuple[int, ...]) -> Frame | None:
-        """Return the slice of another layer that covers the same part of the world, or None.
+        """Return the slice of another layer that covers the same region of the world, or None.
 
         Parameters
         ----------
         other : Frame
-            Place of any slice of that layer, which may have more axes, or fewer.
+            Place of any slice of the other layer, which may have more or fewer axes.
         sizes : sequence of int
-            Number of pixels of that layer along its axes.
+            Number of pixels of the other layer along each axis.
         shape : tuple of int
             Shape of this slice.
 
@@ -324,7 +326,7 @@ class Frame:
         return frame if self.same_place(frame, shape) else None
 
     def has(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-        """Return a mask of the points, (N, D) in pixels of the layer, that lie on the slice."""
+        """Return a mask of the points, (N, D) in pixels of the layer, that are on the slice."""
         others = list(self.others)
         on = np.rint(pixels[:, others]) == np.array(self.index)[others]
         return np.asarray(on.all(axis=1))
@@ -332,7 +334,7 @@ class Frame:
     def place_of(
         self, pixel: npt.NDArray[np.float64], shape: tuple[int, ...]
     ) -> tuple[float, ...] | None:
-        """Return the position on the slice of a point of the layer; None outside of the slice.
+        """Return the position on the slice of a point of the layer; None if it is outside.
 
         Parameters
         ----------
@@ -344,7 +346,7 @@ class Frame:
         Returns
         -------
         tuple of float or None
-            ([depth,] row, col), whole numbers at the centre of a pixel.
+            ([depth,] row, col); whole numbers are pixel centres.
         """
         index, axes, others = np.floor(np.nan_to_num(pixel) + 0.5), list(self.plane), self.others
         on = all(index[axis] == self.index[axis] for axis in others)
@@ -354,21 +356,21 @@ class Frame:
     def from_pixels_of(
         self, other: Frame, axes: Iterable[int] | None = None
     ) -> npt.NDArray[np.float64] | None:
-        """Return the transform from pixels of another layer to pixels of this one.
+        """Return the transform from pixels of another layer to pixels of this layer.
 
         Parameters
         ----------
         other : Frame
-            Place in the other layer, which may have more axes, or fewer.
+            Place in the other layer, which may have more or fewer axes.
         axes : iterable of int, optional
-            Axes of this layer to transform; along its other axes the result lies on the slice. By
-            default all axes that both layers have.
+            Axes of this layer to transform; by default all axes that both layers have. Along the
+            remaining axes the result is the position of the slice.
 
         Returns
         -------
         ndarray, shape (D, n + 1), or None
-            Matrix for homogeneous pixels of the other layer, (n + 1,); None if the units cannot be
-            converted.
+            Matrix that is applied to homogeneous pixels of the other layer, (n + 1,); None if the
+            units cannot be converted.
         """
         more = other.ndim - self.ndim
         shared = [axis for axis in axes or range(self.ndim) if axis + more >= 0]
@@ -386,25 +388,25 @@ class Frame:
         return transform
 
     def _corners(self, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
-        """Return the corners of a slice of a shape, in homogeneous pixels."""
+        """Return the corners of a slice with the given shape, in homogeneous pixels."""
         ends = [*product(*((0, size) for size in shape))]
         corners = np.tile(np.array([*self.index, 1.0]), (len(ends), 1))
         corners[:, list(self.plane)] = ends
         return corners
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the place as a dictionary of JSON types, for `Solution.frame`."""
+        """Return the place as a dictionary of JSON types, as in `Solution.frame`."""
         values = asdict(self)
         return {name: values[name] for name in _STORED}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Frame:
-        """Return the place from a dictionary of `as_dict`.
+        """Create a place from a dictionary as returned by `as_dict`.
 
         Raises
         ------
         ValueError
-            If a value is missing or invalid, or if no layer can have this place.
+            If a value is missing or invalid, or no layer can have this place.
         """
         try:
             given = {name: values[name] for name in _STORED}
@@ -421,7 +423,7 @@ class Frame:
         return frame
 
     def _check(self) -> None:
-        """Raise ValueError if no layer can have this place."""
+        """Raise a ValueError if no layer can have this place."""
         ndim, plane = self.ndim, self.plane
         known = len(plane) in (2, 3) and len({*plane}) == len(plane)
         if not known or not all(0 <= axis < ndim for axis in plane):
@@ -446,20 +448,19 @@ class Frame:
             if len(values) > ndim and values[-1].tolist() != [0.0] * ndim + [1.0]:
                 raise ValueError(f"the last row of its {name} is {values[-1].tolist()}")
             if is_flat(values[:ndim, :ndim]):
-                raise ValueError(f"its {name} flattens space")
+                raise ValueError(f"its {name} is singular")
         factors = [unit_factor(self.units[axis], self.unit) for axis in plane]
         if not all(is_unit(unit) for unit in self.units) or np.isnan(factors).any():
             raise ValueError(f"its units are {self.units}")
 
     @classmethod
     def of_solution(cls, solution: Solution) -> Frame:
-        """Return the place of a solution, or a place at the origin if the solution has no `frame`.
+        """Return the place of a solution; without `frame`, a place at the origin, in pixels.
 
         Raises
         ------
         ValueError
-            As for `from_dict`, or if the place is that of a slice and the solution is a volume, or
-            vice versa.
+            As for `from_dict`, or if the place and the solution differ in their number of axes.
         """
         n = solution.tissue.ndim
         if not solution.frame:
@@ -470,7 +471,7 @@ class Frame:
         return frame
 
 
-#: Validator of the content of a file.
+#: Validator of frames that are read from files.
 _PLACES = TypeAdapter(Frame)
 
 
@@ -484,12 +485,12 @@ class SlicePlace:
 
     @classmethod
     def of(cls, frame: Frame) -> SlicePlace:
-        """Return the slice at a place."""
+        """Return the slice that a frame describes."""
         return cls(frame.plane, frame.index, frame.slice_seen)
 
 
 def _ordered(picture: npt.NDArray[Any], axes: npt.NDArray[np.intp]) -> npt.NDArray[Any]:
-    """Return a picture with its axes in another order; an axis of colours stays last."""
+    """Return an image with its axes in another order; a colour axis remains last."""
     return picture.transpose(*axes, *range(len(axes), picture.ndim))
 
 
@@ -499,7 +500,7 @@ def as_tuples(values: Any) -> Any:
 
 
 def is_flat(linear: npt.NDArray[np.float64]) -> bool:
-    """Return whether a square matrix is singular, independent of the lengths of its columns."""
+    """Return whether a square matrix is singular, regardless of the lengths of its columns."""
     lengths = np.linalg.norm(linear, axis=0)
     if not ((lengths > 0) & np.isfinite(lengths)).all():
         return True

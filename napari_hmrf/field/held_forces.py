@@ -46,7 +46,7 @@ def held_forces(problem: Problem, solution: Solution, prior: Prior) -> tuple[Hel
     Returns
     -------
     tuple of HeldForce
-        First the regions that move, then those that are held; each in the order of the pixels.
+        Moving regions first, then fixed regions, each group in pixel order.
 
     Raises
     ------

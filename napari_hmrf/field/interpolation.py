@@ -1,6 +1,6 @@
-"""Compiled loop that interpolates an image at an inverse map, like `resample`, on all cores.
+"""Compiled loop that interpolates an image at an inverse map, as `resample` does, on all cores.
 
-This module imports numba; `live_warp` imports it on first use, on the compute thread.
+This module imports numba. `live_warp` imports this module on first use, on the compute thread.
 """
 
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -14,26 +14,26 @@ import numpy as np
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def look_up(image, smooth, gaps, source, state, tissue, nearest, whole, fill, moved):
-    """Interpolate an image at the origins of the moved tissue, like `resample`, on all cores.
+    """Interpolate an image at the origins of the moved tissue, as `resample` does, on all cores.
 
     Parameters
     ----------
     image : ndarray, shape (H, W, channels)
     smooth : ndarray, shape (H, W, channels)
-        Copy of the image for interpolation, with finite values everywhere.
+        Copy of the image for interpolation, without values that are not finite.
     gaps : bool
-        True if the image has pixels that are not finite; their value is then copied to the pixels
-        whose origin is nearest to them.
+        True if the image has values that are not finite. Such a value is copied to each pixel with
+        an origin nearest to it.
     source, state
-        As from `triangle_raster.rasterise`.
+        Output of `triangle_raster.rasterise`.
     tissue : ndarray, shape (H, W), bool
-        Mask of the tissue. Void to which no tissue has moved keeps its value.
+        Mask of the tissue. Pixels outside tissue that no tissue reaches retain their value.
     nearest : bool
-        If True, copy the nearest pixel; else interpolate between the four nearest.
+        If True, copy the nearest pixel; if False, interpolate between the four nearest pixels.
     whole : bool
-        If True, round to whole numbers.
+        If True, round to integers.
     fill
-        Value of pixels that tissue has left, of the type of the image.
+        Value of the pixels that tissue leaves uncovered, in the type of the image.
     moved : ndarray, shape (H, W, channels)
         Output.
     """

@@ -1,4 +1,4 @@
-"""Inverse of a displacement field: from moved positions back to their origins."""
+"""Inverse of a displacement field, from moved positions to their origins."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from napari_hmrf.solver.problem import as_numbers
 
 Float64Array = npt.NDArray[np.float64]
 
-#: Length of a Newton step, in pixels, below which the iteration ends; largest number of steps.
+#: Length of a Newton step, in pixels, below which the iteration stops; largest number of steps.
 _NEAR, _STEPS = 1e-6, 30
-#: Largest Newton step, in pixels: the slopes of a field do not predict it further away.
+#: Largest Newton step, in pixels. Slopes are unreliable predictors at larger distances.
 _FARTHEST = 4.0
-#: Number of points inverted together; this bounds the memory by a few MB.
+#: Number of points that are inverted together, which limits memory to a few MB.
 _AT_ONCE = 2**14
 
 
@@ -30,14 +30,14 @@ class Inverse(NamedTuple):
     Attributes
     ----------
     displacement : ndarray, shape ([D,] H, W, n), float64
-        Displacement u of each grid point P after the motion to its origin P + u(P), in the unit of
-        the spacing.
+        Displacement u from each grid point P, after the motion, to its origin P + u(P), in the unit
+        of the spacing.
     residual : float
-        Largest distance, in pixels, between P and the point to which the field moves P + u(P).
-        Only sites P to which tissue has moved count; in a volume with a mask, only those whose
-        origin is inside the tissue, not at its outermost sites. NaN if there are no such sites. A
-        field on a whole volume has no inverse at folds, and its residual is large there; at folds
-        of a slice, or of a volume with a mask, the origin is in the part that is not inverted.
+        Largest distance, in pixels, between P and the point to which the field moves P + u(P),
+        for the sites P that moved tissue covers. In a volume with a mask, sites with an origin in
+        the outermost layer of the tissue are excluded. NaN if there are no such sites. A field on a
+        whole volume has no inverse at folds, and its residual is large there. At folds of a slice,
+        or of a volume with a mask, the origin is in the part of the tissue that is not inverted.
     """
 
     displacement: Float64Array
@@ -50,21 +50,21 @@ def inverse_displacement(
     spacing: Sequence[float],
     tissue: npt.ArrayLike | None = None,
 ) -> Inverse:
-    """Invert a motion at each site of its grid: u with u(P) = X - P, where X + d(X) = P.
+    """Compute the inverse u of a displacement d: u(P) = X - P, where X + d(X) = P.
 
     Slices are inverted by `inverse_map`, which is exact for motion that is linear on triangles.
-    Volumes are inverted by `origins_at`, a few planes at a time, for trilinear motion. In a volume
-    with a mask, `inverse_map` first finds the tissue that is visible at each site.
+    Volumes are inverted by `origins_at`, for trilinear motion, a few planes at a time. In a volume
+    with a mask, `inverse_map` first finds the visible tissue at each site.
 
     Parameters
     ----------
     displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
-        Material displacement, components in the order of the axes, in the unit of `spacing`.
+        Material displacement, with components in axis order, in the unit of `spacing`.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        Mask of the tissue that moves; by default all sites. A gap between moved tissue and the
-        rest is filled as if the field were continuous across their border.
+        Mask of the tissue that moves; by default all sites. A gap between moved tissue and other
+        sites is filled as if the field were continuous across their border.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def origins_at(
 ) -> Float64Array:
     """Find the origins X of moved points P in a volume, with X + d(X) = P.
 
-    The motion is trilinear between sites, and is inverted by Newton's method. Each point is assumed
+    The motion is trilinear between sites and is inverted by Newton's method. Each point is assumed
     to have an origin.
 
     Parameters
@@ -113,7 +113,7 @@ def origins_at(
     points : ndarray, shape (N, 3)
         Positions after the motion, in pixels.
     near : ndarray, shape (N, 3), optional
-        Initial guess of the origins, in pixels.
+        Initial guesses of the origins, in pixels.
 
     Returns
     -------
@@ -134,10 +134,10 @@ def _refined(
     origins: Float64Array,
 ) -> tuple[Float64Array, npt.NDArray[np.bool_]]:
     """Refine origins for trilinear motion; return them and a mask of origins inside the tissue."""
-    # The field is extended beyond the tissue, so that Newton steps out of it lead back.
+    # The field is extended beyond the tissue so that Newton steps that leave the tissue can return.
     refined = origins_at(_extended(pixels, tissue), points, origins)
     near = (np.abs(refined - origins) < 1).all(axis=-1)
-    # At the rim of the tissue the motion is defined on tetrahedra only, so it is not refined.
+    # At the border of the tissue, motion is defined on tetrahedra only and is not refined.
     within = near & (
         interpolate_linearly(tissue[..., np.newaxis].astype(float), refined)[:, 0] > 1 - _NEAR
     )
@@ -159,7 +159,7 @@ def _inverse_of_volume(pixels: Float64Array, spacing: Sequence[float]) -> Invers
 
 
 def _residual(pixels: Float64Array, origins: Float64Array, sites: Float64Array) -> float:
-    """Return the largest distance, in pixels, between a site and the image of its origin."""
+    """Return the largest distance, in pixels, between a site and its moved origin."""
     away = interpolate_linearly(pixels, origins) + origins - sites
     return float(np.linalg.norm(away, axis=-1).max())
 
@@ -174,7 +174,7 @@ def _by_newton(
         at = origins[active]
         values, slopes = interpolate_with_slopes(pixels, at)
         slope = slopes + np.eye(3)
-        # Singular slopes, which occur at folds, are replaced by the identity.
+        # Replace singular slopes, which occur at folds, by the identity.
         slope[np.abs(np.linalg.det(slope)) < 1e-3] = np.eye(3)
         step = np.linalg.solve(slope, (at + values - targets[active])[..., None])[..., 0]
         length = np.linalg.norm(step, axis=-1, keepdims=True)
@@ -186,7 +186,7 @@ def _by_newton(
 
 
 def _extended(values: Float64Array, known: npt.NDArray[np.bool_]) -> Float64Array:
-    """Extend known values to each other site from the nearest known site; 0 if there is none."""
+    """Extend values to all sites from the nearest known site; 0 if no site is known."""
     if not known.any():
         return np.zeros_like(values)
     nearest = scipy.ndimage.distance_transform_edt(

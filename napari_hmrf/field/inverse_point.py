@@ -1,4 +1,4 @@
-"""Inverse of a motion at single points of the moved picture."""
+"""Inverse of a motion at single points of the warped image."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from napari_hmrf.field.moved_points import interpolate_with_slopes
 Point = TypeVar("Point", bound=tuple[float, ...])
 #: Largest distance, in pixels, between a point and the nearest moved site; beyond it is a gap.
 _APART = 3.0
-#: Distance outside a tetrahedron, in barycentric coordinates, at which a point still counts as
-#: inside; and six times the volume below which a tetrahedron has collapsed.
+#: Tolerance, in barycentric coordinates, for a point to be inside a tetrahedron; and six times the
+#: volume below which a tetrahedron has collapsed.
 _SIDE, _COLLAPSED = 1e-9, 1e-12
 #: Residual, in pixels, below which an origin is exact; largest number of Newton steps; and
 #: determinant of the slopes below which a step is undefined.
 _EXACT, _STEPS, _FLAT = 1e-7, 8, 1e-3
-#: Corners of the six tetrahedra of a cell, as in `inverse_map`: each follows three edges from the
-#: first corner of the cell to the last.
+#: Corners of the six tetrahedra of a cell, as in `inverse_map`. The corners of each tetrahedron are
+#: on a path of three edges from the first to the last corner of the cell.
 _TETRAHEDRA = np.array(
     [
         np.cumsum([(0, 0, 0), *np.eye(3, dtype=int)[list(way)]], axis=0)
@@ -41,8 +41,8 @@ def inverse_point(
 ) -> Point | None:
     """Invert the motion at one point, accurate to a fraction of a pixel.
 
-    This is faster than the inverse at all sites. In a volume it is exact for motion that is
-    trilinear in each cell.
+    This is faster than inverting the motion at all sites. In a volume the result is exact for
+    motion that is trilinear in each cell.
 
     Parameters
     ----------
@@ -55,15 +55,15 @@ def inverse_point(
     tissue : ndarray of bool, shape ([D,] H, W)
         Mask of the tissue that moves.
     farthest : ndarray, shape (n,), optional
-        Result of `farthest_of` for the displacement, if known; computing it takes longer than the
-        rest of this function.
+        Result of `farthest_of` for the displacement, if already known; computing it takes longer
+        than the rest of this function.
     fraction : float
-        Part of the displacement by which the tissue has moved, from 0 to 1.
+        Fraction of the displacement by which the tissue has moved, from 0 to 1.
 
     Returns
     -------
     tuple of float, or None
-        Origin X, in pixels, such that X + fraction d(X) is the point; None if there is no tissue.
+        Origin X, in pixels, with X + fraction d(X) at the point; None if no tissue is there.
     """
     size = np.asarray(spacing, dtype=np.float64)
     most = farthest_of(displacement) if farthest is None else farthest
@@ -87,7 +87,7 @@ def inverse_point(
 def _near_site(
     moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
 ) -> npt.NDArray[np.float64] | None:
-    """Return the origin by linear motion from the nearest moved site and its neighbours."""
+    """Return the origin, assuming linear motion around the nearest moved site."""
     away = moved - point
     squared = np.where(tissue, (away**2).sum(axis=-1), np.inf)
     site = tuple(int(at) for at in np.unravel_index(int(squared.argmin()), squared.shape))
@@ -110,7 +110,7 @@ def _near_site(
 def _in_cells(
     moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
 ) -> npt.NDArray[np.float64] | None:
-    """Refine the origin in a tetrahedron for trilinear motion, in cells that are all tissue."""
+    """Find the origin for trilinear motion, from its tetrahedron, in cells that are all tissue."""
     start, is_upright = _in_tetrahedra(moved, tissue, point)
     if start is None or not is_upright:
         return start
@@ -120,7 +120,7 @@ def _in_cells(
         low = np.clip(np.floor(origin).astype(int), 0, np.maximum(last - 1, 0))
         if not (inside and tissue[tuple(slice(at, at + 2) for at in low)].all()):
             return start
-        # On a face between two cells, the slopes are those of one of them.
+        # On a face between two cells, the slopes of one of the cells are used.
         values, slopes = interpolate_with_slopes(moved, np.clip(origin, 0, last)[np.newaxis])
         away = values[0] - point
         if np.abs(away).max() < _EXACT:
@@ -138,7 +138,7 @@ def _in_tetrahedra(
 ) -> tuple[npt.NDArray[np.float64] | None, bool]:
     """Return the origin from the moved tetrahedron around a point, and whether it is not inverted.
 
-    An inverted tetrahedron is used only if no other contains the point.
+    An inverted tetrahedron is used only if no other tetrahedron contains the point.
     """
     cells = [
         moved[tuple(slice(one, size - 1 + one) for one, size in zip(at, tissue.shape, strict=True))]
@@ -169,7 +169,7 @@ def _in_tetrahedra(
 
 def farthest_of(displacement: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """Return the largest displacement along each axis, in the unit of the displacement."""
-    # Reducing row by row is much faster than over all pixels at once.
+    # Reducing along the first axis first is much faster than reducing over all pixels at once.
     rows = displacement.reshape(len(displacement), -1)
     most = np.maximum(rows.max(axis=0), -rows.min(axis=0)).reshape(-1, displacement.shape[-1])
     farthest: npt.NDArray[np.floating] = most.max(axis=0)

@@ -1,4 +1,4 @@
-"""Pairs of landmarks on a slice, before and after the motion."""
+"""Pairs of landmark positions on a slice, before and after the motion."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-#: Tolerance of equal displacements, in pixels.
+#: Largest difference, in pixels, between displacements that are treated as equal.
 _SAME = 1e-3
 
 
@@ -30,7 +30,7 @@ class LandmarkPairs(NamedTuple):
 
     @property
     def contradiction(self) -> tuple[int, int] | None:
-        """Indices of two landmarks in one pixel with different displacements, or None."""
+        """Indices of two landmarks in the same pixel with different displacements, or None."""
         first: dict[tuple[float, ...], int] = {}
         steps = self.to - self.at
         for number, pixel in enumerate(np.rint(self.at).tolist()):
@@ -40,10 +40,11 @@ class LandmarkPairs(NamedTuple):
         return None
 
     def radii(self, radius: float, spacing: Sequence[float]) -> list[float]:
-        """Return the radius of the patch of each landmark, such that no patch covers another.
+        """Return the radius of the patch around each landmark; patches do not overlap.
 
-        The radius is at most half the distance to the next landmark: if patches overlapped, the
-        later patch would overwrite the earlier. Landmarks in one pixel share a patch.
+        The radius is at most half the distance to the nearest other landmark. In overlapping
+        patches, the later patch would overwrite the earlier patch. Landmarks in the same pixel
+        share a patch.
 
         Parameters
         ----------
@@ -55,12 +56,12 @@ class LandmarkPairs(NamedTuple):
         Returns
         -------
         list of float
-            In the unit of the spacing.
+            Radii in the unit of the spacing.
         """
         _, first, patches = np.unique(
             np.rint(self.at), axis=0, return_index=True, return_inverse=True
         )
         places = self.at[first] * spacing
-        # The distance of a single landmark is infinite.
+        # For a single landmark, the distance to the nearest other landmark is infinite.
         away = scipy.spatial.KDTree(places).query(places, k=2)[0][:, 1]
         return [min(radius, half) for half in (away / 2)[patches.reshape(-1)].tolist()]

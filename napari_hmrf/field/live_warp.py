@@ -1,8 +1,8 @@
-"""Repeated warping of the same pictures, during editing or while a slider is moved.
+"""Repeated warping of the same images, during editing or while a slider is moved.
 
-Results for slices equal those of `warp` and take a tenth of the time: memory is reused, all cores
-are used, and pictures are prepared only once. A whole volume takes as long as in `warp`; a single
-slice of a volume takes a hundredth of that.
+Results for slices equal those of `warp` and take a tenth of the time, because memory is reused,
+all cores are used, and images are prepared only once. A whole volume takes as long as in `warp`;
+a single slice of a volume takes a hundredth of that time.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 
-#: Description of the work, for other users of the compute thread.
+#: Description of the task for other users of the compute thread.
 _DOING = "warping pictures"
-# Dtypes that the compiled loops support. Other dtypes are converted to one of these that represents
-# all their values, so that no further loops are compiled. 64-bit integers do not fit a double.
+# Dtypes that the compiled loops support. Other dtypes are converted to a supported dtype that
+# represents all their values, to avoid compiling more loops. 64-bit integers do not fit a double.
 _KNOWN = ("uint8", "float32", "float64")
 _INTERPOLATED = {
     **{name: name for name in _KNOWN},
@@ -57,7 +57,7 @@ class Picture:
     order : int
         Order of interpolation, as for `warp`; 0 and 1 are fast.
     fill : float
-        Value of uncovered pixels: pixels that tissue has left and no other tissue has reached.
+        Value of uncovered pixels, which tissue has left and no other tissue has reached.
     """
 
     image: npt.ArrayLike
@@ -70,19 +70,19 @@ class Picture:
 
 
 class Warper:
-    """Warper of pictures on one grid.
+    """Warper of several images on one grid.
 
     Parameters
     ----------
     pictures : Picture, sequence of Picture, or array_like
-        Pictures on one grid; a single image may be given as an array.
-    spacing : sequence of float, shape (2,), or (3,) of a volume
-        Size of a pixel along each axis.
+        Images on one grid; a single image may be an array.
+    spacing : sequence of float, shape (2,) or (3,)
+        Size of a pixel along each axis; three entries for a volume.
 
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
 
     Examples
     --------
@@ -109,7 +109,7 @@ class Warper:
         self._everything = np.ones(grid, dtype=bool)
         if n == 3:
             return
-        # The source of an uncovered pixel keeps its last value, which is unused but must be finite.
+        # The source of an uncovered pixel retains its last value, which is unused but finite.
         self._moved, self._source = np.empty((*grid, 2)), np.zeros((*grid, 2))
         self._reach, self._state = np.empty((grid[0], 2)), np.empty(grid, np.uint8)
 
@@ -119,7 +119,7 @@ class Warper:
         tissue: npt.ArrayLike | None = None,
         fraction: float = 1.0,
     ) -> list[npt.NDArray[Any]]:
-        """Warp the pictures, on the compute thread; the caller may be any thread, and waits.
+        """Warp the images on the compute thread, and wait for the result; callable from any thread.
 
         Parameters
         ----------
@@ -128,20 +128,20 @@ class Warper:
         tissue : array_like of bool, shape ([D,] H, W), optional
             Sites that move; by default all.
         fraction : float
-            Fraction of the displacement, usually 0 to 1.
+            Fraction of the displacement, usually from 0 to 1.
 
         Returns
         -------
         list of ndarray
-            The results of `warp` for ``fraction * displacement``, one for each picture; new arrays
-            on each call.
+            Results of `warp` for ``fraction * displacement``, one for each image; new arrays on
+            each call.
 
         Raises
         ------
         ProblemError
-            If an input is invalid; the error names it.
+            If an input is invalid; the error names the input.
         """
-        # Numba's own threads must be used from one thread only.
+        # Numba's threads must be used from a single thread only.
         return compute_thread.result_of(
             lambda: self._warped(displacement, tissue, fraction), _DOING
         )
@@ -149,7 +149,7 @@ class Warper:
     def _warped(
         self, displacement: npt.ArrayLike, tissue: npt.ArrayLike | None, fraction: float
     ) -> list[npt.NDArray[Any]]:
-        """Warp the pictures; call on the compute thread only."""
+        """Warp the images; call on the compute thread only."""
         d, mask = self._checked(displacement, tissue, self.shape)
         if len(self.shape) == 3:
             moved, _ = moved_sites(d, self._spacing, mask, fraction)
@@ -187,14 +187,14 @@ class Warper:
         *,
         every: int | Sequence[int] = 1,
     ) -> list[npt.NDArray[Any]]:
-        """Warp one slice of the volumes, on the compute thread; the caller may be any thread.
+        """Warp one slice of the volumes on the compute thread; callable from any thread.
 
         Parameters
         ----------
         number : int
             Index of the slice along the first axis.
         displacement : array_like, shape (D, H, W, 3)
-            As in `__call__`, or given at every `every`-th voxel only and interpolated linearly.
+            As in `__call__`, or at every `every`-th voxel only, to be interpolated linearly.
         tissue, fraction
             As in `__call__`.
         every : int, or sequence of int, shape (3,)
@@ -203,12 +203,12 @@ class Warper:
         Returns
         -------
         list of ndarray, shape (H, W) or (H, W, channels)
-            The slice of the results of `__call__`; new arrays on each call.
+            This slice of the results of `__call__`; new arrays on each call.
 
         Raises
         ------
         ProblemError
-            If an input is invalid; the error names it.
+            If an input is invalid; the error names the input.
         """
         steps = tuple(int(step) for step in np.broadcast_to(every, len(self.shape)))
         sites = tuple(-(-size // step) for size, step in zip(self.shape, steps, strict=True))
@@ -227,7 +227,7 @@ class Warper:
     def _checked(
         self, displacement: npt.ArrayLike, tissue: npt.ArrayLike | None, sites: tuple[int, ...]
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-        """Return a checked displacement on `sites` and its tissue, in the dtypes of the loops."""
+        """Return the displacement on `sites` and the tissue, checked, in dtypes of the loops."""
         d = np.ascontiguousarray(as_numbers("displacement", displacement), dtype=np.float32)
         mask = self._everything
         if tissue is not None:
@@ -238,25 +238,25 @@ class Warper:
         ):
             if array.shape != expected:
                 raise ProblemError(
-                    name, f"has shape {array.shape}, but the pictures need {expected}."
+                    name, f"has shape {array.shape}, but the images need shape {expected}."
                 )
         return d, mask
 
     def replace(self, number: int, picture: Picture) -> None:
-        """Replace a picture by another on the same grid."""
+        """Replace an image by another image on the same grid."""
         self._looks[number] = _PreparedPicture(picture, self.shape)
 
     def _without_loops(
         self, d: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], fraction: float
     ) -> list[npt.NDArray[Any]]:
-        """Warp the pictures with NumPy and SciPy, without compiled loops."""
+        """Warp the images with NumPy and SciPy, without compiled loops."""
         moved, _ = moved_sites(d, self._spacing, mask, fraction)
         source, state = triangle_arrays.rasterise(moved, mask)
         return [look.by_splines(source, state, mask) for look in self._looks]
 
 
 class _PreparedPicture:
-    """Checked picture, prepared for interpolation."""
+    """Image that is checked and prepared for interpolation."""
 
     def __init__(self, picture: Picture, grid: tuple[int, ...]) -> None:
         self._image = image = np.ascontiguousarray(as_image(picture.image, grid))
@@ -316,7 +316,7 @@ class _PreparedPicture:
         state: npt.NDArray[np.uint8],
         tissue: npt.NDArray[np.bool_],
     ) -> npt.NDArray[Any]:
-        """Interpolate with SciPy, which supports any dtype and order, or the loop for volumes."""
+        """Interpolate with SciPy, for any dtype and order, or with the loop for volumes."""
         covered = (state > 0) | ~tissue
         if tissue.ndim == 2:
             still = covered & (state == 0)
@@ -329,7 +329,7 @@ class _PreparedPicture:
         source, covered = origins
         planes, first, image = source[covered, 0], 0, self._image
         if self._order < 2 and len(planes):
-            # Neighbouring planes are included, because they replace values that are not finite.
+            # Include neighbouring planes: they are used to replace values that are not finite.
             first = max(0, int(planes.min()) - 2)
             image = image[first : int(planes.max()) + 4]
         moved = sampled(image, source - (first, 0, 0), self._order)

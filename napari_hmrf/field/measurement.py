@@ -32,15 +32,15 @@ class Measurement(NamedTuple):
     pixels : int
         Number of pixels of the tissue before the motion.
     size : float
-        Area before the motion, in the squared unit of the spacing; for a three-dimensional image
-        the volume, in the cubed unit.
+        Area before the motion, in the squared unit of the spacing; for a volume, its volume in the
+        cubed unit.
     size_change : float
-        Change of the area or volume, in per cent. It is computed from the cells between pixels.
-        Each cell counts for the tissues at its corners; inverted cells count as negative.
+        Change of the area or volume, in per cent, computed from the cells between sites. Each cell
+        counts towards the tissues at its corners; inverted cells have negative size.
     mean_displacement, largest_displacement : float
         Length of the displacement, in the unit of the spacing.
     mean_strain, largest_strain : float
-        Equivalent strain of von Mises, in per cent, of the kind given by `strain`.
+        Von Mises equivalent strain, in per cent, of the kind given by `strain`.
     folds : int
         Number of pixels at which the tissue folds.
     strain : {"elastic", "in-plane", "total"}
@@ -73,19 +73,19 @@ def measure(
     labels : array_like of int, shape ([D,] H, W)
         Labels before the motion. Pixels outside the solution's tissue are ignored.
     names : mapping of int to str, optional
-        Names by label.
+        Name of the tissue under each label.
 
     Returns
     -------
     tuple of Measurement
-        In the order of the labels; labels without tissue are omitted.
+        Measurements in the order of the labels; labels without tissue are omitted.
 
     Raises
     ------
     ArgumentError
-        If the first argument is not a Solution, or `names` is not a mapping of whole numbers.
+        If `solution` is not a Solution, or `names` is not a mapping with integer keys.
     ProblemError
-        If the labels are not on the pixels of the solution.
+        If the labels are not integers on the pixels of the solution.
     """
     require_kind(Solution, "solution", solution, "the result of solve()")
     if names is not None:
@@ -131,7 +131,7 @@ def measure(
 
 
 def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
-    """Return the mean size ratio of the cells around each site, and the number of these cells."""
+    """Return the mean size ratio of the cells around each site, and the number of cells."""
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     moved, mask = moved_sites(d, spacing, tissue)
     total, count = np.zeros(mask.shape), np.zeros(mask.shape)
@@ -141,7 +141,7 @@ def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
         for corner in _corners(mask.ndim):
             total[slab][corner] += np.nan_to_num(cells)
             count[slab][corner] += np.isfinite(cells)
-    # Sites without cells, in thin tissue, get the determinant at the site, with full weight.
+    # Sites without cells, in thin tissue, use the determinant at the site, with full weight.
     alone = jacobian_determinant(d, spacing=spacing, tissue=tissue)
     change = np.divide(total, count, out=alone.astype(np.float64), where=count > 0)
     return change, np.where(count, count, 2**mask.ndim)
@@ -149,9 +149,9 @@ def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
 
 def _cells(moved: Float64Array, mask: BoolArray) -> Float64Array:
     """Return the area, or volume, of the cells between sites, 1 at rest; NaN outside tissue."""
-    # The result is exact if tissue moves linearly along the edges of cells, and is negative for
-    # inverted cells. The areas therefore add up to the area within the outer border of the tissue;
-    # determinants at the sites do not.
+    # The size is exact if tissue moves linearly along the edges of cells, and is negative for
+    # inverted cells. The sum of the sizes is then the area within the outer border of the tissue,
+    # which a sum of determinants at the sites is not.
     corners = [moved[each] for each in _corners(mask.ndim)]
     if mask.ndim == 2:
         a, b, c, d = corners

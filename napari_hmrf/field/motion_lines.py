@@ -2,7 +2,7 @@
 
 Lines are arrays of (start, step), shape (N, 2, n). An arrow, with two barbs at its head, shows a
 displacement. A double arrow shows that only one component is prescribed. A cross shows that tissue
-is held in place. In a volume all lines except the shafts of arrows lie in the plane of a slice.
+is fixed. In a volume all lines except the shafts of arrows are in the plane of a slice.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ Lines = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 _ANGLES = np.linspace(0, 2 * np.pi, 21)
 #: Points (row, col) on a circle of radius 1 around the origin.
 CIRCLE = np.stack([np.sin(_ANGLES), np.cos(_ANGLES)], axis=-1)
-#: Length of the barbs, and of the arms of a cross where tissue is held, in radii of the patch.
+#: Length of the barbs, and half-width of the cross on fixed tissue, in radii of the patch.
 _BARB = 0.5
 #: Half the length of a double arrow, in radii of the patch; length of its barbs relative to that.
 _BEYOND, _TIP = 1.4, 0.25
-#: Directions of the arms of the crosses of `motion_marks`.
+#: Directions of the arms of the crosses in `motion_marks`.
 _X = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
 def coloured(parts: Iterable[tuple[Array, Sequence[float]]], axes: int = 2) -> Lines:
-    """Concatenate groups of lines, each with a colour.
+    """Concatenate groups of lines that each have one colour.
 
     Parameters
     ----------
     parts : iterable of (ndarray, sequence of float)
-        Lines of each group, shape (N, 2, n), and their colour: red, green, blue and opacity.
+        Lines of each group, shape (N, 2, n), and their colour (red, green, blue, opacity).
     axes : int
         Number n of axes.
 
@@ -53,7 +53,7 @@ def coloured(parts: Iterable[tuple[Array, Sequence[float]]], axes: int = 2) -> L
 
 
 def along(places: Array) -> Array:
-    """Connect each of N points, shape (N, n), to the next; return N - 1 lines."""
+    """Connect consecutive points, shape (N, n), by N - 1 lines."""
     return np.stack([places[:-1], np.diff(places, axis=0)], axis=1)
 
 
@@ -67,11 +67,11 @@ def patch_lines(
     only: int | None = None,
     is_place: bool = False,
 ) -> Float64Array:
-    """Draw the prescribed motion of a round patch of tissue.
+    """Return lines that show the prescribed motion of a round patch of tissue.
 
-    An arrow leads from the centre of the patch to its moved position, with the outline of the patch
-    around its head. In a volume the patch is a ball, and each slice shows the circle in which it
-    cuts the ball.
+    An arrow points from the centre of the patch to its moved position, and the outline of the patch
+    surrounds the head of the arrow. In a volume the patch is a ball, and each slice shows the
+    circle in which the slice intersects the ball.
 
     Parameters
     ----------
@@ -84,16 +84,16 @@ def patch_lines(
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     across : int
-        For a volume, the axis across the displayed slices.
+        Axis perpendicular to the displayed slices, for a volume.
     only : int, optional
         Axis of the prescribed component, if only one component is prescribed.
     is_place : bool
-        If True, mark the start of the arrow with a cross, too, as for a landmark.
+        If True, the start of the arrow is also marked with a cross, as for a landmark.
 
     Returns
     -------
     ndarray, shape (N, 2, n), float64
-        In pixels.
+        Lines in pixels.
     """
     size, n = np.array(spacing), len(spacing)
     flat = [axis for axis in range(n) if n == 2 or axis != across]
@@ -105,9 +105,9 @@ def patch_lines(
     parts = [along(head + off * axes[across] + cut * CIRCLE @ plane) for off, cut in circles]
     if length > 0.1 * radius and step[:, flat].any():
         parts.append(barbed(base, step, min(barb, 0.5 * length), plane))
-    elif length > 0.1 * radius:  # straight out of the slice
+    elif length > 0.1 * radius:  # perpendicular to the slice
         parts.append(np.stack([base, step], axis=1))
-    elif only is None:  # held in place
+    elif only is None:  # fixed
         parts.append(crosses(head, barb * plane))
     if only in flat:
         way = flat.index(only)
@@ -119,9 +119,9 @@ def patch_lines(
 
 
 def motion_marks(at: Array, by: Array, known: Array, apart: float) -> Float64Array:
-    """Draw marks for the prescribed motion of sites: an arrow, a cross or a double arrow.
+    """Return marks for the prescribed motion of sites: an arrow, a cross or a double arrow each.
 
-    In a volume the marks lie in planes across the first axis.
+    In a volume the marks are in planes perpendicular to the first axis.
 
     Parameters
     ----------
@@ -130,12 +130,12 @@ def motion_marks(at: Array, by: Array, known: Array, apart: float) -> Float64Arr
     known : ndarray of bool, shape (N, n)
         Mask of the prescribed components.
     apart : float
-        Distance of neighbouring marks, in the unit of the spacing.
+        Distance between neighbouring marks, in the unit of the spacing.
 
     Returns
     -------
     ndarray, shape (M, 2, n), float64
-        In the unit of the spacing.
+        Lines in the unit of the spacing.
     """
     plane = np.eye(at.shape[-1])[-2:]
     by = np.where(known, by, 0) @ plane.T @ plane
@@ -153,32 +153,32 @@ def motion_marks(at: Array, by: Array, known: Array, apart: float) -> Float64Arr
 
 
 def double_arrows(at: Array, way: Array, aside: Array) -> Float64Array:
-    """Draw lines with two barbs at either end, for motion with one prescribed component.
+    """Return lines with two barbs at each end, which mark motion with one prescribed component.
 
     Parameters
     ----------
     at : ndarray, shape (N, n)
         Centres of the lines, in the unit of the spacing.
     way, aside : ndarray, shape (n,)
-        Half of each line, and a perpendicular vector of the same length in the plane of the barbs.
+        Half of each line, and a perpendicular vector of equal length in the plane of the barbs.
 
     Returns
     -------
     ndarray, shape (5 N, 2, n), float64
-        In the unit of the spacing.
+        Lines in the unit of the spacing.
     """
     barbs = [(end * way, _TIP * (side * aside - end * way)) for end in (-1, 1) for side in (-1, 1)]
     return _at_each(at, [(-way, 2 * way), *barbs])
 
 
 def barbed(at: Array, by: Array, back: Array | float, plane: Array) -> Float64Array:
-    """Draw arrows: a shaft and two barbs each.
+    """Return the lines of arrows, each with a shaft and two barbs.
 
     Parameters
     ----------
     at, by : ndarray, shape (N, n)
-        Starts and steps of the arrows, in the unit of the spacing. No step is perpendicular to the
-        plane.
+        Starts and steps of the arrows, in the unit of the spacing. No step may be perpendicular to
+        the plane.
     back : float or ndarray, shape (N, 1)
         Length of the barbs along the shaft, in the unit of the spacing.
     plane : ndarray, shape (2, n)
@@ -187,7 +187,7 @@ def barbed(at: Array, by: Array, back: Array | float, plane: Array) -> Float64Ar
     Returns
     -------
     ndarray, shape (3 N, 2, n), float64
-        In the unit of the spacing.
+        Lines in the unit of the spacing.
     """
     way = by @ plane.T
     way = way / np.linalg.norm(way, axis=-1, keepdims=True)
@@ -198,7 +198,7 @@ def barbed(at: Array, by: Array, back: Array | float, plane: Array) -> Float64Ar
 
 
 def crosses(at: Array, arms: Array) -> Float64Array:
-    """Draw two lines through each point `at`, (N, n), along the two `arms`, (2, n)."""
+    """Return two lines through each point `at`, (N, n), along the two `arms`, (2, n)."""
     return _at_each(at, [(-arm, 2 * arm) for arm in arms])
 
 
@@ -210,7 +210,7 @@ def _at_each(at: Array, lines: Iterable[Any]) -> Float64Array:
 
 
 def _cuts(at: float, radius: float, step: float) -> Iterator[tuple[float, float]]:
-    """Yield the offset from the centre of a ball, and the radius, of the circle in each slice."""
+    """Yield, for each slice of a ball, the offset from the centre and the radius of the circle."""
     nearest, reach = round(at / step), int(radius / step) + 1
     for number in range(nearest - reach, nearest + reach + 1):
         off = number * step - at

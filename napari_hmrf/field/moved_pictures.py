@@ -1,4 +1,4 @@
-"""Image and overlays, warped by one solution after another."""
+"""Image and overlays, warped by successive solutions."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Array = npt.NDArray[Any]
 
 
 class MovedPictures:
-    """Warper of an image and its overlays that is reused from solution to solution.
+    """Reusable warper of an image and its overlays.
 
     Call its methods on the compute thread only.
     """
 
     def __init__(self) -> None:
         self._warper: tuple[Array | None, tuple[Picture, ...], Warper] | None = None
-        # Warper of slices of a volume, with the axis across them and the image.
+        # Axis perpendicular to the displayed slices, image, and warper of the slices of a volume.
         self._slicer: tuple[int, Array, Warper] | None = None
 
     def whole(
@@ -35,9 +35,9 @@ class MovedPictures:
         ----------
         image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
         over : tuple of Picture
-            Overlays.
+            Overlays of the image.
         solution : Solution, optional
-            If None, nothing moves.
+            Solution that moves the images; None for no motion.
 
         Returns
         -------
@@ -72,7 +72,7 @@ class MovedPictures:
         ----------
         image : ndarray, shape (D, H, W) or (D, H, W, 3 or 4)
         axis, number : int
-            Axis across the slice, and index of the slice on it.
+            Axis perpendicular to the slice, and index of the slice along this axis.
         displacement : ndarray, shape (d, h, w, 3)
             Material displacement at every `every`-th voxel, in the unit of the spacing.
         tissue : ndarray of bool, shape (D, H, W)

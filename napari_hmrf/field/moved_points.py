@@ -11,20 +11,20 @@ import scipy
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
 
-#: Number of line segments that replace a side of a rectangle, and an ellipse.
+#: Number of line segments that replace a side of a rectangle; number that replace an ellipse.
 _PIECES, _ROUND = 8, 64
 
 
 def moved_points(
     points: npt.ArrayLike, displacement: npt.ArrayLike, *, spacing: Sequence[float]
 ) -> npt.NDArray[np.float64]:
-    """Move points with the tissue from X to X + d(X); d is linear between pixels.
+    """Move points with the tissue, from X to X + d(X), where d is linear between pixels.
 
     Parameters
     ----------
     points : array_like, shape (N, n)
-        Positions in pixels, in the order of the axes. Points outside of the image move like the
-        nearest point of its edge.
+        Positions in pixels, in axis order. Points outside the image move like the nearest point of
+        its border.
     displacement : array_like, shape ([D,] H, W, n)
         Material displacement, in the unit of `spacing`.
     spacing : sequence of float, shape (n,)
@@ -38,7 +38,7 @@ def moved_points(
     Raises
     ------
     ProblemError
-        If the points and the displacement differ in their number of axes.
+        If the points do not have one coordinate for each component of the displacement.
     """
     d = as_numbers("displacement", displacement)
     at = as_numbers("points", points).astype(np.float64)
@@ -49,7 +49,9 @@ def moved_points(
 
 
 def refuse_outside(points: npt.ArrayLike, shape: tuple[int, ...]) -> None:
-    """Refuse points that all lie outside a grid, as points in mm do that are taken as pixels.
+    """Raise an error if all points are outside a grid.
+
+    The usual reason is that the points are in mm instead of pixels.
 
     Parameters
     ----------
@@ -61,7 +63,7 @@ def refuse_outside(points: npt.ArrayLike, shape: tuple[int, ...]) -> None:
     Raises
     ------
     ProblemError
-        If all points lie outside; the error names the first.
+        If all points are outside the grid; the error names the first point.
     """
     at = as_numbers("points", points).astype(np.float64)
     if at.ndim != 2 or at.shape[1] != len(shape) or not len(at):
@@ -79,7 +81,7 @@ def refuse_outside(points: npt.ArrayLike, shape: tuple[int, ...]) -> None:
 def interpolate_linearly(
     field: npt.NDArray[np.floating], points: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Interpolate a field linearly at some points; it is constant beyond its edge.
+    """Interpolate a field linearly at points; beyond its border the field is constant.
 
     Parameters
     ----------
@@ -90,6 +92,7 @@ def interpolate_linearly(
     Returns
     -------
     ndarray, shape (N, k), float64
+        Interpolated values.
     """
     parts = [
         scipy.ndimage.map_coordinates(field[..., part], points.T, order=1, mode="nearest")
@@ -101,7 +104,7 @@ def interpolate_linearly(
 def interpolate_with_slopes(
     field: npt.NDArray[np.floating], points: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Interpolate a field and its derivatives linearly at some points.
+    """Interpolate a field linearly at points, and compute its derivatives.
 
     Parameters
     ----------
@@ -111,10 +114,10 @@ def interpolate_with_slopes(
     Returns
     -------
     values : ndarray, shape (N, k)
-        As from `interpolate_linearly`.
+        As returned by `interpolate_linearly`.
     slopes : ndarray, shape (N, k, n)
-        Derivatives along each axis, per pixel, in the cell that contains the point; 0 beyond the
-        edge.
+        Derivatives with respect to each axis, per pixel, in the cell that contains the point; 0
+        beyond the border.
     """
     n = points.shape[1]
     last = np.array(field.shape[:-1]) - 1
@@ -125,7 +128,7 @@ def interpolate_with_slopes(
         np.stack([end[:, axis] for end in ends]).reshape(*np.eye(n, dtype=int)[axis] + 1, -1)
         for axis in range(n)
     ]
-    # Reduce the cells axis by axis: `parts` has the values and then the slopes of the axes so far.
+    # Interpolate axis by axis: `parts` contains the values, then the slopes along the axes so far.
     parts = [field[tuple(corners)].astype(np.float64)]
     for axis in range(n):
         share, inside = (at - low)[:, axis, None], (at == points)[:, axis, None]
@@ -135,22 +138,22 @@ def interpolate_with_slopes(
 
 
 def bendable(corners: npt.NDArray[np.float64], kind: str) -> tuple[npt.NDArray[np.float64], str]:
-    """Convert a rectangle or an ellipse to a polygon, which can bend with the tissue.
+    """Convert a rectangle or an ellipse to a polygon, which can deform with the tissue.
 
     Parameters
     ----------
     corners : ndarray, shape (N, n)
-        Vertices in pixels, in the order along the outline; for an ellipse, the corners of its
+        Vertices in pixels, in order along the outline; for an ellipse, the corners of its
         bounding box.
     kind : str
-        Kind of shape in napari; only "rectangle" and "ellipse" are converted.
+        Type of shape in napari; only "rectangle" and "ellipse" are converted.
 
     Returns
     -------
     points : ndarray, shape (M, n)
         Vertices in pixels.
     kind : str
-        "polygon" for a rectangle or an ellipse, else the given kind.
+        "polygon" for a rectangle or an ellipse, otherwise the given type.
     """
     if kind == "rectangle":
         part = np.linspace(0, 1, _PIECES, endpoint=False)[:, None]

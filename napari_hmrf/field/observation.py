@@ -14,7 +14,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 
-#: Distance from the centres of its outermost pixels to which a field extends, in pixels.
+#: Distance, in pixels, by which a field extends beyond the centres of its outermost pixels.
 _REACH = 0.5 + 1e-3
 
 
@@ -24,15 +24,15 @@ class Observation(NamedTuple):
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
-        Displacement in the unit of the slice; 0 at other pixels.
+        Displacement in the unit of the slice; 0 at unknown pixels.
     known : ndarray of bool, shape ([D,] H, W)
         Mask of the pixels that a field covers, or at which an arrow starts.
     out : float
-        For a field, the largest component across the slice, which `displacement` does not contain;
-        for arrows, the number of arrows perpendicular to the slice, which are ignored. 0 for a
-        volume.
+        For a field, the largest component perpendicular to the slice, which `displacement` does
+        not contain; for arrows, the number of arrows perpendicular to the slice, which are
+        ignored. 0 for a volume.
     note : str
-        Clause about an assumption on units; "" if there is none.
+        Assumption about units, as a clause; "" if there is none.
     """
 
     displacement: npt.NDArray[np.float32]
@@ -42,14 +42,14 @@ class Observation(NamedTuple):
 
 
 class PixelField(NamedTuple):
-    """Displacement field in pixels, with the place of its grid.
+    """Displacement field in pixels, and the place of its grid.
 
     Attributes
     ----------
     field : DisplacementField
-        Field in the pixels of its grid, with components along all its axes.
+        Field in the pixels of its grid, with one component for each axis of the grid.
     frame : Frame
-        Place of the grid, at its first site.
+        Place of the first site of the grid.
     """
 
     field: DisplacementField
@@ -57,15 +57,15 @@ class PixelField(NamedTuple):
 
     @classmethod
     def of(cls, solution: Solution, place: Frame) -> PixelField:
-        """Return the field of a solution on the pixels of its slice or volume."""
+        """Create the field of a solution on the pixels of its slice or volume."""
         pixels = place.put_field(solution.displacement / solution.spacing)
         return cls(DisplacementField.in_pixels(pixels), place)
 
     def on(self, frame: Frame, shape: tuple[int, ...]) -> Observation:
-        """Resample the field on the pixels of a slice or volume, by their places in the world.
+        """Resample the field on the pixels of a slice or volume, by world coordinates.
 
-        If only one of the grids has a unit of length, pixels of both grids are assumed to
-        correspond.
+        If only one of the two grids has a unit of length, their pixels are assumed to correspond
+        one to one.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class PixelField(NamedTuple):
         Raises
         ------
         ProblemError
-            If the field covers no pixel of the slice, or the units cannot be converted and the
+            If the field covers no pixel of the slice, or if the units cannot be converted and the
             grids have different shapes.
         """
         own, more = self.field.shape, self.frame.ndim - frame.ndim
@@ -135,7 +135,7 @@ def arrow_observation(
     spacing: tuple[float, ...],
     shape: tuple[int, ...],
 ) -> Observation:
-    """Return the displacement given by arrows, each at the pixel in which it starts.
+    """Return the displacement that arrows prescribe at the pixels in which they start.
 
     Parameters
     ----------
@@ -155,8 +155,8 @@ def arrow_observation(
     Raises
     ------
     ProblemError
-        If an arrow starts outside the grid, differs from another arrow in the same pixel, or has
-        NaN; the error names its number.
+        If an arrow starts outside the grid, differs from another arrow in the same pixel, or
+        contains NaN or infinity; the error names its number.
     """
     bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
     if len(bad):

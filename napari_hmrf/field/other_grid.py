@@ -20,11 +20,11 @@ from napari_hmrf.field.warp import inverse_map
 from napari_hmrf.solver.solution import Solution
 
 Array = npt.NDArray[Any]
-#: Largest distance between corresponding pixels of equal grids, in pixels.
+#: Largest distance, in pixels, between corresponding pixels of equal grids.
 _SAME = 1e-3
-#: Largest distance of a point on a slice from the centre of the slice, in slices.
+#: Largest distance between a point on a slice and the centre of the slice, in slices.
 _ON = 0.5
-#: Names of spatial axes that may have no unit of length.
+#: Names of axes that are spatial even without a unit of length.
 _DEPTHS = ("z", "depth", "slice", "plane", "section")
 
 
@@ -32,15 +32,15 @@ _DEPTHS = ("z", "depth", "slice", "plane", "section")
 class OtherGrid:
     """Grid that overlaps a solution and moves with its tissue.
 
-    Points outside of the solution's pixels, or on another slice, stay in place.
+    Points outside the pixels of the solution, or on another slice, do not move.
 
     Attributes
     ----------
     solution : Solution
     to : ndarray, shape (m + k, n + 1)
         Transform from homogeneous pixels of the grid. The first m rows give pixels along the axes
-        of the solution; the others give the distance from the slice of the solution, in slices,
-        along the k axes across it.
+        of the solution. The other k rows give the distance from the slice of the solution, in
+        slices, along the axes perpendicular to the slice.
     plane : sequence of int, shape (m,)
         Axes of the grid that correspond to the axes of the solution.
     """
@@ -51,10 +51,10 @@ class OtherGrid:
 
     @classmethod
     def of(cls, solution: Solution, frame: Frame, own: Frame) -> OtherGrid:
-        """Return a grid, which may have other pixels and more axes than the solution.
+        """Create a grid, which may have other pixels and more axes than the solution.
 
-        Only the slice of the solution moves along a spatial axis across it. All slices move along
-        other axes, such as time, channels, or an axis of unknown meaning.
+        Along a spatial axis perpendicular to the solution, only the slice of the solution moves.
+        Along other axes, such as time, channels, or an axis of unknown meaning, all slices move.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class OtherGrid:
         return cls(solution, to, plane)
 
     def moved_points(self, points: Array) -> Array:
-        """Move points with the tissue; positions are in pixels of the grid, shape (N, n)."""
+        """Move points, shape (N, n) in pixels of the grid, with the tissue."""
         at, inside = self._at(points)
         steps = interpolate_linearly(self.solution.displacement / self.solution.spacing, at[inside])
         moved = points.astype(float)
@@ -104,7 +104,7 @@ class OtherGrid:
         Parameters
         ----------
         pixels : ndarray
-            Image on the grid, which may have colours on a last axis.
+            Image on the grid; the last axis may contain colours.
         order : int
             Order of interpolation, as for `warp`.
 
@@ -121,7 +121,7 @@ class OtherGrid:
             index = np.zeros(n)
             index[others] = numbers
             at = np.round(self.to @ [*index, 1.0], 6)
-            if before is None or not np.array_equal(at, before):  # along time it is unchanged
+            if before is None or not np.array_equal(at, before):  # it is the same at all times
                 before, origins = at, self._origins_on(index, slices.shape[len(others) : n])
             if origins is not None:
                 picture = slices[numbers]
@@ -130,7 +130,7 @@ class OtherGrid:
         return moved
 
     def _at(self, points: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Return points in pixels of the solution, and a mask of the points inside of it."""
+        """Return points in pixels of the solution, and a mask of the points inside the solution."""
         at = points @ self.to[:, :-1].T + self.to[:, -1]
         size = np.array(self.solution.tissue.shape)
         within, across = at[:, : len(size)], at[:, len(size) :]
@@ -138,7 +138,7 @@ class OtherGrid:
         return within, inside.all(axis=1) & (np.abs(across) <= _ON).all(axis=1)
 
     def _origins_on(self, index: Array, shape: tuple[int, ...]) -> tuple[Array, Array] | None:
-        """Return the origins and the cover mask of the pixels of a slice; None if none moves."""
+        """Return the origins and the mask of covered pixels of a slice; None if no pixel moves."""
         sites = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, len(shape))
         points = np.zeros((len(sites), len(index))) + index
         points[:, self.plane] = sites
@@ -157,7 +157,7 @@ class OtherGrid:
 
     @cached_property
     def _back(self) -> Array:
-        """Matrix from steps in pixels of the solution to steps in pixels of the grid."""
+        """Matrix that converts steps in pixels of the solution to steps in pixels of the grid."""
         inverse: Array = np.linalg.inv(self.to[: len(self.plane)][:, list(self.plane)])
         return inverse
 
@@ -178,6 +178,6 @@ class OtherGrid:
 
 
 def _is_space(frame: Frame, axis: int) -> bool:
-    """Return whether an axis is spatial by its unit or its name."""
+    """Return whether an axis is spatial, judged by its unit or name."""
     length = np.isfinite(unit_factor(frame.units[axis], "millimeter"))
     return bool(length) or frame.axis_labels[axis].lower() in _DEPTHS

@@ -1,4 +1,4 @@
-"""Quantities of a result that are shown as colours: displacement, change of area, strain."""
+"""Quantities of a result that are displayed in colour: displacement, area change, strain."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Quantity = Literal[
     "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
 ]
 _PER_CENT = 100.0
-#: Title and unit of each quantity; the unit "" stands for the unit of length, "{kind}" for the
-#: `StrainKind`. The strains along rows and columns, and their shear, are the components within
+#: Title and unit of each quantity. The unit "" means the unit of length, and "{kind}" is replaced
+#: by the `StrainKind`. "rows", "columns" and "shear" are the components of the strain within
 #: slices, also for a volume.
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "magnitude": ("displacement", ""),
@@ -33,7 +33,7 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
 
 
 def title_and_unit(quantity: Quantity, solution: Solution) -> tuple[str, str]:
-    """Return the title and the unit of a quantity; the title of a strain names its kind."""
+    """Return the title and the unit of a quantity; the title of a strain includes its kind."""
     title, unit = QUANTITIES[quantity]
     if solution.tissue.ndim == 3:
         unit = unit.replace("area", "volume")
@@ -41,7 +41,7 @@ def title_and_unit(quantity: Quantity, solution: Solution) -> tuple[str, str]:
 
 
 class Coloured(NamedTuple):
-    """Quantity of the tissue, on the pixels before the motion, with its colour scale.
+    """Quantity of the tissue on the pixels before the motion, and its colour scale.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class Coloured(NamedTuple):
     limits : (float, float)
         Ends of the scale.
     signed : bool
-        True if no change is in the middle of the scale; False if it is at its lower end.
+        True if the middle of the scale means no change; False if its lower end does.
     folded : bool
-        True if there are folds, whose values are at the lower limit or below.
+        True if tissue is folded; values at folds are at the lower limit or below.
     """
 
     values: FloatArray
@@ -69,8 +69,8 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
     solution : Solution
     quantity : {"magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", \
 "shear"}
-        Strains are of the kind given by `strain_kind`. "stretch" and "squeeze" are the largest and
-        the smallest principal strain, for an image within its plane. "jacobian" is that of
+        Strains are of the kind given by `strain_kind`. "stretch" is the largest and "squeeze" the
+        smallest principal strain, in the plane of an image. "jacobian" is computed by
         `area_change`.
 
     Returns
@@ -87,19 +87,19 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
 
 
 def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> FloatArray:
-    """Compute the values of a quantity after a fraction of the deformation.
+    """Compute the values of a quantity at a fraction of the deformation.
 
     Parameters
     ----------
     solution, quantity
         As for `coloured`.
     fraction : float
-        Part of the displacement, from 0 to 1.
+        Fraction of the displacement, from 0 to 1.
 
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        As `values` of `Coloured`.
+        Values in the unit of `QUANTITIES`; NaN outside tissue.
     """
     tissue = solution.tissue
     if quantity == "magnitude":
@@ -121,8 +121,8 @@ def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> 
 def area_change(solution: Solution, fraction: float = 1.0) -> FloatArray:
     """Compute the ratio of the areas, or volumes, after and before the motion at each site.
 
-    The ratio is the Jacobian determinant; at folds it is the smallest determinant around the site,
-    so that it is 0 or below at all folds. It is NaN outside tissue.
+    The ratio is the Jacobian determinant. At folds it is the smallest determinant around the site,
+    which is 0 or below. Outside tissue it is NaN.
     """
     displacement = solution.displacement * np.float32(fraction)
     return determinant_or_fold(displacement, solution.spacing, solution.tissue)

@@ -1,7 +1,7 @@
-"""Compilation of the loops and shaders of a drag before the first drag.
+"""Compilation of the loops and shaders of a drag, before the first drag.
 
-Compiled code is cached on disk, so that this takes time only once per machine. Without this module,
-the first drag would wait for the compiler.
+Compiled code is cached on disk, so compilation takes time only once per computer. Without this
+module, the first drag would wait for the compiler.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
 
-#: Sites along each axis of the small problem.
+#: Number of sites along each axis of the small problem.
 _SIZE = 24
 
 
@@ -33,7 +33,7 @@ def rehearse(
     left: CancelFlag,
     more: bool = False,
 ) -> None:
-    """Solve a small problem and warp a corner of an image, which compiles the code that they use.
+    """Solve a small problem and warp a small image, to compile the code of a drag.
 
     Call on the compute thread only.
 
@@ -41,13 +41,13 @@ def rehearse(
     ----------
     prior : Prior
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, channels)
-        Image that the drag will warp.
+        Image that the drag will warp; only a corner of it is used here.
     spacing : tuple of float, shape (n,)
-        Size of its pixels along each axis.
+        Size of a pixel of the image along each axis.
     report, left
         As `progress` and `cancel` of `solve`.
     more : bool
-        If True, compile code for features that only some drawings use: constraints that may slip,
+        If True, also compile code that only some drawings require: for constraints that may slip,
         painted labels, and confidence.
     """
     if left.is_set():

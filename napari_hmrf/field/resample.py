@@ -1,4 +1,4 @@
-"""Interpolation of an image at the source positions of its tissue."""
+"""Interpolation of an image at the origins of its tissue."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ def resample(
 ) -> npt.NDArray[Any]:
     """Interpolate an image at the coordinates of an `inverse_map`.
 
-    NaN and infinite pixels do not spread: the interpolation around them ignores them.
+    NaN and infinite values do not spread: they are ignored by the interpolation around them.
 
     Parameters
     ----------
     image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
     coordinates, covered
-        From `inverse_map`.
+        Output of `inverse_map`.
     order, fill
         As in `warp`.
 
     Returns
     -------
     ndarray
-        With the shape and dtype of `image`.
+        Resampled image, with the shape and dtype of `image`.
 
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
     """
     source = as_numbers("coordinates", coordinates).astype(np.float64, copy=False)
     mask = as_numbers("covered", covered).astype(bool, copy=False)
@@ -88,11 +88,11 @@ def _by_loop(
     order: int,
     background: npt.NDArray[Any],
 ) -> npt.NDArray[Any] | None:
-    """Interpolate a volume with the compiled loop; None if it is unsuitable or not compiled yet."""
+    """Interpolate a volume with the compiled loop; None if the loop cannot be used."""
     kind = picture.dtype
     nearest = order == 0 or kind.kind == "b"
-    # Values that are only copied can be reinterpreted as any dtype of the same size; others are
-    # converted to a dtype that holds all their values.
+    # Values that are only copied can be reinterpreted as any dtype of the same size. Other values
+    # are converted to a dtype that represents them exactly.
     bits = nearest and kind.kind in "iu" and kind.itemsize == 8 and kind.isnative
     taken = _numbers_for(kind)
     if not (bits or taken) or not (nearest or order == 1) or not loops.ready_for_volumes():
@@ -120,14 +120,14 @@ def _by_loop(
             for slab in slabs(covered.shape)
         )
 
-    if not compute_thread.result_of(looked_up, "a volume to be looked up"):
+    if not compute_thread.result_of(looked_up, "resampling a volume"):
         return None
     moved = moved.view(kind) if bits else moved.astype(kind, copy=False)
     return moved.reshape(picture.shape)
 
 
 def _numbers_for(kind: np.dtype[Any]) -> str:
-    """Return the dtype of the loop for volumes that holds all values of a dtype, or ""."""
+    """Return the dtype of the loop for volumes that represents all values of a dtype, or ""."""
     for taken in ("float32", "float64"):
         wide = kind.kind in "iu" and kind.itemsize == 8  # `can_cast` wrongly accepts these
         if np.can_cast(kind, taken) and not wide:
@@ -136,7 +136,7 @@ def _numbers_for(kind: np.dtype[Any]) -> str:
 
 
 def sampled(picture: npt.NDArray[Any], places: Float64Array, order: int) -> npt.NDArray[Any]:
-    """Interpolate a grey or colour picture at places, (..., n) in pixels; return a new array."""
+    """Interpolate a grey or colour image at positions, (..., n) in pixels; return a new array."""
     n = places.shape[-1]
     axes = tuple(np.moveaxis(places, -1, 0))
     nearest = tuple(
@@ -153,15 +153,15 @@ def sampled(picture: npt.NDArray[Any], places: Float64Array, order: int) -> npt.
 
 
 def unknown_values(picture: npt.NDArray[Any], axes: int, name: str) -> str:
-    """Return a clause about the NaN or infinite pixels of a picture; "" if it has none.
+    """Return a clause about the NaN or infinite pixels of an image; "" if there are none.
 
     Parameters
     ----------
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, channels)
     axes : int
-        Number of axes before the channels: 2, or 3 for a volume.
+        Number of spatial axes: 2, or 3 for a volume.
     name : str
-        Name of the picture, with which the clause begins.
+        Name of the image, which is the start of the clause.
 
     Returns
     -------
@@ -178,7 +178,7 @@ def unknown_values(picture: npt.NDArray[Any], axes: int, name: str) -> str:
 
 
 def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
-    """Interpolate the field of every `step`-th pixel linearly to all pixels.
+    """Interpolate a solution on every `step`-th pixel linearly to all pixels.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
     tissue : ndarray of bool, shape (H, W)
         Tissue on the finer grid.
     step : int
-        Distance of neighbouring sites of the solution along each axis, in pixels.
+        Distance between neighbouring sites of the solution along each axis, in pixels.
 
     Returns
     -------
@@ -213,23 +213,23 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
 
 
 def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:
-    """Return the fill value of uncovered pixels: 0 for colours, else the lowest grey value.
+    """Return the fill value of uncovered pixels: 0 for colours, the lowest value for grey images.
 
-    The lowest value is air in CT. It is returned as a Python number of its type, because a float
-    cannot represent the largest integers.
+    In CT the lowest value is air. The fill value is a Python number of the type of the image,
+    because a float cannot represent the largest integers.
 
     Parameters
     ----------
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, channels)
     axes : int
-        Number of axes before the channels: 2, or 3 for a volume.
+        Number of spatial axes: 2, or 3 for a volume.
     """
     finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
     return 0 if picture.ndim > axes or not finite.size else finite.min().item()
 
 
 def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
-    """Check that an image has the shape of a grid, with optional channels last."""
+    """Check that an image has the shape of a grid, with an optional last axis of channels."""
     picture, n = as_numbers("image", image), len(grid)
     if n < 2 or picture.ndim not in (n, n + 1) or picture.shape[:n] != tuple(grid):
         given = "(D, H, W) or (D, H, W, channels)" if n == 3 else "(H, W) or (H, W, channels)"
@@ -249,9 +249,9 @@ def checked_order(order: int) -> int:
 
 
 def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
-    """Convert the fill value to the image's dtype, or refuse it if it does not fit."""
+    """Convert a fill value to the dtype of an image; raise an error if the value does not fit."""
     try:
-        # Integers are compared as integers: the largest, as floats, would be rounded up.
+        # Integers are compared as integers: as a float, the largest integer would be rounded up.
         whole = dtype.kind in "iu" and isinstance(fill, int | np.integer)
         value = fill if whole else float(fill)
         low, high = (0, 1) if dtype.kind == "b" else (-math.inf, math.inf)
@@ -261,21 +261,21 @@ def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
     except (TypeError, ValueError, OverflowError):
         fits = False
     if not fits:
-        raise ProblemError("fill", f"is {shown(fill)}, which an image of type {dtype} cannot hold.")
+        raise ProblemError("fill", f"is {shown(fill)}. Give a value that fits the type {dtype}.")
     return np.asarray(fill).astype(dtype)
 
 
 def filled_in(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], BoolArray]:
-    """Replace each NaN or infinite value by that of the nearest finite pixel.
+    """Replace each NaN or infinite value by the value of the nearest finite pixel.
 
-    Interpolation needs this, because even a weight of 0 spreads a NaN.
+    This is required before interpolation, because a NaN spreads even with a weight of 0.
 
     Returns
     -------
     values : ndarray, shape ([D,] H, W)
-        The given array itself if all of its values are finite, or none is.
+        Filled values; the given array itself if all or none of its values are finite.
     bad : ndarray, shape ([D,] H, W), bool
-        Mask of the values that were not finite.
+        Mask of the given values that are not finite.
     """
     bad = ~np.isfinite(values)
     if bad.any() and not bad.all():
@@ -292,7 +292,7 @@ def _interpolated(
     nearest: tuple[npt.NDArray[np.intp], ...],
     order: int,
 ) -> npt.NDArray[Any]:
-    """Interpolate one channel at real-valued coordinates and keep its dtype."""
+    """Interpolate one channel at real-valued coordinates; the result has the same dtype."""
     values = channel if channel.dtype in (np.float32, np.float64) else channel.astype(np.float64)
     values, bad = filled_in(values)
     moved: npt.NDArray[Any] = scipy.ndimage.map_coordinates(values, at, order=order, mode="nearest")
@@ -302,7 +302,7 @@ def _interpolated(
             moved = np.where(bad[nearest], channel[nearest], moved)
         return moved
     bounds = np.iinfo(channel.dtype)
-    # The largest 64-bit integers are no floats: the nearest lower float is in the range.
+    # The largest 64-bit integers are not floats; use the next lower float, which is in the range.
     highest = float(bounds.max)
     if int(highest) > bounds.max:
         highest = math.nextafter(highest, 0)

@@ -1,4 +1,4 @@
-"""Slabs of a volume, between which a job can be cancelled."""
+"""Slabs of a volume, with a check for cancellation before each slab."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Iterator
 
 from napari_hmrf.solver.backends.thread import compute_thread
 
-#: Number of voxels of a slab per core; the slowest loop takes a sixth of a second for them.
+#: Number of voxels of a slab per core; the slowest loop processes them in a sixth of a second.
 VOXELS = 2**20
-#: Smallest number of planes per core; with fewer, the planes shared by two cores cost too much.
+#: Smallest number of planes per core. With fewer planes, sharing planes costs too much time.
 _PLANES = 4
 
 
 def slabs(shape: tuple[int, ...], cores: int = 1) -> Iterator[slice]:
-    """Yield the slabs of a volume in their order, and check for cancellation before each.
+    """Yield the slabs of a volume in order, with a check for cancellation before each slab.
 
     Parameters
     ----------
     shape : (int, int, int)
         Shape of the volume.
     cores : int
-        Number of cores that share a slab.
+        Number of cores that process a slab together.
 
     Yields
     ------
@@ -31,7 +31,7 @@ def slabs(shape: tuple[int, ...], cores: int = 1) -> Iterator[slice]:
     Raises
     ------
     Cancelled
-        If the job was cancelled, as by `ComputeThread.check_cancelled`.
+        If the job was cancelled; see `ComputeThread.check_cancelled`.
     """
     planes = cores * max(_PLANES, VOXELS // max(1, math.prod(shape[1:])))
     for begin in range(0, shape[0], planes):
@@ -40,14 +40,14 @@ def slabs(shape: tuple[int, ...], cores: int = 1) -> Iterator[slice]:
 
 
 def with_neighbours(slab: slice, depth: int) -> tuple[slice, slice]:
-    """Return a slab widened by a plane on either side, and the place of the slab in that.
+    """Return a slab with one more plane on each side, and the range of the slab within it.
 
     Parameters
     ----------
     slab : slice
         Range of planes.
     depth : int
-        Number of planes of the volume, to which the result is limited.
+        Number of planes of the volume; the result does not exceed them.
 
     Returns
     -------

@@ -1,19 +1,19 @@
 """Deformation gradient, area change and strain of a displacement at each site.
 
-All quantities are *material*: a value at the site X belongs to the tissue that was at X before the
-motion, on the pixel grid of the displacement. With the displacement d(X), its gradient H = dd/dX
-and the deformation gradient F = I + H they are
+All quantities are *material*: a value at the site X belongs to the tissue with position X before
+the motion, on the pixel grid of the displacement. With the displacement d(X), its gradient
+H = dd/dX and the deformation gradient F = I + H,
 
     area ratio            J = det F                        1: unchanged, 0 or below: folded
     small strain          e = (H + H^T) / 2                valid for small motions without rotation
     Green-Lagrange strain E = (F^T F - I) / 2              valid for any motion; 0 for a rotation
 
-Differences are central, one-sided where a neighbour is missing, and never taken across the border
-of the tissue; a site without neighbours along an axis counts as unstrained along that axis. The
-differences are those of `jacobian_determinant`, which is det F. Tensors are in (row, col) order:
-[..., 0, 1] is the change of the row component along a column step; in a volume the order is
-(depth, row, col). Strains have no unit (0.01 is one per cent); displacement and `spacing` must have
-the same unit. All values are NaN outside tissue.
+Differences are central, or one-sided if a neighbour is missing, and do not cross the border of the
+tissue. If both neighbours along an axis are missing, the tissue is assumed to be unstrained along
+that axis. `jacobian_determinant` uses the same differences and equals det F. Tensors are in
+(row, col) order: H[..., 0, 1] is the derivative of the row component with respect to the column.
+In a volume the order is (depth, row, col). Strains have no unit (0.01 is one per cent). The
+displacement and `spacing` must have the same unit. All values are NaN outside tissue.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ __all__ = [
     "strain_through_slice",
 ]
 
-#: Number of planes of a volume whose strains are computed together, to limit memory.
+#: Number of planes of a volume that are processed together, to limit memory.
 _SLAB = 8
-# Number of sites computed between two checks for cancellation.
+# Number of sites that are processed between two checks for cancellation.
 _AT_ONCE = 2**17
 
 
@@ -72,23 +72,22 @@ def deformation_gradient(
 
     Parameters
     ----------
-    displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
+    displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
         Material displacement in the order of the axes, in the unit of `spacing`.
     spacing : float or sequence of float, shape (n,)
-        Size of a pixel along each axis, or along all of them.
+        Size of a pixel along each axis; a scalar applies to all axes.
     tissue : array_like of bool, shape ([D,] H, W), optional
         Mask of the tissue; by default all sites.
 
     Returns
     -------
     ndarray, shape ([D,] H, W, n, n), float32
-        F[..., i, j] is the component along axis i of the deformed unit step along axis j. NaN
-        outside tissue.
+        F[..., i, j] is component i of the deformed unit step along axis j. NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
     """
     gradient, mask = displacement_gradient(displacement, spacing, tissue)
     return on_sites(gradient + np.eye(mask.ndim), mask)
@@ -100,7 +99,7 @@ def fold_mask(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> BoolArray:
-    """Return a mask of the sites where tissue folds or collapses, which `count_folds` counts.
+    """Return a mask of the sites at which tissue folds or collapses; see `count_folds`.
 
     Parameters
     ----------
@@ -110,14 +109,13 @@ def fold_mask(
     Returns
     -------
     ndarray, shape ([D,] H, W), bool
-        True if the determinant at the site is 0 or below in any of its elements, as for
-        `count_folds`. This finds more folds than J <= 0, which misses a single site that has moved
-        past its neighbour.
+        True if the determinant is 0 or below in at least one element around the site. This mask
+        includes folds at which J > 0, such as a single site that has moved past its neighbour.
 
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
     """
     folded: BoolArray = smallest_determinant(displacement, spacing, tissue) <= 0
     return folded
@@ -129,10 +127,10 @@ def small_strain(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the strain of linear elasticity, e = (H + H^T) / 2, as used by `ElasticPrior`.
+    """Return the strain of linear elasticity, e = (H + H^T) / 2, as in `ElasticPrior`.
 
-    In this strain, tissue that rotates by an angle a seems to shrink by 1 - cos(a); in
-    `green_lagrange_strain` it does not.
+    In this measure, tissue that rotates by an angle a appears to shrink by 1 - cos(a). The
+    `green_lagrange_strain` does not have this error.
 
     Parameters
     ----------
@@ -142,13 +140,13 @@ def small_strain(
     Returns
     -------
     ndarray, shape ([D,] H, W, n, n), float32
-        Symmetric; [..., i, i] is the strain along an axis, [..., i, j] half the change of the angle
-        between two axes. NaN outside tissue.
+        Symmetric tensors: [..., i, i] is the strain along axis i, and [..., i, j] half the change
+        of the angle between axes i and j. NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
     """
     gradient, mask = displacement_gradient(displacement, spacing, tissue)
     return on_sites(symmetric(gradient), mask)
@@ -162,7 +160,7 @@ def green_lagrange_strain(
 ) -> FloatArray:
     """Return the Green-Lagrange strain, E = (F^T F - I) / 2, which is 0 for a rotation.
 
-    The motion changes the length of a fibre along the unit vector a by the factor
+    The motion changes the length of a fibre in the direction of the unit vector a by the factor
     sqrt(1 + 2 a.E a).
 
     Parameters
@@ -173,12 +171,12 @@ def green_lagrange_strain(
     Returns
     -------
     ndarray, shape ([D,] H, W, n, n), float32
-        Symmetric, in the order of the axes, before the motion. NaN outside tissue.
+        Symmetric tensors before the motion, with components in axis order. NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
     """
     gradient, mask = displacement_gradient(displacement, spacing, tissue)
     return on_sites(green_lagrange(gradient), mask)
@@ -186,7 +184,7 @@ def green_lagrange_strain(
 
 def green_lagrange(gradient: Float64Array) -> Float64Array:
     """Return the Green-Lagrange strain of displacement gradients H, shape (N, n, n)."""
-    # (F^T F - I) / 2 is computed from H, because in F small strains are rounded off next to 1.
+    # Compute (F^T F - I) / 2 from H: in F, small strains would be lost to rounding next to 1.
     product = np.einsum("...ki,...kj->...ij", gradient, gradient)
     return np.asarray(symmetric(gradient) + product / 2)
 
@@ -196,24 +194,24 @@ def values_by_parts(
     value: Callable[[Float64Array, npt.ArrayLike], npt.NDArray[np.floating]],
     tissue: BoolArray,
 ) -> FloatArray:
-    """Compute a scalar from the strain of each site.
+    """Compute a scalar from the strain at each site.
 
-    A volume is processed a few planes at a time, because the strains of all its sites would take
+    A volume is processed a few planes at a time, because the strains of all sites would require
     nine times the memory of the result.
 
     Parameters
     ----------
     strains : callable
-        Returns, for a range of the first axis, the strains of the tissue, (N, n, n); for an image
-        the strains across its plane, (N,) or 0; and the mask of the N sites.
+        Function of a range of the first axis. It returns the strains of the tissue, (N, n, n); the
+        strains perpendicular to an image, (N,) or 0; and the mask of the N sites.
     value : callable
-        Computes scalars, shape (N,), from both strains.
+        Function that computes scalars, (N,), from the two kinds of strain.
     tissue : ndarray of bool, shape ([D,] H, W)
 
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        NaN outside tissue.
+        Scalars; NaN outside tissue.
     """
     slab = len(tissue) if tissue.ndim == 2 else _SLAB
     values = np.full(tissue.shape, np.nan, np.float32)
@@ -236,7 +234,7 @@ def values_by_parts(
 
 
 def principal_strains(strain: npt.ArrayLike) -> FloatArray:
-    """Return the principal strains, the eigenvalues of the strain tensor.
+    """Return the principal strains, which are the eigenvalues of the strain tensor.
 
     Parameters
     ----------
@@ -246,12 +244,12 @@ def principal_strains(strain: npt.ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., n), float32
-        In descending order, so that the largest stretch comes first; NaN where the strain is NaN.
+        Principal strains in descending order; NaN where the strain is NaN.
 
     Raises
     ------
     ProblemError
-        If the strain has another shape.
+        If the strain has an invalid shape.
     """
     tensor = _as_strain(strain, 2, 3)
     if tensor.shape[-1] == 3:
@@ -264,30 +262,30 @@ def principal_strains(strain: npt.ArrayLike) -> FloatArray:
 
 
 def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> FloatArray:
-    """Return the equivalent strain of von Mises, a scalar measure of distortion.
+    """Return the von Mises equivalent strain, a scalar measure of distortion.
 
-    It is sqrt(2/3 e':e'), where e' = e - tr(e)/3 I is the deviatoric part of the strain, which
-    changes the shape and not the volume. A bar of incompressible tissue that is stretched by e
-    along its axis has the value e; a simple shear by g has the value g / sqrt(3).
+    The equivalent strain is sqrt(2/3 e':e'), where e' = e - tr(e)/3 I is the deviatoric part of the
+    strain, which changes the shape but not the volume. For a bar of incompressible tissue that is
+    stretched by e along its axis it equals e; for a simple shear by g it equals g / sqrt(3).
 
     Parameters
     ----------
-    strain : array_like, shape (..., 2, 2), or (..., 3, 3) of a volume
-        Symmetric; for an image, the strain in its plane.
+    strain : array_like, shape (..., 2, 2) or (..., 3, 3)
+        Symmetric strain tensors; for an image, the strain in its plane.
     through : array_like, shape (...)
-        Strain across the plane of an image, which the image does not determine: 0 for a slice held
-        between its neighbours, `strain_through_slice` for a slice that is free to bulge. Shears
-        across the plane are taken as 0. Ignored for a volume.
+        Strain perpendicular to an image, which the image does not determine. It is 0 for a slice
+        between fixed neighbours, and `strain_through_slice` for a slice that is free to bulge.
+        Shears perpendicular to the image are assumed to be 0. Ignored for a volume.
 
     Returns
     -------
     ndarray, shape (...), float32
-        Never negative; NaN where the strain is NaN.
+        Non-negative values; NaN where the strain is NaN.
 
     Raises
     ------
     ProblemError
-        If the strain has another shape.
+        If the strain has an invalid shape.
     """
     tensor = _as_strain(strain, 2, 3)
     across = as_numbers("through", through).astype(np.float64)
@@ -309,24 +307,24 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
 
 
 def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> FloatArray:
-    """Return the strain across a slice in plane stress: -nu / (1 - nu) (e_rr + e_cc).
+    """Return the strain perpendicular to a slice in plane stress: -nu / (1 - nu) (e_rr + e_cc).
 
     Parameters
     ----------
     strain : array_like, shape (..., 2, 2)
-        Small strain in the plane.
+        Small strain in the plane of the slice.
     poisson : array_like, shape (...)
         Poisson's ratio nu, below 0.5.
 
     Returns
     -------
     ndarray, shape (...), float32
-        Negative where the slice becomes thinner.
+        Strain; negative where the slice becomes thinner.
 
     Raises
     ------
     ProblemError
-        If the strain has another shape, or Poisson's ratio is out of range.
+        If the strain has an invalid shape, or Poisson's ratio is out of range.
     """
     tensor = _as_strain(strain, 2)
     ratio = as_numbers("poisson", poisson).astype(np.float64)
@@ -339,7 +337,7 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
 def displacement_gradient(
     displacement: npt.ArrayLike, spacing: Spacing, tissue: npt.ArrayLike | None
 ) -> tuple[Float64Array, BoolArray]:
-    """Return the gradient H = dd/dX at the N sites of tissue, (N, n, n), and their mask."""
+    """Return the gradient H = dd/dX, (N, n, n), at the N tissue sites, and the tissue mask."""
     moved, mask = moved_sites(displacement, spacing, tissue)
     sizes = checked_sizes(spacing, mask.ndim)
     if mask.ndim == 3 and loops.ready_for_volumes():
@@ -355,7 +353,7 @@ def displacement_gradient(
 
 
 def on_sites(values: Float64Array, mask: BoolArray) -> FloatArray:
-    """Scatter values at the sites of tissue to all pixels; NaN outside tissue."""
+    """Scatter values at the tissue sites to all pixels; NaN outside tissue."""
     image = np.full((*mask.shape, *values.shape[1:]), np.nan, np.float32)
     image[mask] = values
     return image
@@ -368,7 +366,7 @@ def symmetric(tensor: Float64Array) -> Float64Array:
 
 
 def _as_strain(strain: npt.ArrayLike, *axes: int) -> Float64Array:
-    """Check that strains are (n, n) tensors with n in `axes`."""
+    """Check that strains are (n, n) tensors with n in `axes`; return them as float64."""
     tensor = as_numbers("strain", strain).astype(np.float64, copy=False)
     if tensor.shape[-2:] not in [(n, n) for n in axes]:
         needed = " or ".join(f"(..., {n}, {n})" for n in axes)

@@ -1,8 +1,8 @@
-"""Compiled loops that draw the moved tetrahedra of a volume's sites into an inverse map.
+"""Compiled loops that rasterize the moved tetrahedra of a volume into an inverse map.
 
-This module imports numba; `warp` imports it when the first volume is warped, and only then are its
-loops compiled. All loops are in one file, because numba's cache is invalidated by changes of this
-file, but not by changes of modules that it imports.
+This module imports numba. `warp` imports this module when the first volume is warped, and only then
+are its loops compiled. All loops are in one file, because a change of this file invalidates numba's
+cache, but a change of an imported module does not.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
@@ -17,17 +17,17 @@ _LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
 _kept = {"cache": True, "nogil": True, **_LOOPS}
 
-# Distance outside a tetrahedron, in barycentric coordinates, at which a voxel counts as inside.
+# Tolerance, in barycentric coordinates, for a voxel to be inside a tetrahedron.
 _SIDE = 1e-9
-# Six times the volume, in voxels, below which a tetrahedron has collapsed and covers nothing.
+# Six times the volume, in voxels, below which a tetrahedron has collapsed and covers no voxel.
 _COLLAPSED = 1e-12
 # Largest distance, in voxels, between two origins of a voxel that belong to the same tissue.
 _NEAR = 1.0
-# State of a voxel onto which two parts of the tissue have moved.
+# State of a voxel onto which two different parts of the tissue have moved.
 TWICE = 3
-# Kuhn's division of a cell into six tetrahedra, each along three edges from the first corner of the
-# cell to the last: second corner, third corner (plane, row, column) and orientation of each. With
-# this division, neighbouring cells share the faces of their tetrahedra.
+# Kuhn's division of a cell into six tetrahedra, each along three edges from the first to the last
+# corner of the cell: second corner and third corner, (plane, row, column), and orientation. With
+# this division, the tetrahedra of neighbouring cells have common faces.
 _SECOND = ((1, 0, 0), (1, 0, 0), (0, 1, 0), (0, 1, 0), (0, 0, 1), (0, 0, 1))
 _THIRD = ((1, 1, 0), (1, 0, 1), (1, 1, 0), (0, 1, 1), (1, 0, 1), (0, 1, 1))
 _ROUND = (1.0, -1.0, -1.0, 1.0, 1.0, -1.0)
@@ -37,15 +37,15 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 # Residual, in voxels, below which an origin is exact; largest number of Newton steps; and
 # determinant of the gradient below which a step is undefined.
 _EXACT, _STEPS, _FLAT = 1e-7, 8, 1e-3
-# Largest difference between the displacements of a cell's corners, in voxels, summed over the axes,
-# for which no tetrahedron is checked for inversion. Below 1 the matrix of three edges of a cell is
-# never singular.
+# Largest difference, in voxels and summed over the axes, between the displacements of a cell's
+# corners for which inversion is not checked. Below 1, the edge matrix of a tetrahedron is never
+# singular.
 _ALIKE = 0.9
 
 
 @_callee
 def _mark(source, state, value, plane, row, col, from_plane, from_row, from_col):
-    """Store the origin of the tissue on a voxel, unless another part of it was drawn before."""
+    """Store the origin of the tissue on a voxel, or mark the voxel if it has a distant origin."""
     if state[plane, row, col] < value:
         state[plane, row, col] = value
         source[plane, row, col, 0] = from_plane
@@ -62,10 +62,10 @@ def _mark(source, state, value, plane, row, col, from_plane, from_row, from_col)
 @_callee
 def _draw(moved, source, state, value, first, past, plane, row, col, way):
     """Draw a moved tetrahedron if it has the requested orientation; return True if inverted."""
-    # `value` is 2 to draw tetrahedra that kept their orientation, and 1 to draw inverted ones. A
-    # voxel whose state is already that high is unchanged, except that it is marked if its tissue
-    # has another origin. Only planes from `first` to before `past` are drawn. The result is False
-    # for a tetrahedron that does not reach these planes.
+    # With `value` 2, draw tetrahedra that are not inverted; with `value` 1, draw inverted ones. A
+    # voxel with a state of at least `value` is unchanged, except that its state becomes `TWICE` if
+    # the new origin is distant. Only planes from `first` to `past` - 1 are drawn. For a tetrahedron
+    # that does not intersect these planes, the result is False.
     b0, b1, b2 = _SECOND[way]
     c0, c1, c2 = _THIRD[way]
     az = moved[plane, row, col, 0]
@@ -84,7 +84,7 @@ def _draw(moved, source, state, value, first, past, plane, row, col, way):
     cx = moved[plane + c0, row + c1, col + c2, 2] - ax
     dy = moved[plane + 1, row + 1, col + 1, 1] - ay
     dx = moved[plane + 1, row + 1, col + 1, 2] - ax
-    # Normals of the faces. Their products with a position are its barycentric coordinates times
+    # Normals of the faces. The product of a normal and a position is a barycentric coordinate times
     # six times the volume.
     bnz, bny, bnx = cy * dx - cx * dy, cx * dz - cz * dx, cz * dy - cy * dz
     cnz, cny, cnx = dy * bx - dx * by, dx * bz - dz * bx, dz * by - dy * bz
@@ -137,7 +137,7 @@ def _is_inner(tissue, plane, row, col):
 
 @_callee
 def _is_face(tissue, plane, row, col):
-    """Return whether the four sites of a cell's face across the columns are tissue."""
+    """Return whether the four corners of a cell face perpendicular to the columns are tissue."""
     return (
         tissue[plane, row, col]
         and tissue[plane, row + 1, col]
@@ -148,7 +148,7 @@ def _is_face(tissue, plane, row, col):
 
 @_callee
 def _steps_of(moved, plane, row, col):
-    """Return the least and the largest step of the four sites of `_is_face` along each axis."""
+    """Return the smallest and the largest displacement, per axis, of the sites of `_is_face`."""
     least, most = (math.inf, math.inf, math.inf), (-math.inf, -math.inf, -math.inf)
     for corner in range(4):
         i, j = plane + corner // 2, row + corner % 2
@@ -160,7 +160,7 @@ def _steps_of(moved, plane, row, col):
 
 @_callee
 def _claims(moved, source, state, plane, row, col, way, to_plane, to_row, to_col):
-    """Draw a tetrahedron that kept its orientation onto a voxel; return whether it covers it."""
+    """Draw a tetrahedron that is not inverted onto a voxel; return whether it covers the voxel."""
     b0, b1, b2 = _SECOND[way]
     c0, c1, c2 = _THIRD[way]
     az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
@@ -192,10 +192,10 @@ def _claims(moved, source, state, plane, row, col, way, to_plane, to_row, to_col
 
 @_callee
 def _draw_alike(moved, source, state, first, past, plane, row, col, least, most):
-    """Draw all tetrahedra of a cell whose corners have nearly the same displacement."""
-    # The origin of a voxel is the voxel less a step between `least` and `most`. Usually only one
-    # tetrahedron can contain this origin, and no other is tested. On a face between two
-    # tetrahedra, the first of them is used, as in `_draw`.
+    """Draw all tetrahedra of a cell with nearly equal displacements at its corners."""
+    # The origin of a voxel is its position minus a displacement between `least` and `most`. Usually
+    # a single tetrahedron can contain this origin, and the others are not tested. On a face shared
+    # by two tetrahedra, the first tetrahedron is used, as in `_draw`.
     _, height, width = state.shape
     first_plane = math.ceil(max(1.0 * first, plane + least[0] - _SIDE))
     last_plane = math.floor(min(past - 1.0, plane + 1 + most[0] + _SIDE))
@@ -210,8 +210,8 @@ def _draw_alike(moved, source, state, first, past, plane, row, col, least, most)
                 if shifted:
                     _mark(source, state, 2, z, y, x, z - least[0], y - least[1], x - least[2])
                     continue
-                # `zy` is True if the origin may be as far along z as along y in the cell; the other
-                # names have the same meaning for their axes.
+                # `zy` is True if the offset of the origin in the cell may be larger along z than
+                # along y; the other names are analogous.
                 deep, down, along = z - plane, y - row, x - col
                 zy = deep - least[0] > down - most[1] - 2 * _SIDE
                 yz = down - least[1] > deep - most[0] - 2 * _SIDE
@@ -235,7 +235,7 @@ def _draw_alike(moved, source, state, first, past, plane, row, col, least, most)
 
 @_callee
 def _reaches(moved, first, past, plane, row, col):
-    """Return whether a moved cell may lie on a plane from `first` to before `past`."""
+    """Return whether a moved cell may intersect the planes from `first` to `past` - 1."""
     low, high = math.inf, -math.inf
     for corner in range(8):
         place = moved[plane + corner // 4, row + corner // 2 % 2, col + corner % 2, 0]
@@ -245,7 +245,7 @@ def _reaches(moved, first, past, plane, row, col):
 
 @_callee
 def _draw_cell(moved, tissue, source, state, value, first, past, plane, row, col):
-    """Draw the tetrahedra of a cell one by one; return whether one of them is inverted."""
+    """Draw the tetrahedra of a cell one by one; return whether any of them is inverted."""
     turned = False
     if not (tissue[plane, row, col] and tissue[plane + 1, row + 1, col + 1]):
         return False
@@ -261,12 +261,12 @@ def _draw_cell(moved, tissue, source, state, value, first, past, plane, row, col
 
 @_callee
 def _draw_row(moved, tissue, source, state, value, first, past, plane, row):
-    """Draw a row of cells; return whether a tetrahedron is inverted."""
+    """Draw a row of cells; return whether any tetrahedron is inverted."""
     turned = whole = False
     nothing = 0.0, 0.0, 0.0
     least, most = nothing, nothing
     for col in range(-1, tissue.shape[2] - 1):
-        # Neighbouring cells share a face, whose steps are computed once.
+        # Neighbouring cells share a face; its displacements are computed only once.
         begins, low, high = whole, least, most
         whole = _is_face(tissue, plane, row, col + 1)
         if whole:
@@ -285,7 +285,7 @@ def _draw_row(moved, tissue, source, state, value, first, past, plane, row):
 
 @_callee
 def _tetrahedra(moved, tissue, source, state, reach, first, past):
-    """Draw all tetrahedra onto the planes of voxels from `first` to before `past`."""
+    """Draw all tetrahedra onto the planes of voxels from `first` to `past` - 1."""
     depth, height, _ = tissue.shape
     turned = True
     for value in (2, 1):
@@ -303,8 +303,8 @@ def _tetrahedra(moved, tissue, source, state, reach, first, past):
 
 @_callee
 def _patch(moved, source, state, longest, first, past, plane, row, col, one, other):
-    """Draw the moved square that two unit steps span from a site onto voxels that are empty."""
-    # If one step is (0, 0, 0), the square is a line; if both are, it is a point.
+    """Draw a moved square, spanned by two unit steps from a site, onto empty voxels."""
+    # If one step is (0, 0, 0), the square is a line; if both steps are, the square is a point.
     _, height, width = state.shape
     i, j, k = plane + one[0], row + one[1], col + one[2]
     az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
@@ -315,8 +315,8 @@ def _patch(moved, source, state, longest, first, past, plane, row, col, one, oth
     cz, cy, cx = moved[i, j, k, 0], moved[i, j, k, 1], moved[i, j, k, 2]
     along = max(abs(bz - az), abs(by - ay), abs(bx - ax), abs(dz - cz), abs(dy - cy), abs(dx - cx))
     across = max(abs(cz - az), abs(cy - ay), abs(cx - ax), abs(dz - bz), abs(dy - by), abs(dx - bx))
-    # Points are at most half a voxel apart. Edges longer than the volume lie mostly outside of it,
-    # so that their number of points is limited.
+    # Points are at most half a voxel apart. Edges longer than the volume are mostly outside it, so
+    # the number of their points is limited.
     steps = math.ceil(2.0 * min(along, longest) - _SIDE)
     rows = math.ceil(2.0 * min(across, longest) - _SIDE)
     for number in range(steps + 1):
@@ -340,7 +340,7 @@ def _patch(moved, source, state, longest, first, past, plane, row, col, one, oth
 
 @_callee
 def _outline(moved, tissue, outer, source, state, reach, longest, first, past):
-    """Draw outermost sites, and lines and squares between them, onto voxels that are empty."""
+    """Draw outermost sites, and lines and squares between them, onto empty voxels."""
     depth, height, width = tissue.shape
     nowhere = 0, 0, 0
     for size in range(3):  # sites first, then lines, then squares
@@ -369,7 +369,7 @@ def _outline(moved, tissue, outer, source, state, reach, longest, first, past):
 
 @_callee
 def _is_square(tissue, plane, row, col, one, other):
-    """Return whether the other corners of the square that two steps span from a site are tissue."""
+    """Return whether the other three corners of a square that starts at a site are tissue."""
     return (
         _holds(tissue, plane + one[0], row + one[1], col + one[2])
         and _holds(tissue, plane + other[0], row + other[1], col + other[2])
@@ -381,14 +381,14 @@ def _is_square(tissue, plane, row, col, one, other):
 
 @_callee
 def _holds(tissue, plane, row, col):
-    """Return whether there is tissue at a site; False beyond the end of an axis."""
+    """Return whether a site is tissue; False beyond the end of an axis."""
     depth, height, width = tissue.shape
     return plane < depth and row < height and col < width and tissue[plane, row, col]
 
 
 @_callee
 def _stay(tissue, source, state, first, past):
-    """Make each voxel of void, onto which no tissue has moved, its own origin."""
+    """Set the origin of each empty voxel outside tissue to the voxel itself."""
     for plane in range(first, past):
         for row in range(tissue.shape[1]):
             for col in range(tissue.shape[2]):
@@ -406,7 +406,7 @@ def _is_cell(tissue, plane, row, col):
 
 @_callee
 def _low(place, size):
-    """Return the index along an axis of the cell that contains a position, or -1 if none does."""
+    """Return the index, along an axis, of the cell that contains a position; -1 if outside."""
     if place < -_SIDE or place > size - 1 + _SIDE:
         return -1
     return max(0, min(size - 2, math.floor(place)))
@@ -423,7 +423,7 @@ def _refined(moved, tissue, to_plane, to_row, to_col, start):
             return start
         deep, down, along = z - plane, y - row, x - col
         rz, ry, rx = -1.0 * to_plane, -1.0 * to_row, -1.0 * to_col
-        # Columns of the gradient: the change along planes, rows and columns.
+        # Columns of the gradient: derivatives with respect to the plane, row and column.
         az = ay = ax = bz = by = bx = cz = cy = cx = 0.0
         for corner in range(8):
             i, j, k = corner // 4, corner // 2 % 2, corner % 2
@@ -463,14 +463,14 @@ def _refined(moved, tissue, to_plane, to_row, to_col, start):
 def refine(moved, tissue, begin, end, slabs, source, state):
     """Refine the result of `rasterise` for motion that is trilinear in each cell of eight sites.
 
-    The finite elements and `moved_points` interpolate the motion in the same way. The motion stays
-    linear on tetrahedra in cells that lack a site, and in tissue that has folded over itself.
-    `outline` is called after this function.
+    The finite elements and `moved_points` use the same interpolation. In cells with fewer than
+    eight sites, and in tissue that has folded over itself, the motion remains linear on
+    tetrahedra. Call `outline` after this function.
 
     Parameters
     ----------
     moved, tissue, begin, end, slabs, source, state
-        As for `rasterise`, which has filled `source` and `state`.
+        As for `rasterise`, which must have filled `source` and `state`.
     """
     if min(tissue.shape) < 2:
         return
@@ -496,7 +496,7 @@ def refine(moved, tissue, begin, end, slabs, source, state):
 
 @numba.njit(parallel=True, **_kept)
 def surface(moved, tissue):
-    """Find the surface of the tissue, and the planes that it has moved to, for `rasterise`.
+    """Find the surface of the tissue, and the range of its moved planes, for `rasterise`.
 
     Parameters
     ----------
@@ -508,9 +508,9 @@ def surface(moved, tissue):
     Returns
     -------
     outer : ndarray, shape (D, H, W), bool
-        Mask of tissue that has a neighbour outside the tissue.
+        Mask of the tissue sites with at least one neighbour that is not tissue.
     reach : ndarray, shape (D, 2), float64
-        Smallest and largest moved position along the first axis of the sites of each plane.
+        Smallest and largest moved position, along the first axis, of the sites of each plane.
     """
     depth, height, width = tissue.shape
     outer = np.empty(tissue.shape, np.bool_)
@@ -534,13 +534,13 @@ def surface(moved, tissue):
 def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
     """Invert the motion of the sites, linear on each tetrahedron of four neighbouring sites.
 
-    Each cell of 2 x 2 x 2 sites consists of six tetrahedra; in cells at the border of the tissue
-    only tetrahedra with four corners of tissue are drawn. `refine` and `outline` complete the
+    Each cell of 2 x 2 x 2 sites consists of six tetrahedra. In cells at the border of the tissue,
+    only tetrahedra with tissue at all four corners are drawn. `refine` and `outline` complete the
     result.
 
-    Each core fills planes of its own and draws all tetrahedra in the same order. The result is
-    therefore equal bit by bit for any number of cores, and for any division of the planes among
-    several calls.
+    Each core fills separate planes and draws all tetrahedra in the same order. The result is
+    therefore identical for any number of cores, and for any division of the planes among several
+    calls.
 
     Parameters
     ----------
@@ -549,17 +549,17 @@ def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
     tissue : ndarray, shape (D, H, W), bool
         Mask of the tissue.
     reach : ndarray, shape (D, 2), float64
-        From `surface`.
+        Output of `surface`.
     begin, end : int
-        Only planes of voxels from `begin` to before `end` are drawn.
+        Range of the planes of voxels to draw; `end` is excluded.
     slabs : int
-        Number of slabs into which these planes are divided, one or a few for each core.
+        Number of slabs into which these planes are divided: one or a few for each core.
     source : ndarray, shape (P, H, W, 3), float64
-        Output, zeros before: origin of the tissue on each voxel, in voxels.
+        Output, initially 0: origin of the tissue on each voxel, in voxels.
     state : ndarray, shape (P, H, W), uint8
-        Output, zeros before: 0 if no tissue has moved onto the voxel, 1 for an inverted
-        tetrahedron, 2 for one that is not inverted, 3 for two that are not inverted and whose
-        origins are more than a voxel apart.
+        Output, initially 0: 0 if no tissue has moved onto the voxel; 1 for an inverted
+        tetrahedron; 2 for a tetrahedron that is not inverted; 3 for two such tetrahedra with
+        origins more than a voxel apart.
     """
     for number in numba.prange(slabs):
         slab = np.int64(number)
@@ -570,22 +570,22 @@ def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
 
 @numba.njit(parallel=True, **_kept)
 def outline(moved, tissue, outer, reach, longest, begin, end, slabs, source, state):
-    """Fill voxels that no tetrahedron covers from the outline of the tissue, or as void.
+    """Fill the voxels that no tetrahedron covers: with the outline of the tissue, or as void.
 
-    The outline consists of the outermost sites and of the lines and squares between them. With it,
-    tissue that is one voxel thin remains visible, and all tissue extends half a voxel beyond its
-    outermost sites, as voxels do.
+    The outline consists of the outermost sites, and the lines and squares between them. With
+    the outline, tissue that is one voxel thin remains visible, and all tissue extends half a voxel
+    beyond its outermost sites, as voxels do.
 
     Parameters
     ----------
     outer : ndarray, shape (D, H, W), bool
-        From `surface`.
+        Output of `surface`.
     longest : float
-        Sum of the sides of the volume, in voxels. It limits the number of points that are drawn of
-        a line or square that is stretched further.
+        Sum of the sides of the volume, in voxels. It limits the number of points of lines and
+        squares that are stretched further than this.
     moved, tissue, reach, begin, end, slabs, source, state
-        As for `rasterise`, which is called before. `state` is 2 where the outline is drawn. If all
-        planes are given (P = D), void onto which no tissue has moved is its own `source`.
+        As for `rasterise`, which must be called first. `state` is 2 where the outline is drawn. If
+        all planes are given (P = D), the `source` of each empty voxel outside tissue is the voxel.
     """
     for number in numba.prange(slabs):
         slab = np.int64(number)

@@ -15,9 +15,9 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
-#: Remark after the Jacobian at a fold: there it is the smallest determinant of the elements around
-#: the site, elsewhere their mean.
-_FOLDS = " (folds: that of the worst corner)"
+#: Remark after the Jacobian at a fold, where the displayed value is the smallest determinant of the
+#: elements around the site; elsewhere it is their mean.
+_FOLDS = " (folds: value at the worst corner)"
 _FULL = 100
 
 
@@ -33,7 +33,7 @@ class Probe(NamedTuple):
     length : float
         Length of the displacement.
     jacobian : float
-        Ratio of the areas, or volumes, after and before; 0 or below where the tissue folds.
+        Ratio of the areas, or volumes, after and before the motion; 0 or below at folds.
     strain : float
         Equivalent strain, in per cent, of the kind given by `strain_kind`.
     """
@@ -46,13 +46,13 @@ class Probe(NamedTuple):
 
 
 def holds(image: npt.NDArray[Any], pixel: tuple[int, ...]) -> bool:
-    """Return whether a pixel is inside an image and has a value above 0."""
+    """Return whether a pixel is inside an image and its value is above 0."""
     inside = all(0 <= at < size for at, size in zip(pixel, image.shape, strict=True))
     return inside and bool(image[pixel] > 0)
 
 
 class Points:
-    """Fast lookup of points of a solution.
+    """Fast evaluation of a solution at single points.
 
     Parameters
     ----------
@@ -64,14 +64,14 @@ class Points:
         self._farthest = farthest_of(solution.displacement)
 
     def before(self, place: tuple[float, ...], fraction: float = 1.0) -> tuple[float, ...] | None:
-        """Return the origin of the tissue at a moved position; None if there is no tissue.
+        """Return the origin of the tissue at a moved position; None if no tissue is there.
 
         Parameters
         ----------
         place : tuple of float
             Position after the motion, ([depth,] row, col) in pixels.
         fraction : float
-            Part of the displacement that is applied, from 0 to 1.
+            Fraction of the displacement that is applied, from 0 to 1.
 
         Returns
         -------
@@ -83,7 +83,7 @@ class Points:
         return inverse_point(place, *field, self._farthest, fraction)
 
     def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the moved positions of points of the tissue, both (N, n) in pixels."""
+        """Return the moved positions, (N, n) in pixels, of tissue points, (N, n) in pixels."""
         return moved_points(places, self._solution.displacement, spacing=self._solution.spacing)
 
     def at(self, place: tuple[float, ...], fraction: float = 0.0) -> Probe | None:
@@ -94,19 +94,19 @@ class Points:
         place : tuple of float
             Position in the displayed image, ([depth,] row, col) in pixels.
         fraction : float
-            Part of the displacement by which the displayed image has moved, from 0 to 1.
+            Fraction of the displacement that is applied in the displayed image, from 0 to 1.
 
         Returns
         -------
         Probe or None
-            Values of the whole displacement; None if there is no tissue.
+            Values for the full displacement; None if no tissue is there.
         """
         solution, origin = self._solution, self.before(place, fraction)
         site = () if origin is None else tuple(int(np.floor(along + 0.5)) for along in origin)
         if not (site and holds(solution.tissue, site)):
             return None
         step = solution.displacement[site]
-        # The values at a site depend on its neighbours only; those of a whole volume would be slow.
+        # The values at a site depend only on neighbouring sites; a whole volume would be slow.
         around = tuple(slice(max(at - 1, 0), at + 2) for at in site)
         near = replace(
             solution,
@@ -128,9 +128,9 @@ class Points:
 def at_point(
     unit: str, probe: Probe, ways: Directions, more: Sequence[str] = (), percent: int = _FULL
 ) -> str:
-    """Describe the deformation at a point in a line for the status bar.
+    """Describe the deformation at a point in one line for the status bar.
 
-    The values are always those of the whole deformation.
+    The values are always those of the full deformation.
 
     Parameters
     ----------
@@ -140,9 +140,9 @@ def at_point(
     ways : Directions
         Directions of rows and columns.
     more : sequence of str
-        Further parts of the line.
+        Further parts of the line, appended with commas.
     percent : int
-        Percentage of the deformation in the displayed image; if it is below 100, the line begins
+        Percentage of the deformation in the displayed image. If it is below 100, the line starts
         with a remark that the values are those at 100 %.
 
     Returns
@@ -160,5 +160,5 @@ def at_point(
 
 
 def rounded(length: float) -> float:
-    """Round a length to three significant digits and at most two decimals."""
+    """Round a length to at most three significant digits and two decimals."""
     return round(float(f"{length:.3g}"), 2) + 0.0  # avoids -0

@@ -1,7 +1,8 @@
-"""NumPy version of `triangle_raster`, which is used until its loops are compiled.
+"""NumPy version of `triangle_raster`, used until the compiled loops are ready.
 
-All triangles are drawn together: each pixel in the bounding box of a triangle is tested against the
-triangle. If several triangles cover a pixel, the first is used, as if they were drawn in order.
+All triangles are drawn together: each pixel in the bounding box of a triangle is tested against
+this triangle. If several triangles cover a pixel, the first triangle is used, as if the triangles
+were drawn in order.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ Mask = npt.NDArray[np.bool_]
 
 # Tolerances as in `triangle_raster`.
 _EDGE, _COLLAPSED, _NEAR = 1e-9, 1e-12, 1.0
-# States of a pixel: no tissue; an inverted triangle; a triangle that is not inverted; two of these.
+# States of a pixel: no tissue; inverted triangle; triangle that is not inverted; two of the latter.
 _EMPTY, _TURNED, _KEPT, TWICE = 0, 1, 2, 3
-# Number of pixels tested together.
+# Number of pixels that are tested together.
 _AT_ONCE = 1_000_000
 
 
@@ -41,10 +42,11 @@ def rasterise(moved: Float64Array, tissue: Mask) -> tuple[Float64Array, npt.NDAr
 
 
 def _corners(tissue: Mask) -> Index:
-    """Return the corners of the triangles of all cells, (N, 3, 2), cell by cell."""
+    """Return the corners of the triangles of all cells, (N, 3, 2), in the order of the cells."""
     a, b, c, d = tissue[:-1, :-1], tissue[:-1, 1:], tissue[1:, :-1], tissue[1:, 1:]
-    # Tissue that a kind of triangle needs, and its corners. A whole cell has the first two kinds,
-    # which share the diagonal from a to d; a cell without d or a has one of the other two.
+    # For each type of triangle: cells with the required tissue, and corners. Cells with tissue at
+    # all corners contain the first two types, which share the diagonal from a to d. Cells without d
+    # or a contain one of the other two types.
     kinds = (
         (a & d & b, ((0, 0), (0, 1), (1, 1))),
         (a & d & c, ((0, 0), (1, 1), (1, 0))),
@@ -61,7 +63,7 @@ def _corners(tissue: Mask) -> Index:
 
 
 def _areas(places: Float64Array, corners: Index) -> Float64Array:
-    """Return twice the signed area of each triangle; the sign gives its orientation."""
+    """Return twice the signed area of each triangle; the sign is its orientation."""
     at = places[corners[..., 0], corners[..., 1]]
     (by, bx), (cy, cx) = (at[:, 1] - at[:, 0]).T, (at[:, 2] - at[:, 0]).T
     return np.asarray(by * cx - bx * cy)
@@ -110,7 +112,7 @@ def _claim(
     value: int,
     first_only: bool = False,
 ) -> None:
-    """Store the first origin of each pixel, and mark pixels with another, distant origin."""
+    """Store the first origin of each pixel; mark pixels with another origin far from the first."""
     flat, states = source.reshape(-1, 2), state.reshape(-1)
     free = states[pixels] < value
     new, first = np.unique(pixels[free], return_index=True)
@@ -121,14 +123,14 @@ def _claim(
 
 
 def _sites(moved: Float64Array, tissue: Mask) -> tuple[Index, Float64Array]:
-    """Return the pixels onto which sites have moved, and their origins, the sites."""
+    """Return the pixels onto which sites have moved, with the sites as their origins."""
     return _on_pixels(moved[tissue], np.argwhere(tissue).astype(float), tissue.shape)
 
 
 def _strokes(moved: Float64Array, tissue: Mask) -> tuple[Index, Float64Array]:
     """Return the pixels on moved lines between outermost sites, and their origins.
 
-    The points of a line are at most half a pixel apart.
+    The sampled points of a line are at most half a pixel apart.
     """
     height, width = tissue.shape
     padded = np.pad(tissue, 1)
@@ -157,7 +159,7 @@ def _strokes(moved: Float64Array, tissue: Mask) -> tuple[Index, Float64Array]:
 def _on_pixels(
     places: Float64Array, origins: Float64Array, shape: tuple[int, ...]
 ) -> tuple[Index, Float64Array]:
-    """Return the pixels nearest to places inside an image, and the origins of these."""
+    """Return the pixels nearest to positions inside an image, and the origins of these pixels."""
     row, col = np.floor(places + 0.5).T
     inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
     pixels = row[inside].astype(np.intp) * shape[1] + col[inside].astype(np.intp)

@@ -1,7 +1,8 @@
-"""Compiled loops that draw the moved triangles of an image's sites into an inverse map.
+"""Compiled loops that rasterize the moved triangles of an image into an inverse map.
 
-This module imports numba; `warp` imports it on first use. All loops are in one file, because
-numba's cache is invalidated by changes of this file, but not by changes of modules that it imports.
+This module imports numba. `warp` imports this module on first use. All loops are in one file,
+because a change of this file invalidates numba's cache, but a change of an imported module does
+not.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
@@ -12,30 +13,30 @@ import math
 import numba
 import numpy as np
 
-# Decorators of functions that only loops call. `_inlined` avoids the cost of a call for each cell,
-# which would be a quarter of the time.
+# Decorators of functions that only compiled code calls. `_inlined` avoids a function call for each
+# cell, which would be a quarter of the run time.
 _LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
 _inlined = numba.njit(no_cpython_wrapper=True, forceinline=True, **_LOOPS)
-# Options of functions that Python calls; numba caches them on disk.
+# Options of functions that Python calls; numba caches these functions on disk.
 _kept = {"cache": True, "nogil": True, **_LOOPS}
 
-# Distance outside a triangle, in barycentric coordinates, at which a pixel counts as inside.
+# Tolerance, in barycentric coordinates, for a pixel to be inside a triangle.
 _EDGE = 1e-9
-# Twice the area, in pixels, below which a triangle has collapsed and covers nothing.
+# Twice the area, in pixels, below which a triangle has collapsed and covers no pixel.
 _COLLAPSED = 1e-12
 # Largest distance, in pixels, between two origins of a pixel that belong to the same tissue.
 _NEAR = 1.0
-# State of a pixel onto which two parts of the tissue have moved.
+# State of a pixel onto which two different parts of the tissue have moved.
 TWICE = 3
 
 
 @_inlined
 def _draw(moved, source, state, value, first, past, a_row, a_col, b_row, b_col, c_row, c_col):
-    """Draw the moved triangle of sites a, b, c in one orientation; return True if inverted."""
-    # `value` is 2 to draw triangles that kept their orientation, and 1 to draw inverted ones. A
-    # pixel whose state is already that high is unchanged, except that it is marked if its tissue
-    # has another origin. Only rows from `first` to before `past` are drawn.
+    """Draw the moved triangle a, b, c if it has the requested orientation; True if inverted."""
+    # With `value` 2, draw triangles that are not inverted; with `value` 1, draw inverted ones. A
+    # pixel with a state of at least `value` is unchanged, except that its state becomes `TWICE` if
+    # the new origin is distant. Only rows from `first` to `past` - 1 are drawn.
     ay = moved[a_row, a_col, 0]
     ax = moved[a_row, a_col, 1]
     by = moved[b_row, b_col, 0] - ay
@@ -69,7 +70,7 @@ def _draw(moved, source, state, value, first, past, a_row, a_col, b_row, b_col, 
 
 @_inlined
 def _mark(source, state, value, row, col, from_row, from_col):
-    """Store the origin of the tissue on a pixel, unless another triangle was drawn before."""
+    """Store the origin of the tissue on a pixel, or mark the pixel if it has a distant origin."""
     if state[row, col] < value:
         state[row, col] = value
         source[row, col, 0] = from_row
@@ -83,8 +84,8 @@ def _mark(source, state, value, row, col, from_row, from_col):
 
 @_inlined
 def _draw_cell(moved, source, state, first, past, row, col):
-    """Draw both triangles of a whole cell; return False if one is inverted or has collapsed."""
-    # The result is that of `_draw` for one triangle after the other.
+    """Draw both triangles of a cell; return False if one of them is inverted or collapsed."""
+    # The result equals that of `_draw` for each triangle in turn.
     ay = moved[row, col, 0]
     ax = moved[row, col, 1]
     by = moved[row, col + 1, 0] - ay
@@ -120,14 +121,14 @@ def _draw_cell(moved, source, state, first, past, row, col):
 
 @_callee
 def _stroke(moved, source, state, first, past, a_row, a_col, b_row, b_col):
-    """Draw the moved line between two sites onto pixels that are empty."""
+    """Draw the moved line between two sites onto empty pixels."""
     height, width = state.shape
     ay = moved[a_row, a_col, 0]
     ax = moved[a_row, a_col, 1]
     by = moved[b_row, b_col, 0] - ay
     bx = moved[b_row, b_col, 1] - ax
-    # Points are at most half a pixel apart; a line longer than the image lies mostly outside of it,
-    # so that its number of points is limited.
+    # Points are at most half a pixel apart. A line longer than the image is mostly outside it, so
+    # the number of its points is limited.
     steps = math.ceil(2.0 * min(max(abs(by), abs(bx)), 1.0 * (height + width)))
     for step in range(steps + 1):
         part = step / max(steps, 1)
@@ -144,7 +145,7 @@ def _stroke(moved, source, state, first, past, a_row, a_col, b_row, b_col):
 
 @_callee
 def _triangles(moved, tissue, source, state, reach, first, past):
-    """Draw all triangles onto the rows of pixels from `first` to before `past`."""
+    """Draw all triangles onto the rows of pixels from `first` to `past` - 1."""
     height, width = tissue.shape
     turned = True
     for value in (2, 1):
@@ -192,7 +193,7 @@ def _triangles(moved, tissue, source, state, reach, first, past):
 
 @_callee
 def _outline(moved, tissue, source, state, reach, first, past):
-    """Draw sites, and lines between outermost sites, onto the empty pixels of some rows."""
+    """Draw sites, and lines between outermost sites, onto empty pixels of a range of rows."""
     height, width = tissue.shape
     for row in range(height):
         if reach[row, 0] > past or reach[row, 1] < first - 1:
@@ -229,7 +230,7 @@ def _outline(moved, tissue, source, state, reach, first, past):
 
 @_callee
 def _note_reach(moved, tissue, row, reach):
-    """Store the smallest and the largest moved position along the rows of the sites of a row."""
+    """Store the smallest and the largest moved row position of the tissue sites of a row."""
     low = math.inf
     high = -math.inf
     for col in range(tissue.shape[1]):
@@ -244,9 +245,9 @@ def _note_reach(moved, tissue, row, reach):
 def rasterise(moved, tissue):
     """Invert the motion of the sites, linear on each triangle of three neighbouring sites.
 
-    Each cell of 2 x 2 sites consists of two triangles; a cell with three sites of tissue is one
-    triangle. Pixels that no triangle covers are filled from the sites and from the lines between
-    outermost sites that have moved onto them. With these lines, tissue that is one pixel thin
+    Each cell of 2 x 2 sites consists of two triangles; a cell with three tissue sites is a single
+    triangle. Pixels that no triangle covers are filled with the sites, and the lines between
+    outermost sites, that have moved onto them. With these lines, tissue that is one pixel thin
     remains visible, and all tissue extends half a pixel beyond its outermost sites, as pixels do.
 
     Parameters
@@ -261,9 +262,9 @@ def rasterise(moved, tissue):
     source : ndarray, shape (H, W, 2), float64
         Origin of the tissue on each pixel, in pixels.
     state : ndarray, shape (H, W), uint8
-        0 if no tissue has moved onto the pixel, 1 for an inverted triangle, 2 for a triangle that
-        is not inverted, or a line, 3 for two triangles that are not inverted and whose origins are
-        more than a pixel apart.
+        0 if no tissue has moved onto the pixel; 1 for an inverted triangle; 2 for a line or a
+        triangle that is not inverted; 3 for two triangles that are not inverted, with origins more
+        than a pixel apart.
     """
     height, width = tissue.shape
     source = np.zeros((height, width, 2))
@@ -271,7 +272,7 @@ def rasterise(moved, tissue):
     reach = np.empty((height, 2))
     for row in range(height):
         _note_reach(moved, tissue, row, reach)
-    first = np.int64(0)  # for a Python int, numba would compile the functions again
+    first = np.int64(0)  # with a Python int, numba would compile the functions a second time
     _triangles(moved, tissue, source, state, reach, first, height)
     _outline(moved, tissue, source, state, reach, first, height)
     return source, state
@@ -283,39 +284,39 @@ def rasterise_displaced(
 ):
     """Apply `rasterise` to a fraction of a displacement, on all cores, with preallocated arrays.
 
-    Each core fills rows of pixels of its own and draws all triangles in the order of `rasterise`.
-    The result is therefore equal bit by bit.
+    Each core fills separate rows of pixels and draws all triangles in the order of `rasterise`, so
+    the result is identical.
 
     Parameters
     ----------
     displacement : ndarray, shape (H, W, 2), float32
         Material displacement, in the unit of `spacing`.
     spacing : (float, float)
-        Size of a pixel along rows and columns.
+        Size of a pixel along the row and column axes.
     fraction : float
-        Part of the displacement, from 0 to 1.
+        Fraction of the displacement, from 0 to 1.
     tissue : ndarray, shape (H, W), bool
         Mask of the tissue.
     bands : int
-        Number of bands of rows into which the image is divided, one or a few for each core.
+        Number of bands of rows into which the image is divided: one or a few for each core.
     moved : ndarray, shape (H, W, 2), float64
         Output: moved position of each site, in pixels.
     reach : ndarray, shape (H, 2), float64
-        Output: range of the moved positions along the rows of the sites of each row.
+        Output: range of the moved row positions of the tissue sites of each row.
     source, state : ndarray
-        Output, as from `rasterise`; `source` is unchanged where `state` is 0.
+        Output, as returned by `rasterise`; `source` is unchanged where `state` is 0.
 
     Returns
     -------
     bool
-        True if the displacement is finite at all sites of tissue; otherwise there is no result.
+        True if the displacement is finite at all tissue sites; if False, the output is invalid.
     """
     height, width = tissue.shape
     fine = np.ones(height, np.bool_)
     for number in numba.prange(height):
-        row = np.int64(number)  # numba gives the counter of a parallel loop another type
+        row = np.int64(number)  # the counter of a numba parallel loop has another integer type
         for col in range(width):
-            # The displacement of void is ignored.
+            # The displacement outside tissue is ignored.
             by_row = fraction * displacement[row, col, 0] if tissue[row, col] else 0.0
             by_col = fraction * displacement[row, col, 1] if tissue[row, col] else 0.0
             moved[row, col, 0] = by_row / spacing[0] + row

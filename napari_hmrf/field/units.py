@@ -1,7 +1,7 @@
-"""Units of length by their names in layers and files, and rounding of displayed lengths.
+"""Units of length, named as in layers and files, and rounding of displayed lengths.
 
-The functions import pint on first use, because importing it takes a third of the time of importing
-the package.
+The functions import pint on first use, because that import takes a third of the time to import the
+package.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-#: Pattern of the names of units in layers. Pint also parses expressions, which can take forever.
+#: Pattern of the names of units in layers. It excludes expressions, which pint may parse slowly.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
 #: Fraction of a pixel, or of a per cent, below which a value is displayed as 0.
 UNSEEN = 1e-3
-#: Units of spacings whose length is unknown.
+#: Units of spacings without a known length.
 UNKNOWN_UNITS = ("", "pixel")
-#: Largest relative difference of equal spacings, which files round.
+#: Relative tolerance for equal spacings, which allows for rounding in files.
 SAME_SPACING = 1e-4
 
 
 def unit_factor(unit: str, to: str) -> float:
-    """Return the factor that converts a unit to another; NaN if they are incompatible.
+    """Return the factor that converts one unit to another; NaN if they are incompatible.
 
     Parameters
     ----------
@@ -46,19 +46,19 @@ def unit_factor(unit: str, to: str) -> float:
 def has_same_spacing(
     spacing: Sequence[float], unit: str, other: Sequence[float], other_unit: str
 ) -> bool:
-    """Return whether pixels have the same size, up to rounding errors of files.
+    """Return whether two pixels have the same size, up to rounding errors of files.
 
     Parameters
     ----------
     spacing, other : sequence of float
         Sizes of a pixel along each axis.
     unit, other_unit : str
-        Their units; `UNKNOWN_UNITS` have the size of the other unit.
+        Units of the sizes. If one of the units is unknown, it is assumed to equal the other unit.
 
     Returns
     -------
     bool
-        False if the units cannot be converted.
+        True if the sizes are equal; False if the units cannot be converted.
     """
     is_known = unit not in UNKNOWN_UNITS and other_unit not in UNKNOWN_UNITS
     factor = unit_factor(unit, other_unit) if is_known else 1.0
@@ -71,7 +71,7 @@ def has_same_spacing(
 
 
 def is_unit(unit: str) -> bool:
-    """Return whether layers accept a unit of this name."""
+    """Return whether napari layers accept a unit with this name."""
     if not _UNIT.fullmatch(unit):
         return False
     try:
@@ -82,7 +82,7 @@ def is_unit(unit: str) -> bool:
 
 
 def unit_symbol(unit: str) -> str:
-    """Return the symbol of a unit of length, such as "px" or "mm"; the name if there is none."""
+    """Return the symbol of a unit of length, such as "px" or "mm"; its name if it has none."""
     if unit == "pixel":
         return "px"
     import pint  # heavy: pint
@@ -94,7 +94,7 @@ def unit_symbol(unit: str) -> str:
 
 
 def as_seen(length: float, spacing: Iterable[float]) -> float:
-    """Return a length for display, 0 if it is a negligible fraction of a pixel.
+    """Return a length for display: 0 if it is a negligible fraction of a pixel.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def as_seen(length: float, spacing: Iterable[float]) -> float:
 
 
 def _units() -> Any:
-    """Return the registry of units of layers; an application may replace it at any time."""
+    """Return the unit registry of the layers, which an application may replace at any time."""
     import pint  # heavy: pint
 
     return pint.get_application_registry()  # type: ignore[no-untyped-call]

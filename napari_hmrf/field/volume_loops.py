@@ -1,7 +1,7 @@
 """Compiled loops that interpolate volumes at an inverse map and compute their strain.
 
-This module imports numba; `resample`, `deformation` and `strain` import it for volumes. Until its
-loops are compiled, these modules use NumPy and SciPy instead.
+This module imports numba. `resample`, `deformation` and `strain` import this module for volumes.
+Until its loops are compiled, these modules use NumPy and SciPy instead.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
@@ -19,33 +19,33 @@ _kept = {"cache": True, "nogil": True, **_LOOPS}
 
 @numba.njit(parallel=True, **_kept)
 def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
-    """Interpolate a volume at the origins of the moved tissue, like `resample`, on all cores.
+    """Interpolate a volume at the origins of the moved tissue, as `resample` does, on all cores.
 
     Parameters
     ----------
     image : ndarray, shape (D, H, W, channels)
     smooth : ndarray, shape (D, H, W, channels)
-        Copy of the image for interpolation, with finite values everywhere.
+        Copy of the image for interpolation, without values that are not finite.
     gaps : bool
-        True if the image has voxels that are not finite; their value is then copied to the voxels
-        whose origin is nearest to them.
+        True if the image has values that are not finite. Such a value is copied to each voxel with
+        an origin nearest to it.
     source : ndarray, shape (P, H, W, 3), float64
         Origins of the voxels of some planes, from `inverse_map`.
     covered : ndarray, shape (P, H, W), bool
         Mask of the voxels that have an origin, from `inverse_map`.
     nearest : bool
-        If True, copy the nearest voxel; else interpolate between the eight nearest.
+        If True, copy the nearest voxel; if False, interpolate between the eight nearest voxels.
     whole : bool
-        If True, round to whole numbers.
+        If True, round to integers.
     fill
-        Value of uncovered voxels, of the type of the image.
+        Value of uncovered voxels, in the type of the image.
     moved : ndarray, shape (P, H, W, channels)
         Output.
 
     Returns
     -------
     bool
-        True if the origins of all covered voxels are finite; otherwise there is no result.
+        True if the origins of all covered voxels are finite; if False, the output is invalid.
     """
     depth, height, width, channels = image.shape
     fine = np.ones(len(covered), np.bool_)
@@ -93,9 +93,9 @@ def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
 
 @_callee
 def _steps(moved, tissue, plane, row, col, i, j, k):
-    """Return the differences to the next and from the previous site in the direction (i, j, k)."""
-    # If one neighbour is missing, both are the difference to the other; without neighbours both
-    # are the undeformed step.
+    """Return the differences with the next and the previous site in the direction (i, j, k)."""
+    # If one neighbour is missing, both differences are those with the existing neighbour. If both
+    # are missing, both differences are the undeformed step.
     depth, height, width = tissue.shape
     z, y, x = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
     following = previous = 1.0 * i, 1.0 * j, 1.0 * k
@@ -135,24 +135,25 @@ def _octants(step, rows, cols):
 def determinants(moved, tissue, elements, kind):
     """Reduce the determinants of the eight octants around each site of a volume to one value.
 
-    The loop runs on one core, so that any thread may call it, not only the compute thread. A volume
-    takes as long as a few sweeps of a solver.
+    The loop runs on a single core, so any thread may call it, not only the compute thread. For a
+    volume, the loop takes as long as a few sweeps of a solver.
 
     Parameters
     ----------
     moved : ndarray, shape (D, H, W, 3), float64
+        Moved positions of the sites, as returned by `moved_sites`.
     tissue : ndarray, shape (D, H, W), bool
-        As from `moved_sites`.
+        Mask of the tissue.
     elements : ndarray, shape (D + 1, H + 1, W + 1), bool
-        Mask of existing elements, as from `deformation.elements`.
+        Mask of existing elements, as returned by `deformation.elements`.
     kind : int
-        0 for the smallest determinant of the existing elements, or 1.0 if there are none; 1 for the
-        mean of all octants; 2 for the mean, except that the smallest is used if it is 0 or below.
+        0: smallest determinant of the existing elements, or 1.0 if there are none. 1: mean of all
+        octants. 2: the smallest determinant if it is 0 or below, otherwise the mean.
 
     Returns
     -------
     ndarray, shape (D, H, W), float32
-        NaN outside tissue.
+        Reduced determinants; NaN outside tissue.
     """
     depth, height, width = tissue.shape
     made = np.empty(tissue.shape, np.float32)
@@ -185,22 +186,23 @@ def determinants(moved, tissue, elements, kind):
 
 @numba.njit(**_kept)
 def gradients(moved, tissue, sizes):
-    """Return the gradient of the displacement at each site of a volume's tissue.
+    """Return the displacement gradient at each tissue site of a volume.
 
     Any thread may call this loop, as for `determinants`.
 
     Parameters
     ----------
     moved : ndarray, shape (D, H, W, 3), float64
+        Moved positions of the sites, as returned by `moved_sites`.
     tissue : ndarray, shape (D, H, W), bool
-        As from `moved_sites`.
+        Mask of the tissue.
     sizes : ndarray, shape (3,)
         Size of a voxel along each axis.
 
     Returns
     -------
     ndarray, shape (N, 3, 3), float64
-        H[..., i, j] = dd_i / dX_j, without a unit, for the N sites of tissue in order.
+        H[..., i, j] = dd_i / dX_j, dimensionless, for the N tissue sites in order.
     """
     depth, height, width = tissue.shape
     found = np.empty((tissue.sum(), 3, 3))

@@ -1,6 +1,7 @@
 """Inverse map of a single slice of a volume, for display during a drag.
 
-The result equals that slice of `inverse_map`. Only sites that can move onto the slice are drawn.
+The result equals the same slice of `inverse_map`, but only sites that can move onto the slice are
+drawn.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from napari_hmrf.field.warp import BoolArray, Float64Array, inverse_raster, move
 
 FloatArray = npt.NDArray[np.float32]
 
-#: Upper bound of the distance between a voxel and the moved site that is drawn on it, in voxels;
-#: the largest distance is 0.5.
+#: Upper bound of the distance, in voxels, between a voxel and a moved site drawn on it; the actual
+#: distance is at most 0.5.
 _REACH = 1.0
 
 
 class SliceOrigins(NamedTuple):
-    """Inverse map of a slice: the origin of each pixel.
+    """Inverse map of a slice: the origin of the tissue at each pixel.
 
     Attributes
     ----------
     source : ndarray, shape (H, W, 3), float64
-        Origins in voxels; 0 where not covered.
+        Origins in voxels; 0 at pixels that are not covered.
     covered : ndarray of bool, shape (H, W)
-        True where there is moved tissue, or void that stays in place.
+        True at pixels with moved tissue, and at pixels outside tissue that stay in place.
     """
 
     source: Float64Array
@@ -49,7 +50,7 @@ def slice_origins(
     Parameters
     ----------
     displacement : ndarray, shape (D', H', W', 3)
-        Material displacement, in the unit of `spacing`, on a coarse grid; linear between its sites.
+        Material displacement, in the unit of `spacing`, on a coarse grid; linear between sites.
     number : int
         Index of the slice along the first axis.
     spacing : sequence of float, shape (3,)
@@ -57,9 +58,10 @@ def slice_origins(
     tissue : ndarray of bool, shape (D, H, W)
         Mask of the tissue that moves.
     every : sequence of int, shape (3,)
-        Step between the sites of the coarse grid along each axis, in voxels, starting at voxel 0.
+        Step between the sites of the coarse grid along each axis, in voxels; the first site is at
+        voxel 0.
     fraction : float
-        Part of the displacement, from 0 to 1.
+        Fraction of the displacement, from 0 to 1.
 
     Returns
     -------
@@ -86,32 +88,32 @@ def slice_origins(
 
 
 def _planes_near(ends: Float64Array, number: int, depth: int, every: int) -> tuple[int, int]:
-    """Return the range of planes whose sites may move onto the slice.
+    """Return the range of planes with sites that may move onto the slice.
 
-    `ends` has the least and the largest step across the planes of the coarse grid, (D', 2).
+    `ends`, (2, D'), is the range of the displacement along the first axis in each coarse plane.
     """
-    # A step of NaN may lead anywhere. If it is in tissue, `moved_sites` refuses it later.
+    # The target of a NaN is unknown. If the NaN is in tissue, `moved_sites` raises an error later.
     lowest = np.nan_to_num(ends.min(axis=0), nan=-np.inf)
     highest = np.nan_to_num(ends.max(axis=0), nan=np.inf)
     planes, last = np.arange(depth), len(lowest) - 1
     before = np.minimum(planes // every, last)
     after = np.minimum(before + 1, last)
-    # Voxels outside tissue stay in place, so that 0 belongs to the range of the steps.
+    # Voxels outside tissue stay in place, so the range of the steps includes 0.
     low = planes + np.minimum(np.minimum(lowest[before], lowest[after]), 0)
     high = planes + np.maximum(np.maximum(highest[before], highest[after]), 0)
-    # Cells between two planes are drawn even if their planes have moved far apart.
+    # A cell between two planes is drawn even if the planes have moved far apart.
     begins, ends_at = np.minimum(low[:-1], low[1:]), np.maximum(high[:-1], high[1:])
     near = np.flatnonzero((begins <= number + _REACH) & (ends_at >= number - _REACH))
     if not len(near):
         return number, number + 1
-    # One more plane on either side, so that inner sites are not drawn as outermost sites.
+    # Include one more plane on each side; otherwise inner sites would be drawn as outermost sites.
     return max(int(near[0]) - 1, 0), min(int(near[-1]) + 3, depth)
 
 
 def _on_voxels(
     displacement: FloatArray, tissue: BoolArray, every: Sequence[int], planes: slice
 ) -> FloatArray:
-    """Interpolate a coarse displacement linearly to all voxels of some planes, within tissue."""
+    """Interpolate a coarse displacement linearly, within tissue, to all voxels of some planes."""
     if tuple(every) == (1, 1, 1):
         return displacement[planes]
     sites = tissue[tuple(slice(None, None, step) for step in every)]

@@ -1,11 +1,11 @@
 """Warping of an image with its tissue.
 
-A displacement is material: the tissue at X moves to X + d(X). The moved image I' therefore
+A displacement is material: the tissue at X moves to X + d(X). The warped image I' therefore
 satisfies I'(X + d(X)) = I(X), and is computed with the inverse of the motion. (Sampling the image
-at X + d(X) would show the opposite motion.) Between the sites of a slice the motion is linear on
+at X + d(X) would show the opposite motion.) Between the sites of a slice, the motion is linear on
 triangles of three neighbouring sites. In a volume it is trilinear in cells of eight sites, and
-linear on tetrahedra of four in cells that lack a site. The inverse of this motion is exact, however
-large its gradients are.
+linear on tetrahedra in cells with fewer sites. The inverse of this motion is exact, even for large
+gradients.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from napari_hmrf.solver.problem import as_numbers
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-#: Size of a pixel along each axis, or one number for all axes.
+#: Size of a pixel along each axis, or a single number for all axes.
 Spacing = float | Sequence[float]
 
 
@@ -42,35 +42,35 @@ def warp(
     tissue: npt.ArrayLike | None = None,
     fill: float = 0,
 ) -> npt.NDArray[Any]:
-    """Warp an image, or a volume, with the tissue.
+    """Warp an image or a volume with the tissue.
 
     Parameters
     ----------
     image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
         Grey, RGB or RGBA image, or labels (with ``order=0``). NaN and infinite pixels move like
-        others, but the interpolation around them ignores them.
-    displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
+        other pixels, but are ignored by the interpolation around them.
+    displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
         Material displacement in the order of the axes, in the unit of `spacing`.
     spacing : float or sequence of float, shape (n,)
-        Size of a pixel along each axis, or along all of them.
+        Size of a pixel along each axis; a scalar applies to all axes.
     order : int
-        Order of the interpolating spline, 0 to 5: 0 selects the nearest pixel, as labels need; 1
-        is linear.
+        Order of the interpolating spline, from 0 to 5: 0 is nearest-neighbour interpolation, which
+        labels require; 1 is linear.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        Mask of the sites that move; by default all sites. Other pixels stay in place as background
-        and are covered by tissue that moves onto them.
+        Mask of the sites that move; by default all sites. Other pixels are background: they stay
+        in place and are hidden by tissue that moves onto them.
     fill : float
-        Value of uncovered pixels: pixels that tissue has left and no other tissue has reached.
+        Value of uncovered pixels, which tissue has left and no other tissue has reached.
 
     Returns
     -------
     ndarray
-        With the shape and dtype of `image`; integers are rounded and clipped to their range.
+        Warped image, with the shape and dtype of `image`. Integers are rounded and clipped.
 
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
 
     See Also
     --------
@@ -87,9 +87,9 @@ def inverse_map(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray]:
-    """Find the source of each pixel: the position of its tissue before the motion.
+    """Compute the origin of each pixel: the position of its tissue before the motion.
 
-    Where the tissue has folded over itself, the part that is not inverted is visible.
+    Where tissue has folded over itself, the part that is not inverted is visible.
 
     Parameters
     ----------
@@ -99,14 +99,14 @@ def inverse_map(
     Returns
     -------
     coordinates : ndarray, shape ([D,] H, W, n), float64
-        Source of each pixel, in pixels along the axes; 0 where not `covered`.
+        Origin of each pixel, in pixels along the axes; 0 where `covered` is False.
     covered : ndarray, shape ([D,] H, W), bool
         False at pixels that tissue has left and no other tissue has reached.
 
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
     """
     coordinates, covered, _ = inverse_map_and_overlaps(displacement, spacing, tissue)
     return coordinates, covered
@@ -117,9 +117,9 @@ def inverse_map_and_overlaps(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray, BoolArray]:
-    """Return the `inverse_map` and a mask of pixels where two parts of the tissue overlap.
+    """Return the `inverse_map` and a mask of the pixels at which two parts of the tissue overlap.
 
-    Two parts that move onto each other across a gap overlap without a fold.
+    Two parts can overlap without a fold if a gap between them closes.
 
     Parameters
     ----------
@@ -131,13 +131,14 @@ def inverse_map_and_overlaps(
     coordinates, covered
         As in `inverse_map`.
     overlaps : ndarray, shape ([D,] H, W), bool
-        Pixels onto which tissue that is not inverted has moved from two places more than a pixel
-        apart. Either of the two parts may be visible. Tissue that is one pixel thin is ignored.
+        Mask of the pixels onto which tissue that is not inverted has moved from two positions more
+        than a pixel apart. Either part may be visible. Tissue that is only one pixel thin is
+        ignored.
 
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
     """
     moving, mask = moved_sites(displacement, spacing, tissue)
     coordinates, state = inverse_raster(moving, mask)
@@ -150,34 +151,34 @@ def inverse_map_and_overlaps(
 def inverse_raster(
     moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...] | None = None, planes: int = 0
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
-    """Invert the motion of sites with compiled loops, or with NumPy until these are compiled.
+    """Invert the motion of sites, with compiled loops or, until these are ready, with NumPy.
 
     Parameters
     ----------
     moved, tissue
-        From `moved_sites`.
+        Output of `moved_sites`.
     shape : tuple of int, optional
         Shape of the whole volume, if the sites are only some of its planes.
     planes : int
-        Number of planes of the result for a volume; by default all.
+        Number of planes of the result for a volume; 0 for all planes.
 
     Returns
     -------
     source : ndarray, shape ([D,] H, W, n), float64
-        Position before the motion of the tissue at each pixel; for a whole volume, void in place
-        is its own source.
+        Origin of the tissue at each pixel. In a whole volume, the origin of an empty pixel outside
+        tissue is the pixel itself.
     state : ndarray, shape ([D,] H, W), uint8
         0 at pixels onto which no tissue has moved; `TWICE` where two parts of the tissue overlap.
     """
     if tissue.ndim == 3:
-        # The loops for volumes use numba's threads, which must not be entered from two threads.
+        # The loops for volumes use numba's threads, which must be used from a single thread only.
         drawn = partial(_volume_raster, moved, tissue, shape or tissue.shape, planes or len(tissue))
-        return compute_thread.result_of(drawn, "a volume to be warped")
+        return compute_thread.result_of(drawn, "warping a volume")
     if not loops.ready_for_pictures():
         compiler.compile_meanwhile()
         return triangle_arrays.rasterise(moved, tissue)
     loader.before_numba()
-    # Numba is imported on first use, because the import takes half a second.
+    # Import numba on first use, because this import takes half a second.
     from napari_hmrf.field.triangle_raster import rasterise  # heavy: numba
 
     coordinates, state = rasterise(moved, loops.only_read(tissue))
@@ -195,7 +196,7 @@ def has_volume_loops() -> bool:
 def _volume_raster(
     moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...], planes: int
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
-    """Invert the motion of a volume's sites; call on the compute thread only."""
+    """Invert the motion of the sites of a volume; call on the compute thread only."""
     loader.before_numba()
     from numba import get_num_threads  # heavy: numba
 
@@ -222,14 +223,14 @@ def moved_sites(
     tissue: npt.ArrayLike | None,
     fraction: float = 1.0,
 ) -> tuple[Float64Array, BoolArray]:
-    """Check a displacement and its tissue, and return the moved position of each site.
+    """Check a displacement and a tissue mask, and return the moved position of each site.
 
     Parameters
     ----------
     displacement, spacing, tissue
         As in `warp`.
     fraction : float
-        Part of the displacement, from 0 to 1.
+        Fraction of the displacement, from 0 to 1.
 
     Returns
     -------
@@ -241,7 +242,7 @@ def moved_sites(
     Raises
     ------
     ProblemError
-        If an input is invalid; the error names it.
+        If an input is invalid; the error names the input.
     """
     d = as_field(displacement)
     sizes = checked_sizes(spacing, d.shape[-1])
@@ -274,9 +275,9 @@ def _is_finite(plane: Float64Array) -> bool:
 def _added(
     d: npt.NDArray[Any], sizes: Float64Array, mask: BoolArray, fraction: float
 ) -> Float64Array:
-    """Return the position of each site, in pixels, after a fraction of the displacement."""
-    # Planes are processed one by one, because a plane fits the CPU cache. All components of a row
-    # are in one line: a NumPy inner loop over 3 numbers takes as long as one over a hundred.
+    """Return the position of each site, in pixels, at a fraction of the displacement."""
+    # Planes are processed one by one, because a plane fits into the CPU cache. The components of a
+    # row form one line, because NumPy inner loops over 3 numbers are as slow as over a hundred.
     (height, width), n = mask.shape[-2:], mask.ndim
     moved, size = np.empty(d.shape), np.tile(sizes, width)
     scaled = bool((sizes != 1).any())
@@ -297,7 +298,7 @@ def _added(
 
 
 def checked_sizes(spacing: Spacing, axes: int = 2) -> Float64Array:
-    """Return a checked pixel spacing, shape (axes,); a single number applies to all axes."""
+    """Check a pixel spacing and return it, shape (axes,); a single number applies to all axes."""
     one = isinstance(spacing, Real)
     sizes = np.array(reals((spacing,) * axes if one else spacing, axes))
     if not (np.isfinite(sizes) & (sizes > 0)).all():
@@ -308,7 +309,7 @@ def checked_sizes(spacing: Spacing, axes: int = 2) -> Float64Array:
 
 
 def as_field(displacement: npt.ArrayLike) -> npt.NDArray[Any]:
-    """Check the shape of a displacement of a slice or a volume, or raise a `ProblemError`."""
+    """Check the shape of a displacement of a slice or a volume, and return it as an array."""
     d = as_numbers("displacement", displacement)
     if d.ndim not in (3, 4) or d.shape[-1] != d.ndim - 1:
         raise ProblemError(

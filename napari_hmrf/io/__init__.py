@@ -1,19 +1,20 @@
-"""Files: studies, fields, images, landmarks, tables and figures; the work of the shell.
+"""File input and output for studies, fields, images, landmarks, tables and figures.
 
-A case passes through five steps, from its files to its results:
+The processing of a case, from its input files to its results, has five steps:
 
-1. *Read.* `images` reads an image with its place. Pictures are decoded here, and medical images by
-   `itk_files`, in another process (`decoder_process`), so that a damaged file cannot end this one.
-   `landmark_files` reads points, `fields` displacements, `tables`, `segmentation_tables` and
-   `material_tables` the tissues of labels and the rules of boundaries.
-2. *Study.* `case` combines these files and the `case_options` in a ``Study``; `study_file` reads a
-   study that was saved whole. `sweeps` varies single numbers of it.
-3. *Solve.* The study becomes a ``Problem``, and the problem a ``Solution``: see ``study/``. For the
-   many cases of a table (`case_tables`), `batch` starts processes, and `case_records` lets it
-   resume.
-4. *Write.* `study_file` writes the study with its solution, so that the field can be reproduced;
-   `fields` writes the displacement for other tools, with a `seal` that reveals damage. Files are
-   replaced only when the new ones are complete, and on request (`overwriting`).
-5. *Use.* `apply` moves images, labels and landmarks of the same tissue with a field; `results`
-   measures tissues; `figures` and `moving_pictures` show them.
+1. *Read.* `images` reads images and their positions in space. Medical images are decoded by
+   `itk_files` in a separate process (`decoder_process`), so that a damaged file cannot crash the
+   calling process. `landmark_files` reads points and `fields` reads displacement fields. `tables`,
+   `segmentation_tables` and `material_tables` read the materials of tissue labels and the rules of
+   boundary labels.
+2. *Build a study.* `case` combines these files and the `case_options` into a ``Study``;
+   `study_file` reads a saved study. `sweeps` replaces single numbers in a study.
+3. *Solve.* The study is converted to a ``Problem``, which is solved for a ``Solution``; see
+   ``study/``. For a table of cases (`case_tables`), `batch` starts several processes, and
+   `case_records` makes it possible to resume a batch.
+4. *Write.* `study_file` writes the study and its solution, so that the field can be reproduced.
+   `fields` writes the displacement field for other tools, with a `seal` that reveals damage.
+   Existing files are overwritten only on request (`overwriting`), and only by complete files.
+5. *Use.* `apply` deforms images, labels and landmarks with a field. `results` measures tissues.
+   `figures` and `moving_pictures` draw results.
 """

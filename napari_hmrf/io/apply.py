@@ -1,4 +1,4 @@
-"""Application of a displacement field to images, labels, channels and landmarks."""
+"""Application of a displacement field to images, labels and landmarks."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ from napari_hmrf.solver.solution import Solution, is_solution_file
 
 Pixels = npt.NDArray[Any]
 
-#: Displacements below this size count as zero in a file, in mm.
+#: Displacement in a file below which a component is considered to be zero, in mm.
 _ROUNDING = 1e-4
-#: Sentence about a field without a place.
+#: Sentence for fields without a position in space.
 _NO_PLACE = (
-    " Its image has no place, so the field begins at the origin, and its spacing is read as mm."
+    " Its image has no place, so the field is at the origin, with its spacing assumed to be in mm."
 )
-#: Largest number of different values, and largest value, of an image that may hold labels.
+#: Largest number of distinct values, and largest value, of an image that may contain labels.
 _MOST_LABELS, _LARGEST_LABEL = 16, 99
-#: Largest distance of a point from the middle of its slice, in slices.
+#: Largest distance between a point and the centre of its slice, in slices.
 _IN_SLICE = 0.5 + 1e-3
 
 
 class Applied(NamedTuple):
-    """Path of the written file, and a note to the user as a clause."""
+    """Path of the written file, and a note for the user, which is a clause or empty."""
 
     path: Path
     note: str = ""
@@ -55,20 +55,20 @@ class Applied(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FieldFile:
-    """Displacement field read from a file of any kind, with its place.
+    """Displacement field from a file of any kind, with the place of its grid.
 
     Attributes
     ----------
     field : DisplacementField
-        The field, in the unit of the place's spacing.
+        Displacement field, in the unit of `place.spacing`.
     place : Place
         Place of the grid; for a slice of a volume, its place in the volume, with three spacings.
     tissue : ndarray of bool or None
-        Mask of the moving tissue; None if the file has no mask, so that everything moves.
+        Mask of the deformable tissue; None if the file has no mask, so that all pixels move.
     unit : {"millimeter", "pixel"}
-        Unit of the place: pixels if their size is unknown.
+        Unit of `place`; "pixel" if the pixel size is unknown.
     is_placed : bool
-        False if the file has no place, so that the grid begins at the origin, along the axes.
+        False if the file stores no place. `place` is then at the origin, aligned with the axes.
     """
 
     field: DisplacementField
@@ -79,7 +79,7 @@ class FieldFile:
 
     @classmethod
     def of(cls, solution: Solution) -> FieldFile:
-        """Return the field of a solution, at the place of its image."""
+        """Return the displacement field of a solution, with the place of its image."""
         d, place = placed(solution)
         sizes = place.spacing[-solution.tissue.ndim :]
         unit = "pixel" if Frame.of_solution(solution).unit == "pixel" else "millimeter"
@@ -88,12 +88,12 @@ class FieldFile:
 
     @property
     def in_patient(self) -> Place | None:
-        """Place in patient coordinates; None if the size of the pixels is unknown."""
+        """Place in patient coordinates; None if the pixel size is unknown."""
         return self.place if self.unit == "millimeter" else None
 
     @property
     def in_pixels(self) -> PixelField:
-        """Field in pixels, with a component for each axis of its place, as layers hold it."""
+        """Field in pixels, with one component per axis of its place, as stored in layers."""
         field, frame = self.field.to_pixels(), self.place.frame(unit=self.unit)
         if len(field.shape) == 2:
             field = DisplacementField.in_pixels(frame.put_field(field.displacement))
@@ -106,37 +106,39 @@ class FieldFile:
 
     @property
     def spacing(self) -> Sequence[float]:
-        """Size of a pixel along the axes of the displacement."""
+        """Pixel size along each axis of the displacement field."""
         return self.field.spacing
 
     @property
     def displacement(self) -> npt.NDArray[Any]:
-        """Material displacement at every site; a backward field is inverted on its whole grid."""
+        """Material displacement at every site; a backward field is inverted."""
         return self.field.displacement
 
 
 def read_field_file(path: str | os.PathLike[str], *, forward: bool = False) -> FieldFile:
-    """Read the field of a saved result, of a study with its field, or of another tool.
+    """Read the displacement field of a solved study, a saved result, or a file of another tool.
 
     Parameters
     ----------
     path : str or path-like
     forward : bool
-        True if the field of another tool maps old positions of tissue to new ones and the file
-        does not state this direction.
+        True if the field in a file of another tool maps original to new positions and the file does
+        not state the direction.
 
     Raises
     ------
     FileFormatError
-        If the file is of none of these kinds.
-    HmrfError, OSError
-        As for `read_field`.
+        If the file is of another kind.
+    HmrfError
+        If `forward` is True for a study or a result; or as for `read_field`.
+    OSError
+        If the file cannot be opened.
     """
     if is_solution_file(path) or is_study_file(path):
         if forward:
             raise HmrfError(
-                f"{Path(path).name} is a result, whose direction is known. Leave out the "
-                "direction (`forward=True`)."
+                f"{Path(path).name} is a result, so the direction of its field is known. Leave out "
+                "the direction (`forward=True`)."
             )
         return FieldFile.of(read_solved(path)[1])
     file = read_field(path, forward=forward)
@@ -150,7 +152,12 @@ def read_field_file(path: str | os.PathLike[str], *, forward: bool = False) -> F
 def write_field_file(
     path: str | os.PathLike[str], field: FieldFile, *, forward: bool = False
 ) -> str:
-    """Write a field with `write_field`; return a sentence on its direction and inversion error.
+    """Write a field with `write_field`, and return a message for the user.
+
+    Returns
+    -------
+    str
+        Sentences on the direction of the written field, its error as an inverse, and folds.
 
     Raises
     ------
@@ -164,9 +171,9 @@ def write_field_file(
         return f"Saved {name}: the forward field, which moves points.{place_note}"
     place_note = "" if field.is_placed else _NO_PLACE
     sentence = (
-        f"Saved {name}: the backward field, which moves images. In the middle of each pixel that "
-        f"tissue moved to, its error as an inverse is at most {residual:.2g} px; between pixels "
-        "and at the rim of the tissue it may be larger."
+        f"Saved {name}: the backward field, which moves images. Its error as an inverse is at most "
+        f"{residual:.2g} px at the centres of the pixels that tissue moved to; between pixels and "
+        "at the edge of the tissue, the error may be larger."
     )
     folded = count_folds(d, spacing=field.spacing, tissue=field.tissue)
     sentence += place_note
@@ -174,33 +181,35 @@ def write_field_file(
         return sentence
     sites = "voxels" if len(field.shape) == 3 else "pixels"
     return (
-        f"{sentence} But tissue folds over itself at {folded} {sites}, and has no inverse there: "
-        "the image will show only one of the overlapping parts. Make the tissue move less there."
+        f"{sentence} However, the tissue folds over itself at {folded} {sites}, where no inverse "
+        "exists: the image will show only one of the overlapping parts. Reduce the motion there."
     )
 
 
 def apply_field(
     field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str], *, labels: bool
 ) -> Applied:
-    """Move the content of a file with the tissue, and write it to another file of the same kind.
+    """Deform the image or landmarks in a file, and write the result to another file.
+
+    A field of a volume deforms the whole volume. A field of a slice deforms only this slice of a
+    volume, and only the landmarks in this slice. A stack of pictures without a place, such as the
+    frames of a film in a .tif, is deformed in all slices.
 
     Parameters
     ----------
     field : FieldFile
     path : str or path-like
-        An image, or landmarks. In a volume, a field of one slice moves that slice and the landmarks
-        in it. A stack of pictures, such as the frames of a film in a .tif, has no place: all its
-        slices are moved. A field of a volume moves the whole volume, whose axes must be in the
-        order of the field's.
+        Image or landmark file.
     target : str or path-like
+        File to write, in the same format.
     labels : bool
-        True if the image holds labels, which are not interpolated.
+        True if the image contains labels, which must not be interpolated.
 
     Raises
     ------
     ProblemError
-        If the image has another size, or would be overwritten; or if it is a volume and the file
-        of the field does not state the slice.
+        If the image has another size or place than the field, or would be overwritten; or if the
+        image is a volume and the field does not state to which slice it belongs.
     FileFormatError, HmrfError, OSError
         As for `read_image`, `write_image`, `read_points` and `write_points`.
     """
@@ -236,21 +245,21 @@ def apply_field(
         for number in range(len(pixels)):
             moved[number] = _warp_pixels(field, pixels[number], order)
         if len(pixels) > 1:
-            note = f"{name} has no place, so all its {len(pixels)} slices were moved alike"
+            note = f"{name} has no place, so all {len(pixels)} slices were moved in the same way"
     notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
     return Applied(write_image(target, image._replace(pixels=moved)), "; ".join(notes))
 
 
 def _note_on_labels(pixels: Pixels, name: str) -> str:
-    """Return a clause if an image probably holds labels, which interpolation blends, or ""."""
+    """Return a warning if an image that was interpolated probably contains labels, or ""."""
     if pixels.dtype.kind not in "iu" or not 1 < pixels.max(initial=0) <= _LARGEST_LABEL:
         return ""
     values = np.unique(pixels)
     if len(values) > _MOST_LABELS or values[0] < 0:
         return ""
     return (
-        f"{name} holds few whole numbers, up to {values[-1]}, which were blended; if these are "
-        "labels, give --labels"
+        f"{name} contains only a few whole numbers, up to {values[-1]}, and was interpolated; if "
+        "the numbers are labels, use --labels"
     )
 
 
@@ -259,7 +268,7 @@ def _warp_pixels(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
 
 
 def _sample_backward(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
-    """Sample a volume at the original positions given by a backward field, without an inverse."""
+    """Warp a volume with a backward field, which does not have to be inverted for this purpose."""
     steps = field.field.backward / field.spacing
     origins = np.moveaxis(steps, -1, 0) + np.indices(steps.shape[:-1])
     if pixels.ndim > 3:
@@ -285,20 +294,22 @@ def _sample_at(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
 
 
 def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> ImageFile:
-    """Return a volume in which the slice of the field is moved; the order of its axes is kept.
+    """Return a volume in which only the slice of the field is deformed.
+
+    The order of the axes is unchanged.
 
     Raises
     ------
     ProblemError
-        If the slice of the field is unknown, or lies outside the volume.
+        If the slice of the field is unknown, or is not a slice of the volume.
     """
     slice_place = field.in_patient
     if slice_place is None or len(slice_place.spacing) < 3:
         raise ProblemError(
             name,
-            f"is a volume of {len(image.pixels)} slices, but the field covers one slice and does "
-            "not say which. Solve that slice of the volume (--slice, or Grid.from_image(volume, "
-            "slice=...) in Python), or give the image of that slice alone.",
+            f"is a volume of {len(image.pixels)} slices, but the field is that of one slice and "
+            "does not state which. Solve that slice of the volume (--slice, or Grid.from_image("
+            "volume, slice=...) in Python), or give an image of that slice only.",
         )
     pixels = image.pixels.copy()
     for axes in permutations(range(3)):
@@ -309,13 +320,13 @@ def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> Im
             return image._replace(pixels=pixels)
     raise ProblemError(
         name,
-        f"lies elsewhere than the field of a slice of {grid_in_words(field.shape)} pixels. Give an "
-        "image of the same patient, on the same grid.",
+        f"has no slice at the place of the field, which is a slice of {grid_in_words(field.shape)} "
+        "pixels. Give an image of the same patient, on the same grid.",
     )
 
 
 def _find_slice(slice_place: Place, image: ImageFile) -> int | None:
-    """Return the index along a volume's first axis of the slice at a place, or None."""
+    """Return the index, along the first axis of a volume, of the slice at a place, or None."""
     place = image.place
     assert place is not None
     corners = np.diag([0.0, 1.0, 1.0])
@@ -331,45 +342,53 @@ def _move_landmarks(
     file, name, n = read_points(path), Path(path).name, len(field.shape)
     place = place_for(file, field.place, name, n)
     at = place.to_pixels(file.points)
-    # As with images, points in other slices stay where they are.
+    # Points in other slices are unchanged, like the other slices of an image.
     in_slice = np.abs(at[:, :-n]).max(axis=1, initial=0.0) <= _IN_SLICE
     beyond = (at[:, -n:] < -0.5) | (at[:, -n:] > np.array(field.shape) - 0.5)
     outside = np.count_nonzero(in_slice & beyond.any(axis=1))
     at[in_slice, -n:] += field.field.at(at[in_slice, -n:]) / field.spacing
     elsewhere = np.count_nonzero(~in_slice)
-    notes = [f"{elsewhere} of {len(at)} points lie in other slices, and are not moved"] * bool(
+    notes = [f"{elsewhere} of {len(at)} points are in other slices, so they were not moved"] * bool(
         elsewhere
     )
     if outside:
-        notes.append(f"{outside} of {len(at)} points lie outside the image, and move like its edge")
+        notes.append(
+            f"{outside} of {len(at)} points are outside the image, so they were moved like its edge"
+        )
     written = write_points(target, place.to_space(at), file.targets, names=file.names)
     return Applied(written, "; ".join(notes))
 
 
 def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Place:
-    """Return the place that converts a file's points to pixels, with its axes and in its unit.
+    """Return the place with which the points of a landmark file are converted to pixels.
 
     Parameters
     ----------
     file : LandmarkFile
     place : Place or None
-        Place of the image.
+        Place of the image; None if it has no place.
     name : str
-        Name of the file, for errors.
+        Name of the file, for error messages.
     n : int
         Number of axes of the field.
+
+    Returns
+    -------
+    Place
+        Place with the axes and the unit of the points.
 
     Raises
     ------
     ProblemError
-        If the points have fewer coordinates than the field has axes, or more than the image.
+        If the number of coordinates is neither the number of axes of the field nor that of the
+        image.
     """
     axes = file.points.shape[1]
     image_axes = n if place is None else len(place.spacing)
     if axes not in (n, image_axes):
         raise ProblemError(
             name,
-            f"holds points with {axes} coordinates, but the image has {image_axes} axes. Give "
+            f"contains points with {axes} coordinates, but the image has {image_axes} axes. Give "
             f"points with {image_axes} coordinates.",
         )
     size = (1.0,) * axes if place is None or file.unit == "pixel" else place.spacing[-axes:]

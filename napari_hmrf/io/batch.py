@@ -1,9 +1,9 @@
-"""Batches of cases, each solved into its own folder, on local processes or a dask cluster.
+"""Batches of cases, solved in local processes or on a dask cluster.
 
-A folder is either complete or absent: a case is written under `UNFINISHED`, and moved to its final
-folder when it is complete, with `RECORD` in it. A batch can therefore stop at any time without
-leaving a partial result, and `resume` solves the remaining cases. One process at a time uses a
-folder (`folder_lock`), and only that process writes the summary.
+The results of each case are written to a folder below `UNFINISHED`, which is moved to its final
+location when it is complete. A batch can therefore be interrupted at any time without leaving
+partial results, and resumed later. Only one process at a time can use the output folder of a batch
+(`folder_lock`); this process also writes the summary.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ from napari_hmrf.io.folder_lock import exclusive
 from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
-#: Folder for unfinished cases.
+#: Name of the folder for unfinished cases.
 UNFINISHED = ".unfinished"
-#: File with the outcome of each case.
+#: Name of the file with the outcomes of all cases.
 SUMMARY = "summary.csv"
-#: Least time between two writes of the summary while cases finish, in seconds.
+#: Shortest time between two updates of the summary while the batch is running, in seconds.
 _SUMMARY_INTERVAL = 5.0
-#: Number of finished cases over which the time per case is averaged.
+#: Number of latest cases over which the time per case is averaged.
 _AVERAGED_CASES = 20
 #: Significant digits of the numbers in the summary.
 _DIGITS = 6
@@ -71,11 +71,11 @@ class BatchProgress:
     Attributes
     ----------
     done, failed, of : int
-        Number of finished cases, of failed cases, and of all cases.
+        Numbers of solved cases, failed cases and all cases.
     seconds_left : float, optional
-        Estimated remaining time; None until enough cases are finished.
+        Estimated remaining time, in seconds; None until enough cases are finished.
     latest_outcome : CaseOutcome, optional
-        Outcome of the latest finished case.
+        Outcome of the case that finished last.
     """
 
     done: int
@@ -104,47 +104,47 @@ def solve_cases(
     progress: Callable[[BatchProgress], object] | None = None,
     report: Callable[[str], object] | None = None,
 ) -> tuple[CaseOutcome, ...]:
-    """Solve many cases, each into its own folder; a failed case does not stop the others.
+    """Solve many cases, and write the results of each case to a separate folder.
 
-    The worker processes are started by "spawn", so a script needs ``if __name__ == "__main__":``
-    around its code.
+    If a case fails, the remaining cases are still solved. The worker processes are started with the
+    "spawn" method, so the code of a script must be inside ``if __name__ == "__main__":``.
 
     Parameters
     ----------
     cases : sequence of NamedCase
-        As returned by `read_cases`.
+        Cases, as returned by `read_cases`.
     folder : path-like
-        Parent of the case folders and of `summary.csv`. Only one batch at a time may write into
+        Folder for the folders of the cases and for `summary.csv`. Only one batch at a time can use
         it.
     jobs : int, optional
-        Number of processes, each with one thread; by default one per core.
+        Number of single-threaded processes; by default one per core.
     scheduler : str, optional
-        Address of a dask scheduler, or its file (.json): its workers solve the cases. They need
-        access to the same files.
+        Address of a dask scheduler, or path of its scheduler file (.json). If given, the workers of
+        the scheduler solve the cases; they need access to the same files.
     resume : bool
-        Keep the finished cases whose row and files are unchanged, and solve the others.
+        If True, skip solved cases for which the table row and the input files are unchanged.
     backend : str
-        As for `solve`; with "cpu" the field does not depend on the machine's GPU.
+        As for `solve`. With "cpu", the field does not depend on the GPU of the machine.
     progress : callable, optional
         Called with a `BatchProgress` after each case.
     report : callable, optional
-        Called with a sentence about folders that are not counted and cases that are solved again;
-        by default these sentences are logged as warnings of "napari_hmrf".
+        Called with sentences about folders that do not belong to a case and about cases that are
+        solved again. By default, the logger "napari_hmrf" logs these sentences as warnings.
 
     Returns
     -------
     tuple of CaseOutcome
-        In the order of the cases.
+        Outcomes in the order of the cases.
 
     Raises
     ------
     ArgumentError
         If `cases` is not a sequence of NamedCase.
     HmrfError
-        If the folder has finished cases and `resume` is False; if another batch writes into it;
-        or if no scheduler answers.
+        If the folder contains results and `resume` is False, if another batch is using the folder,
+        or if the scheduler does not respond.
     OSError
-        If the folder cannot be written.
+        If the folder cannot be written to.
     """
     cases = tuple_of(NamedCase, "cases", cases, 'read_cases("cases.csv")')
     target = Path(folder).absolute()
@@ -181,26 +181,26 @@ def solve_cases(
 
 
 def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutcome:
-    """Solve a case in this process, on one thread; its folder appears only when it is complete."""
+    """Solve a case in this process, on one thread, and move its complete folder into place."""
     one_thread()
     started = time.perf_counter()
     unfinished = folder / UNFINISHED / f"{case.name}-{secrets.token_hex(4)}"
     try:
-        inputs = fingerprints(case)  # before the files are read, so that a later change is detected
+        inputs = fingerprints(case)  # before reading the files, so that later changes are detected
         solved = solve_case(case.case, unfinished, backend=backend, changes=case.changes)
         outcome = _outcome_of(case.name, solved, _seconds_since(started))
         record = {"cells": dict(case.cells), "outcome": asdict(outcome), "inputs": inputs}
         record["outputs"] = output_digests(unfinished)
         write_whole(unfinished / RECORD, json.dumps(record, indent=2).encode())
         _publish(unfinished, folder / case.name)
-    except Exception as error:  # noqa: BLE001 - a failed case does not stop the others
+    except Exception as error:  # noqa: BLE001 - a failed case must not stop the batch
         message = in_words(error)
         is_expected = isinstance(error, HmrfError | OSError)
         message = message if is_expected else f"{type(error).__name__}: {message}"
         message = in_words_of("shell", message)
         if (folder / case.name / RECORD).exists():
             message += (
-                f" (the folder {case.name} still has an earlier result, which is not counted)"
+                f" (the folder {case.name} still contains an earlier result, which is ignored)"
             )
         return CaseOutcome(case.name, "failed", message, seconds=_seconds_since(started))
     finally:
@@ -210,7 +210,7 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
 
 @cache
 def one_thread() -> None:
-    """Limit this process to one thread, because other processes use the other cores."""
+    """Limit this process to one thread, because the other processes use the remaining cores."""
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     if "numba" not in sys.modules:  # numba reads the variable only once
         os.environ["NUMBA_NUM_THREADS"] = "1"
@@ -218,12 +218,12 @@ def one_thread() -> None:
 
 
 def _seconds_since(started: float) -> float:
-    """Return the seconds since `started`, a value of `perf_counter`, rounded for a table."""
+    """Return the time since `started`, a value of `perf_counter`, in rounded seconds."""
     return round(time.perf_counter() - started, 4)
 
 
 def _in_digits(value: Any) -> Any:
-    """Round a float to the digits of the summary; single precision has no more."""
+    """Round a float to the precision of the summary, which is about that of single precision."""
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
@@ -244,7 +244,7 @@ def _outcome_of(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
 
 
 def _publish(unfinished: Path, target: Path) -> None:
-    """Move a complete folder to its final name; a folder of an earlier table is replaced."""
+    """Rename a complete folder to its final name, replacing an existing folder."""
     if target.exists():
         target.rename(unfinished.with_name(f"{unfinished.name}-old"))
     unfinished.rename(target)
@@ -270,7 +270,7 @@ class _Batch:
         return tuple(self._outcomes.values())
 
     def record(self, outcome: CaseOutcome) -> BatchProgress:
-        """Record an outcome, and write the summary from time to time."""
+        """Record the outcome of a case, and update the summary file at intervals."""
         self._outcomes[outcome.case] = outcome
         now = time.monotonic()
         self._finish_times.append(now)
@@ -284,7 +284,7 @@ class _Batch:
         )
 
     def _seconds_left(self) -> float | None:
-        """Estimate the remaining time from the latest cases; the first ones include start-up."""
+        """Estimate the remaining time, without the first cases, which include start-up time."""
         times = self._finish_times[-_AVERAGED_CASES:]
         if len(times) < _AVERAGED_CASES:
             return None
@@ -293,7 +293,7 @@ class _Batch:
         )
 
     def write(self) -> None:
-        """Write the summary: a row for each case, with the values of the swept parameters."""
+        """Write the summary: one row per case, with the values of the swept parameters."""
         titles = [*CaseOutcome.__dataclass_fields__]
         swept = [*dict.fromkeys(title for each in self._parameters.values() for title in each)]
         rows = []
@@ -309,7 +309,7 @@ class _Batch:
 
 @dataclass
 class _Worker:
-    """Worker process that solves one case after the other, and its pipe."""
+    """Worker process that solves one case at a time, and the pipe to it."""
 
     process: Any
     pipe: Connection
@@ -321,18 +321,18 @@ class _Worker:
         parent_end, child_end = context.Pipe()
         process = context.Process(target=_work, args=(child_end, solve_one), daemon=True)
         process.start()
-        child_end.close()  # so that this end detects the end of the process
+        child_end.close()  # otherwise `receive` would not notice that the process has ended
         worker = cls(process, parent_end, case)
         worker.submit(case)
         return worker
 
     def submit(self, case: NamedCase) -> None:
         self.case = case
-        with suppress(OSError):  # if the process has ended, `receive` reports it
+        with suppress(OSError):  # `receive` reports if the process has ended
             self.pipe.send(case)
 
     def receive(self) -> CaseOutcome:
-        """Return the outcome of its case, or a failure if the process has ended."""
+        """Return the outcome of the current case, or a failure if the process has ended."""
         try:
             outcome: CaseOutcome = self.pipe.recv()
         except (EOFError, OSError):
@@ -344,7 +344,7 @@ class _Worker:
 def _solve_in_processes(
     cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], count: int
 ) -> Generator[CaseOutcome, None, None]:
-    """Yield the outcomes as they arrive; a process that ends loses only its own case."""
+    """Yield the outcomes in order of completion; if a process ends, only its case fails."""
     todo = deque(cases)
     workers: dict[Connection, _Worker] = {}
     idle: list[_Worker] = []
@@ -364,7 +364,7 @@ def _solve_in_processes(
                     worker.submit(todo.popleft())
                 else:
                     idle.append(workers.pop(worker.pipe))
-                    worker.pipe.close()  # the process then ends
+                    worker.pipe.close()  # makes the process exit
                     if todo:
                         start()
                 yield outcome
@@ -376,7 +376,7 @@ def _solve_in_processes(
 
 
 def _work(pipe: Connection, solve_one: Callable[[NamedCase], CaseOutcome]) -> None:
-    """Solve cases from the pipe until it closes."""
+    """Solve the cases received from a pipe, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
     one_thread()
     with suppress(EOFError, OSError):
@@ -389,12 +389,12 @@ def _exit_reason(exitcode: int | None) -> str:
         with suppress(ValueError):
             name = signal.Signals(-exitcode).name
             hint = ", possibly for lack of memory" if name == "SIGKILL" else ""
-            return f"the process that solved it was ended by {name}{hint}"
-    return f"the process that solved it ended with exit code {exitcode}"
+            return f"the worker process was ended by {name}{hint}"
+    return f"the worker process ended with exit code {exitcode}"
 
 
 def _cores() -> int:
-    """Return the number of cores that this process may use."""
+    """Return the number of CPU cores available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -406,19 +406,19 @@ def _cores() -> int:
 def _solve_on_cluster(
     cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], address: str
 ) -> Generator[CaseOutcome, None, None]:
-    """Yield the outcomes as they arrive from the workers of a dask scheduler."""
+    """Yield the outcomes from the workers of a dask scheduler, in order of completion."""
     try:
         from distributed import Client, as_completed  # optional: distributed
     except ImportError:
         raise HmrfError(
-            "a scheduler needs dask.distributed, which is not installed: "
+            "a scheduler requires dask.distributed, which is not installed: "
             f"{how_to_install('cluster')}."
         ) from None
     location = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
     try:
         client = Client(**location, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise HmrfError(f"no dask scheduler answers at {address}: {error}") from error
+        raise HmrfError(f"no dask scheduler responds at {address}: {error}") from error
     futures: dict[Any, NamedCase] = {}
     try:
         futures = dict(
@@ -430,7 +430,7 @@ def _solve_on_cluster(
                 yield future.result()
             else:
                 failure = future.exception()
-                message = f"its worker did not finish: {type(failure).__name__}: {failure}"
+                message = f"the worker did not finish: {type(failure).__name__}: {failure}"
                 yield CaseOutcome(case.name, "failed", message)
     finally:
         client.cancel(list(futures))

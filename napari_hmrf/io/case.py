@@ -1,4 +1,7 @@
-"""Cases read from files (a study, or an image with tissue and motion) and solved into a folder."""
+"""Reading of cases from files, and solving of cases with the results written to a folder.
+
+A case is a saved study, or an image with files that define its tissue and its motion.
+"""
 
 from __future__ import annotations
 
@@ -41,29 +44,31 @@ from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.tissue_maps import MapRange, most_likely, scale_in_words, scale_of
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
-#: Number of labels that a sentence lists.
+#: Largest number of labels listed in a message.
 _LISTED = 6
-#: Limits of label images: an image with more values than the first, in which more than the second
-#: part of the pixels differ from their neighbour, is not a label image. That part is 40 % to 90 %
-#: in photographs, and at most 10 % in label images.
+#: Number of distinct values, and share of pixels that differ from the next pixel in the row, above
+#: which an image is not accepted as labels. The share is 40 % to 90 % in photographs, and at most
+#: 10 % in label images.
 _MANY, _UNEVEN = 64, 0.3
 
 
 def read_case(case: Case) -> Study:
-    """Read a study from the files of a case.
+    """Read the files of a case, and return the study that they define.
 
     Raises
     ------
     ProblemError
-        If images differ in size or place, or a volume has no such slice.
-    FileFormatError, HmrfError, OSError
-        If a file cannot be read; the error names the file.
+        If the images differ in size or place, or the volume does not have the requested slice.
+    HmrfError
+        If an option has no effect, or a file is invalid; the message names the option or the file.
+    OSError
+        If a file cannot be opened.
     """
     if is_study_file(case.image):
         if case.options:
             raise HmrfError(
-                f"{case.image.name} is a study, which has its own settings. Leave out "
-                f"{', '.join(case.options)}, or give the image."
+                f"{case.image.name} is a study, which already contains its settings. Leave out "
+                f"{', '.join(case.options)}, or give an image."
             )
         return read_study(case.image).study
     whole = read_image(case.image)
@@ -97,24 +102,24 @@ def read_case(case: Case) -> Study:
 
 
 def _refuse_unused(case: Case, is_planar: bool) -> None:
-    """Refuse options without an effect."""
+    """Raise an error if an option has no effect."""
     path = case.boundary
     marks = path is not None and path.name.lower().endswith(POINT_SUFFIXES)
     field = path is not None and not marks and case.rules is None
     for unused, option, why in (
-        (not (case.labels or case.maps), "--materials", "is for the tissues of --labels or --maps"),
+        (not (case.labels or case.maps), "--materials", "requires --labels or --maps"),
         (bool(case.maps), "--labels", "cannot be used with --maps: both define the tissue"),
-        (path is None or marks, "--rules", "is for a --boundary that is an image of labels"),
-        (not field, "--confidence", "is for a --boundary that is a field"),
-        (not field, "--forward", "is for a --boundary that is a field"),
-        (is_planar, "--slice", f"is for volumes, and {case.image.name} is not a volume"),
+        (path is None or marks, "--rules", "requires a --boundary that is a label image"),
+        (not field, "--confidence", "requires a --boundary that is a field"),
+        (not field, "--forward", "requires a --boundary that is a field"),
+        (is_planar, "--slice", f"requires a volume, but {case.image.name} is not a volume"),
     ):
         if unused and option in case.options:
-            raise HmrfError(f"{option} {why}. Leave {option} out, or give the input that it needs.")
+            raise HmrfError(f"{option} {why}. Leave {option} out, or give the required input.")
 
 
 def _names(case: Case) -> dict[str, str]:
-    """Return the names of a study's parts: the files' names, and the layer's name of the image."""
+    """Return the names of the parts of a study: file names, for the image without the suffix."""
     confidence = case.confidence if isinstance(case.confidence, Path) else None
     tissue = case.labels or next(iter(case.maps), None)
     parts = {"tissue": tissue, "boundary": case.boundary, "confidence": confidence}
@@ -130,9 +135,10 @@ class SolvedCase(NamedTuple):
     study : Study
     solution : Solution
     folds : int
-        Sites at which the tissue folds over itself, which is physically impossible.
+        Number of sites at which the tissue folds over itself, which is physically impossible.
     notes : tuple of str
-        Notes to the user on how the case was read and on shortcomings of the result, as clauses.
+        Notes for the user on the interpretation of the input files and on shortcomings of the
+        result; each note is a clause.
     """
 
     study: Study
@@ -142,7 +148,7 @@ class SolvedCase(NamedTuple):
 
 
 def _files_of(case: Case, folder: Path) -> tuple[Path, ...]:
-    """Return the files that `solve_case` may write into a folder."""
+    """Return the paths of all files that `solve_case` may write to a folder."""
     name = case.image.name.partition(".")[0]
     images = (f"{name} deformed.nrrd", f"{name} deformed.tif")
     return tuple(folder / each for each in (f"{name}.study", *images))
@@ -157,19 +163,19 @@ def solve_case(
     overwrite: bool = True,
     progress: Progress | None = None,
 ) -> SolvedCase:
-    """Solve a case and write the study with its field, and the deformed image.
+    """Solve a case, and write the solved study and the deformed image to a folder.
 
     Parameters
     ----------
     case : Case
     folder : Path
-        Created if it does not exist.
+        Output folder, which is created if it does not exist.
     backend : str
         As for `solve`.
     changes : sequence of Change
-        Numbers that replace those of the case's files.
+        Changes of numbers in the files of the case.
     overwrite : bool
-        True if files of an earlier solve may be replaced.
+        True if existing files in the folder may be replaced.
     progress : callable, optional
         As for `solve`.
 
@@ -182,21 +188,21 @@ def solve_case(
     if case.boundary is None and not case.hold_edge and not is_study_file(case.image):
         if study.bears_loads:
             raise HmrfError(
-                "nothing holds the tissue. Give --hold-edge if its outer edge stays, or a "
-                "--boundary that holds a part of it."
+                "no part of the tissue is fixed. Give --hold-edge to fix its outer edge, or a "
+                "--boundary that fixes a part of it."
             )
         raise HmrfError(
             "no motion of the tissue is given. Give a --boundary that moves, and --hold-edge if "
-            "the outer edge stays."
+            "the outer edge is fixed."
         )
     refuse_overwriting(_files_of(case, folder), overwrite=overwrite)
     ground = Ground.of(study)
     stated = ground.statement()
     try:
         ground.refuse_motionless(stated)
-    except ProblemError as error:  # the cause is a missing option, not one of the images
+    except ProblemError as error:  # omit the name of the image: the cause is a missing option
         raise HmrfError(error.message) from None
-    folder.mkdir(parents=True, exist_ok=True)  # fail before the solve, not after it
+    folder.mkdir(parents=True, exist_ok=True)  # before the solve, so that errors occur early
     solution = solve_statement(study, stated, backend=backend, progress=progress)
     folds = solution.count_folds()
     caveats = tuple(shortcomings(solution, study.grid.unit, folds))
@@ -216,7 +222,7 @@ def solve_case(
 
 
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
-    """Return the selected slice with its place in the volume, or the whole volume, upright."""
+    """Return the selected slice, or the whole volume with reordered axes, and its place."""
     place, number = image.place, case.slice
     if image.ndim == 2:
         return image, place
@@ -234,7 +240,7 @@ def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
 
 
 def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
-    """Return the grid of a slice, with its number and the place of its volume, or of a volume."""
+    """Return the grid of a slice or a volume, with its place in space."""
     n, number = part.ndim, case.slice if whole.ndim > 2 and case.slice is not None else 0
     shape = part.pixels.shape[:n]
     if whole.place is None and n == whole.ndim == 2:
@@ -251,7 +257,7 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
 def _materials(
     path: Path | None, labels: npt.NDArray[Any] | None
 ) -> tuple[tuple[Material, ...], str, tuple[str, ...]]:
-    """Return the materials of a table, their unit, and notes on materials looked up by name."""
+    """Return the materials in a table, the unit of stiffness, and notes on looked-up values."""
     if path is None or labels is None:
         return (), "", ()
     table = tissue_table(path)
@@ -264,9 +270,9 @@ def _materials(
 
 
 def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer], float]:
-    """Return the labels of the most likely tissues, and the scale of the maps.
+    """Return the label of the most likely tissue of each pixel, and the scale of the maps.
 
-    The scale is derived from the whole files, so that it is the same for each slice.
+    The scale is derived from the complete files, so that it is the same for all slices.
     """
     maps: dict[str, npt.NDArray[Any]] = {}
     ranges: dict[str, MapRange] = {}
@@ -282,13 +288,19 @@ def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer],
 
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
-    """Return the pixels of a grey image or of labels; from a volume, the slice of the case."""
+    """Return the pixels of a grey image or a label image; of a volume, the slice of the case."""
     pixels = _on_pixels(case, path, whole, read_image(path))
     return as_labels(pixels, path) if labels else pixels
 
 
 def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> npt.NDArray[Any]:
-    """Return the pixels of an image, or of its slice; refuse colours and another grid."""
+    """Return the pixels of an image or its slice, after checking that it fits the case's image.
+
+    Raises
+    ------
+    ProblemError
+        If the image has colours, or another size or place.
+    """
     reference, place = _part(whole, case)
     if reference.ndim == 3 and image.place is None:
         image = image._replace(place=whole.place)
@@ -298,38 +310,40 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
     if pixels.shape != shape:
         raise ProblemError(
             path.name,
-            f"is {grid_in_words(pixels.shape)}, but the image is {grid_in_words(shape)}. Give one "
-            "of the same size.",
+            f"is {grid_in_words(pixels.shape)}, but the image is {grid_in_words(shape)}. Give a "
+            "file of the same size.",
         )
     image._replace(place=at).refuse_elsewhere(place, path.name, "the image")
     return pixels
 
 
 def refuse_colours(image: ImageFile, path: Path) -> None:
-    """Refuse an image in colours, where one value per pixel is needed."""
+    """Raise an error if an image has colours, for a use that requires one value per pixel."""
     if image.colours:
-        raise ProblemError(path.name, "is in colours. Give an image with one value per pixel.")
+        raise ProblemError(path.name, "has colours. Give an image with one value per pixel.")
 
 
 def labels_of(image: ImageFile, path: Path) -> npt.NDArray[Any]:
-    """Return an image of a file as labels; colours are refused."""
+    """Return the pixels of an image as labels; raise `ProblemError` if it has colours."""
     refuse_colours(image, path)
     return as_labels(image.pixels, path)
 
 
 def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
-    """Return the pixels of a file as labels; whole numbers stored as floats are accepted."""
+    """Return pixels as labels; whole numbers that are stored as floats are converted."""
     is_mask = pixels.dtype.kind == "b"
     if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):
         pixels = pixels.astype(np.int32)
     if pixels.dtype.kind not in "iu":
-        raise ProblemError(path.name, f"holds {pixels.dtype} values. Give labels: whole numbers.")
+        raise ProblemError(
+            path.name, f"contains {pixels.dtype} values. Give labels, which are whole numbers."
+        )
     differ = pixels[..., 1:] != pixels[..., :-1]
     if differ.size and differ.mean() > _UNEVEN and (count := len(np.unique(pixels))) > _MANY:
         raise ProblemError(
             path.name,
-            f"looks like a picture: it has {count} values, and {differ.mean():.0%} of its pixels "
-            "differ from the next one. Give an image of labels, one whole number for each tissue.",
+            f"is probably not a label image: it has {count} values, and {differ.mean():.0%} of its "
+            "pixels differ from the next pixel. Give an image with a whole number for each tissue.",
         )
     return pixels
 
@@ -352,9 +366,9 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     try:
         field = read_field_file(path, forward=case.forward).in_pixels
     except FileFormatError as error:
-        raise FileFormatError(f"{error} If it is an image of labels, give --rules, too.") from None
+        raise FileFormatError(f"{error} If it is a label image, also give --rules.") from None
     confidence, frame = _confidence_of(case, whole), grid.place
-    # The file of a 2-D field has no place in a volume, so its pixels are matched by index.
+    # A file with a 2-D field does not state a place in a volume, so pixels are matched by index.
     if frame is None or field.frame.ndim < frame.ndim:
         n = len(grid.shape)
         frame = Frame.at(grid.spacing, ("pixel",) * n, volume=n == 3)
@@ -368,15 +382,15 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
 def _refuse_unruled(
     labels: npt.NDArray[Any], rules: Sequence[BoundaryRule], image: str, table: str
 ) -> None:
-    """Refuse painted labels without a rule."""
+    """Raise an error if a label in the image, except 0, has no rule."""
     missing = [label for label in unlisted(labels, rules) if label]
     if missing:
         listed = ", ".join(map(str, missing[:_LISTED]))
         more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
         lines = "a line" if len(missing) == 1 else "lines"
         raise FileFormatError(
-            f"{table}: there is no rule for label {listed}{more}, painted in {image}. Add {lines} "
-            f"such as {missing[0]},fixed, or paint 0 there."
+            f"{table}: there is no rule for label {listed}{more}, which is used in {image}. Add "
+            f"{lines} such as {missing[0]},fixed, or set these pixels to 0."
         )
 
 
@@ -395,10 +409,11 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
     if file.targets is None:
         raise ProblemError(
             path.name,
-            "holds landmarks without target positions. Give pairs of landmarks, as BigWarp writes.",
+            "contains landmarks without target positions. Give pairs of landmarks, as written by "
+            "BigWarp.",
         )
     _, place = _part(whole, case)
-    # BigWarp orders coordinates by the axes of the file, before the volume is turned upright.
+    # BigWarp's coordinates refer to the axes in the file, before they are reordered by `upright`.
     file_place = whole.place if n == 3 else place
     point_place = place_for(file, file_place, path.name, n)
     ends = [point_place.to_pixels(points) for points in (file.points, file.targets)]
@@ -407,24 +422,29 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
     if point_place is not file_place and n == 2 and case.slice is not None:
         ends = [
             at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends
-        ]  # from the volume to the slice
+        ]  # convert from volume to slice coordinates
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
-        raise ProblemError(path.name, "holds points that lie in other slices than the image.")
+        raise ProblemError(
+            path.name, "contains points that are not in the slice of the image. Remove them."
+        )
     sources, last = ends[0][:, -n:], np.array(grid.shape) - 1
     if not len(sources):
-        raise ProblemError(path.name, "holds no active landmarks. Give at least one active pair.")
+        raise ProblemError(
+            path.name, "contains no active landmarks. Give at least one active pair."
+        )
     pixels, counts = np.unique(np.rint(sources), axis=0, return_counts=True)
     if counts.max() > 1:
         repeated = " ".join(f"{at:g}" for at in pixels[counts.argmax()])
         raise ProblemError(
-            path.name, f"has two landmarks in one pixel ({repeated}). Keep one per pixel."
+            path.name, f"has two landmarks in one pixel ({repeated}). Remove one of them."
         )
     outside = int(((sources < -0.5) | (sources > last + 0.5)).any(axis=1).sum())
     if outside:
         raise ProblemError(
             path.name,
-            f"has {outside} of {len(sources)} landmarks outside the image. Give them in "
-            f"{'pixels' if place is None else 'mm'} of the image, and remove those outside it.",
+            f"has {outside} of {len(sources)} landmarks outside the image. Check that the "
+            f"coordinates are in {'pixels' if place is None else 'mm'}, and remove landmarks "
+            "outside the image.",
         )
     radius = usual_radius(grid.shape, grid.spacing)
     return Drawing.from_landmarks(*(each[:, -n:] for each in ends), radius=radius)

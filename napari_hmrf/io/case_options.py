@@ -1,4 +1,4 @@
-"""Files and options of a case, and the energy that they select."""
+"""Input files and options of a case, and the energy selected by the options."""
 
 from __future__ import annotations
 
@@ -23,46 +23,49 @@ from napari_hmrf.tissue.boundary_rules import (
 
 @dataclass(frozen=True)
 class Case:
-    """Files and options of one case, as given on a command line.
+    """Input files and options of a case, as given on a command line.
 
     Attributes
     ----------
     image : Path
-        An image; or the file of a study, which needs no other file.
-    labels, materials : Path, optional
-        An image of tissue labels and a table of materials, .csv or .json; or a table of label names
-        from a segmentation tool, as read by `read_label_names`.
+        Image, or study file. A study file requires no other files.
+    labels : Path, optional
+        Image of tissue labels.
+    materials : Path, optional
+        Table of materials (.csv or .json), or table of label names of a segmentation tool, as read
+        by `read_label_names`.
     maps : sequence of Path
-        Probability images, one for each tissue, instead of `labels`. The label of a pixel is the
-        position in this list, counted from 1, of the most likely tissue; it is 0 where the
-        probability of no tissue, which is the rest to 1, is larger.
+        Probability images, one for each tissue, in place of `labels`. The label of a pixel is the
+        1-based index of the most likely tissue. It is 0 where the probability that there is no
+        tissue, which is 1 minus the sum of the maps, is larger.
     boundary : Path, optional
-        Motion of the tissue: an image of labels with a table of `rules`; pairs of landmarks in a
-        .csv; or a displacement field, such as a registration's.
+        Motion of the tissue: a label image, with a table of `rules`; pairs of landmarks (.csv); or
+        a displacement field, such as the result of a registration.
     rules : Path, optional
-        A .csv.
+        Table of boundary rules (.csv).
     forward : bool
-        True if a boundary that is a field maps old positions of tissue to new ones and the file
-        does not state this direction.
+        True if `boundary` is a field that maps original to new positions, and its file does not
+        state the direction.
     confidence : Path or "edges", optional
-        Confidence of a field: an image with values from 0 to 1, or a mask; or "edges", which is 1
-        at the edges in the image and 0 elsewhere. By default 1 wherever the field is defined.
+        Confidence of a field: an image with values from 0 to 1, or a mask; or "edges", which sets
+        the confidence to 1 at edges in the image and to 0 elsewhere. By default, the confidence is
+        1 wherever the field is defined.
     slice : int, optional
-        Slice of a volume along its first axis; by default the whole volume is solved.
+        Index of a slice along the first axis of a volume; by default, the whole volume is solved.
     hold_edge : bool
-        True if the outer edge of the tissue stays in place.
+        True if the outer edge of the tissue is fixed.
     model : str, optional
         Name of the model; by default "elastic".
     poisson : float, optional
-        Poisson's ratio of all tissue; it replaces the values in `materials`.
+        Poisson's ratio of all tissue, in place of the values in `materials`.
     plane : {"stress", "strain"}, optional
-        Plane stress, in which a slice may bulge (the default), or plane strain.
+        Plane stress (the default), in which a slice can bulge, or plane strain.
     tolerance : float, optional
-        Largest estimated error of the field, in pixels; for all models but "paper".
+        Largest estimated error of the field, in pixels; not available for the model "paper".
     penalty : float, optional
-        Penalty K of eq. 19, which lets held sites slip; by default that of the model.
+        Penalty K of eq. 19, with which constrained sites can slip; by default that of the model.
     weight : tuple of float
-        Body force on elastic tissue along each axis, in the unit of stiffness per length.
+        Body force on elastic tissue along each axis, in units of stiffness per length.
     """
 
     image: Path
@@ -84,14 +87,14 @@ class Case:
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Options given in addition to the image, as typed in a shell."""
+        """Names of the options that are set, in addition to the image, as in the shell."""
         names = [each.name for each in fields(self) if each.name != "image"]
         given = [name for name in names if getattr(self, name) not in (None, (), False)]
         return tuple(f"--{name.replace('_', '-')}" for name in given)
 
 
 def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
-    """Return the energy that a case selects, and its optimizer.
+    """Return the prior and the optimizer that the options of a case select.
 
     Parameters
     ----------
@@ -102,9 +105,9 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
     Raises
     ------
     HmrfError
-        If the model has no such parameter; the message names the option and the reason.
+        If an option has no effect on the model; the message states the option and the reason.
     ArgumentError
-        If the value of a parameter is invalid.
+        If the value of an option is invalid.
     """
     name = MODELS[as_word(case.model or "elastic")]
     prior, optimizer = parts_of(name)
@@ -116,18 +119,28 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
             elastic,
             "the paper's model has no Poisson's ratio",
         ),
-        (case.plane is not None, "--plane", elastic, "the paper's model has no plane"),
-        (case.plane is not None, "--plane", not volume, "a volume is strained in all directions"),
-        (bool(case.weight), "--weight", elastic, "the paper's model bears no forces"),
+        (
+            case.plane is not None,
+            "--plane",
+            elastic,
+            "the paper's model has neither plane stress nor plane strain",
+        ),
+        (
+            case.plane is not None,
+            "--plane",
+            not volume,
+            "plane stress and plane strain are defined for slices only",
+        ),
+        (bool(case.weight), "--weight", elastic, "the paper's model does not support forces"),
         (
             case.tolerance is not None,
             "--tolerance",
             isinstance(optimizer, Multigrid),
-            "the paper's schedule ends after its sweeps; --model paper-converged has a tolerance",
+            "the paper's schedule has a fixed length; --model paper-converged has a tolerance",
         ),
     ):
         if given and not is_valid:
-            raise HmrfError(f"{option} has no effect here: {why}. Leave {option} out.")
+            raise HmrfError(f"{option} has no effect: {why}. Leave {option} out.")
     if isinstance(prior, Elastic):
         prior = replace(
             prior,
@@ -142,7 +155,7 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
 
 
 def weight_of(case: Case, grid: Grid) -> tuple[float, ...]:
-    """Return the weight of a case; refuse a weight whose length differs from the grid's axes."""
+    """Return the weight of a case; raise an error if it does not have one number per grid axis."""
     if case.weight and len(case.weight) != len(grid.shape):
         axes = "plane, row and col" if len(grid.shape) == 3 else "row and col"
         raise HmrfError(
@@ -153,13 +166,13 @@ def weight_of(case: Case, grid: Grid) -> tuple[float, ...]:
 
 
 def notes_on_ratio(case: Case, tissue: Tissue) -> tuple[str, ...]:
-    """Return notes on Poisson's ratios that a case replaces, and on labels without a row.
+    """Return notes on replaced Poisson's ratios, and on labels that are not in the table.
 
     Parameters
     ----------
     case : Case
     tissue : Tissue
-        Tissue by labels, with the materials of the table.
+        Labels of the tissue, and materials of the table.
     """
     notes = []
     if any(row.poisson not in (case.poisson, USUAL_POISSON) for row in tissue.materials):
@@ -168,7 +181,7 @@ def notes_on_ratio(case: Case, tissue: Tissue) -> tuple[str, ...]:
     missing = [] if tissue.labels is None else unlisted(tissue.labels, tissue.materials)
     added = [default_material(label, tissue.materials) for label in missing]
     notes += [
-        f"label {row.label} is not in the table and got stiffness {row.stiffness:g}"
+        f"label {row.label} is not in the table, so its stiffness was set to {row.stiffness:g}"
         for row in added
     ]
     return tuple(notes)

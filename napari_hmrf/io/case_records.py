@@ -1,4 +1,4 @@
-"""Records of finished cases: their inputs and their outcomes."""
+"""Records of the inputs and outcomes of solved cases."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.case_tables import NamedCase
 from napari_hmrf.io.study_file import read_study
 
-#: File in the folder of a case with its row of the table, its input digests, and its outcome.
+#: Name of the file, in the folder of a case, with its table row, its digests and its outcome.
 RECORD = "case.json"
-#: Number of names that a sentence lists.
+#: Largest number of names listed in a message.
 _LISTED = 5
 
 
@@ -30,17 +30,18 @@ class CaseOutcome:
         Name of the case.
     state : {"done", "failed", "not done"}
     error : str
-        Reason for the failure, in words.
+        Error message, if the case failed.
     notes : str
-        Assumptions made while reading the files, and shortcomings of the field.
+        Assumptions made when reading the files, and shortcomings of the field.
     seconds : float
-        Time from reading to writing the files.
+        Run time of the case, including reading and writing files, in seconds.
     folds : int
-        Pixels at which the tissue folds over itself, which is physically impossible.
+        Number of pixels at which the tissue folds over itself, which is physically impossible.
     error_bound : float, optional
-        Estimated bound on the error of the field, in pixels; None if the model has none.
+        Estimated bound on the error of the field, in pixels; None if the model provides no
+        estimate.
     largest_displacement : float, optional
-        Largest length of a displacement, in `unit`.
+        Largest magnitude of the displacement, in `unit`.
     unit : str
         Unit of length of the image.
     """
@@ -57,15 +58,17 @@ class CaseOutcome:
 
 
 class CaseRecord(pydantic.BaseModel):
-    """Content of the record of a case.
+    """Content of the record file of a case.
 
     Attributes
     ----------
     cells : dict of str to str
-        Row of the table, by column title.
+        Cells of the table row, by column title.
     outcome : CaseOutcome
-    inputs, outputs : dict of str to str
-        Digests of the files from which the case was read, and of the files of its result.
+    inputs : dict of str to str
+        Digests of the input files.
+    outputs : dict of str to str
+        Digests of the output files.
     """
 
     cells: dict[str, str]
@@ -75,7 +78,7 @@ class CaseRecord(pydantic.BaseModel):
 
 
 def record_in(folder: Path) -> CaseRecord | None:
-    """Return the record in a folder, or None if the folder holds none."""
+    """Return the record in a folder, or None if there is no valid record."""
     try:
         return CaseRecord.model_validate_json((folder / RECORD).read_bytes())
     except (OSError, pydantic.ValidationError):
@@ -85,7 +88,10 @@ def record_in(folder: Path) -> CaseRecord | None:
 def finished_cases(
     cases: Sequence[NamedCase], folder: Path
 ) -> tuple[dict[str, CaseOutcome], list[str]]:
-    """Return the outcomes of finished cases, and sentences on cases that are solved again."""
+    """Return the outcomes of solved cases, and messages about cases to solve again.
+
+    A case is solved again if its table row, its input files or its output files have changed.
+    """
     outcomes, changed_rows, changed_files, damaged = {}, [], [], []
     digests: dict[Path, str] = {}
     for case in cases:
@@ -101,13 +107,13 @@ def finished_cases(
         else:
             outcomes[case.name] = record.outcome
     sentences = [
-        f"solved again, as the line in the table has changed: {_listed(changed_rows)}"
+        f"solved again, because the line in the table has changed: {_listed(changed_rows)}"
         if changed_rows
         else "",
-        f"solved again, as input files have changed: {_listed(changed_files)}"
+        f"solved again, because input files have changed: {_listed(changed_files)}"
         if changed_files
         else "",
-        f"solved again, as files of the result are damaged or missing: {_listed(damaged)}"
+        f"solved again, because files of the result are damaged or missing: {_listed(damaged)}"
         if damaged
         else "",
     ]
@@ -115,7 +121,7 @@ def finished_cases(
 
 
 def output_digests(folder: Path) -> dict[str, str]:
-    """Return a digest of each file in the folder of a case, except for its record."""
+    """Return a digest of each file in the folder of a case, except the record, by file name."""
     paths = sorted(path for path in folder.iterdir() if path.name != RECORD)
     return {path.name: _digest(path) for path in paths}
 
@@ -124,7 +130,7 @@ def _is_intact(folder: Path, record: CaseRecord) -> bool:
     """Return whether the result in a folder is unchanged."""
     if record.outputs:
         return all(_digest(folder / name) == digest for name, digest in record.outputs.items())
-    try:  # earlier versions recorded no digests
+    try:  # records of earlier versions do not contain digests
         for path in folder.glob("*.study"):
             read_study(path)
     except (HmrfError, OSError):
@@ -133,7 +139,7 @@ def _is_intact(folder: Path, record: CaseRecord) -> bool:
 
 
 def leftovers(cases: Sequence[NamedCase], folder: Path) -> list[str]:
-    """Return sentences on folders whose cases are no longer in the table."""
+    """Return messages about folders of cases that are no longer in the table."""
     named = {case.name.casefold() for case in cases}
     others = [
         path.parent.name
@@ -142,7 +148,7 @@ def leftovers(cases: Sequence[NamedCase], folder: Path) -> list[str]:
     ]
     if not others:
         return []
-    return [f"not counted, as no case of the table has this name: {_listed(others)}"]
+    return [f"ignored, because no case in the table has this name: {_listed(others)}"]
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -156,8 +162,8 @@ def fingerprints(case: NamedCase, known: dict[Path, str] | None = None) -> dict[
     Parameters
     ----------
     case : NamedCase
-    known : dict, optional
-        Digests of files that were already read; those of the case are added.
+    known : dict of Path to str, optional
+        Cache of digests, to which the digests of the case are added.
     """
     digests = {} if known is None else known
     for path in case.inputs:

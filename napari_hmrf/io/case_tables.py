@@ -1,13 +1,18 @@
-"""Tables of cases: a row for each study or image to solve, with sweeps over its numbers.
+"""Tables of cases: one row for each study or image to solve, with optional parameter sweeps.
 
-The columns are the options of ``napari-hmrf solve`` (``image`` or ``study``, ``labels``, ``maps``,
-``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
-``model``, ``plane``, ``tolerance``, ``penalty``, ``weight``), the ``name`` of the case, and numbers
-that replace those of its files: ``poisson``, ``growth:TISSUE``, ``stiffness:TISSUE``,
-``poisson:TISSUE`` and ``amount:BOUNDARY``, where a tissue or boundary is given by label or by name.
-Paths are relative to the table. A cell with several values, separated by semicolons, gives one case
-for each value; ``slice`` also accepts ``3-7`` and ``all``, for example for the time points of a
-film.
+A table can have the following columns:
+
+- the ``name`` of the case;
+- the input and options of ``napari-hmrf solve``: ``image`` or ``study``, ``labels``, ``maps``,
+  ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
+  ``model``, ``plane``, ``tolerance``, ``penalty`` and ``weight``;
+- numbers that replace numbers in the files of the case: ``poisson``, ``growth:TISSUE``,
+  ``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, in which a tissue or boundary is
+  identified by its label or name.
+
+Paths are relative to the folder of the table. If a cell contains several values, separated by
+semicolons, there is one case for each value. The column ``slice`` also accepts a range, such as
+``3-7``, and ``all``, for example for the time points of a film.
 """
 
 from __future__ import annotations
@@ -39,12 +44,12 @@ _COLUMNS = (
     *("name", "study", *_FILES, "maps", "forward", "slice", "hold-edge", "model", "poisson"),
     *_ENERGY_OPTIONS,
 )
-#: Columns that may hold several values; each value gives one case.
+#: Columns in which a cell can contain several values, with one case for each value.
 _SWEPT = ("slice", "model", "poisson", *_ENERGY_OPTIONS)
 _NUMBERS = (*OF_TISSUES, *OF_BOUNDARIES)
 #: Characters that are not allowed in the name of a case.
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\0-\x1f]')
-#: Characters that shells and other tools may treat specially; they are replaced by "_".
+#: Characters with a special meaning in shells or other tools; they are replaced with "_".
 _SPECIAL = re.compile(r"[^\w.-]+")
 #: Reserved names: files of a batch, and device names of Windows.
 _RESERVED = {"summary.csv", *("con", "prn", "aux", "nul")} | {
@@ -55,17 +60,17 @@ _YES, _NO = ("yes", "true", "1", "x"), ("", "no", "false", "0")
 
 @dataclass(frozen=True)
 class NamedCase:
-    """Case with a name, its changes, and its row of the table.
+    """Named case from a row of a table.
 
     Attributes
     ----------
     name : str
-        Name of the case and of the folder of its results.
+        Name of the case and of the folder with its results.
     case : Case
     changes : tuple of Change
-        Numbers that replace those of the case's files.
+        Changes of numbers in the files of the case.
     cells : mapping of str to str
-        Cells of the row, by column title; they show whether the row has changed since a solve.
+        Cells of the row, by column title, with which changes of the row are detected.
     """
 
     name: str
@@ -75,7 +80,7 @@ class NamedCase:
 
     @property
     def parameters(self) -> dict[str, str]:
-        """Swept parameters of the case: its slice and numbers, as text by column title."""
+        """Parameters of the case that can be swept: their values as text, by column title."""
         values = {} if self.case.slice is None else {"slice": str(self.case.slice)}
         for option in ("plane", "tolerance", "penalty"):
             if (value := getattr(self.case, option)) is not None:
@@ -91,7 +96,7 @@ class NamedCase:
 
     @property
     def inputs(self) -> tuple[Path, ...]:
-        """Files and folders from which the case is read."""
+        """Paths of the input files and folders of the case."""
         case = self.case
         named = (case.image, case.labels, case.materials, case.boundary, case.rules, *case.maps)
         confidence = (case.confidence,) if isinstance(case.confidence, Path) else ()
@@ -109,12 +114,13 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
     Returns
     -------
     tuple of NamedCase
-        In the order of the table.
+        Cases in the order of the table.
 
     Raises
     ------
     FileFormatError
-        Naming the row and its error. The listed files are checked only when a case is solved.
+        If the table is invalid; the message states the line and the error. The input files of a
+        case are checked only when the case is solved.
     OSError
         If the table cannot be opened.
     """
@@ -131,12 +137,12 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
                 )
             cases[folder] = case
     if not cases:
-        raise FileFormatError(f"{source.name} has no line below the column titles. Add a case.")
+        raise FileFormatError(f"{source.name} has no lines below the column titles. Add a case.")
     return tuple(cases.values())
 
 
 def _titles(file: str) -> Callable[[list[str], int], list[str]]:
-    """Return a check that refuses unknown columns."""
+    """Return a function for `read_csv` that raises an error if a column is unknown or missing."""
 
     def check(written: list[str], line: int) -> list[str]:
         titles = [_title(cell) for cell in written]
@@ -157,18 +163,23 @@ def _titles(file: str) -> Callable[[list[str], int], list[str]]:
 
 
 def read_energy(name: str, text: str) -> Any:
-    """Read an option of the energy of a case.
+    """Convert the text of an option that defines the energy of a case.
 
     Parameters
     ----------
     name : {"plane", "tolerance", "penalty", "weight"}
     text : str
-        As typed in a shell or in a table; slashes separate the components of a weight.
+        Text from a shell or a table. The components of a weight are separated by slashes.
+
+    Returns
+    -------
+    str, float or tuple of float
+        Value of the option.
 
     Raises
     ------
     ValueError
-        Naming the expected text.
+        If the text is invalid; the message describes valid text.
     """
     if name == "plane":
         if text.casefold() not in get_args(Plane):
@@ -188,24 +199,24 @@ def read_energy(name: str, text: str) -> Any:
 
 
 def _sweep_of_named(kind: str) -> str:
-    """Return the title of a column for one tissue or boundary, as shown in messages."""
+    """Return the title of a column for a tissue or boundary, as listed in error messages."""
     return f"{kind}:NAME"
 
 
 def _title(cell: str) -> str:
-    """Return a normalised column title; a name after a colon keeps its upper and lower case."""
+    """Return a normalised column title; the capitalisation of a name after a colon is preserved."""
     kind, colon, of = cell.partition(":")
     return f"{kind.strip().casefold().replace('_', '-')}{colon}{of.strip()}"
 
 
 def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[NamedCase]:
-    """Yield the cases of a row: one for each combination of the swept values."""
+    """Yield one case for each combination of the swept values in a row."""
     image = cells.get("image") or cells.get("study")
     if image is None or ("image" in cells and "study" in cells):
-        raise FileFormatError(f"{where}: give either an image or a study.")
+        raise FileFormatError(f"{where}: the line must have either an image or a study. Give one.")
     swept = {title: text for title, text in cells.items() if ":" in title or title in _SWEPT}
     values = {title: _values(title, text, folder / image) for title, text in swept.items()}
-    # Other rows may use the same image, so a row without a name is named after all its values.
+    # Other rows may use the same image, so the default name includes all values of the row.
     named_after = [title for title in values if "name" not in cells or len(values[title]) > 1]
     for chosen in product(*values.values()):
         chosen_values = dict(zip(values, chosen, strict=True))
@@ -222,7 +233,7 @@ def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[Named
 
 
 def _plain_name(text: str) -> str:
-    """Return text for a folder name, without characters that need quoting in a shell."""
+    """Return text for a folder name, without characters that must be quoted in a shell."""
     return _SPECIAL.sub("_", text.replace(":", "-")).strip("_") or "_"
 
 
@@ -243,7 +254,10 @@ def _values(title: str, text: str, image: Path) -> list[str]:
 
 
 def _slices(image: Path) -> int:
-    """Return the number of slices of an image; 1 if unreadable, as the solve reports the error."""
+    """Return the number of slices of an image; 1 if the image cannot be read.
+
+    The solve of the case then reports the error.
+    """
     try:
         file = read_image(image)
     except (HmrfError, OSError):

@@ -1,4 +1,4 @@
-"""Comma-separated text as written by spreadsheets, with column titles in the first line."""
+"""Comma-separated text files with column titles, compatible with spreadsheets."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.regular_file import read_at_most
 
-#: Ending of the files.
+#: Suffix of the files.
 ENDING = ".csv"
-#: First characters by which a spreadsheet recognises a formula.
+#: Characters at the beginning of a cell that a spreadsheet interprets as a formula.
 _FORMULA = "=+-@\t\r"
-#: Synonyms of column titles, suggested when a column is unknown.
+#: Known column title for each synonym, suggested if a column is unknown.
 SYNONYMS = {
     **dict.fromkeys(
         ("young", "youngs", "young's", "youngs modulus", "young's modulus", "e", "modulus"),
@@ -51,8 +51,8 @@ class CsvFile(NamedTuple):
     titles : list of str
         Titles of the columns; "" for a column without a title.
     lines : list of (int, dict)
-        Number of each line, and its non-empty cells by title. Lines with empty cells only are
-        left out.
+        Number of each line, and its non-empty cells by column title. Lines without any content are
+        omitted.
     """
 
     titles: list[str]
@@ -60,12 +60,12 @@ class CsvFile(NamedTuple):
 
 
 def text_of(path: Path, largest: int) -> str:
-    """Read a file as text, with the line ends of Unix.
+    """Read a text file, and convert its line endings to line feeds.
 
     Raises
     ------
     FileFormatError
-        If the file is larger than `largest` bytes, or is not UTF-8.
+        If the file is larger than `largest` bytes, or is not valid UTF-8.
     OSError
         If the file cannot be opened.
     """
@@ -81,7 +81,7 @@ def text_of(path: Path, largest: int) -> str:
 
 
 def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
-    """Read the number of each line, and its cells without surrounding spaces.
+    """Return the number and the cells of each line of a .csv file, without surrounding spaces.
 
     Raises
     ------
@@ -110,13 +110,13 @@ def unknown_column(
     file : str
         Name of the file.
     line : int
-        Number of the line with the titles.
+        Number of the line with the column titles.
     title : str
-        The title as written.
+        Title of the unknown column.
     known : sequence of str
-        Titles of the table's columns.
+        Titles of the valid columns.
     others : mapping of str to str, optional
-        Columns of other kinds of tables: the kind by column title.
+        Kind of table to which other columns belong, by column title.
     """
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in title:
@@ -139,21 +139,22 @@ def read_csv(
     largest: int,
     check: Callable[[list[str], int], list[str]] = lambda titles, line: titles,
 ) -> CsvFile:
-    """Read a .csv file whose first non-empty line has the titles of the columns.
+    """Read a .csv file with column titles in its first non-empty line.
 
     Parameters
     ----------
     path : Path
     largest : int
-        Largest size of the file, in bytes.
+        Largest allowed size of the file, in bytes.
     check : callable
-        Called with the titles as written and the number of their line. Raises if a title is unknown
-        or missing, and returns the normalised titles.
+        Called with the titles in the file and the number of their line. Returns the normalised
+        titles, or raises an error if a title is unknown or missing.
 
     Raises
     ------
     FileFormatError
-        If the file is not a table, has a column twice, or has a line with more cells than columns.
+        If the file is not a table, has two columns with the same title, or has a line with more
+        cells than columns.
     OSError
         If the file cannot be opened.
     """
@@ -183,19 +184,20 @@ def write_csv(
     *,
     what: str = "tables",
 ) -> Path:
-    """Write rows under titles, atomically; None leaves a cell empty.
+    """Write a table to a .csv file, atomically.
 
-    Text that a spreadsheet would read as a formula is written with a leading apostrophe, which
-    `read_cells` removes. Numbers stay numbers.
+    Text that a spreadsheet would interpret as a formula is written with a leading apostrophe, which
+    `read_cells` removes. Numbers are written unchanged.
 
     Parameters
     ----------
     path : str or path-like
     titles : sequence of str
+        Titles of the columns.
     rows : iterable of iterables
-        Cells of each row, one for each title.
+        Cells of each row, one per column; None for an empty cell.
     what : str
-        Kind of content, for errors.
+        Kind of content, for error messages.
 
     Raises
     ------
@@ -218,21 +220,21 @@ def write_csv(
 
 
 def _with_apostrophe(cell: Any) -> Any:
-    """Return a cell in a form that no spreadsheet reads as a formula."""
+    """Add an apostrophe to text that a spreadsheet would interpret as a formula."""
     if not isinstance(cell, str) or not cell.startswith((*_FORMULA, "'")) or _is_number(cell):
         return cell
     return f"'{cell}" if _without_apostrophe(f"'{cell}") == cell else cell
 
 
 def _without_apostrophe(cell: str) -> str:
-    """Return a cell without the apostrophe that marks it as text."""
+    """Remove the apostrophe that `_with_apostrophe` added to a cell."""
     rest = cell.lstrip("'")
     marked = cell.startswith("'") and rest.startswith((*_FORMULA,)) and not _is_number(rest)
     return cell[1:] if marked else cell
 
 
 def _is_number(text: str) -> bool:
-    """Return whether text is a number, such as -0.5."""
+    """Return whether text represents a number, such as -0.5."""
     try:
         float(text)
     except ValueError:

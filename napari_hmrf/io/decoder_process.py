@@ -1,8 +1,8 @@
-"""Client of the decoder process: starts it, sends requests, and kills it when it hangs.
+"""Client of the decoder process: starts the process, sends requests, and kills a hung process.
 
-A damaged file can crash the libraries that decode it, or make them hang, and HDF5 does not recover
-from a full disk. The libraries therefore run in another process (`itk_decoder`), which serves one
-request at a time and is started again after a crash.
+A damaged file can make the libraries that decode it crash or hang, and HDF5 does not recover from a
+full disk. The libraries therefore run in a separate process (`itk_decoder`), which handles one
+request at a time and is restarted after a crash.
 """
 
 from __future__ import annotations
@@ -28,32 +28,35 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.io import itk_decoder
 
-#: Processor seconds for any file, however small.
+#: CPU time allowed for a file of any size, in seconds.
 _LEAST_SECONDS = 0.4
-#: Processor seconds per MB; generous, so that a large file on a slow machine is not refused.
+#: Additional CPU time per MB, in seconds; long enough for large files on slow machines.
 _SECONDS_PER_MB = 2.0
-#: Elapsed seconds for any file, and per MB, on a slow disk or network.
+#: Elapsed time allowed for a file of any size, and additional time per MB, in seconds; long enough
+#: for slow disks and networks.
 _LEAST_WAIT, _WAIT_PER_MB = 60.0, 5.0
-#: Memory for any file, in bytes, in addition to its largest expanded size.
+#: Memory allowed in addition to the decompressed file, in bytes.
 _LEAST_MEMORY = 512 * 2**20
-#: Largest number of copies of the expanded file in memory during decoding.
+#: Largest number of copies of the decompressed file in memory during decoding.
 _COPIES = 4
-#: Seconds between two checks of a busy decoder.
+#: Time between two checks of a busy decoder, in seconds.
 _POLL = 0.05
-#: Name parts of programs that can run a script; on macOS the Python of napari is named "napari".
+#: Substrings in the names of programs that can run a Python script; in napari's bundle for macOS,
+#: the interpreter is named "napari".
 _INTERPRETERS = ("python", "pypy", "napari")
-#: Number of remembered files that were refused; they are not decoded again.
+#: Number of rejected files to remember, so that they are not decoded again.
 _REMEMBERED = 32
 
 
 class Undecodable(Exception):
-    """A file was not decoded; the message is the reason, as the end of a sentence, or "".
+    """Error for a file that was not decoded.
 
     Parameters
     ----------
     reason : str
+        Reason, as a clause without a period; "" if unknown.
     fatal : bool
-        True if the file crashed the decoder, or the decoder was killed because of it.
+        True if the decoder crashed or was killed.
     """
 
     def __init__(self, reason: str, *, fatal: bool = False) -> None:
@@ -62,14 +65,14 @@ class Undecodable(Exception):
 
 
 class Decoded(NamedTuple):
-    """Answer of the decoder: the header, and the pixels if they were requested."""
+    """Response of the decoder: the header, and the pixels if they were requested."""
 
     header: dict[str, Any]
     pixels: npt.NDArray[Any] | None = None
 
 
 class _Watch:
-    """Thread that kills a decoder when a request takes too much time or memory."""
+    """Watchdog thread that kills a decoder if a request exceeds its limits of time or memory."""
 
     def __init__(self, process: subprocess.Popen[bytes], seconds: float, size: int) -> None:
         self.reason = ""
@@ -96,16 +99,16 @@ class _Watch:
                 if used - before > self._seconds:
                     self.reason = "decoding it did not finish, so it is probably damaged"
                 elif decoder.memory_info().rss > self._memory:
-                    self.reason = "decoding it needs more memory than a file of its size should"
+                    self.reason = "decoding it takes too much memory for a file of its size"
                 elif time.monotonic() - started > self._most_wait:
-                    self.reason = "its disk does not answer"
+                    self.reason = "its disk does not respond"
                 if self.reason:
                     self._process.kill()
                     return
 
 
 class DecoderProcess:
-    """A single decoder, started on first use; thread-safe."""
+    """Thread-safe client of a decoder process, which is started on first use."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -117,22 +120,24 @@ class DecoderProcess:
         self._refusals: OrderedDict[tuple[Any, ...], Undecodable] = OrderedDict()
 
     def decode(self, source: Path, kind: str, *, vectors: bool = False) -> Decoded:
-        """Decode a file, or its header alone.
+        """Decode a file, or only its header.
 
         Parameters
         ----------
         source : Path
+            File, or folder of DICOM files.
         kind : {"head", "pixels", "series"}
-            The header alone, the image, or the only series of a folder of DICOM files.
+            Content to decode: only the header; header and pixels; or, for a folder of DICOM files,
+            its only series.
         vectors : bool
-            True to read a transform as the field that it holds.
+            If True, return the displacement field of a transform.
 
         Raises
         ------
         Undecodable
-            If the file is refused, or decoding crashes or hangs.
+            If the file is rejected, or decoding crashes or hangs.
         HmrfError
-            If SimpleITK is not installed, or no process can be started.
+            If SimpleITK is not installed, or the process cannot be started.
         OSError
             If the file does not exist.
         """
@@ -155,13 +160,13 @@ class DecoderProcess:
     def write(
         self, file: Path, header: dict[str, Any], pixels: npt.NDArray[Any], *, vectors: bool
     ) -> None:
-        """Write an image, or a field as a transform.
+        """Write an image, or a displacement field as a transform.
 
         Parameters
         ----------
         file : Path
         header : dict
-            Components, spacing, origin, direction and metadata, as in `Decoded`.
+            Components, spacing, origin, direction and metadata, as in `Decoded.header`.
         pixels : ndarray
         vectors : bool
             True to write a transform.
@@ -169,7 +174,8 @@ class DecoderProcess:
         Raises
         ------
         Undecodable
-            If SimpleITK cannot write such pixels, or the disk is full; the reason is unknown.
+            If writing fails, for example because SimpleITK does not support such pixels or the disk
+            is full. The reason is unknown.
         HmrfError
             As for `decode`.
         """
@@ -187,22 +193,22 @@ class DecoderProcess:
             self._send_request(request, values.nbytes, values)
 
     def kill(self) -> None:
-        """Kill the decoder immediately, even during a request of another thread."""
+        """Kill the decoder immediately, even while another thread is waiting for a response."""
         process = self._process
         if process is not None:
             process.kill()
             process.wait()
-        if self._lock.acquire(blocking=False):  # otherwise the requesting thread detects the end
+        if self._lock.acquire(blocking=False):  # otherwise the requesting thread cleans up
             try:
                 self._end()
             finally:
                 self._lock.release()
 
     def forget_after_fork(self) -> None:
-        """Drop the decoder in a forked child, because it belongs to the parent process."""
+        """Detach a forked child process from the decoder, which belongs to the parent process."""
         process = self._process
         if process is not None:
-            process.returncode = 0  # the decoder is not a child of this process
+            process.returncode = 0  # prevents waiting: the decoder is not a child of this process
             for stream in (process.stdin, process.stdout):
                 with suppress(OSError):
                     if stream is not None:
@@ -217,7 +223,7 @@ class DecoderProcess:
             watch = _Watch(process, request["seconds"], size)
             try:
                 answer = _exchange(process, request, size, pixels)
-            except BaseException:  # the rest of the answer cannot be read
+            except BaseException:  # the rest of the response must not be read by the next request
                 process.kill()
                 self._end()
                 raise
@@ -233,7 +239,7 @@ class DecoderProcess:
                 raise Undecodable(watch.reason, fatal=True)
             if code or is_fresh:
                 raise Undecodable("decoding it crashes, so it is probably damaged", fatal=True)
-            # An idle decoder exited before it received the request.
+            # The decoder exited because it was idle, before it received the request.
         raise AssertionError("a new decoder either answers or raises an error")
 
     def _running(self) -> subprocess.Popen[bytes]:
@@ -254,10 +260,10 @@ class DecoderProcess:
 
 
 def _bytes_in(source: Path) -> int:
-    """Return the size of a file in bytes.
+    """Return the size of a file, in bytes.
 
-    For a header with separate pixels it is the size of the largest file in the folder; for a
-    folder, that of all its files.
+    For a folder, this is the total size of its files. For a header file with pixels in a separate
+    file, this is the size of the largest file in the folder.
     """
     is_parted = source.suffix.lower() in itk_decoder.PARTED
     if not (source.is_dir() or is_parted):
@@ -268,7 +274,10 @@ def _bytes_in(source: Path) -> int:
 
 
 def _find_python() -> str:
-    """Return the path of a Python; the executable of a bundled program may not run scripts."""
+    """Return the path of a Python interpreter.
+
+    `sys.executable` is not always an interpreter: in a bundled program, it is the program itself.
+    """
     names = ("python.exe", "python3.exe") if os.name == "nt" else ("python3", "python")
     folders = [Path(sys.prefix), Path(sys.exec_prefix)]
     candidates = [] if getattr(sys, "frozen", False) else [Path(sys.executable or "")]
@@ -279,13 +288,13 @@ def _find_python() -> str:
         if candidate.is_file() and any(word in candidate.name.lower() for word in _INTERPRETERS):
             return str(candidate)
     raise HmrfError(
-        "this file is read in a separate process, but no Python was found that can run it. Read "
+        "this file is read in a separate process, but no Python interpreter was found for it. Read "
         "the file in an environment with a Python interpreter."
     )
 
 
 def _start_decoder() -> subprocess.Popen[bytes]:
-    """Start a decoder and wait until it is ready."""
+    """Start a decoder process, and wait until it is ready."""
     command = [_find_python(), "-I", itk_decoder.__file__]
     try:
         process = subprocess.Popen(
@@ -315,7 +324,7 @@ def _start_decoder() -> subprocess.Popen[bytes]:
 
 
 def missing_simpleitk() -> HmrfError:
-    """Return the error for a missing SimpleITK, with the command that installs it."""
+    """Return the error for a missing SimpleITK, with the command that installs the package."""
     return HmrfError(
         "medical files are read and written by SimpleITK, which is not installed: "
         f"{how_to_install('medical')}."
@@ -328,7 +337,7 @@ def _exchange(
     size: int,
     sent: npt.NDArray[Any] | None = None,
 ) -> Decoded | None:
-    """Send a request and receive its answer; None if the decoder has ended."""
+    """Send a request, and return the response; None if the decoder has exited."""
     assert process.stdin is not None
     assert process.stdout is not None
     try:
@@ -346,7 +355,7 @@ def _exchange(
         return Decoded(header)
     kind, shape = np.dtype(header["dtype"]), tuple(header["shape"])
     if math.prod(shape) * kind.itemsize > itk_decoder.MOST_PACKED * max(size, 1):
-        raise Undecodable("it claims more pixels than it holds")
+        raise Undecodable("it claims more pixels than it contains")
     pixels = np.empty(shape, kind)
     rest = memoryview(pixels.data).cast("B") if pixels.size else memoryview(b"")
     while rest:

@@ -13,10 +13,11 @@ _LINE = "#4ea6dc"
 
 
 def draw_energy(axes: Any, solution: Solution) -> None:
-    """Draw the mean energy of a solution after each iteration.
+    """Plot the mean energy of a solution after each iteration.
 
-    The energies of the paper's schedule are drawn over the sweeps, with a line where each level
-    begins; those of multigrid over its cycles, with the estimated error as the title.
+    For the paper's schedule, the energy is plotted against the number of sweeps, with a vertical
+    line at the beginning of each level. For multigrid, it is plotted against the number of cycles,
+    with the estimated error as the title.
 
     Parameters
     ----------
@@ -34,8 +35,8 @@ def draw_energy(axes: Any, solution: Solution) -> None:
 
 
 def _draw_cycles(axes: Any, solution: Solution) -> None:
-    """Draw a point for each cycle over all levels, and the estimated error as the title."""
-    # The centred update records only its last energy, so only that point is drawn.
+    """Plot the energy after each multigrid cycle, and show the estimated error as the title."""
+    # The centred update records only its final energy, so only one point is drawn.
     energy = solution.energy
     cycles = np.arange(1, len(energy) + 1)
     known = slice(-1, None) if (energy == energy[-1]).all() else slice(None)
@@ -56,7 +57,7 @@ def _draw_levels(axes: Any, solution: Solution) -> None:
     begin, above = 0, axes.get_xaxis_transform()
     for level in solution.levels:
         axes.axvline(begin + 0.5, color="black", alpha=0.25, linewidth=0.6)
-        # The number of a narrow level would overlap those of its neighbours.
+        # The number of a narrow level would overlap the numbers of adjacent levels.
         if level.iterations >= 0.07 * count:
             middle = begin + level.iterations / 2
             place = {"transform": above, "ha": "center", "va": "bottom"}

@@ -1,11 +1,11 @@
-"""Displacement fields in files of other tools: NIfTI, MetaImage, NRRD, and ITK's HDF5.
+"""Displacement fields in the file formats of other tools: NIfTI, MetaImage, NRRD and ITK's HDF5.
 
-All of them follow ITK's convention: at each point P of the moved image, the vector u(P) leads back
-to P + u(P), the original position of the tissue seen at P. Vectors are in millimetres along the
+All formats use ITK's convention for backward fields: the tissue at point P of the deformed image
+was originally at P + u(P), where u is the stored field. The vectors are in millimetres along the
 physical axes left, posterior, superior (LPS), not along the axes of the image. ITK's tools assume
-no motion outside the grid of a field.
+that u is zero outside the grid of the field.
 
-SimpleITK, in the extra ``medical``, reads and writes the files.
+The files are read and written by SimpleITK, which the extra ``medical`` installs.
 """
 
 from __future__ import annotations
@@ -40,41 +40,44 @@ from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Grid
 
-#: Endings of the files that a field can be written to.
+#: Suffixes of the file formats to which a field can be written.
 FIELD_SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd", ".h5")
-#: Slicer's key for the direction of a field, and its values for backward and forward.
+#: Metadata key of 3D Slicer for the direction of a field, and its values for backward and forward.
 _SLICER, _BACKWARD, _FORWARD = "displacement field type", "resampling", "modeling"
-#: Name of NIfTI's free text, which replaces such keys, as ITK writes and as ITK reads it.
+#: ITK's metadata keys for the free text of a NIfTI header, when writing and when reading. The text
+#: stores the direction, because NIfTI has no other metadata.
 _NOTES, _DESCRIPTION = "ITK_FileNotes", "descrip"
 _NIFTI = (".nii", ".nii.gz")
-#: Format without such metadata: all tools assume that it holds a backward field.
+#: Suffix of the format without metadata; all tools assume that it contains a backward field.
 _NO_METADATA = ".h5"
-#: Largest distance of corresponding corners of equal grids, in pixels, which files round.
+#: Largest distance between corresponding corners of equal grids, in pixels; not zero, because
+#: positions are rounded in files.
 _SAME_PLACE = 0.05
-#: Largest deviation of a direction matrix from a rotation.
+#: Largest deviation of a direction matrix from an orthogonal matrix.
 _ROUNDING = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A displacement field and the place of its grid.
+    """Displacement field with the place of its grid.
 
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float64
-        Material displacement: tissue at X moves to X + d(X). Components in the order of the axes,
-        in mm along them. A field that the file stores backward is inverted on first access.
+        Material displacement d, in mm: tissue at X moves to X + d(X). The components are along the
+        axes of the image, in the same order. A backward field is inverted on first access.
     residual : float
         Largest deviation, in pixels, of `displacement` from the exact inverse of the stored field;
-        0 if the file stores the forward field.
+        0 if the file stores a forward field.
     spacing : tuple of float, shape (n,)
-        Size of a pixel along each axis, in mm; [z,] y, x.
+        Pixel size along each axis, in mm, in the order [z,] y, x.
     field : DisplacementField
-        The field as stored, in either direction; it can be evaluated at points.
+        Field as stored, forward or backward; it can be evaluated at any points.
     origin : tuple of float, shape (n,)
-        Middle of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS.
+        Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
-        In ITK's convention: the columns are the directions of the image's axes x, y[, z].
+        Direction matrix in ITK's convention: its columns are the directions of the image axes
+        x, y[, z].
     """
 
     field: DisplacementField
@@ -87,17 +90,17 @@ class Field:
 
     @property
     def displacement(self) -> npt.NDArray[np.float64]:
-        """Material displacement at every site; a backward field is inverted on first access."""
+        """Material displacement at every site, in mm; a backward field is inverted on access."""
         return self.field.displacement.astype(np.float64, copy=False)
 
     @property
     def spacing(self) -> tuple[float, ...]:
-        """Size of a pixel along each axis, in mm; [z,] y, x."""
+        """Pixel size along each axis, in mm, in the order [z,] y, x."""
         return tuple(self.field.spacing)
 
     @property
     def residual(self) -> float:
-        """Largest deviation, in pixels, of `displacement` from the inverse of the stored field."""
+        """Largest error of `displacement` as the inverse of the stored field, in pixels."""
         return self.field.residual
 
 
@@ -111,44 +114,46 @@ def write_field(
     forward: bool = False,
     tissue: npt.ArrayLike | None = None,
 ) -> float:
-    """Write a displacement field that ITK, SimpleITK, ANTs, elastix and Slicer read.
+    """Write a displacement field for ITK, SimpleITK, ANTs, elastix and 3D Slicer.
 
-    A field of one slice with three spacings lies in a volume. As NIfTI it is written as three equal
-    slices, because no tool reads a NIfTI field of one slice correctly; the other formats hold the
-    single slice.
+    A 2-D field with three spacings is a slice of a volume. In NIfTI files it is written as three
+    identical slices, because no tool reads a NIfTI field of a single slice correctly. In files of
+    other formats, it is written as a single slice.
 
     Parameters
     ----------
     path : str or path-like
-        Ends in one of `FIELD_SUFFIXES`. An earlier file stays until the new one is complete. The
-        file carries a digest, by which `read_field` detects damage; other tools skip it.
+        Path with one of the suffixes in `FIELD_SUFFIXES`. An existing file is replaced when the new
+        file is complete. The file contains a digest with which `read_field` detects damage; other
+        tools ignore the digest.
     displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
-        Material displacement: tissue at X moves to X + d(X). Components in the order of the axes,
-        in mm along them, as in `Solution.displacement`.
-    spacing : sequence of float, shape (n,), or of 3 for a slice of a volume
-        Size of a pixel in mm; [z,] y, x.
+        Material displacement d, in mm: tissue at X moves to X + d(X). The components are along the
+        axes of the image, in the same order, as in `Solution.displacement`.
+    spacing : sequence of float, shape (n,), or (3,) for a slice of a volume
+        Pixel size along each axis, in mm, in the order [z,] y, x.
     origin : sequence of float, optional
-        Middle of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS. By default 0.
+        Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS. By default 0.
     direction : array_like, shape (n, n), optional
-        Directions of the image's axes as columns, in ITK's convention. By default the identity.
+        Direction matrix in ITK's convention: its columns are the directions of the image axes
+        x, y[, z]. By default, the identity matrix.
     forward : bool
-        True to write the forward field, which maps old positions of tissue to new ones and moves
-        points. By default the backward field is written, which moves images.
+        If True, write the forward field, which maps original to new positions and is used to move
+        points. By default, the backward field is written, which is used to warp images.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        Mask of the moving tissue for the inversion, such as `Solution.tissue`.
+        Mask of the deformable tissue for the inversion, such as `Solution.tissue`.
 
     Returns
     -------
     float
-        Largest deviation, in pixels, of the written inverse from an exact inverse; 0 if `forward`.
+        Largest error of the written field as an inverse, in pixels; 0 if `forward` is True.
 
     Raises
     ------
     ProblemError
-        Naming the invalid input.
+        If an argument is invalid; the message names the argument.
     FileFormatError
-        If the name has no ending of a field file; or for a forward field as .h5, which cannot store
-        the direction, so that other tools would read it as a backward field.
+        If the suffix is not in `FIELD_SUFFIXES`; or if a forward field is written as .h5, which
+        cannot store the direction.
     HmrfError
         If SimpleITK is not installed.
     OSError
@@ -158,13 +163,13 @@ def write_field(
     suffix = next((each for each in FIELD_SUFFIXES if target.name.lower().endswith(each)), "")
     if not suffix:
         raise FileFormatError(
-            f"{target.name}: fields are not written in such a format. End the name in one of "
+            f"{target.name}: fields cannot be written in this format. Use one of the suffixes "
             f"{', '.join(FIELD_SUFFIXES)}."
         )
     if forward and suffix == _NO_METADATA:
         raise FileFormatError(
             f"{target.name}: this format does not store the direction of a field, so a forward "
-            "field would be read as a backward one. End the name in .mha, .nrrd or .nii.gz."
+            "field would be read as a backward field. Use .mha, .nrrd or .nii.gz."
         )
     _refuse_ambiguous_name(target, suffix)
     require_flag("forward", forward)
@@ -172,14 +177,16 @@ def write_field(
     d = as_field(displacement).astype(np.float64)
     n = d.shape[-1]
     if not np.isfinite(d).all():
-        raise ProblemError("displacement", "holds NaN or infinite values. Replace those vectors.")
+        raise ProblemError(
+            "displacement", "contains NaN or infinite values. Replace these vectors."
+        )
     size = _lengths("spacing", spacing, (n, 3))
     if not (size > 0).all():
         raise ProblemError("spacing", f"is {shown(tuple(spacing))}. Give lengths above 0.")
     back, residual = d, 0.0
     if not forward:
         back, residual = inverse_displacement(d, spacing=tuple(size[-n:]), tissue=tissue)
-    if len(size) > n:  # a slice in a volume: no motion along the third axis
+    if len(size) > n:  # a slice of a volume does not move perpendicular to the slice
         back = np.concatenate([np.zeros((*back.shape[:-1], 1)), back], axis=-1)[np.newaxis]
     start = np.zeros(len(size)) if origin is None else _lengths("origin", origin, (len(size),))
     turn = np.eye(len(size)) if direction is None else check_rotation(direction, len(size))
@@ -202,16 +209,16 @@ def write_field(
 
 
 def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
-    """Read a displacement field that this package, ITK, ANTs or elastix wrote.
+    """Read a displacement field written by this package, ITK, ANTs or elastix.
 
     Parameters
     ----------
     path : str or path-like
-        An image of vectors (.nii.gz, .mha, .mhd, .nrrd), or an ITK transform that holds a field.
+        Image of vectors (.nii.gz, .mha, .mhd, .nrrd), or ITK transform that contains a field.
     forward : bool
-        True if the file stores the forward field. By default it is read as a backward field, as
-        registration tools write it, and is inverted. A direction stored in the file, as by
-        `write_field` and in Slicer's .nrrd, takes precedence.
+        True if the file contains a forward field. By default, the field is assumed to be a backward
+        field, as written by registration tools. If the file states the direction, as files of
+        `write_field` and 3D Slicer do, this argument is ignored.
 
     Returns
     -------
@@ -235,23 +242,23 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     n, vectors = image.ndim, image.pixels
     if n not in (2, 3) or image.components != n:
         raise FileFormatError(
-            f"{source.name}: not a displacement field: {n} axes need {n} numbers per pixel, but "
+            f"{source.name}: not a displacement field: {n} axes require {n} numbers per pixel, but "
             f"the file has {image.components}. Give a field, a study or a saved result."
         )
     if vectors.dtype != np.float32:
         vectors = vectors.astype(np.float64)
     if not np.isfinite(vectors).all():
-        raise FileFormatError(f"{source.name}: the field holds NaN or infinite values.")
+        raise FileFormatError(f"{source.name}: the field contains NaN or infinite values.")
     along = (vectors @ image.direction.astype(vectors.dtype))[..., ::-1]
     field = DisplacementField(along, image.spacing[::-1], back=field_type != _FORWARD)
     return Field(field, image.origin, image.direction)
 
 
 def is_field_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file holds a displacement field.
+    """Return whether a file contains a displacement field.
 
-    Also True for a damaged file, so that `read_field` reports the error; False if SimpleITK is not
-    installed.
+    The result is also True for a damaged file, so that `read_field` can report the error. It is
+    False if SimpleITK is not installed.
     """
     source = Path(path)
     if not source.name.lower().endswith((*FIELD_SUFFIXES, ".mhd")) or not source.is_file():
@@ -260,16 +267,18 @@ def is_field_file(path: str | os.PathLike[str]) -> bool:
 
 
 class Place(NamedTuple):
-    """Place of a grid in ITK's convention: in mm, or in pixels if no unit is known.
+    """Place of a grid: its spacing, position and orientation in ITK's convention.
+
+    Lengths are in mm, or in pixels if the pixel size is unknown.
 
     Attributes
     ----------
     spacing : tuple of float, shape (n,)
-        Size of a pixel along each axis; [z,] y, x.
+        Pixel size along each axis, in the order [z,] y, x.
     origin : tuple of float, shape (n,)
-        Middle of the first pixel; x, y[, z] in LPS.
+        Centre of the first pixel: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
-        Its columns are the directions of the image's axes x, y[, z].
+        Direction matrix: its columns are the directions of the image axes x, y[, z].
     """
 
     spacing: tuple[float, ...]
@@ -277,23 +286,35 @@ class Place(NamedTuple):
     direction: npt.NDArray[np.float64]
 
     def to_pixels(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Convert points (N, n) in mm, ([z,] y, x) in the patient, to pixels of the grid."""
+        """Convert points from patient to pixel coordinates.
+
+        Parameters
+        ----------
+        points : ndarray, shape (N, n)
+            Points in patient coordinates, in mm, in the order [z,] y, x.
+
+        Returns
+        -------
+        ndarray, shape (N, n)
+            Points in pixels of the grid, in the same order.
+        """
         offsets: npt.NDArray[np.float64] = points - self.origin[::-1]
         return offsets @ self.direction[::-1, ::-1] / self.spacing
 
     def to_space(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Convert pixels of the grid to points in mm; the inverse of `to_pixels`."""
+        """Convert points from pixel to patient coordinates; the inverse of `to_pixels`."""
         offsets: npt.NDArray[np.float64] = (pixels * self.spacing) @ self.direction[::-1, ::-1].T
         return offsets + self.origin[::-1]
 
     def frame(self, number: int = 0, unit: str = "millimeter", *, volume: bool = False) -> Frame:
-        """Return the place as a frame of layers; inverts `place_of`.
+        """Convert the place to a `Frame` of napari layers; the inverse of `place_of`.
 
         Parameters
         ----------
         number : int
-            Number of the slice of a volume.
+            Index of the slice of a volume.
         unit : str
+            Unit of length.
         volume : bool
             True for the frame of a whole volume.
         """
@@ -313,20 +334,20 @@ class Place(NamedTuple):
 def place_of(solution: Solution) -> Place:
     """Return the place of a solution; for a slice of a volume, its place in the volume.
 
-    The world of its layers is assumed to be the patient: the axes z, y, x run towards superior,
-    posterior and left, as in the medical files that this package opens.
+    The world coordinates of the layers are assumed to be patient coordinates: the axes z, y and x
+    point to superior, posterior and left, as for medical images opened with this package.
 
     Raises
     ------
     ProblemError
-        If the pixels are not rectangular, or the axes have no unit of length in common.
+        If the pixels are not rectangular, or the unit of an axis is not a unit of length.
     """
     frame = solution.frame or {}
     if "matrix" not in frame:
         n = solution.tissue.ndim
         return Place(solution.spacing, (0.0,) * n, np.eye(n))
     matrix, plane = np.array(frame["matrix"]), list(frame["plane"])
-    # Millimetres per unit of each world axis: 1 for pixels, 0 if the unit is no length.
+    # Millimetres per unit of each world axis: 1 for pixels, NaN if it is not a unit of length.
     mm = [1.0 if unit == "pixel" else unit_factor(unit, "millimeter") for unit in frame["units"]]
     sizes = np.nan_to_num(mm)
     others = [axis for axis in np.flatnonzero(sizes).tolist() if axis not in plane]
@@ -336,7 +357,7 @@ def place_of(solution: Solution) -> Place:
         raise ProblemError(
             "displacement", f"is measured in {units}. Give the image a unit of length, such as mm."
         )
-    # Rows: axes of the world, z first. Columns: axes of the image.
+    # The rows are world axes, z first; the columns are image axes.
     world = sorted(axes)
     steps = matrix[np.ix_(world, axes)] * sizes[world][:, None]
     first = (matrix @ [*frame["index"], 1.0])[world] * sizes[world]
@@ -353,7 +374,7 @@ def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
     Raises
     ------
     ProblemError
-        As for `place_of`, or if the place contradicts the spacing or the unit of the solution.
+        As for `place_of`; or if the place is inconsistent with the spacing or unit of the solution.
     """
     place, n = place_of(solution), solution.tissue.ndim
     factors = np.array(place.spacing[-n:]) / solution.spacing
@@ -377,7 +398,7 @@ def export_field(
     grid: Grid | None = None,
     placed: bool = True,
 ) -> float:
-    """Write a solution's field for other tools, at the place of its image.
+    """Write the displacement field of a solution for other tools, at the place of its image.
 
     Parameters
     ----------
@@ -385,12 +406,12 @@ def export_field(
         As for `write_field`.
     solution : Solution
     grid : Grid, optional
-        Grid of the image, as returned by `Grid.from_image`; needed if the solution has no place,
-        because it comes from a `Problem`, or from a study whose grid has no place.
+        Grid of the image, as returned by `Grid.from_image`. Required if the solution has no place:
+        solutions of a `Problem`, or of a study with a grid without a place.
     placed : bool
-        If False, a solution without a place is written at the origin, along the axes, with its
-        spacing converted to mm; an unknown unit counts as 1 mm. Other tools place a picture (.png,
-        .tif) in the same way.
+        If False, a solution without a place is written at the origin, aligned with the axes, and
+        its spacing is converted to mm (an unknown unit is assumed to be mm). Other tools treat
+        pictures (.png, .tif) in the same way.
 
     Returns
     -------
@@ -402,8 +423,8 @@ def export_field(
     ArgumentError
         If `solution` is not a Solution, or `grid` is not a Grid.
     ProblemError
-        If the place is unknown, or the format of the file cannot hold it; or if the grid has
-        another shape, spacing or place than the solution.
+        If the place is unknown or cannot be stored in the file, or if the shape, spacing or place
+        of the grid differs from that of the solution.
     HmrfError, OSError
         As for `write_field`.
     """
@@ -427,7 +448,7 @@ def export_field(
 
 
 def _not_a_field(source: Path, error: Unreadable) -> str:
-    """Return the message for a file without a readable field, with the reason if known."""
+    """Return the error message for a file without a readable field, with the reason if known."""
     reason = f": {error}" if str(error) else ""
     return f"{source.name}: not a displacement field that can be read{reason}."
 
@@ -435,7 +456,7 @@ def _not_a_field(source: Path, error: Unreadable) -> str:
 def _place_solution(
     solution: Solution, grid: Grid | None, placed_only: bool
 ) -> tuple[npt.NDArray[np.floating], Place]:
-    """Return the displacement and place of a solution, placed by a grid if it has no place."""
+    """Return the displacement of a solution, and its place or that of a grid with a place."""
     if grid is not None:
         if grid.shape != solution.tissue.shape:
             raise ProblemError(
@@ -456,22 +477,21 @@ def _place_solution(
             if solution.frame and not _is_at(place_of(solution), place_of(on_grid), shape):
                 raise ProblemError(
                     "grid",
-                    "lies elsewhere than the field, which has a place. Leave grid out, or solve "
-                    "on this grid.",
+                    "is not in the same place as the field. Leave grid out, or solve on this grid.",
                 )
             solution = on_grid
         elif placed_only and not solution.frame:
             raise ProblemError(
                 "grid",
-                "has no place, because a picture (.png, .tif) has none. Give the grid of a medical "
-                "image, or placed=False to place the field at the origin.",
+                "has no place, as is the case for pictures (.png, .tif). Give the grid of a "
+                "medical image, or placed=False to write the field at the origin.",
             )
     if placed_only and not solution.frame:
         raise ProblemError(
             "displacement",
-            "has no place, because the place of its image is unknown. Make the study with "
-            "Grid.from_image(image), or give that grid here as grid=. For a picture (.png, .tif), "
-            "which has no place, give placed=False to place the field at the origin.",
+            "has no place, because the place of its image is unknown. Create the study with "
+            "Grid.from_image(image), or pass this grid as grid=. For pictures (.png, .tif), which "
+            "have no place, use placed=False to write the field at the origin.",
         )
     displacement, place = placed(solution)
     if solution.frame or solution.unit in UNKNOWN_UNITS:
@@ -480,15 +500,15 @@ def _place_solution(
     if not np.isfinite(factor):
         raise ProblemError(
             "displacement",
-            f"is in {shown(solution.unit)}, which is no unit of length. Give the grid of the study "
-            'a unit of length, such as "mm".',
+            f"is in {shown(solution.unit)}, which is not a unit of length. Give the grid of the "
+            'study a unit of length, such as "mm".',
         )
     in_mm = tuple(size * factor for size in place.spacing)
     return displacement * factor, place._replace(spacing=in_mm)
 
 
 def _is_at(one: Place, other: Place, shape: tuple[int, ...]) -> bool:
-    """Return whether the corners of a grid are at the same points in both places."""
+    """Return whether the corners of a grid have the same positions in two places."""
     n = len(one.spacing)
     if len(other.spacing) != n:
         return False
@@ -498,7 +518,7 @@ def _is_at(one: Place, other: Place, shape: tuple[int, ...]) -> bool:
 
 
 def _stated_type(metadata: Mapping[str, str]) -> str:
-    """Return the type of a field (backward or forward) stated by its metadata; "" if none."""
+    """Return the direction of a field in its metadata, as Slicer's value; "" if not stated."""
     if _SLICER in metadata:
         return metadata[_SLICER].strip()
     key, _, field_type = metadata.get(_DESCRIPTION, "").partition(":")
@@ -506,15 +526,15 @@ def _stated_type(metadata: Mapping[str, str]) -> str:
 
 
 def _refuse_ambiguous_name(target: Path, suffix: str) -> None:
-    """Refuse a name for which ITK's NIfTI reader would read the vectors of another file."""
+    """Raise an error if ITK's NIfTI reader could confuse the file with an existing file."""
     other = {".nii": ".nii.gz", ".nii.gz": ".nii"}.get(suffix)
     if other is None:
         return
     twin = target.with_name(target.name[: -len(suffix)] + other)
     if twin.exists():
         raise FileFormatError(
-            f"{target.name}: {twin.name} is in the same folder, and ITK's tools would read one "
-            "instead of the other. Choose another name, or remove that file."
+            f"{target.name}: {twin.name} is in the same folder, and ITK's tools would confuse the "
+            f"two files. Choose another name, or remove {twin.name}."
         )
 
 
@@ -527,13 +547,13 @@ def _lengths(name: str, values: Sequence[float], counts: tuple[int, ...]) -> npt
 
 
 def check_rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
-    """Return the directions of n axes as a matrix; refuse a matrix that is not orthogonal."""
+    """Return a direction matrix as an (n, n) array; raise an error if it is not orthogonal."""
     turn = as_numbers("direction", direction).astype(np.float64)
     turn = turn.reshape(n, n) if turn.size == n * n else turn
     if turn.shape != (n, n) or not np.allclose(turn @ turn.T, np.eye(n), atol=_ROUNDING):
         raise ProblemError(
             "direction",
-            f"is {shown(direction)}. Give {n} x {n} numbers whose columns are the directions of "
-            "the image's axes, at right angles and of length 1.",
+            f"is {shown(direction)}. Give an orthogonal {n} x {n} matrix, with the directions of "
+            "the image axes as its columns.",
         )
     return turn

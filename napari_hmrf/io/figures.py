@@ -1,7 +1,7 @@
-"""Pictures of a problem and its solution, for files and papers; drawn with matplotlib.
+"""Figures of a problem and its solution for files and publications, drawn with matplotlib.
 
-The functions need neither a window nor pyplot: each figure is created and returned to the caller.
-matplotlib is imported when the first picture is drawn.
+The functions require neither a window nor pyplot. matplotlib is imported when the first figure is
+drawn.
 """
 
 from __future__ import annotations
@@ -30,36 +30,36 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure  # heavy: matplotlib
 
-#: Approximate numbers of arrows for a displacement, and for a boundary.
+#: Approximate numbers of arrows in figures of a displacement field, and of a boundary.
 ARROWS = 500
 BOUNDARY_ARROWS = 250
-#: Lines of the deformation grid along the longer side.
+#: Number of lines of the deformation grid along the longer side of the image.
 GRID_LINES = 50
 _ARROW_COLOUR = "#e8590c"
 _FIXED_COLOUR = "#4dabf7"
 _GRID_COLOUR = "#0b7285"
-# Title of pictures whose colours show the motion at the position of the tissue before it moves.
-_BEFORE_TITLE = "{}\n(drawn on the tissue before it moves)"
+# Title of figures that show a quantity at the original positions of the tissue.
+_BEFORE_TITLE = "{}\n(at the original positions of the tissue)"
 
 
 def write_pictures(
     folder: Path, image: npt.ArrayLike, problem: Problem, solution: Solution
 ) -> list[Path]:
-    """Draw a problem and its solution into PNG files.
+    """Draw figures of a problem and its solution, and save them as PNG files.
 
     Parameters
     ----------
     folder : Path
-        Existing folder; files of the same names are replaced.
+        Existing folder; files with the same names are replaced.
     image : array_like, shape (H, W)
-        The image before the tissue moves.
+        Undeformed image.
     problem : Problem
     solution : Solution
 
     Returns
     -------
     list of Path
-        The written files: input, displacement, warped, grid, energy.
+        Paths of the files: input, displacement, warped, grid, energy.
     """
     grey = np.asarray(image)
     figures = {
@@ -79,25 +79,25 @@ def write_result_pictures(
     unit: str = "px",
     own_folder: str = "",
 ) -> list[Path]:
-    """Draw a result into PNG files; the problem is not needed.
+    """Draw figures of a solution, and save them as PNG files.
 
     Parameters
     ----------
     folder : Path
-        Existing folder; files of the same names are replaced.
+        Existing folder; files with the same names are replaced.
     solution : Solution
     image : array_like, shape (H, W) or (H, W, 3 or 4), optional
-        The image before the tissue moves.
+        Undeformed image.
     unit : str
-        Unit of the displacement and of spacing.
+        Unit of the displacement and the spacing.
     own_folder : str, optional
         Name of a new subfolder for the files.
 
     Returns
     -------
     list of Path
-        The written files: displacement and warped (with an image), grid, magnitude, jacobian,
-        strain, energy.
+        Paths of the files: displacement and warped (only if there is an image), grid, magnitude,
+        jacobian, strain, energy.
     """
     if own_folder:
         folder = _new_folder(folder, own_folder)
@@ -117,24 +117,24 @@ def write_result_pictures(
 def write_volume_pictures(
     folder: Path, image: npt.ArrayLike, solution: Solution, at: Sequence[int], unit: str = "px"
 ) -> list[Path]:
-    """Draw three perpendicular slices of a volume into PNG files.
+    """Draw figures of three orthogonal slices of a volume, and save them as PNG files.
 
     Parameters
     ----------
     folder : Path
-        Existing folder; files of the same names are replaced.
+        Existing folder; files with the same names are replaced.
     image : array_like, shape (D, H, W)
-        The image before the tissue moves.
+        Undeformed image.
     solution : Solution
     at : sequence of int, shape (3,)
-        The voxel in which the slices meet.
+        Index of the voxel at the intersection of the slices.
     unit : str
-        Unit of the displacement and of spacing.
+        Unit of the displacement and the spacing.
 
     Returns
     -------
     list of Path
-        The written files: before, after, magnitude.
+        Paths of the files: before, after, magnitude.
     """
     grey = np.asarray(image)
     moved = warp(grey, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
@@ -150,7 +150,7 @@ def write_volume_pictures(
 
 
 def _new_folder(parent: Path, name: str) -> Path:
-    """Create a folder with an unused name, so that no file is replaced."""
+    """Create a new folder, with a number in its name if the name is already used."""
     safe_name = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
     folder, number = parent / safe_name, 1
     while True:
@@ -164,7 +164,7 @@ def _new_folder(parent: Path, name: str) -> Path:
 
 
 def _save_figures(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
-    """Save figures under their names, each atomically."""
+    """Save figures as PNG files, each atomically, and return the paths of the files."""
     written = []
     for name, figure in figures.items():
         buffer = io.BytesIO()
@@ -175,14 +175,14 @@ def _save_figures(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
 
 
 def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
-    """Draw the image and the observed displacement where its confidence is above 0.
+    """Draw the image, and arrows of the observed displacement where its confidence is above 0.
 
-    Dots mark fixed sites.
+    Dots mark sites with an observed displacement of zero.
     """
     figure, (axes,) = _figure(problem.spacing, "input: the image and the motion of the boundary")
     _show(axes, image)
     known = problem.known.any(axis=-1)
-    # A regular pattern would miss most of a thin boundary, so every nth boundary site is drawn.
+    # Draw every nth boundary site: a regular grid of sites would miss most of a thin boundary.
     starts = np.argwhere(known)[:: max(1, int(known.sum()) // BOUNDARY_ARROWS)]
     vectors = problem.observed[tuple(starts.T)] / np.array(problem.spacing)
     rows, cols = starts[~vectors.any(axis=-1)].T
@@ -192,7 +192,7 @@ def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
 
 
 def displacement_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
-    """Draw the displacement as arrows of true length on the image before it moves."""
+    """Draw the displacement field as arrows of true length on the undeformed image."""
     figure, (axes,) = _figure(solution.spacing, "displacement of the tissue")
     _show(axes, image)
     shown = arrows(
@@ -203,7 +203,7 @@ def displacement_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
 
 
 def warped_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
-    """Draw the image before and after it moves with the tissue, side by side."""
+    """Draw the undeformed and the deformed image side by side."""
     figure, (before, after) = _figure(solution.spacing, "before", "after")
     moved = warp(image, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
     _show(before, image)
@@ -212,10 +212,10 @@ def warped_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
 
 
 def grid_picture(solution: Solution) -> Figure:
-    """Draw a regular grid after it has moved with the tissue (figure 4)."""
+    """Draw a regular grid that is deformed with the tissue (figure 4)."""
     from matplotlib.collections import LineCollection  # heavy: matplotlib
 
-    figure, (axes,) = _figure(solution.spacing, "a regular grid, moved with the tissue")
+    figure, (axes,) = _figure(solution.spacing, "a regular grid, deformed with the tissue")
     height, width = solution.tissue.shape
     every = pixels_between(GRID_LINES, solution.tissue.shape, solution.spacing)
     segments = deformation_grid(
@@ -231,23 +231,23 @@ def grid_picture(solution: Solution) -> Figure:
 def magnitude_picture(
     solution: Solution, unit: str = "px", image: npt.ArrayLike | None = None
 ) -> Figure:
-    """Draw the length of the displacement at the position of the tissue before it moves."""
+    """Draw the magnitude of the displacement at the original positions of the tissue."""
     return _quantity_picture(solution, "magnitude", f"displacement / {unit}", image)
 
 
 def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
-    """Draw the factor by which the area of the tissue changes; folds (0 or below) are yellow."""
+    """Draw the Jacobian determinant, the area ratio of the tissue; folds (<= 0) are yellow."""
     return _quantity_picture(solution, "jacobian", "area ratio (Jacobian)", image)
 
 
 def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
-    """Draw the equivalent strain, elastic or in-plane as the title says."""
+    """Draw the equivalent strain; the title states whether it is the elastic or in-plane strain."""
     title, unit = title_and_unit("equivalent", solution)
     return _quantity_picture(solution, "equivalent", f"{title} ({unit})", image)
 
 
 def energy_picture(solution: Solution) -> Figure:
-    """Draw the mean energy after each iteration, coarse to fine, with the level boundaries."""
+    """Plot the mean energy after each iteration; see `draw_energy`."""
     from matplotlib.figure import Figure  # heavy: matplotlib
 
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
@@ -258,7 +258,7 @@ def energy_picture(solution: Solution) -> Figure:
 def _quantity_picture(
     solution: Solution, quantity: Quantity, title: str, image: npt.ArrayLike | None
 ) -> Figure:
-    """Draw a quantity as colours on the image, with their scale, as the viewer does."""
+    """Draw a quantity as colours on the image, with a colour bar, as in the viewer."""
     figure, (axes,) = _figure(solution.spacing, _BEFORE_TITLE.format(title))
     if image is not None:
         _show(axes, np.asarray(image))
@@ -270,7 +270,7 @@ def _quantity_picture(
 def _draw_colours(
     figure: Figure, parts: Sequence[tuple[Axes, npt.NDArray[Any]]], coloured_values: Coloured
 ) -> None:
-    """Draw slices of a quantity as colours with one scale, each on its axes."""
+    """Draw slices of a quantity as colours, each on separate axes, with a common colour bar."""
     import matplotlib  # heavy: matplotlib
     from matplotlib.colors import ListedColormap  # heavy: matplotlib
 
@@ -307,14 +307,14 @@ def _slices_picture(
     greys_of: npt.NDArray[Any] | None = None,
     colours: Coloured | None = None,
 ) -> Figure:
-    """Draw a slice perpendicular to each axis, with the head of the patient at the top."""
+    """Draw a slice perpendicular to each axis; superior is at the top."""
     from matplotlib.figure import Figure  # heavy: matplotlib
 
     figure = Figure(figsize=(15.0, 6.2), layout="constrained")
     figure.suptitle(title, fontsize=11)
     frame = Frame.of_solution(solution)
     slices = [_slice_frame(frame, axis, at[axis]) for axis in range(3)]
-    # The widths give all three slices the same scale.
+    # Width ratios for which all three slices have the same scale.
     _, height, width = np.multiply(image.shape, solution.spacing)
     row = figure.subplots(1, 3, width_ratios=[width, width, height])
     for axis, (axes, place) in enumerate(zip(row, slices, strict=True)):
@@ -333,14 +333,14 @@ def _slices_picture(
 
 
 def _slice_frame(frame: Frame, axis: int, number: int) -> Frame:
-    """Return the place of a slice across an axis of a volume."""
+    """Return the frame of a slice perpendicular to an axis of a volume."""
     plane, index = list(frame.plane), list(frame.index)
     index[plane.pop(axis)] = number
     return replace(frame, plane=tuple(plane), index=tuple(index))
 
 
 def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a row of axes for images, with the true proportions of the pixels."""
+    """Return a figure with a row of axes for images, with the aspect ratio of the pixels."""
     from matplotlib.figure import Figure  # heavy: matplotlib
 
     if len(spacing) != 2:
@@ -356,7 +356,7 @@ def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes
 
 
 def _show(axes: Axes, image: npt.NDArray[Any], greys_of: npt.NDArray[Any] | None = None) -> None:
-    """Show an image, optionally with the grey scale of another image for comparison."""
+    """Show an image, optionally with the contrast limits of another image."""
     levels = image if greys_of is None else greys_of
     axes.imshow(
         image,
@@ -368,7 +368,7 @@ def _show(axes: Axes, image: npt.NDArray[Any], greys_of: npt.NDArray[Any] | None
 
 
 def _draw_arrows(axes: Axes, vectors: npt.NDArray[Any]) -> None:
-    """Draw arrows (start, direction) in (row, col) pixels, at their true length."""
+    """Draw arrows (start, vector), in (row, col) pixels, at true length."""
     (rows, cols), (down, right) = vectors[:, 0].T, vectors[:, 1].T
     axes.quiver(
         cols,

@@ -1,9 +1,10 @@
-"""Exclusive use of a folder by one process, also on a disk that several machines share.
+"""Lock of a folder for exclusive use by one process, including on disks shared by machines.
 
-A process marks a folder with a file, whose name states the process, its start time and its machine.
-It then searches for the marks of other processes: if two processes begin at the same time, at least
-one of them finds the mark of the other. The mark of an ended process of this machine is removed. A
-process of another machine cannot be checked, so its mark always counts.
+A process creates a lock file with a name that contains the process id, the start time of the
+process and the machine. It then searches for lock files of other processes. If two processes do
+this at the same time, at least one of them finds the lock file of the other. A stale lock file of
+an ended process on this machine is removed. The processes of other machines cannot be checked, so
+their lock files are always respected.
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ import psutil
 
 from napari_hmrf.errors import HmrfError
 
-#: Largest difference between two readings of the start time of one process, in seconds.
+#: Largest difference between two queries of the start time of the same process, in seconds.
 _SAME_START = 2
 _MARK = re.compile(r"\.batch-(\d+)-(\d+)-[0-9a-f]+@(.+)\.lock")
 
 
 class Mark(NamedTuple):
-    """Mark of a process in a folder.
+    """Lock file of a process in a folder.
 
     Attributes
     ----------
     path : Path
-        File of the mark.
+        Path of the lock file.
     process : int
-        Identifier of the process.
+        Process id.
     started : int
         Start time of the process, in seconds since the epoch.
     machine : str
@@ -65,7 +66,7 @@ class Mark(NamedTuple):
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
-    """Return a context in which only this process uses a folder.
+    """Lock a folder for this process within a context.
 
     Parameters
     ----------
@@ -75,10 +76,10 @@ def exclusive(folder: Path) -> Iterator[None]:
     Raises
     ------
     HmrfError
-        If another process uses the folder; the message names the process, its machine, and the
-        file to delete if the process has ended.
+        If another process has locked the folder. The message states the process, its machine, and
+        the lock file to delete if the process has already ended.
     OSError
-        If the folder cannot be written.
+        If the folder cannot be written to.
     """
     started = int(psutil.Process().create_time())
     name = f".batch-{os.getpid()}-{started}-{secrets.token_hex(4)}@{_machine()}.lock"
@@ -94,9 +95,9 @@ def exclusive(folder: Path) -> Iterator[None]:
                 continue
             machine = "" if mark.machine == _machine() else f" on {mark.machine}"
             raise HmrfError(
-                f"{folder}: another batch, process {mark.process}{machine}, writes into this "
-                "folder. Wait until it ends, or choose another folder. If it has ended, delete "
-                f"{mark.path.name} in the folder."
+                f"{folder}: another batch (process {mark.process}{machine}) is using this folder. "
+                "Wait until that batch ends, or choose another folder. If the batch has already "
+                f"ended, delete {mark.path.name} in the folder."
             )
         yield
     finally:
@@ -105,7 +106,7 @@ def exclusive(folder: Path) -> Iterator[None]:
 
 
 def marks_in(folder: Path) -> tuple[Mark, ...]:
-    """Return the marks of all processes in a folder."""
+    """Return the lock files of all processes in a folder."""
     matches = ((path, _MARK.fullmatch(path.name)) for path in sorted(folder.glob(".batch-*.lock")))
     return tuple(
         Mark(path, int(match[1]), int(match[2]), match[3]) for path, match in matches if match
@@ -113,5 +114,5 @@ def marks_in(folder: Path) -> tuple[Mark, ...]:
 
 
 def _machine() -> str:
-    """Return the name of this machine, with only characters that file names allow."""
+    """Return the name of this machine, restricted to characters that are valid in file names."""
     return re.sub(r"[^\w.-]+", "_", socket.gethostname()) or "machine"

@@ -1,4 +1,4 @@
-"""Grid of an image: its shape, spacing and place."""
+"""Conversion of an image to a `Grid`: its shape, spacing and place."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from napari_hmrf.io.fields import Place, check_rotation
 from napari_hmrf.io.images import read_image
 from napari_hmrf.study.study import Grid
 
-#: From right, anterior, superior (nibabel's convention) to left, posterior, superior.
+#: Transform from right, anterior, superior (nibabel's convention) to left, posterior, superior.
 _TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
-#: Length in mm of the units of nibabel; unknown ones are millimetres, as in files.
+#: Length of each unit of nibabel, in mm; an unknown unit is assumed to be mm, as in files.
 _MILLIMETRES = {"unknown": 1.0, "mm": 1.0, "meter": 1e3, "micron": 1e-3}
 
 
@@ -34,18 +34,22 @@ def grid_of_image(
     ----------
     image : path-like, SimpleITK image or nibabel image
     slice : int, optional
-        Number of a slice of a volume; by default the grid is that of the whole image.
+        Index of a slice of a volume; by default, the grid of the whole image is returned.
     axis : int
-        Axis of the volume's array that is perpendicular to the slice.
+        Axis of the volume's array perpendicular to the slice.
+
+    Returns
+    -------
+    Grid
 
     Raises
     ------
     ArgumentError
-        If `image` has another type, or has no such slice.
+        If `image` has an unsupported type, or does not have the requested slice.
     ProblemError
-        If the axes of the image are not at right angles.
+        If the axes of the image are not orthogonal.
     HmrfError, OSError
-        As for `read_image`, for a path.
+        As for `read_image`, if `image` is a path.
     """
     if isinstance(image, str | os.PathLike):
         shape, place = _of_file(image)
@@ -56,8 +60,7 @@ def grid_of_image(
     else:
         raise ArgumentError(
             f"image is {shown(image)}, of type {type(image).__name__}. Give a path, a SimpleITK "
-            "image or a nibabel image. For an array, whose place is unknown, make "
-            "Grid(shape, spacing)."
+            "image or a nibabel image. For an array, which has no place, use Grid(shape, spacing)."
         )
     n = len(shape)
     if place is None:
@@ -81,14 +84,14 @@ def _slice_of(grid: Grid, frame: Frame, number: int, axis: int) -> Grid:
     count = grid.shape[axis]
     if not (is_whole(number) and 0 <= number < count):
         raise ArgumentError(
-            f"slice is {shown(number)}, but the volume has {count} slices across axis {axis}. "
+            f"slice is {shown(number)}, but the volume has {count} slices along axis {axis}. "
             f"Give 0 to {count - 1}."
         )
     return replace(
         grid,
         shape=(*grid.shape[:axis], *grid.shape[axis + 1 :]),
         spacing=(*grid.spacing[:axis], *grid.spacing[axis + 1 :]),
-        # A stack without a place also keeps the number of its slice.
+        # Also set for a stack without a place, to store the index of the slice.
         place=frame.plane_at(axis, int(number)),
     )
 
@@ -111,7 +114,7 @@ def _of_simpleitk(image: Any) -> tuple[tuple[int, ...], Place]:
 
 
 def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
-    """Return shape and place with the axes in the order of `dataobj`, which is x, y, z."""
+    """Return shape and place, with the axes in the order of `dataobj` (usually x, y, z)."""
     shape = tuple(int(size) for size in image.dataobj.shape)
     affine = np.asarray(image.affine, dtype=float)
     if len(shape) > 3 and set(shape[3:]) == {1}:
@@ -127,14 +130,14 @@ def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
     spacing = np.linalg.norm(steps[:3, :3], axis=0)
     if not (np.isfinite(steps).all() and (spacing > 0).all()):
         raise ProblemError("image", "has a singular affine. Give the image an invertible affine.")
-    # In a `Place` the first column belongs to the last axis of the array.
+    # The first column of `Place.direction` belongs to the last axis of the array.
     turn = (steps[:3, :3] / spacing)[:, ::-1]
     return shape, Place(tuple(spacing.tolist()), tuple(steps[:3, 3].tolist()), turn)
 
 
 def _millimetres(image: Any) -> float:
-    """Return the length of a unit of a nibabel image's affine, in mm."""
-    # Only headers of NIfTI files state a unit; other formats of nibabel are in millimetres.
+    """Return the length in mm of the unit of a nibabel image's affine."""
+    # Only the headers of NIfTI images state a unit; other formats of nibabel use millimetres.
     units = getattr(image.header, "get_xyzt_units", lambda: ("mm",))()
     if units[0] not in _MILLIMETRES:
         raise ProblemError(

@@ -1,7 +1,8 @@
-"""Image files: pictures, and medical images with their place.
+"""Reading and writing of image files: pictures, and medical images with their place.
 
-scikit-image reads and Pillow writes pictures (.png, .jpg, .bmp), tifffile does both for .tif.
-SimpleITK, in the extra ``medical``, handles NIfTI, MetaImage, NRRD and folders of DICOM.
+Pictures (.png, .jpg, .bmp) are read with scikit-image and written with Pillow; .tif files are read
+and written with tifffile. NIfTI, MetaImage, NRRD and folders of DICOM files are handled by
+SimpleITK, which the extra ``medical`` installs.
 """
 
 from __future__ import annotations
@@ -22,23 +23,24 @@ from napari_hmrf.io.fields import Place
 from napari_hmrf.io.itk_files import ItkImage, Unreadable, encode, read_itk_image, read_itk_series
 from napari_hmrf.regular_file import refuse_irregular
 
-#: Largest distance between two grids that count as the same, in pixels.
+#: Largest distance at which two grids are considered to be in the same place, in pixels.
 SAME = 0.01
-#: Endings of the files of pictures, and of medical images.
+#: Suffixes of pictures.
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
+#: Suffixes of medical images.
 MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
 
 
 class ImageFile(NamedTuple):
-    """Image with its place, as read from a file or to be written.
+    """Image with its place: the content of an image file.
 
     Attributes
     ----------
     pixels : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
     place : Place or None
-        Place in the patient, in mm; None for a picture.
+        Place in patient coordinates, in mm; None for a picture.
     colours : bool
-        True if the last axis holds colours.
+        True if the last axis contains colour channels.
     """
 
     pixels: npt.NDArray[Any]
@@ -47,15 +49,16 @@ class ImageFile(NamedTuple):
 
     @property
     def pixels_in_place(self) -> npt.NDArray[Any]:
-        """Pixels on all axes of the place; a slice of a volume has an axis of length 1."""
+        """Pixels with all axes of the place; a slice of a volume gets a first axis of length 1."""
         more = 0 if self.place is None else len(self.place.spacing) - self.ndim
         return self.pixels[(np.newaxis,) * more]
 
     @property
     def upright(self) -> ImageFile:
-        """Volume with its axes in the order of the nearest axes of the world.
+        """Image with the axes of a volume in the order of the nearest world axes.
 
-        Scanners acquire slices in any orientation, while napari shows slices across world axes.
+        Scanners acquire slices in any orientation, but napari shows slices perpendicular to world
+        axes.
         """
         place = self.place
         if place is None or len(place.spacing) != 3:
@@ -68,7 +71,7 @@ class ImageFile(NamedTuple):
         return self.reordered(max(permutations(range(3)), key=nearness))
 
     def reordered(self, order: tuple[int, ...]) -> ImageFile:
-        """Return a view of a volume with a place, with its axes in another order."""
+        """Return a view of a volume, which must have a place, with its axes in another order."""
         place = self.place
         assert place is not None
         turn = place.direction[::-1, ::-1]
@@ -83,57 +86,64 @@ class ImageFile(NamedTuple):
         )
 
     def laid_as(self, place: Place | None) -> ImageFile:
-        """Return the image with its axes in the order of another place, if both can coincide."""
+        """Return the image with reordered axes, so that it matches another place.
+
+        The image itself is returned if no order of its axes matches.
+        """
         if self.place is None or len(self.place.spacing) != 3 or apart(self.place, place) <= SAME:
             return self
         reordered = map(self.reordered, permutations(range(3)))
         return next((each for each in reordered if apart(each.place, place) <= SAME), self)
 
     def refuse_elsewhere(self, place: Place | None, name: str, what: str) -> None:
-        """Refuse an image that lies elsewhere than another image of the same size.
+        """Raise an error if the image is not in the same place as another image of its size.
 
         Parameters
         ----------
         place : Place or None
-            Place of the other image; no image is refused if it is None.
+            Place of the other image; None disables the check.
         name : str
-            Name of the file.
+            Name of the image file, for the error message.
         what : str
-            Description of the other image, for the message.
+            Description of the other image, for the error message.
 
         Raises
         ------
         ProblemError
-            Naming the file.
+            If the places differ.
         """
         if apart(self.place, place, self.ndim) > SAME:
             raise ProblemError(
                 name,
-                f"lies elsewhere than {what}, although it has the same size. Give one with the "
-                "same place; if only its header is wrong, save it as a .tif, which has no place.",
+                f"is not in the same place as {what}, although it has the same size. Give a file "
+                "with the same place. If only the header is wrong, save the image as a .tif, which "
+                "has no place.",
             )
 
     @property
     def ndim(self) -> int:
-        """Number of axes in space."""
+        """Number of spatial axes."""
         return self.pixels.ndim - self.colours
 
 
 def apart(one: Place | None, other: Place | None, axes: int = 3) -> float:
-    """Return the largest distance between two grids, in pixels of the first.
+    """Return the largest distance between corresponding points of two grids.
 
-    The first pixels and the unit steps along the axes are compared.
+    The compared points are the first pixel and its neighbours along the axes.
 
     Parameters
     ----------
     one, other : Place or None
+        Places of the grids.
     axes : int
-        Number of last axes whose steps are compared; for a slice, the axes in its plane.
+        Number of axes, counted from the last, along which neighbours are compared: for a slice, the
+        axes in its plane.
 
     Returns
     -------
     float
-        0 if one of the grids has no place, or only one of them lies in a volume.
+        Distance in pixels of the first grid; 0 if a grid has no place, or if only one of the grids
+        is that of a volume or of its slice.
     """
     if one is None or other is None or len(one.spacing) != len(other.spacing):
         return 0.0
@@ -143,9 +153,9 @@ def apart(one: Place | None, other: Place | None, axes: int = 3) -> float:
 
 
 def read_image(path: str | os.PathLike[str]) -> ImageFile:
-    """Read an image, or a folder with the DICOM files of one series.
+    """Read an image file, or a folder with the DICOM files of one series.
 
-    A volume of one slice is read as that slice, with its place in the volume.
+    A volume with a single slice is returned as a 2-D image with its place in the volume.
 
     Parameters
     ----------
@@ -158,9 +168,9 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
     Raises
     ------
     FileFormatError
-        If the file is not a readable image; or if a folder holds no series, or several.
+        If the file is not a readable image, or a folder does not contain exactly one series.
     HmrfError
-        If SimpleITK is needed but not installed.
+        If SimpleITK is required but not installed.
     OSError
         If the file cannot be opened.
     """
@@ -168,41 +178,42 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
     if not source.is_dir():
         refuse_irregular(source)
         with open(source, "rb"):
-            pass  # a file that cannot be opened raises the error of the system
+            pass  # raises the operating system's error if the file cannot be opened
         if source.name.lower().endswith(PICTURE_SUFFIXES):
             return _read_picture(source)
     try:
         image = read_itk_series(source) if source.is_dir() else read_itk_image(source)
     except Unreadable as error:
         if source.is_dir():
-            reason = str(error) or "the folder holds a damaged series"
+            reason = str(error) or "the folder contains a damaged series"
             raise FileFormatError(f"{source.name}: {reason}.") from None
         raise _unreadable(source) from error
     n, count, pixels = image.ndim, image.components, image.pixels
     if n not in (2, 3) or count not in (1, n, 3, 4):
         raise FileFormatError(
-            f"{source.name}: an image of {n} axes with {count} values per pixel. Give one of 2 or "
-            "3 axes, grey or in colours."
+            f"{source.name}: the image has {n} axes and {count} values per pixel. Give a grey or "
+            "colour image with 2 or 3 axes."
         )
     place = Place(image.spacing[::-1], image.origin, image.direction)
     if n == count and pixels.dtype.kind == "f":
         raise FileFormatError(
-            f"{source.name}: the file holds a displacement field. Give the image that it moves."
+            f"{source.name}: the file contains a displacement field. Give an image instead."
         )
     return ImageFile(pixels[0] if n == 3 and len(pixels) == 1 else pixels, place, count > 1)
 
 
 def _unreadable(source: Path) -> FileFormatError:
     """Return the error for a file that cannot be read as an image, with the likely reason."""
-    reason = "damaged, or of another format" if source.stat().st_size else "empty"
+    reason = "damaged, or has another format" if source.stat().st_size else "empty"
     kinds = ", ".join((*PICTURE_SUFFIXES, *MEDICAL_SUFFIXES))
     return FileFormatError(
-        f"{source.name}: not an image that can be read: it is {reason}. Images end in {kinds}."
+        f"{source.name}: cannot be read as an image: it is {reason}. Supported suffixes are "
+        f"{kinds}."
     )
 
 
 def is_scan(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is a medical image by its ending, or a folder of only DICOM files."""
+    """Return whether a path has the suffix of a medical image, or is a folder of DICOM files."""
     source = Path(path)
     if not source.is_dir():
         return source.name.lower().endswith(MEDICAL_SUFFIXES)
@@ -216,7 +227,7 @@ def _is_dicom(file: Path) -> bool:
 
 
 def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
-    """Write an image, atomically, in the format given by the ending of the name.
+    """Write an image atomically, in the format given by the suffix of the path.
 
     Parameters
     ----------
@@ -231,7 +242,7 @@ def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
     Raises
     ------
     FileFormatError
-        If the ending is unknown, or the format cannot hold such pixels.
+        If the suffix is unknown, or the format does not support such pixels.
     HmrfError, OSError
         As for `read_image`.
     """
@@ -241,7 +252,7 @@ def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
     suffix = next((each for each in kinds if name.endswith(each)), "")
     if not suffix:
         raise FileFormatError(
-            f"{target.name}: images are not written in such a format. End the name in one of "
+            f"{target.name}: images cannot be written in this format. Use one of the suffixes "
             f"{', '.join(kinds)}."
         )
     try:
@@ -258,7 +269,7 @@ def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
 
 
 _TIFF = (".tif", ".tiff")
-#: Formats that are read but not written: those in two files, and DICOM.
+#: Suffixes of formats that are read but not written: formats with two files, and DICOM.
 _PARTED = (".mhd", ".nhdr", ".dcm")
 
 
@@ -269,11 +280,11 @@ def _read_picture(source: Path) -> ImageFile:
         raise _unreadable(source) from error
     if pixels.dtype.kind not in "biuf":
         raise FileFormatError(
-            f"{source.name}: an image of {pixels.dtype} values. Give an image of real numbers."
+            f"{source.name}: the image has {pixels.dtype} values. Give an image of real numbers."
         )
     if pixels.ndim - colours not in (2, 3):
         raise FileFormatError(
-            f"{source.name}: an image of shape {pixels.shape}. Give an image of 2 or 3 axes."
+            f"{source.name}: the image has shape {pixels.shape}. Give an image with 2 or 3 axes."
         )
     return ImageFile(pixels, None, colours)
 
@@ -313,13 +324,13 @@ def _encode(target: Path, image: ImageFile, suffix: str) -> bytes:
 
 
 def _encode_picture(pixels: npt.NDArray[Any], suffix: str) -> bytes:
-    """Encode a picture in memory."""
+    """Return the bytes of a picture file."""
     from PIL import Image  # heavy: PIL
 
     file = io.BytesIO()
     values = pixels.astype(np.uint8) * 255 if pixels.dtype == bool else pixels
     try:
         Image.fromarray(values).save(file, Image.registered_extensions()[suffix])
-    except OSError as error:  # the format cannot hold these values
+    except OSError as error:  # the format does not support these values
         raise ValueError(str(error)) from error
     return file.getvalue()

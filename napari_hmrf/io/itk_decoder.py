@@ -1,9 +1,9 @@
 """Decoder process: runs SimpleITK, so that a damaged file cannot crash the calling process.
 
-`decoder_process` starts this file as a program. It imports nothing from this package, so that it
-starts in a tenth of a second. Standard input carries the search path and then one request per line,
-as JSON, followed by the pixels of an image to write; standard output carries one line of JSON for
-each request, followed by the pixels of an image that was read.
+`decoder_process` runs this file as a program. It does not import other modules of this package, so
+that it starts within a tenth of a second. Standard input receives the module search path and then
+requests: one line of JSON each, followed by the pixels if an image is to be written. Standard
+output returns one line of JSON per request, followed by the pixels if an image was read.
 """
 
 from __future__ import annotations
@@ -21,26 +21,27 @@ from typing import Any, BinaryIO
 if sys.platform != "win32":
     import resource
 
-#: Largest expansion of a compressed file: the limit of deflate.
+#: Largest compression ratio of a file: the limit of deflate.
 MOST_PACKED = 1032
-#: Suffixes of headers whose pixels are in another file of the same folder.
+#: Suffixes of header files with the pixels in another file of the same folder.
 PARTED = (".mhd", ".nhdr", ".hdr")
 #: Suffixes of files that are read as transforms.
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt")
 #: Time without a request after which the process exits, in seconds.
 _IDLE = 60.0
-#: Processor time beyond that of the request before the system ends this process, in seconds.
+#: CPU time in addition to the limit of the request, after which the operating system ends the
+#: process, in seconds.
 _GRACE = 2
 
 
 class Refused(Exception):
-    """A file was not read; the message is the reason, as the end of a sentence."""
+    """Error for a file that was rejected; the message is the reason, as a clause."""
 
 
 class Decoder:
     """Reader and writer of files with SimpleITK.
 
-    The last transform is cached, because its header and its pixels are often requested in turn.
+    The last transform is cached, because its pixels are often requested after its header.
     """
 
     def __init__(self, sitk: Any) -> None:
@@ -48,7 +49,7 @@ class Decoder:
         self._last: tuple[Any, Any] = (None, None)
 
     def answer(self, request: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-        """Return the header for a request, and the image to send with it, or None."""
+        """Return the header for a request, and the image to be sent, or None."""
         source, kind = Path(request["path"]), request["kind"]
         if kind == "series":
             return self._read_series(source)
@@ -64,7 +65,7 @@ class Decoder:
         return self._head(image), image if kind == "pixels" else None
 
     def write(self, request: dict[str, Any], pixels: Any) -> None:
-        """Write an image, or the transform of a field."""
+        """Write an image, or a displacement field as a transform."""
         sitk = self._sitk
         image = sitk.GetImageFromArray(pixels, isVector=request["components"] > 1)
         image.SetSpacing(request["spacing"])
@@ -78,7 +79,14 @@ class Decoder:
             sitk.WriteImage(image, request["path"], useCompression=True)
 
     def _head(self, image: Any, components: int = 0) -> dict[str, Any]:
-        """Describe an image, or an image reader with the given number of components."""
+        """Return the header of an image or an image reader.
+
+        Parameters
+        ----------
+        image : SimpleITK.Image or SimpleITK.ImageFileReader
+        components : int
+            Number of values per pixel, required for a reader.
+        """
         metadata = {}
         for key in image.GetMetaDataKeys():
             with suppress(UnicodeError, RuntimeError):  # the text is damaged
@@ -102,7 +110,7 @@ class Decoder:
         return self._head(image), image
 
     def _checked_reader(self, source: Path) -> Any:
-        """Read the header of an image, and refuse sizes that the file cannot hold."""
+        """Return a reader for an image, after checking that the file can contain its pixels."""
         reader = self._sitk.ImageFileReader()
         reader.SetFileName(str(source))
         reader.ReadImageInformation()
@@ -112,7 +120,7 @@ class Decoder:
         largest = max((file.stat().st_size for file in files if file.is_file()), default=0)
         expansion = 1 if source.suffix.lower() == ".nii" else MOST_PACKED
         if math.prod(reader.GetSize()) * pixel_size > largest * expansion:
-            raise Refused("it claims more pixels than it holds")
+            raise Refused("it claims more pixels than it contains")
         return reader
 
     def _field_of(self, source: Path) -> Any:
@@ -124,13 +132,13 @@ class Decoder:
         transform = sitk.ReadTransform(str(source))
         if transform.GetName() != "CompositeTransform":
             return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
-        # ANTs stores a warp and its affine map in one file. The last transform is applied first,
-        # so the last field has the grid of the image.
+        # ANTs stores a displacement field and an affine transform in one file. Because the last
+        # transform is applied first, the grid of the last field is that of the image.
         chain = sitk.CompositeTransform(transform)
         parts = [chain.GetNthTransform(number) for number in range(chain.GetNumberOfTransforms())]
         last = [part for part in parts if part.GetName() == "DisplacementFieldTransform"][-1:]
         if not last:
-            raise Refused("no field is among its transforms")
+            raise Refused("none of its transforms is a displacement field")
         field = sitk.DisplacementFieldTransform(last[0]).GetDisplacementField()
         if len(parts) == 1:
             return field
@@ -144,7 +152,7 @@ def _identity(source: Path) -> tuple[str, int, int]:
 
 
 def _limit_processor_time(seconds: float) -> None:
-    """Limit the processor time of this process, in case its client has ended."""
+    """Limit the CPU time of this process, in case its client has ended and cannot kill it."""
     if sys.platform == "win32":
         return
     with suppress(ValueError, OSError):
@@ -172,12 +180,12 @@ def _receive(stream: BinaryIO, header: dict[str, Any]) -> Any:
 
 
 def main() -> None:
-    """Answer requests until standard input is closed, or no request arrives for a minute."""
+    """Serve requests until standard input is closed or no request has arrived for a minute."""
     with suppress(ValueError, OSError):
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
     out = os.fdopen(os.dup(1), "wb")
     silent = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):  # libraries print to these streams when a file is damaged
+    for stream in (1, 2):  # libraries print warnings about damaged files to these streams
         os.dup2(silent, stream)
     sys.path[:] = json.loads(sys.stdin.buffer.readline())
     try:
@@ -204,7 +212,7 @@ def main() -> None:
                 decoder.write(request, _receive(sys.stdin.buffer, request))
             except Exception:  # noqa: BLE001 - the libraries raise many types of errors
                 _send(out, {"refused": ""})
-                os._exit(0)  # HDF5 keeps the file open when writing it fails
+                os._exit(0)  # after an error, HDF5 would not close the file
             _send(out, {"written": True})
             continue
         try:

@@ -1,7 +1,7 @@
-"""Reading and writing with SimpleITK: NIfTI, MetaImage, NRRD, DICOM and ITK's transforms.
+"""Reading and writing of NIfTI, MetaImage, NRRD, DICOM and ITK transforms with SimpleITK.
 
-SimpleITK runs in the decoder process, because a damaged file may crash it or make it hang. A file
-is written next to its target, read back and compared; only then does it replace the target.
+SimpleITK runs in the decoder process, because a damaged file can make it crash or hang. A new file
+is first written to a temporary file, read back and compared.
 """
 
 from __future__ import annotations
@@ -23,38 +23,40 @@ from napari_hmrf.io.nifti import is_cut_short, place_in_nifti
 from napari_hmrf.io.seal import BrokenSeal, check_seal, seal
 from napari_hmrf.regular_file import refuse_irregular
 
-#: Suffix of transforms that are written.
+#: Suffix with which transforms are written.
 _TRANSFORM = ".h5"
-#: Suffixes of transforms in text form.
+#: Suffixes of transforms in text files.
 _TEXTS = (".tfm", ".txt")
 _NIFTI = (".nii", ".nii.gz")
 _FIELD = "DisplacementFieldTransform_"
-#: Reason for refusing a NIfTI file with fewer bytes than its header states, or a damaged .gz.
-_CUT_SHORT = "it is damaged or cut short"
-#: Relative and absolute rounding of places, which NIfTI stores in single precision.
+#: Reason for rejecting a NIfTI file with fewer bytes than its header states, or a damaged .gz.
+_CUT_SHORT = "it is damaged or truncated"
+#: Relative and absolute tolerance of places, which NIfTI stores in single precision.
 _CLOSE = (1e-4, 1e-4)
 
 
 class Unreadable(Exception):
-    """A file was not read; the message is the reason, as the end of a sentence, or ""."""
+    """Error for a file that was not read; the message is the reason, as a clause, or ""."""
 
 
 class Damaged(Unreadable):
-    """A file was not read because it is certainly damaged."""
+    """Error for a file that was not read because it is certainly damaged."""
 
 
 class ItkImage(NamedTuple):
-    """An image or a field of vectors, in ITK's convention.
+    """Image or vector field in ITK's convention.
 
     Attributes
     ----------
     pixels : ndarray, shape ([D,] H, W[, components])
     components : int
         Number of values per pixel.
-    spacing, origin : tuple of float, shape (n,)
-        In mm; x, y[, z] in LPS.
+    spacing : tuple of float, shape (n,)
+        Pixel size along the axes x, y[, z], in mm.
+    origin : tuple of float, shape (n,)
+        Centre of the first pixel, in mm: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
-        Its columns are the directions of the image's axes x, y[, z].
+        Direction matrix: its columns are the directions of the image axes x, y[, z].
     metadata : dict of str to str
         Metadata in the file.
     """
@@ -68,7 +70,7 @@ class ItkImage(NamedTuple):
 
     @property
     def ndim(self) -> int:
-        """Number of axes in space."""
+        """Number of spatial axes."""
         return len(self.spacing)
 
 
@@ -78,8 +80,8 @@ def read_itk_image(source: Path) -> ItkImage:
     Raises
     ------
     Unreadable
-        If the file is not an image, is cut short, claims more pixels than it holds, or crashes the
-        decoder.
+        If the file is not an image, is truncated, claims more pixels than it contains, or crashes
+        the decoder.
     HmrfError
         If SimpleITK is not installed.
     OSError
@@ -97,24 +99,24 @@ def read_itk_series(folder: Path) -> ItkImage:
     Raises
     ------
     Unreadable
-        As for `read_itk_image`; or if the folder holds no series, or several.
+        As for `read_itk_image`; or if the folder does not contain exactly one series.
     HmrfError
         If SimpleITK is not installed.
     """
     decoded = _decode(folder, "series")
     if (count := decoded.header.get("series")) is not None:
         content = f"{count} series" if count else "no DICOM file"
-        raise Unreadable(f"the folder holds {content}. Give a folder with one series")
+        raise Unreadable(f"the folder contains {content}. Give a folder with one series")
     return _image(decoded)
 
 
 def read_itk_vectors(source: Path) -> ItkImage:
-    """Read an image of vectors, or the field of a transform.
+    """Read an image of vectors, or the displacement field of a transform.
 
     Raises
     ------
     Unreadable
-        As for `read_itk_image`; or if the file differs from what this package wrote.
+        As for `read_itk_image`; or if the file has a seal that does not match its content.
     HmrfError, OSError
         As for `read_itk_image`.
     """
@@ -132,10 +134,10 @@ def read_itk_vectors(source: Path) -> ItkImage:
 
 
 def holds_vectors(source: Path) -> bool:
-    """Return whether a file holds a field.
+    """Return whether a file contains a displacement field.
 
-    Also True for a damaged file, so that reading it reports the error; False if SimpleITK is not
-    installed.
+    The result is also True for a damaged file, so that reading the file reports the error. It is
+    False if SimpleITK is not installed.
 
     Raises
     ------
@@ -156,29 +158,35 @@ def holds_vectors(source: Path) -> bool:
 def encode(
     target: Path, image: ItkImage, suffix: str, *, transform: bool = False, sealed: bool = False
 ) -> bytes:
-    """Return the bytes of an image file, after writing a temporary file and reading it back.
+    """Return the bytes of an image file.
+
+    SimpleITK writes the image to a temporary file, which is read back for comparison.
 
     Parameters
     ----------
     target : Path
-        The temporary file is written into its folder, so that only one disk needs free space.
+        Target file. The temporary file is created in its folder, so that space is only required on
+        one disk.
     image : ItkImage
     suffix : str
-        Ending that selects the format.
+        Suffix that selects the format.
     transform : bool
-        True to write a transform.
+        True to write a displacement field as a transform.
     sealed : bool
         True to add a seal, which reveals damage.
+
+    Returns
+    -------
+    bytes
 
     Raises
     ------
     HmrfError
         If SimpleITK is not installed.
     OSError
-        If the disk is full, or the written file reads back differently; the message names the
-        target.
+        If the disk is full, or the content read back differs; the message names the target.
     ValueError
-        If SimpleITK cannot write such pixels.
+        If SimpleITK does not support such pixels in this format.
     """
     plain = ".nii" if sealed and suffix == ".nii.gz" else suffix  # `seal` compresses the file
     with temporary_beside(target, plain) as file:
@@ -198,16 +206,16 @@ def encode(
 
 
 def require_simpleitk() -> None:
-    """Check that SimpleITK is installed, without importing it.
+    """Check that SimpleITK is installed, without importing the package.
 
     Raises
     ------
     HmrfError
-        If it is not installed.
+        If SimpleITK is not installed.
     """
     try:
         is_missing = importlib.util.find_spec("SimpleITK") is None
-    except ValueError:  # `sys.modules` holds an object without a spec under this name
+    except ValueError:  # the entry in `sys.modules` has no spec
         is_missing = True
     if is_missing:
         raise missing_simpleitk()
@@ -225,13 +233,12 @@ def _is_sealed(source: Path) -> bool:
         return check_seal(source)
     except BrokenSeal:
         raise Damaged(
-            "it is damaged, or was edited after it was written. Use another copy, or export it "
-            "again"
+            "it is damaged, or was edited after the export. Use another copy, or export it again"
         ) from None
 
 
 def _check_openable(source: Path) -> None:
-    """Raise the error of the system for a file that cannot be opened."""
+    """Raise the operating system's error if a file cannot be opened."""
     refuse_irregular(source)
     with open(source, "rb"):
         pass
@@ -252,7 +259,7 @@ def _image(decoded: Decoded) -> ItkImage:
 
 
 def _header(image: ItkImage) -> dict[str, Any]:
-    """Return the header of an image in the format of the decoder."""
+    """Return the header of an image in the format of decoder requests."""
     return {
         **image._asdict(),
         "direction": image.direction.ravel().tolist(),
@@ -261,13 +268,13 @@ def _header(image: ItkImage) -> dict[str, Any]:
 
 
 def _reads_back(file: Path, image: ItkImage, *, transform: bool) -> bool:
-    """Return whether a written file holds the image."""
+    """Return whether the content of a written file is equal to the image."""
     try:
         read = _image(_decode(file, "pixels", vectors=transform))
     except (Unreadable, OSError):
         return False
     read_pixels, pixels = read.pixels, np.asarray(image.pixels)
-    # NIfTI drops an axis of one pixel.
+    # The shapes can differ, because NIfTI drops axes of length 1.
     if read_pixels.dtype != pixels.dtype or read_pixels.size != pixels.size:
         return False
     is_same = np.array_equal(
@@ -298,7 +305,10 @@ def _in_volume(plane: ItkImage, source: Path) -> ItkImage:
 
 
 def _check_text(source: Path) -> None:
-    """Refuse incomplete text files of fields, which ITK would fill with arbitrary values."""
+    """Raise an error if a field in a text file is incomplete.
+
+    ITK would fill missing numbers with arbitrary values.
+    """
     try:
         text = source.read_text(encoding="ascii")
         n, count = 0, -1
@@ -311,9 +321,9 @@ def _check_text(source: Path) -> None:
             elif key == "FixedParameters" and n:
                 fixed = np.array(value.split(), float)
                 if len(fixed) != n * (n + 3) or n * fixed[:n].prod() != count:
-                    raise Unreadable("the count of its numbers differs from the one it states")
+                    raise Unreadable("it does not contain as many numbers as it states")
                 n = 0
     except ValueError:
         raise Unreadable("it is damaged") from None
     if n or not text.endswith("\n"):
-        raise Unreadable("it is cut short")
+        raise Unreadable("it is truncated")

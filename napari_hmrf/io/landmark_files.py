@@ -1,14 +1,15 @@
-"""Files of landmarks that other tools read and write.
+"""Reading and writing of landmark files in the formats of other tools.
 
-==============  =============================================================================
-BigWarp .csv    pairs: ``Pt-0,true,moving x,y[,z],target x,y[,z]``, in the images' units
-Slicer .mrk.json one list of points, with its coordinate system, LPS or RAS
-Slicer .fcsv    one list of points, in the format of older versions
-napari .csv     one list of points: ``index,axis-0,axis-1[,axis-2]``, in pixels
-==============  =============================================================================
+================  ==========================================================================
+BigWarp .csv      pairs: ``Pt-0,true,moving x,y[,z],target x,y[,z]``, in the unit of the image
+Slicer .mrk.json  one list of points, with its coordinate system, LPS or RAS
+Slicer .fcsv      one list of points, in the format of earlier versions
+napari .csv       one list of points: ``index,axis-0,axis-1[,axis-2]``, in pixels
+================  ==========================================================================
 
-All points in this module are in the order of the axes, ([z,] y, x). Points from files with patient
-coordinates are in mm towards superior, posterior and left, as in layers placed in the patient.
+All points in this module have coordinates in the order of the axes, ([z,] y, x). Points from files
+with patient coordinates are in mm, with the axes pointing to superior, posterior and left, as in
+layers with patient coordinates.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ from napari_hmrf.solver.problem import as_numbers
 
 Points = npt.NDArray[np.float64]
 
-#: Endings of the files of landmarks.
+#: Suffixes of landmark files.
 POINT_SUFFIXES = (".csv", ".mrk.json", ".fcsv")
 #: Largest size of a file, in bytes; a larger file is not read.
 _LARGEST = 2**26
-#: Factors that convert coordinates of each system to left, posterior, superior.
+#: Factors that convert the coordinates of each system to left, posterior, superior.
 _TO_LPS = {
     "LPS": (1.0, 1.0, 1.0),
     "1": (1.0, 1.0, 1.0),
@@ -50,17 +51,18 @@ _SLICER_SCHEMA = (
 
 
 class LandmarkFile(NamedTuple):
-    """Content of a file of landmarks.
+    """Content of a landmark file.
 
     Attributes
     ----------
     points : ndarray, shape (N, n), float64
-        Positions of the landmarks; n is 2 or 3.
+        Positions of the landmarks, in the order ([z,] y, x).
     targets : ndarray, shape (N, n), or None
-        Target positions of the same landmarks, if the file has them.
+        Target positions of the landmarks; None if the file contains only one list of points.
     names : tuple of str
+        Names of the landmarks; empty if the file contains no names.
     unit : {"mm", "pixel", ""}
-        "" if the file states no unit.
+        Unit of the coordinates; "" if the file does not state the unit.
     """
 
     points: Points
@@ -75,22 +77,22 @@ class LandmarkFile(NamedTuple):
 
 
 def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
-    """Read a file of landmarks.
+    """Read a landmark file.
 
     Parameters
     ----------
     path : str or path-like
-        Ends in one of `POINT_SUFFIXES`.
+        Path with one of the suffixes in `POINT_SUFFIXES`.
 
     Returns
     -------
     LandmarkFile
-        A named tuple of points, targets, names and unit.
+        Named tuple of points, targets, names and unit.
 
     Raises
     ------
     FileFormatError
-        If it is not a file of landmarks; the message names the error and its place.
+        If the file is not a valid landmark file; the message states the error and its location.
     OSError
         If the file cannot be opened.
     """
@@ -98,7 +100,7 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
     suffix, name = _suffix(source), source.name
     content = read_at_most(source, _LARGEST)
     if content is None:
-        raise FileFormatError(f"{name} is too large to be a file of landmarks.")
+        raise FileFormatError(f"{name} is too large to be a landmark file.")
     try:
         text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
         landmarks = {".csv": _parse_csv, ".mrk.json": _parse_markups, ".fcsv": _parse_fiducials}[
@@ -108,19 +110,22 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
         reason = (
             str(error)
             if isinstance(error, _InvalidContent)
-            else "it is damaged, or of another format"
+            else "it is damaged, or has another format"
         )
-        raise FileFormatError(f"{name}: not a file of landmarks: {reason}.") from None
+        raise FileFormatError(f"{name}: not a landmark file: {reason}.") from None
     for points in (landmarks.points, landmarks.targets):
         if points is not None and not np.isfinite(points).all():
             raise FileFormatError(
-                f"{name}: not a file of landmarks: it holds NaN or infinite values."
+                f"{name}: not a landmark file: it contains NaN or infinite values."
             )
     return landmarks
 
 
 def is_landmark_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file has the ending of a Slicer file or the first line of a BigWarp file."""
+    """Return whether a file is a landmark file of 3D Slicer or BigWarp.
+
+    Files of Slicer are recognised by the suffix, and files of BigWarp by the first line.
+    """
     name = os.fsdecode(path).lower()
     if not name.endswith(".csv"):
         return name.endswith(POINT_SUFFIXES)
@@ -139,18 +144,21 @@ def write_points(
     *,
     names: Sequence[str] = (),
 ) -> Path:
-    """Write landmarks, atomically, in the format given by the ending of the name.
+    """Write landmarks atomically, in the format given by the suffix of the path.
 
     Parameters
     ----------
     path : str or path-like
-        A ``.csv`` is written in BigWarp's format if there are `targets`, and otherwise in napari's;
-        Slicer's files hold one list.
+        Path with one of the suffixes in `POINT_SUFFIXES`. With ``.csv``, the file has BigWarp's
+        format if there are `targets`, and otherwise napari's format. With the other suffixes, it
+        has a format of 3D Slicer, which does not support `targets`.
     points : array_like, shape (N, 2) or (N, 3)
-        In the order ([z,] y, x); for Slicer in mm, as returned by `read_points`.
+        Positions of the landmarks, in the order ([z,] y, x); for 3D Slicer in mm, as returned by
+        `read_points`.
     targets : array_like, shape (N, 2) or (N, 3), optional
-        Target positions of the same landmarks.
+        Target positions of the landmarks.
     names : sequence of str, optional
+        Names of the landmarks; by default "Pt-0", "Pt-1", and so on.
 
     Returns
     -------
@@ -160,9 +168,9 @@ def write_points(
     Raises
     ------
     ProblemError
-        Naming the invalid input.
+        If an argument is invalid; the message names the argument.
     FileFormatError
-        If the ending is unknown, or the format holds no pairs.
+        If the suffix is unknown, or the format does not support targets.
     OSError
         If the file cannot be written.
     """
@@ -181,8 +189,8 @@ def write_points(
         text = _as_csv(starts, ends, labels)
     elif ends is not None:
         raise FileFormatError(
-            f"{target.name}: such a file holds one list of points. Save the landmarks and their "
-            "targets in two files, or as .csv."
+            f"{target.name}: this format stores only one list of points. Save the landmarks and "
+            "their targets in two files, or as .csv."
         )
     else:
         text = (_as_markups if suffix == ".mrk.json" else _as_fiducials)(_in_space(starts), labels)
@@ -191,14 +199,14 @@ def write_points(
 
 
 class _InvalidContent(ValueError):
-    """A file has an error; the message describes it to the user."""
+    """Error for an invalid landmark file; the message is for the user."""
 
 
 def _suffix(path: Path) -> str:
     suffix = next((each for each in POINT_SUFFIXES if path.name.lower().endswith(each)), "")
     if not suffix:
         raise FileFormatError(
-            f"{path.name}: not a file of landmarks. End the name in one of "
+            f"{path.name}: not the name of a landmark file. Use one of the suffixes "
             f"{', '.join(POINT_SUFFIXES)}."
         )
     return suffix
@@ -212,7 +220,7 @@ def _checked(name: str, values: npt.ArrayLike) -> Points:
 
 
 def _in_space(points: Points) -> Points:
-    """Return points in three dimensions; points of a slice get 0 on the missing axis."""
+    """Return points in three dimensions; 2-D points get a first coordinate of 0."""
     return np.pad(points, ((0, 0), (3 - points.shape[1], 0)))
 
 
@@ -220,7 +228,7 @@ def _parse_csv(text: str) -> LandmarkFile:
     rows = [row for row in csv.reader(io.StringIO(text)) if row]
     if not rows:
         raise _InvalidContent("it is empty")
-    if rows[0][0].strip().casefold() == "index":  # napari's
+    if rows[0][0].strip().casefold() == "index":  # napari's format
         titles = [title.strip().casefold() for title in rows[0][1:]]
         axes = [f"axis-{axis}" for axis in range(3)]
         unknown = next((title for title in titles if title not in axes), None)
@@ -232,7 +240,7 @@ def _parse_csv(text: str) -> LandmarkFile:
             )
         if titles != axes[: len(titles)] or len(titles) < 2:
             raise _InvalidContent(
-                "line 1: the columns are index, axis-0, axis-1 and, in a volume, axis-2"
+                "line 1: the columns must be index, axis-0, axis-1 and, in a volume, axis-2"
             )
         return LandmarkFile(
             np.array([row[1:] for row in rows[1:]], float).reshape(len(rows) - 1, -1), unit="pixel"
@@ -240,14 +248,14 @@ def _parse_csv(text: str) -> LandmarkFile:
     n = (len(rows[0]) - 2) // 2
     if n not in (2, 3) or any(len(row) != 2 * n + 2 for row in rows):
         raise _InvalidContent(
-            "it has neither the first line of napari's format nor the columns of BigWarp's: name, "
-            "active, and 2 x 2 or 2 x 3 numbers"
+            "it has neither the column titles of napari's format nor the columns of BigWarp's "
+            "format: name, active, and 2 x 2 or 2 x 3 numbers"
         )
     for number, row in enumerate(rows, 1):
         if row[1].strip().casefold() not in ("true", "false"):
             raise _InvalidContent(
-                f"landmark {number}: the second column is {row[1][:40]!r}, but should be true or "
-                "false. BigWarp's files have no line with titles"
+                f"landmark {number}: the second column is {row[1][:40]!r}, but must be true or "
+                "false. BigWarp's files have no column titles"
             )
     active = [row for row in rows if row[1].strip().casefold() == "true"]
     numbers = np.array([row[2:] for row in active], float).reshape(len(active), 2, n)[..., ::-1]
@@ -269,7 +277,7 @@ def _as_csv(points: Points, targets: Points | None, names: Sequence[str]) -> str
 def _parse_markups(text: str) -> LandmarkFile:
     lists = json.loads(text)["markups"]
     if len(lists) != 1:
-        raise _InvalidContent(f"it holds {len(lists)} lists of points; save one of them alone")
+        raise _InvalidContent(f"it contains {len(lists)} lists of points; save only one of them")
     markups: Mapping[str, Any] = lists[0]
     points = [
         (str(each.get("label", "")), each["position"])

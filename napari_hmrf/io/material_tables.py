@@ -1,6 +1,6 @@
-"""Files of materials, human-readable and in JSON.
+"""Material files: human-readable tables of materials in JSON.
 
-A file is JSON::
+Example of a file::
 
     {
       "format": "napari-hmrf materials",
@@ -13,10 +13,12 @@ A file is JSON::
       ]
     }
 
-The stiffness of bone or of an implant, which moves as a rigid body, is the word ``"rigid"``. Tissue
-that grows has a ``"growth"``: 0.1 means a tenth longer; a list has a value for each axis of the
-image. A file with growth has version 3 of the format, one with rigid tissue version 2, and all
-others version 1, which earlier versions of this package read.
+The stiffness of rigid tissue, such as bone or an implant, is the word ``"rigid"``. The optional
+value ``"growth"`` is a strain: 0.1 increases lengths by a tenth. It can be a list with one value
+for each axis of the image.
+
+A file with growth has format version 3, a file with rigid tissue version 2, and any other file
+version 1. Earlier versions of this package can read files with earlier format versions.
 """
 
 from __future__ import annotations
@@ -37,25 +39,26 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
 from napari_hmrf.tissue.material_presets import Preset
 
 _Format = Literal["napari-hmrf materials"]
-#: Name of the format, which each file states.
+#: Identifier of the format, stored in each file.
 FORMAT: _Format = "napari-hmrf materials"
-#: Newest version of the format.
+#: Latest version of the format.
 VERSION = 3
-#: Versions of files with neither rigid tissue nor growth, and of files with rigid tissue.
+#: Format versions of files with neither rigid tissue nor growth, and of files with rigid tissue.
 _FIRST, _RIGID = 1, 2
-#: Ending of the files.
+#: Suffix of the files.
 ENDING = ".json"
 #: Largest size of a file, in bytes; a larger file is not read.
 _LARGEST = 2**20
 
 
 def write_preset(path: str | Path, preset: Preset) -> Path:
-    """Write materials to a file, atomically, to reuse or share them.
+    """Write materials to a file, atomically.
 
     Parameters
     ----------
     path : str or Path
-        ``.json`` is added to a name without an ending; an existing file is replaced.
+        Path of the file; ``.json`` is appended if the name has no suffix. An existing file is
+        replaced.
     preset : Preset
 
     Returns
@@ -66,7 +69,7 @@ def write_preset(path: str | Path, preset: Preset) -> Path:
     Raises
     ------
     FileFormatError
-        If the materials could not be read back; nothing is written.
+        If the materials are invalid, so that the file could not be read again; nothing is written.
     OSError
         If the file cannot be written.
     """
@@ -87,7 +90,7 @@ def write_preset(path: str | Path, preset: Preset) -> Path:
 
 
 def read_preset(path: str | Path) -> Preset:
-    """Read a file of materials, written by `write_preset` or by hand.
+    """Read a material file, written by `write_preset` or by hand.
 
     Parameters
     ----------
@@ -96,19 +99,19 @@ def read_preset(path: str | Path) -> Preset:
     Returns
     -------
     Preset
-        Materials; named after the file if the file states no name.
+        Materials, with the name of the file if the file does not contain a name.
 
     Raises
     ------
     FileFormatError
-        Naming the material, its error, and valid values.
+        If the file is invalid; the message states the material, the error and valid values.
     OSError
         If the file cannot be read.
     """
     source = Path(path)
     content = read_at_most(source, _LARGEST)
     if content is None:
-        raise FileFormatError(f"{source.name} is too large to be a file of materials.")
+        raise FileFormatError(f"{source.name} is too large to be a material file.")
     try:
         file = _File.model_validate_json(content)
     except pydantic.ValidationError as error:
@@ -118,7 +121,7 @@ def read_preset(path: str | Path) -> Preset:
 
 
 def _version(preset: Preset) -> int:
-    """Return the earliest version of the format that holds these materials."""
+    """Return the earliest version of the format that supports these materials."""
     if any(row.grows for row in preset.materials):
         return VERSION
     return _RIGID if any(row.is_rigid for row in preset.materials) else _FIRST
@@ -128,11 +131,11 @@ _Strain = Annotated[float, pydantic.Field(gt=-1, le=10, allow_inf_nan=False)]
 
 
 class _Row(pydantic.BaseModel, strict=True, extra="forbid"):
-    """A material in a file."""
+    """Schema of a material in a file."""
 
     label: int = pydantic.Field(ge=0)
     name: str = ""
-    # JSON has no infinity, so rigid tissue has a word; a number such as 1e999 is an error.
+    # JSON has no infinity, so rigid tissue is marked with a word; 1e999 is not accepted instead.
     stiffness: Annotated[
         Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] | Literal["rigid"],
         pydantic.BeforeValidator(lambda v: v.strip().casefold() if isinstance(v, str) else v),
@@ -142,7 +145,7 @@ class _Row(pydantic.BaseModel, strict=True, extra="forbid"):
 
 
 class _File(pydantic.BaseModel, strict=True, extra="forbid"):
-    """Schema of a file of materials."""
+    """Schema of a material file."""
 
     format: _Format
     version: int = pydantic.Field(ge=1)
@@ -154,10 +157,10 @@ class _File(pydantic.BaseModel, strict=True, extra="forbid"):
     @pydantic.field_validator("version")
     @classmethod
     def _check_version(cls, version: int) -> int:
-        # Checked before the rows, because a newer version may have other keys in them.
+        # Check the version before the rows, because rows of a later version may have other keys.
         if version > VERSION:
-            newer = f"was written by a newer napari-hmrf (version {version})"
-            raise ValueError(f"{newer}. Install the newest version")
+            newer = f"was written by a later version of napari-hmrf (format {version})"
+            raise ValueError(f"{newer}. Install the latest version")
         return version
 
     @pydantic.model_validator(mode="after")
@@ -165,16 +168,17 @@ class _File(pydantic.BaseModel, strict=True, extra="forbid"):
         labels = [row.label for row in self.materials]
         for label in labels:
             if labels.count(label) > 1:
-                raise ValueError(f"has two materials for label {label}. Remove one")
+                raise ValueError(f"has two materials for label {label}. Remove one of them")
         if not any(row.stiffness for row in self.materials):
-            raise ValueError("has no material with a stiffness above 0. Add a material of tissue")
+            raise ValueError("has no material with a stiffness above 0. Add such a material")
         return self
 
 
 def _format_error(path: Path, error: pydantic.ValidationError) -> FileFormatError:
-    """Return an error that describes the first fault of a file, its place, and valid values."""
+    """Return an error that describes the first fault in a file, its location and valid values."""
     errors = error.errors(include_url=False)
-    # pydantic reports a misspelt key as missing, too; naming the misspelt key is clearer.
+    # For a misspelt key, pydantic first reports the correct key as missing; the error about the
+    # misspelt key is clearer.
     unknown = [each for each in errors if each["type"] == "extra_forbidden"]
     first = (
         unknown[0]
@@ -191,7 +195,7 @@ def _format_error(path: Path, error: pydantic.ValidationError) -> FileFormatErro
     elif kind == "json_invalid":
         message = reported.replace("Invalid JSON", "is not valid JSON")
     elif place in ("", "format"):
-        message = f'is not a file of materials: it lacks "format": "{FORMAT}"'
+        message = f'is not a material file: it lacks "format": "{FORMAT}"'
     elif kind == "extra_forbidden":
         word, in_row = str(first["loc"][-1])[:40], len(first["loc"]) > 1
         known = [*(_Row if in_row else _File).model_fields]
@@ -204,5 +208,5 @@ def _format_error(path: Path, error: pydantic.ValidationError) -> FileFormatErro
         valid = reported.removeprefix("Input should be ").removeprefix("a valid ")
         if "stiffness" in place:
             valid = 'a number, 0 or more, or "rigid"'
-        message = f"is invalid: {place} is {str(first['input'])[:40]!r}. It should be: {valid}"
+        message = f"is invalid: {place} is {str(first['input'])[:40]!r}. It must be: {valid}"
     return FileFormatError(f"{path.name} {message}.")

@@ -1,4 +1,4 @@
-"""Animations of a deformation: from rest to the full displacement, and back."""
+"""Animations of a deformation, from the undeformed to the deformed image and back."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
 
-#: Endings of the files of animations.
+#: Suffixes of animation files.
 MOVING_SUFFIXES = (".gif", ".mp4")
-#: Percentile of the grey levels that is shown as white.
+#: Percentile of the intensities that is mapped to white.
 _WHITE = 99.9
-#: Disk space that a frame of a film needs at most, in bytes.
+#: Largest disk space of a frame in an .mp4 file, in bytes.
 _LARGEST_FRAME = 2**20
 
 
@@ -38,21 +38,21 @@ def write_movie(
     per_second: int = 12,
     number: int | None = None,
 ) -> Path:
-    """Write an animation of an image that moves back and forth in a loop.
+    """Write an animation in which an image is repeatedly deformed and restored.
 
     Parameters
     ----------
     path : str or path-like
-        Ends in .gif, or in .mp4, which needs the extra ``film``.
+        Path with the suffix .gif, or .mp4, which requires the extra ``film``.
     solution : Solution
     image : array_like, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
-        The image before it moves.
+        Undeformed image.
     frames : int
-        Number of frames from rest to the full displacement.
+        Number of frames from the undeformed to the deformed image.
     per_second : int
-        Number of frames shown per second.
+        Number of frames per second.
     number : int, optional
-        Index of the slice to show, along the first axis of a volume.
+        Index of the slice to show along the first axis of a volume; required for volumes.
 
     Returns
     -------
@@ -62,14 +62,14 @@ def write_movie(
     Raises
     ------
     FileFormatError
-        If the name has no ending of an animation.
+        If the path has another suffix.
     ArgumentError
-        If `solution` is not a Solution, or there are fewer than two frames or less than one per
-        second.
+        If `solution` is not a Solution, if `frames` is less than 2 or `per_second` less than 1, or
+        if the volume does not have the slice `number`.
     ProblemError
-        If the solution is of a volume and no slice is given.
+        If `number` is missing for a volume, or given for a slice.
     HmrfError
-        If the writer for .mp4 is not installed.
+        If the package that writes .mp4 files is not installed.
     OSError
         If the file cannot be written.
     """
@@ -77,16 +77,18 @@ def write_movie(
     require_kind(Solution, "solution", solution, "the result of solve()")
     if target.suffix.lower() not in MOVING_SUFFIXES:
         raise FileFormatError(
-            f"{target.name}: animations are not written in such a format. End the name in "
+            f"{target.name}: animations cannot be written in this format. Use the suffix "
             f"{' or '.join(MOVING_SUFFIXES)}."
         )
     refuse_unless(frames >= 2, "frames", frames, "at least 2")
     refuse_unless(per_second >= 1, "per_second", per_second, "at least 1")
     if solution.tissue.ndim == 2 and number is not None:
-        raise ProblemError("displacement", "is that of a slice. Leave out its index (`number`).")
+        raise ProblemError(
+            "displacement", "is that of a slice. Leave out the slice index (`number`)."
+        )
     if solution.tissue.ndim != 2 and number is None:
         raise ProblemError(
-            "displacement", "is that of a volume. Select one of its slices (`number`)."
+            "displacement", "is that of a volume. Give the index of a slice (`number`)."
         )
     steps = [moment / (frames - 1) for moment in range(frames)]
     if number is None:
@@ -108,7 +110,7 @@ def write_movie(
 def _slice_frames(
     solution: Solution, image: npt.NDArray[np.generic], number: int, steps: Sequence[float]
 ) -> list[npt.NDArray[np.generic]]:
-    """Return a slice of a volume at each step of the motion."""
+    """Return a slice of the deformed volume at each step of the motion."""
     pictures, d = MovedPictures(), solution.displacement
 
     def picture_at(step: float) -> npt.NDArray[np.generic]:
@@ -125,7 +127,7 @@ def _frame_at(motion: Motion, fraction: float) -> npt.NDArray[np.generic]:
 
 
 def _to_bytes(pictures: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
-    """Scale all pictures alike to 0..255; the opacity of colours is dropped."""
+    """Scale the intensities of all pictures to 0..255 with the same factor; drop the opacity."""
     values = pictures[..., :3] if pictures.ndim > 3 else pictures
     if values.dtype == np.uint8:
         return values.astype(np.uint8)
@@ -139,7 +141,7 @@ def _to_bytes(pictures: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
 def _square_pixels(
     pictures: npt.NDArray[np.uint8], spacing: Sequence[float]
 ) -> npt.NDArray[np.uint8]:
-    """Return pictures with square pixels; the pictures are enlarged, never reduced."""
+    """Resample pictures to square pixels of the smaller pixel size."""
     from PIL import Image  # heavy: PIL
 
     rows, cols = (
@@ -168,10 +170,10 @@ def _encode_film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int)
         import imageio_ffmpeg  # optional: imageio_ffmpeg
     except ImportError as error:
         raise HmrfError(
-            "films are written by imageio-ffmpeg, which is not installed: "
+            ".mp4 files are written by imageio-ffmpeg, which is not installed: "
             f"{how_to_install('film')}; or write a .gif."
         ) from error
-    # The codec accepts even sizes only.
+    # The codec only accepts even numbers of rows and columns.
     rows, cols = (2 * (size // 2) for size in pictures.shape[1:3])
     colours = pictures if pictures.ndim > 3 else np.repeat(pictures[..., None], 3, axis=-1)
     with temporary_beside(target, ".mp4") as file:
@@ -182,7 +184,7 @@ def _encode_film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int)
                 writer.send(np.ascontiguousarray(picture))
             writer.close()
             is_whole = imageio_ffmpeg.count_frames_and_secs(str(file))[0] == len(colours)
-        except (OSError, RuntimeError):  # ffmpeg ended; its reason is unknown
+        except (OSError, RuntimeError):  # ffmpeg failed for an unknown reason
             is_whole = False
         if not is_whole:
             file.unlink(missing_ok=True)

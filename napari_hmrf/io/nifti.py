@@ -1,8 +1,8 @@
-"""Header of a NIfTI file, for two cases in which ITK's reader ignores a part of it.
+"""Parser of NIfTI headers, for two cases that ITK's reader does not handle.
 
-ITK reads a vector field on one slice of a volume as a field in a plane: it drops the third axis,
-and with it the thickness and the place of the slice. ANTs and elastix write such files. ITK also
-fills a file that was cut short with arbitrary values.
+ITK reads a vector field on a single slice of a volume as a 2-D field: it drops the third axis, and
+therefore the thickness and the place of the slice. ANTs and elastix write such files. ITK also
+fills the missing part of a truncated file with arbitrary values.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-#: Fields of the header that are used here, with their offsets.
+#: Fields of the header used in this module, with their offsets in bytes.
 _HEADER = np.dtype(
     {
         "names": [
@@ -31,23 +31,23 @@ _HEADER = np.dtype(
         "itemsize": 348,
     }
 )
-#: Number of bytes decompressed at once.
+#: Number of bytes decompressed at a time.
 _PIECE = 2**20
-#: Factors from right, anterior, superior (NIfTI) to left, posterior, superior (ITK).
+#: Factors that convert right, anterior, superior (NIfTI) to left, posterior, superior (ITK).
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 
 class NiftiPlace(NamedTuple):
-    """Place of a NIfTI image in ITK's convention, with axes in the order x, y, z, in LPS.
+    """Place of a NIfTI image in ITK's convention, in LPS, with the axes in the order x, y, z.
 
     Attributes
     ----------
     spacing : ndarray, shape (3,)
-        Size of a voxel, in mm.
+        Voxel size along each axis, in mm.
     origin : ndarray, shape (3,)
-        Middle of the first voxel, in mm.
+        Centre of the first voxel, in mm.
     direction : ndarray, shape (3, 3)
-        Its columns are the directions of the axes.
+        Direction matrix: its columns are the directions of the axes.
     """
 
     spacing: npt.NDArray[np.float64]
@@ -56,7 +56,7 @@ class NiftiPlace(NamedTuple):
 
 
 def place_in_nifti(path: Path) -> NiftiPlace | None:
-    """Read the place of a .nii or .nii.gz of version 1; None for other files."""
+    """Read the place from a NIfTI-1 file; return None if there is no valid NIfTI-1 header."""
     header = _header(path)
     if header is None:
         return None
@@ -74,7 +74,7 @@ def place_in_nifti(path: Path) -> NiftiPlace | None:
 
 
 def is_cut_short(path: Path) -> bool:
-    """Return whether a .nii or .nii.gz of version 1 has fewer intact bytes than it should."""
+    """Return whether a NIfTI-1 file is truncated or its compressed content is damaged."""
     header = _header(path)
     if header is None:
         return False
@@ -94,7 +94,7 @@ def is_cut_short(path: Path) -> bool:
 
 
 def _header(path: Path) -> Any:
-    """Return the header, read in the byte order of the file; None for another kind of file."""
+    """Return the NIfTI-1 header of a file, in either byte order; None for other files."""
     opened: Any = gzip.open if path.name.lower().endswith(".gz") else open
     try:
         with opened(path, "rb") as file:
@@ -111,7 +111,13 @@ def _header(path: Path) -> Any:
 
 
 def _rotation(vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the rotation matrix of a unit quaternion, given without its non-negative real part."""
+    """Return the rotation matrix of a unit quaternion with a non-negative real part.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (3,)
+        Imaginary part of the quaternion.
+    """
     real = math.sqrt(max(0.0, 1.0 - float(vector @ vector)))
     cross = np.cross(np.eye(3), vector)
     turn: npt.NDArray[np.float64] = (

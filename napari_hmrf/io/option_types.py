@@ -1,4 +1,4 @@
-"""Types of options of the command line: functions that read and check text."""
+"""Argument types of the command line: functions that convert and validate text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 
 
 def energy_option(name: str) -> Callable[[str], Any]:
-    """Return a function that reads an option of the energy.
+    """Return a function that converts the text of an option that defines the energy.
 
     Parameters
     ----------
@@ -28,14 +28,14 @@ def energy_option(name: str) -> Callable[[str], Any]:
 
 
 def count_option(text: str) -> int:
-    """Read a whole number of at least 1."""
+    """Convert text to a whole number of at least 1."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     return int(text)
 
 
 def lengths_option(text: str) -> float | tuple[float, float]:
-    """Read a length, or two lengths with a dash between them."""
+    """Convert text to a length, or to a range of two lengths separated by a hyphen."""
     try:
         return float(text)
     except ValueError:
@@ -49,7 +49,7 @@ def lengths_option(text: str) -> float | tuple[float, float]:
 
 
 def size_option(smallest: int) -> Callable[[str], int]:
-    """Return a function that reads the size of a sample, in pixels."""
+    """Return a function that converts text to the size of a sample, in pixels."""
 
     def read(text: str) -> int:
         try:
@@ -66,7 +66,7 @@ def size_option(smallest: int) -> Callable[[str], int]:
 
 
 def poisson_option(text: str) -> float:
-    """Read a Poisson's ratio."""
+    """Convert text to a Poisson's ratio."""
     low, high = POISSON_RANGE
     try:
         poisson = float(text)

@@ -1,4 +1,4 @@
-"""Check that existing files are overwritten only on request."""
+"""Protection of existing files, which are overwritten only on request."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from napari_hmrf.errors import HmrfError
 
 
 def refuse_overwriting(paths: Iterable[Path], *, overwrite: bool = False) -> None:
-    """Refuse to overwrite existing files, unless this is allowed.
+    """Raise an error if files would be overwritten without permission.
 
     Parameters
     ----------
     paths : iterable of Path
-        Files to be written. Devices are not refused; nor are folders, because writing to a folder
-        raises an error anyway.
+        Files to be written. Devices and folders are ignored: devices are not overwritten, and
+        writing to a folder raises an error anyway.
     overwrite : bool
-        True if files may be replaced.
+        True if files may be overwritten.
 
     Raises
     ------
     HmrfError
-        Naming the first existing file.
+        If `overwrite` is False and a file exists; the message names the first existing file.
     """
     if overwrite:
         return

@@ -1,7 +1,7 @@
-"""Autosaved files of unsaved work, and recovery of those of ended processes.
+"""Recovery files: autosaved work, which can be recovered after a crash.
 
-Several machines may share the folder, so the name of a file states the machine and the process that
-owns it.
+Several machines may share the folder, so the name of a file contains the machine and the id of the
+process that owns the file.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from napari_hmrf.io.study_file import SUFFIX
 
 
 def new_file(folder: Path) -> Path:
-    """Return the path of a new file of this process.
+    """Return the path of a new recovery file of this process.
 
-    The folder is created if it does not exist, with access for its owner only.
+    If the folder does not exist, it is created with access for its owner only.
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     return folder / f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"
 
 
 def abandoned_files(folder: Path) -> tuple[Path, ...]:
-    """Return the files of ended processes of this machine, newest first.
+    """Return the recovery files of ended processes on this machine, newest first.
 
-    Files of other machines are left out, because their processes cannot be checked.
+    Files of other machines are omitted, because their processes cannot be checked.
     """
     files = [file for file in folder.glob(f"{_machine()}-*{SUFFIX}") if not _is_alive(file)]
     return tuple(sorted(files, key=_modified, reverse=True))
 
 
 def claim(file: Path) -> Path:
-    """Rename a file of an ended process to a file of this process; return the new path."""
+    """Take over the recovery file of an ended process: rename it, and return the new path."""
     new_path = new_file(file.parent)
     os.utime(file)
     return file.replace(new_path)
@@ -55,9 +55,9 @@ def _modified(file: Path) -> float:
 
 
 def _is_alive(file: Path) -> bool:
-    """Return whether the process that wrote a file is running.
+    """Return whether the process that wrote a recovery file is still running.
 
-    A process that was created after the file is another one with a reused identifier.
+    A process that started after the file was modified is a different process with the same id.
     """
     try:
         process = psutil.Process(int(file.stem.split("-")[-2]))

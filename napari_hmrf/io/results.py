@@ -1,4 +1,4 @@
-"""Results read from files: measurements of tissue, labels, and images with their fields."""
+"""Evaluation of saved results: tissue measurements, labels, and the image of a result."""
 
 from __future__ import annotations
 
@@ -22,17 +22,19 @@ from napari_hmrf.solver.solution import Solution
 
 
 class Measured(NamedTuple):
-    """Measurements of each tissue.
+    """Measurements of a result.
 
     Attributes
     ----------
     rows : tuple of Measurement
+        Measurements of each tissue.
     unit : str
-        Unit of lengths.
+        Unit of length.
     of_volume : bool
-        True if the size of tissue is a volume instead of an area.
+        True if tissue sizes are volumes, False if they are areas.
     note : str
-        Reason why the strain is not the elastic strain, as a clause; "" if it is.
+        Reason why the reported strain is not the elastic strain, as a clause; "" if it is the
+        elastic strain.
     """
 
     rows: tuple[Measurement, ...]
@@ -42,19 +44,22 @@ class Measured(NamedTuple):
 
 
 def measured(path: Path, labels: Path | None = None) -> Measured:
-    """Measure the deformation of each tissue of a study or result.
+    """Measure the deformation of each tissue in a solved study or saved result.
 
     Parameters
     ----------
     path : Path
-        A study with its field, or a saved result.
+        Solved study, or saved result.
     labels : Path, optional
-        An image of labels; by default those of the study, or one label for all tissue.
+        Label image. By default, the labels of the study are used, or the same label for all tissue
+        if there are no labels.
 
     Raises
     ------
-    HmrfError, OSError
-        If a file cannot be read, or has no field.
+    HmrfError
+        If a file is invalid, or contains no displacement field.
+    OSError
+        If a file cannot be opened.
     """
     study, solution = read_solved(path)
     tissue = None if study is None else study.tissue
@@ -62,7 +67,7 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     image = None if tissue is None else tissue.labels
     if labels is not None:
         image = labels_of(_on_grid(labels, solution), labels)
-    if image is None:  # without labels, all tissue has one label
+    if image is None:
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
     rows, of_volume = solution.measure(image, names=names), solution.tissue.ndim == 3
@@ -70,35 +75,46 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
 
 
 def labels_in(path: Path) -> tuple[int, ...]:
-    """Return the different labels in an image file.
+    """Return the distinct labels in an image file, in ascending order.
 
     Raises
     ------
-    HmrfError, OSError
-        If the file cannot be read, or holds no labels.
+    HmrfError
+        If the file is not a label image.
+    OSError
+        If the file cannot be opened.
     """
     return tuple(np.unique(labels_of(read_image(path), path)).tolist())
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
-    """Return the field of a study or result, and its image or the given image.
+    """Read the solution of a solved study or saved result, and its image.
+
+    Parameters
+    ----------
+    path : Path
+        Solved study, or saved result.
+    image : Path, optional
+        Image to use instead of the image in the study; required for a saved result.
 
     Raises
     ------
-    HmrfError, OSError
-        If a file cannot be read or has no field, or if there is no image.
+    HmrfError
+        If a file is invalid or contains no displacement field, or if there is no image.
+    OSError
+        If a file cannot be opened.
     """
     study, solution = read_solved(path)
     pixels = None if study is None else study.pictures.image
     if image is not None:
         pixels = _on_grid(image, solution).pixels
     if pixels is None:
-        raise HmrfError(f"{path.name}: the image is not in the file. Give --image.")
+        raise HmrfError(f"{path.name}: the file does not contain the image. Give --image.")
     return solution, pixels
 
 
 def _on_grid(path: Path, solution: Solution) -> ImageFile:
-    """Return the image in a file; a volume has the order of the solution's axes."""
+    """Read an image on the grid of a solution; the axes of a volume are reordered to match."""
     is_unplaced = Frame.of_solution(solution).unit == "pixel"
     image, place = read_image(path), None if is_unplaced else place_of(solution)
     if solution.tissue.ndim == 3:

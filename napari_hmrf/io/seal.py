@@ -1,8 +1,9 @@
 """Seals of exchange files: digests that reveal damage.
 
-A sealed file contains the same line twice, near its beginning and its end: a mark and the SHA-256
-of the whole file, computed with zeros in place of both digests. Other tools ignore the lines, and
-drop them when they save the field again; a file without a seal is read without a check.
+A sealed file contains two identical lines, one near the beginning and one near the end. Each line
+consists of a mark and the SHA-256 digest of the whole file, computed with zeros in place of both
+digests. Other tools ignore the lines, and drop them when they save the file again. A file without a
+seal is not checked.
 
 =================  ==============================================================
 .mha               comments, in the second line of the header and before its last
@@ -25,40 +26,46 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-#: Beginning of a seal.
+#: Text at the beginning of a seal.
 _MARK = b"napari-hmrf field; SHA-256 with this digest as zeros: "
 _DIGITS = 64
 _SEAL = re.compile(re.escape(_MARK) + rb"([0-9a-f]{%d})" % _DIGITS)
 _BLANK = _MARK + b"0" * _DIGITS
 #: Number of seals in a file.
 _COUNT = 2
-#: Length of a seal in formats without lines, in bytes; NIfTI needs a multiple of 16.
+#: Length of a seal in binary formats, in bytes; a multiple of 16, as NIfTI requires.
 _BLOCK = 128
-#: Numbers of bytes at the beginning and at the end that are searched for seals.
+#: Number of bytes at the beginning, and at the end, of a file that are searched for seals.
 _HEAD, _TAIL = 2**14, 2**10
-#: Number of bytes read at once.
+#: Number of bytes read at a time.
 _PIECE = 2**20
-#: Share of matching bytes from which text counts as a damaged mark; other text has below a third.
+#: Share of bytes equal to the mark above which text is considered to be a damaged mark; the share
+#: of unrelated text is below a third.
 _DAMAGED_SHARE = 0.6
 _GZIP, _HDF5 = b"\x1f\x8b", b"\x89HDF\r\n\x1a\n"
-#: Compression level of .nii.gz: vectors hardly compress, and higher levels take longer.
+#: Compression level of .nii.gz; low, because vectors hardly compress and higher levels are slower.
 _LEVEL = 2
-#: Length of NIfTI's header, and offset of the number that states where the vectors begin.
+#: Length of the NIfTI header, and offset of the field with the position of the vectors, in bytes.
 _NIFTI_HEADER, _NIFTI_START = 352, 108
 
 
 class BrokenSeal(Exception):
-    """A sealed file was changed after it was written, by damage or by an edit."""
+    """Error for a sealed file that was damaged or edited after it was written."""
 
 
 def seal(content: bytes, suffix: str) -> bytes:
-    """Return the content of a file with seals.
+    """Add seals to the content of a file.
 
     Parameters
     ----------
     content : bytes
-        Content as written by SimpleITK; for .nii.gz before compression.
+        Content as written by SimpleITK; for .nii.gz, the uncompressed content.
     suffix : {".mha", ".nrrd", ".nii", ".nii.gz", ".h5"}
+
+    Returns
+    -------
+    bytes
+        Content with seals; for .nii.gz, the compressed content.
     """
     block = (_BLANK + b"\n").ljust(_BLOCK, b"\n")
     if suffix in (".mha", ".nrrd"):
@@ -78,12 +85,14 @@ def seal(content: bytes, suffix: str) -> bytes:
 
 
 def check_seal(path: Path) -> bool:
-    """Return whether a file has a valid seal; files of other programs have no seal.
+    """Return whether a file has a valid seal.
+
+    The result is False for a file without a seal, such as a file of another program.
 
     Raises
     ------
     BrokenSeal
-        If the seal does not match the file, or is itself damaged.
+        If the seal does not match the content of the file, or the seal itself is damaged.
     OSError
         If the file cannot be opened.
     """
@@ -120,10 +129,10 @@ def _read_seals(stream: BinaryIO | gzip.GzipFile) -> bool:
 
 
 def _parts(stream: BinaryIO | gzip.GzipFile) -> Iterator[tuple[bytes, bool]]:
-    """Yield pieces of the content, each with True if it is the beginning or the end."""
+    """Yield the content in pieces, each with a flag that is True for the first and last piece."""
     head = stream.read(_HEAD)
     pending = stream.read(_PIECE)
-    if len(pending) < 2 * _TAIL:  # a seal must not be split between two pieces
+    if len(pending) < 2 * _TAIL:  # a seal must not be split between pieces
         yield head + pending, True
         pending = b""
     else:
@@ -140,7 +149,7 @@ def _parts(stream: BinaryIO | gzip.GzipFile) -> Iterator[tuple[bytes, bool]]:
 
 
 def _likeness(part: bytes) -> float:
-    """Return the largest share of the mark's bytes that match, over all positions."""
+    """Return the largest share of bytes equal to the mark, over all positions in a piece."""
     if len(part) < len(_MARK):
         return 0.0
     windows: Any = np.lib.stride_tricks.sliding_window_view(
@@ -150,7 +159,7 @@ def _likeness(part: bytes) -> float:
 
 
 def _hdf5_ends_early(start: bytes, size: int) -> bool:
-    """Return whether bytes follow the end of an HDF5 file, where a seal would be."""
+    """Return whether a file has bytes after the end of its HDF5 content, where a seal would be."""
     if not start.startswith(_HDF5) or len(start) < 36 or start[8] not in (2, 3):
         return False
     end: int = struct.unpack_from("<Q", start, 28)[0]

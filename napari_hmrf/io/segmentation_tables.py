@@ -1,12 +1,12 @@
-"""Tables with the label names of segmentations, as written by other tools.
+"""Reading of tables with the label names of segmentations, as written by other tools.
 
-========================  ====================================================================
-TotalSegmentator, nnU-Net  .json: a class map, or a `dataset.json` with its `labels`
-any tool, 3D Slicer        .csv: a column of labels, and one of names
-FreeSurfer, 3D Slicer      .txt, .ctbl: label, name and four numbers of a colour
+=========================  ====================================================================
+TotalSegmentator, nnU-Net  .json: a class map, or a `dataset.json` with the key `labels`
+any tool, 3D Slicer        .csv: a column of labels and a column of names
+FreeSurfer, 3D Slicer      .txt, .ctbl: label, name, and a colour as four numbers
 ITK-SNAP                   .txt: label, six numbers, and the name in quotation marks
-3D Slicer                  .nrrd, .seg.nrrd: the segments in the header of the label image
-========================  ====================================================================
+3D Slicer                  .nrrd, .seg.nrrd: segments in the header of the label image
+=========================  ====================================================================
 """
 
 from __future__ import annotations
@@ -28,28 +28,30 @@ from napari_hmrf.regular_file import read_at_most
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.tissue_names import NamedMaterials, materials_by_name
 
-#: Largest size of a table, in bytes; also the longest header of an image.
+#: Largest size of a table, or of the header of an image, in bytes.
 _LARGEST = 2**22
-#: Largest number of names listed in an error.
+#: Largest number of names listed in an error message.
 _LISTED = 4
-#: Titles of the columns of labels and of names in a .csv, in lower case.
+#: Titles of columns of labels in a .csv, in lower case.
 _LABELS = "label", "labelvalue", "label value", "value", "index", "id", "no.", "key", "intensity"
+#: Titles of columns of names in a .csv, in lower case.
 _NAMES = "name", "label name", "labelname", "structure", "segment", "tissue", "region", "class"
-#: Columns by which a table of materials is recognised.
+#: Columns that occur only in tables of materials.
 _OF_MATERIALS = tuple(name for name in MATERIAL_COLUMNS if name not in ("label", "name"))
-#: Other columns that tools write into lists of names: colours, and terms of 3D Slicer.
+#: Other columns in tables of label names: colours, descriptions, and terms of 3D Slicer.
 _OTHER_COLUMNS = re.compile(
     r"(colou?r[ _]?)?(r|g|b|a|red|green|blue|alpha)|colou?r|hex|opacity|visib(le|ility)"
     r"|[a-z]+_(codingscheme|codevalue|codemeaning)|(description|comment|abbreviation|acronym)s?"
 )
-# FreeSurfer, 3D Slicer: a label, its name, four numbers of a colour, and in newer tables of
-# FreeSurfer a tissue type. ITK-SNAP: a label, six numbers, and the name in quotation marks.
+#: Row of a colour table of FreeSurfer or 3D Slicer: label, name, four numbers of a colour and, in
+#: recent tables of FreeSurfer, a tissue type.
 _COLOUR_ROW = re.compile(r'\s*(\d+)\s+"?(\S.*?)"?((?:\s+[\d.]+){4,5})\s*$')
+#: Row of label descriptions of ITK-SNAP: label, six numbers, and the name in quotation marks.
 _SNAP_ROW = re.compile(r'\s*(\d+)((?:\s+[\d.]+){6})\s+"([^"]*)"\s*$')
 _NUMBERED = re.compile(r"\s*\d+\s+\S")
 _SEGMENT = re.compile(r"Segment(\d+)_(LabelValue|Name|Layer):=(.*)")
 
-#: Endings of the files.
+#: Suffixes of the files.
 ENDINGS = ".csv", ".json", ".txt", ".ctbl", ".nrrd"
 
 
@@ -59,20 +61,20 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
     Parameters
     ----------
     path : str or path-like
-        A class map of TotalSegmentator or a `dataset.json` of nnU-Net (.json); a .csv with a column
-        of labels and a column of names; FreeSurfer's `FreeSurferColorLUT.txt`; label descriptions
-        of ITK-SNAP (.txt); a colour table (.ctbl, .txt) or a segmentation (.seg.nrrd) of 3D Slicer.
+        Class map of TotalSegmentator or `dataset.json` of nnU-Net (.json); .csv with a column of
+        labels and a column of names; `FreeSurferColorLUT.txt` of FreeSurfer; label descriptions of
+        ITK-SNAP (.txt); colour table (.ctbl, .txt) or segmentation (.seg.nrrd) of 3D Slicer.
 
     Returns
     -------
     dict of int to str
-        Names by label; `materials_by_name` turns them into materials.
+        Name of each label, which `materials_by_name` can convert to a material.
 
     Raises
     ------
     FileFormatError
-        If the file is not such a table, has an unknown column or an unreadable line, or has a
-        label twice.
+        If the file is not such a table, has an unknown column or an invalid line, or has different
+        names for the same label.
     OSError
         If the file cannot be opened.
     """
@@ -95,7 +97,7 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
             )
     if not names:
         raise FileFormatError(
-            f"{source.name} holds no label names. Give a file of materials saved by napari-hmrf, a "
+            f"{source.name} contains no label names. Give a material file saved by napari-hmrf, a "
             "class map (.json), a .csv with the columns label and name, a colour table of "
             "FreeSurfer or 3D Slicer, label descriptions of ITK-SNAP, or a .seg.nrrd."
         )
@@ -103,25 +105,27 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
 
 
 def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
-    """Read materials from a table of materials, or look them up by label names.
+    """Read the materials in a table, or look up materials for the label names in a table.
 
     Parameters
     ----------
     path : str or path-like
-        A file of `write_preset`, a .csv with a column `stiffness`, or a file for
-        `read_label_names`. A .csv is a list of names only if all of its columns are labels, names,
-        or colours and terms that other tools write.
+        Material file of `write_preset`, .csv with the column `stiffness`, or table of label names
+        as for `read_label_names`. A .csv is a table of label names if it has columns of labels and
+        names, and all its other columns are colours, descriptions or terms of other tools.
 
     Returns
     -------
     Preset or NamedMaterials
-        A preset if the file states the stiffness of each tissue.
+        Preset if the table contains materials; named materials if it contains label names.
 
     Raises
     ------
-    FileFormatError, OSError
-        As for `read_materials`, `read_preset` and `read_label_names`; or if the stiffness of none
-        of the names is known.
+    FileFormatError
+        As for `read_materials`, `read_preset` and `read_label_names`; or if the table contains
+        only label names, none of which has a known stiffness.
+    OSError
+        If the file cannot be opened.
     """
     source = Path(checked_path(path))
     ending = source.suffix.lower()
@@ -134,14 +138,14 @@ def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
         names = list(dict.fromkeys(found.unknown.values()))
         listed = ", ".join(names[:_LISTED]) + " ..." * (len(names) > _LISTED)
         raise FileFormatError(
-            f"{source.name} states no stiffness, and none of its names ({listed}) is a tissue with "
-            "a published stiffness. Give a .csv with the columns label, name and stiffness."
+            f"{source.name} contains no stiffness, and none of its names ({listed}) is a tissue "
+            "with a published stiffness. Give a .csv with the columns label, name and stiffness."
         )
     return found
 
 
 def _text(source: Path, ending: str) -> str:
-    """Return the text of a table, or of the header of an image."""
+    """Return the text of a table, or of the header of a .nrrd image."""
     if ending == ".nrrd":
         with open(source, "rb") as file:
             head = file.read(_LARGEST).partition(b"\n\n")[0]
@@ -150,27 +154,27 @@ def _text(source: Path, ending: str) -> str:
 
 
 def _header(source: Path) -> tuple[int, list[str], list[tuple[int, list[str]]]]:
-    """Return the line number and the titles of a .csv, and its other lines that are not empty."""
+    """Return the line number and the titles of a .csv, and its further lines that are not empty."""
     rows = [(line, cells) for line, cells in read_cells(source, _LARGEST) if any(cells)]
     line, titles = rows[0] if rows else (1, [])
     return line, [title.casefold() for title in titles], rows[1:]
 
 
 def _is_of_names(source: Path) -> bool:
-    """Return whether a .csv is a list of names, judged by its columns."""
+    """Return whether a .csv is a table of label names, according to its columns."""
     _, titles, _ = _header(source)
     has_columns = [any(title in titles for title in known) for known in (_LABELS, _NAMES)]
     return all(has_columns) and not any(map(_is_foreign_column, titles))
 
 
 def _is_foreign_column(title: str) -> bool:
-    """Return whether a column cannot belong to a list of names."""
+    """Return whether a column does not occur in tables of label names."""
     known = not title or title in (*_LABELS, *_NAMES) or _OTHER_COLUMNS.fullmatch(title) is not None
     return not known
 
 
 def _is_preset_file(source: Path) -> bool:
-    """Return whether a .json is a file of materials; also True if it is unreadable."""
+    """Return whether a .json is a material file; also True if the file is not valid JSON."""
     try:
         content = json.loads(read_at_most(source, _LARGEST) or b"")
     except ValueError:
@@ -185,8 +189,8 @@ def _of_cells(source: Path) -> Iterable[tuple[int, str]]:
     for title in filter(_is_foreign_column, titles):
         if title in _OF_MATERIALS:
             raise FileFormatError(
-                f"{source.name}: line {line}: a list of names has no column {title!r}. Use the "
-                "file as a table of materials, or remove the column."
+                f"{source.name}: line {line}: a table of label names has no column {title!r}. Use "
+                "the file as a table of materials, or remove the column."
             )
         raise unknown_column(source.name, line, title, ["label", "name", *_OF_MATERIALS])
     label_at, name_at = (
@@ -207,7 +211,10 @@ def _of_cells(source: Path) -> Iterable[tuple[int, str]]:
 
 
 def _of_json(text: str, file: str) -> Iterable[tuple[int, str]]:
-    """Return labels and names from a mapping in either direction, which may be under a key."""
+    """Return the labels and names in a JSON mapping, which may be nested.
+
+    The mapping can be from labels to names or from names to labels.
+    """
     try:
         content = json.loads(text)
     except ValueError:
@@ -237,7 +244,7 @@ def _of_mapping(content: Any, file: str) -> Iterable[tuple[int, str]]:
 
 
 def _of_pair(key: str, value: Any) -> tuple[int, str] | None:
-    """Return a label and its name, given in either order; None if it is not such a pair."""
+    """Return the label and the name in a pair of either order; None for any other pair."""
     if isinstance(value, bool) or not isinstance(value, str | int):
         return None
     label, name = (_as_label(key), str(value)) if _is_name(value) else (_as_label(value), key)
@@ -258,13 +265,13 @@ def _of_lines(text: str, file: str) -> Iterable[tuple[int, str]]:
             yield int(row[1]), row[2]
         elif _NUMBERED.match(line):
             raise FileFormatError(
-                f"{file}: line {number} is {line.strip()[:40]!r}. Give a label, its name and four "
-                "numbers of a colour, or begin the line with #."
+                f"{file}: line {number} is {line.strip()[:40]!r}. Give a label, a name and four "
+                "numbers for the colour, or begin the line with #."
             )
 
 
 def _of_segments(text: str) -> Iterable[tuple[int, str]]:
-    """Yield the segments of the first layer; other layers are not read as labels."""
+    """Yield label and name of the segments in the first layer, which has the label image."""
     segments: dict[str, dict[str, str]] = {}
     for line in takewhile(str, text.splitlines()):
         if match := _SEGMENT.match(line):
@@ -276,7 +283,7 @@ def _of_segments(text: str) -> Iterable[tuple[int, str]]:
 
 
 def _as_label(value: Any) -> int | None:
-    """Return a value as a label, also from text; None if it is not a whole number from 0 on."""
+    """Convert a value, which may be text, to a label; None if it is not a whole number >= 0."""
     try:
         number = float(value)
     except (TypeError, ValueError):

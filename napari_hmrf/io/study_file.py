@@ -1,7 +1,7 @@
-"""File of a study: all inputs of a field and the field itself, so that it can be reproduced.
+"""Study files: a study and, optionally, its displacement field, which can be reproduced.
 
-The file is an archive of plain arrays and one text (`napari_hmrf.array_file`). Reading it cannot
-run code, and it is written atomically.
+A study file is an archive of plain arrays and a text header (`napari_hmrf.array_file`). Reading it
+never executes code from the file, and it is written atomically.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
-#: Ending of the files of studies.
+#: Suffix of study files.
 SUFFIX = ".study"
-#: Data types of labels in a file.
+#: Data types of label arrays in a file.
 LABEL_TYPES = ("|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8")
 #: Data types of other arrays in a file.
 _NUMBERS = ("|b1", *LABEL_TYPES, "<f2", "<f4", "<f8")
-#: Prefix of the names of a solution's arrays.
+#: Prefix of the names of the solution's arrays.
 _OF_SOLUTION = "solution_"
-#: Penalties of an elastic prior that are stored as words. Since the first version of the file,
-#: "inf" stands for penalties derived from confidence.
+#: Penalties of an elastic prior that are stored as words. For compatibility with the first version
+#: of the format, "inf" denotes penalties derived from the confidence.
 _PENALTIES = {None: "inf", math.inf: "exact"}
-#: Validators for the types in a file.
+#: Validators of values in the header.
 _MATERIALS = TypeAdapter(tuple[Material, ...])
 _RULES = TypeAdapter(tuple[BoundaryRule, ...])
 _SHAPE = TypeAdapter(tuple[int, ...])
@@ -61,7 +61,7 @@ class StudyFile(NamedTuple):
     ----------
     study : Study
     solution : Solution or None
-        The field, if it was saved with the study.
+        Solution of the study; None if the study was saved without a solution.
     """
 
     study: Study
@@ -75,20 +75,21 @@ def write_study(
     *,
     image: bool = True,
 ) -> Path:
-    """Write a study, optionally with its field, to one file, atomically.
+    """Write a study, optionally with its solution, to a file, atomically.
 
-    The display settings of layers, such as colormaps, are not saved.
+    Display settings of layers, such as colormaps, are not saved.
 
     Parameters
     ----------
     path : str or path-like
-        ".study" is added if the name has no suffix. An existing file is replaced only when the new
-        one is complete.
+        Path of the file; ".study" is appended if the name has no suffix. An existing file is
+        replaced when the new file is complete.
     study : Study
     solution : Solution, optional
+        Solution of the study.
     image : bool
-        If True, save the image. Otherwise only its name and digest are saved, and the image must be
-        given to `read_study`.
+        True to save the image of the study. Otherwise, only the name and a digest of the image are
+        saved, and the image must be passed to `read_study`.
 
     Returns
     -------
@@ -100,9 +101,9 @@ def write_study(
     ArgumentError
         If `study` is not a Study, or `solution` is not a Solution.
     ProblemError
-        If the solution has another shape, spacing or place than the study.
+        If the shape, spacing or place of the solution differs from that of the study.
     OSError
-        If the folder is missing or the file cannot be written; the message names the file.
+        If the folder does not exist or the file cannot be written; the message names the file.
     TypeError, ValueError
         If a part of the study cannot be saved, such as an image of complex numbers.
     """
@@ -117,23 +118,24 @@ def write_study(
 
 
 def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:
-    """Read a study file, in this or an earlier version of the format.
+    """Read a study file, which may have an earlier version of the format.
 
     Parameters
     ----------
     path : str or path-like
     image : ndarray, optional
-        The image, if the file has only its name and digest.
+        Image of the study, if the file contains only its name and digest.
 
     Returns
     -------
     StudyFile
-        A named tuple of the `study` and its `solution`, which is None if the file has no field.
+        Named tuple of the `study` and its `solution`; the solution is None if the file does not
+        contain one.
 
     Raises
     ------
     FileFormatError
-        If the file is not a study, or is damaged; or if the given image is not that of the study.
+        If the file is damaged or not a study file, or if `image` is not the image of the study.
     OSError
         If the file cannot be opened.
     """
@@ -142,26 +144,33 @@ def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
     if content.digest and study.pictures.image is None and image is not None:
         if _digest(image) != content.digest:
             raise FileFormatError(
-                f"{Path(path).name}: the study was made from another image. Give "
-                f"'{study.pictures.name}' unchanged."
+                f"{Path(path).name}: the study was created from another image. Give the original "
+                f"image '{study.pictures.name}'."
             )
         study = replace(study, pictures=replace(study.pictures, image=image))
     return StudyFile(study, content.solution)
 
 
 def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
-    """Read a study with its field, or a saved result, for which the study is None.
+    """Read a solved study or a saved result.
+
+    Returns
+    -------
+    study : Study or None
+        Study; None for a saved result.
+    solution : Solution
 
     Raises
     ------
     FileFormatError
-        If the file is neither of them, or is damaged; or if the study was saved without its field.
+        If the file is neither a study nor a saved result, if it is damaged, or if the study was
+        saved without its solution.
     OSError
         If the file cannot be opened.
     """
     if array_file.is_foreign(path):
         raise FileFormatError(
-            f"{Path(path).name} is neither a study nor a result. Give the {SUFFIX} of a solve, or "
+            f"{Path(path).name} is neither a study nor a result. Give a solved study ({SUFFIX}) or "
             "a saved result (.npz)."
         )
     if not is_study_file(path):
@@ -175,7 +184,9 @@ def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
 
 
 def is_study_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is marked as a study; only its beginning is read.
+    """Return whether a file is a study file, according to its header.
+
+    Only the header is read, so the result is also True if other parts of the file are damaged.
 
     Parameters
     ----------
@@ -189,7 +200,7 @@ def is_study_file(path: str | os.PathLike[str]) -> bool:
 
 
 def image_named_in(path: str | os.PathLike[str]) -> str:
-    """Return the name of a study's image from the header of its file; "" if unreadable."""
+    """Return the name of the image in the header of a study file; "" if it cannot be read."""
     pictures = array_file.header_of(path).get("pictures")
     return str(pictures.get("name", "")) if isinstance(pictures, dict) else ""
 
@@ -200,12 +211,13 @@ def replay(
     image: npt.NDArray[Any] | None = None,
     progress: Progress | None = None,
 ) -> Solution:
-    """Solve a saved study again, on the backend that computed its field.
+    """Solve a saved study again, with the backend that computed its saved solution.
 
-    On the same machine and version, a field from a cold start, as from `solve_study` or *Deform*,
-    is reproduced bit by bit, with any number of threads. A field that followed edits in the window
-    came from a warm start: both fields agree within the sum of their `convergence.error`. A field
-    that was solved before the loops were compiled differs in the last digits.
+    If the saved field was computed with a cold start, as with `solve_study` or *Deform*, it is
+    reproduced bit by bit on the same machine and with the same version, for any number of threads.
+    If it was updated during edits in the window, it was computed with a warm start; the two fields
+    then agree within the sum of their `convergence.error`. If it was computed before the loops were
+    compiled, the last digits differ.
 
     Parameters
     ----------
@@ -217,12 +229,13 @@ def replay(
     Returns
     -------
     Solution
+        New solution of the study.
 
     Raises
     ------
     HmrfError
-        As for `read_study` and `solve_study`; or if the tissue is derived from the image, which is
-        neither in the file nor given.
+        As for `read_study` and `solve_study`; or if the tissue is derived from the image, and the
+        image is neither in the file nor given.
     """
     study, solution = read_study(path, image=image)
     tissue = study.tissue
@@ -232,15 +245,15 @@ def replay(
         and (tissue.curve is not None or tissue.without_border or _is_of_image(tissue))
     ):
         raise HmrfError(
-            f"{Path(path).name}: the tissue is derived from '{study.pictures.name}', which is not "
-            "in the file. Give the image."
+            f"{Path(path).name}: the tissue is derived from the image '{study.pictures.name}', "
+            "which is not in the file. Give the image."
         )
     backend = "auto" if solution is None else solution.provenance.backend
     return solve_study(study, stated=build_problem(study), backend=backend, progress=progress)
 
 
 def _refuse_other_grid(grid: Grid, solution: Solution) -> None:
-    """Refuse a solution on another grid than that of the study."""
+    """Raise an error if the grid of a solution differs from that of the study."""
     shape, remedy = solution.tissue.shape, "Give the solution of this study."
     if shape != grid.shape:
         raise ProblemError(
@@ -256,11 +269,11 @@ def _refuse_other_grid(grid: Grid, solution: Solution) -> None:
     if solution.frame and grid.place is not None and solution.frame != grid.place.as_dict():
         place = Frame.of_solution(solution)
         if place.ndim != grid.place.ndim or not place.same_place(grid.place, shape):
-            raise ProblemError("solution", f"lies elsewhere than the study. {remedy}")
+            raise ProblemError("solution", f"is not in the same place as the study. {remedy}")
 
 
 class _Content(NamedTuple):
-    """Content of a file: study, field, a flag for an included image, and the image's digest."""
+    """Content of a file: study, solution, whether the image is included, and the image's digest."""
 
     study: Study
     solution: Solution | None = None
@@ -320,7 +333,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "poisson": poisson if np.ndim(poisson) else None,
         "boundary_labels": motion.labels,
         "observed": motion.observed,
-        "counts": motion.confidence,  # name of the confidence since the first version of the file
+        "counts": motion.confidence,  # this name is kept for compatibility with earlier versions
         "image": image if content.image else None,
         "labels": pictures.labels,
     }
@@ -408,7 +421,7 @@ def _prior_from_dict(values: Mapping[str, Any], poisson: Any) -> Prior:
 
 
 def _name_in(kept: Any) -> str:
-    """Return the name of a part of a study; earlier versions of the file stored a mapping."""
+    """Return the name of a part of a study, which earlier versions stored in a mapping."""
     return str(kept["name"] if isinstance(kept, Mapping) else kept)
 
 
@@ -421,17 +434,17 @@ def _preset_from_dict(values: Mapping[str, Any]) -> Preset:
 
 
 def materials_of(rows: Any) -> tuple[Material, ...]:
-    """Convert rows of `Material.as_row`, as stored in files, to materials.
+    """Create materials from rows of `Material.as_row`, as stored in files.
 
     Raises
     ------
     KeyError, TypeError, ValueError
-        If the rows are not of that form.
+        If the rows have another form.
     """
     return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
 
 
-#: Format of the file that `write_study` writes.
+#: Format of study files.
 STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
     name="napari-hmrf study",
     schema=1,

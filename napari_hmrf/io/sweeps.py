@@ -1,4 +1,4 @@
-"""Changes of single numbers of a study, for sweeps over parameters."""
+"""Changes of single numbers in a study, for parameter sweeps."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.tissue_names import lookup_tissue
 
-#: Properties of a tissue that can be changed.
+#: Names of tissue properties that can be changed.
 OF_TISSUES = "growth", "stiffness", "poisson"
-#: Properties of a boundary that can be changed.
+#: Names of boundary properties that can be changed.
 OF_BOUNDARIES = ("amount",)
 
 
 class Change(NamedTuple):
-    """Change of one number of a study, or of its model.
+    """Change of one number in a study, or of its model.
 
     Attributes
     ----------
     what : {"growth", "stiffness", "poisson", "amount", "model"}
+        Changed property.
     value : float, tuple of float or str
-        New value, as in a `Material` or a `BoundaryRule`. An amount is the distance by which the
-        boundary expands, or its pressure; for moved or pulled boundaries, the length of the vector.
+        New value, as in a `Material` or `BoundaryRule`. For the actions "expand" and "press",
+        "amount" is the distance or the pressure; for other actions, it is the length of the vector.
     of : str
-        Label or name of a tissue or boundary, or name of the known tissue that a name stands for;
+        Label or name of a tissue or boundary, or name of the known tissue that its name refers to;
         "" for all tissue.
     """
 
@@ -45,12 +46,12 @@ class Change(NamedTuple):
 
 
 def changed(study: Study, changes: Iterable[Change]) -> Study:
-    """Return a study with changed numbers.
+    """Return a copy of a study with changed numbers.
 
     Raises
     ------
     HmrfError
-        If there is no such tissue or boundary, or the change is not possible for it.
+        If a tissue or boundary does not exist, or its property cannot be changed.
     """
     for change in changes:
         study = _changed(study, change)
@@ -62,7 +63,7 @@ def _changed(study: Study, change: Change) -> Study:
         prior, optimizer = parts_of(change.value)
         return replace(study, prior=prior, optimizer=optimizer)
     if change.what == "poisson" and not isinstance(study.prior, Elastic):
-        raise HmrfError("poisson is for elastic tissue: the paper's model has no Poisson's ratio")
+        raise HmrfError("poisson requires elastic tissue: the paper's model has no Poisson's ratio")
     if change.what in OF_BOUNDARIES:
         motion = study.motion
         rules = _edited(motion.rules, change, lambda rule: _with_amount(rule, change.value))
@@ -78,7 +79,7 @@ def _changed(study: Study, change: Change) -> Study:
 
 
 def with_ratio(tissue: Tissue, ratio: float) -> Tissue:
-    """Return tissue with the same Poisson's ratio for all labels, also for those without a row."""
+    """Return tissue with the same Poisson's ratio for all labels, including unlisted labels."""
     if tissue.labels is None:
         return tissue
     known = tissue.materials
@@ -87,17 +88,19 @@ def with_ratio(tissue: Tissue, ratio: float) -> Tissue:
 
 
 def _edited(rows: Sequence[Any], change: Change, edit: Callable[[Any], Any]) -> tuple[Any, ...]:
-    """Return the rows of a table, with the rows that a change refers to edited."""
+    """Return the rows of a table, after applying `edit` to the rows that a change refers to."""
     matching = _matching_rows(rows, change.of)
     if not matching:
         kind = "boundary" if change.what in OF_BOUNDARIES else "tissue"
         known = ", ".join(f"{row.label} {row.name}".strip() for row in rows) or "none"
-        raise HmrfError(f"{change.what}:{change.of}: there is no such {kind}. Give one of: {known}")
+        raise HmrfError(
+            f"{change.what}:{change.of}: there is no such {kind}. Give one of these: {known}"
+        )
     return tuple(edit(row) if row in matching else row for row in rows)
 
 
 def _matching_rows(rows: Sequence[Any], of: str) -> list[Any]:
-    """Return the rows that match a label, else a name, else the name of a known tissue."""
+    """Return the rows with a label, or else with a name, or else with a known tissue's name."""
     name = of.casefold()
     if not of:
         return list(rows)

@@ -1,11 +1,21 @@
-"""Tables of materials and of boundary rules as comma-separated text.
+"""Tables of materials, boundary rules, measurements and forces.
 
-Materials have the columns ``label,stiffness`` and, optionally, ``name``, ``poisson``, ``growth``
-(0.1: a tenth longer; ``0.1/0``: along rows only) and ``source``, a comment that is not read; rigid
-tissue has the word ``rigid`` as its stiffness. Rules have ``label,action`` and, optionally,
-``name``, ``row`` and ``col`` (the displacement of "move", or the force of "pull"; in a volume also
-``plane``), ``amount`` (the distance of "expand", or the pressure of "press") and ``confidence``. A
-rule has no number in a column that its action does not use.
+Materials and boundary rules are read from .csv files. A table of materials has the columns
+``label`` and ``stiffness`` and, optionally, ``name``, ``poisson``, ``growth`` and ``source``:
+
+- The stiffness of rigid tissue is the word ``rigid``.
+- A growth of 0.1 increases lengths by a tenth; ``0.1/0`` does so along the first axis of a slice
+  only.
+- The source is a comment, which is ignored.
+
+A table of rules has the columns ``label`` and ``action`` and, optionally, ``name`` and:
+
+- ``row``, ``col`` and, in a volume, ``plane``: displacement of the action "move", or force of the
+  action "pull";
+- ``amount``: distance of the action "expand", or pressure of the action "press";
+- ``confidence``.
+
+Cells that the action of a rule does not use must be empty or have no effect.
 """
 
 from __future__ import annotations
@@ -39,17 +49,17 @@ from napari_hmrf.tissue.tissue_names import KnownTissue, NamedMaterials
 
 #: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**20
-#: Titles of columns of measurements that differ between slices and volumes.
+#: Titles of measurement columns that differ between slices and volumes.
 _OF_IMAGES = {"size": "area", "size_change": "area_change"}
 _OF_VOLUMES = {"pixels": "voxels", "size": "volume", "size_change": "volume_change"}
-#: Measurements in per cent; the titles of their columns state the unit.
+#: Measurements in per cent, for which the column titles contain the unit.
 _PER_CENT = ("size_change", "mean_strain", "largest_strain")
-#: Components below this share of a force are shown as 0.
+#: Share of the magnitude of a force below which a component is shown as 0.
 _NOISE = 1e-3
 
 
 class _Column(NamedTuple):
-    """Function that reads a cell or raises ValueError, and the description of a valid cell."""
+    """Type of a column: a function that converts a cell, and the description of a valid cell."""
 
     read: Callable[[str], Any]
     right: str
@@ -67,7 +77,7 @@ def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[str], f
 
 def _label(first: int) -> _Column:
     def read(text: str) -> int:
-        value = float(text)  # some spreadsheets write a label as 1.0
+        value = float(text)  # some spreadsheets write labels in the form 1.0
         if not value.is_integer() or value < first:
             raise ValueError
         return int(value)
@@ -87,7 +97,7 @@ def _action(text: str) -> str:
 
 
 def _growth(text: str) -> float | tuple[float, ...]:
-    # A fraction, or a percentage if marked with %.
+    # Each part is a fraction, or a percentage if it contains %.
     parts = tuple(
         _number()(part.strip().removesuffix("%")) / (100 if "%" in part else 1)
         for part in text.split("/")
@@ -106,7 +116,9 @@ _OF_MATERIALS = {
     "poisson": _Column(
         _number(*POISSON_RANGE), "a number from {:g} to {:g}".format(*POISSON_RANGE)
     ),
-    "growth": _Column(_growth, "0.2 or 20% (a fifth longer; up to 10), or one for each axis"),
+    "growth": _Column(
+        _growth, "a number such as 0.2 or 20% (a fifth longer), up to 10, or one for each axis"
+    ),
     "source": _Column(str, "the source of the numbers"),
 }
 _OF_RULES = {
@@ -116,7 +128,7 @@ _OF_RULES = {
     **dict.fromkeys(("plane", "row", "col", "amount"), _LENGTH),
     "confidence": _Column(_number(0, 1), "a number from 0 to 1"),
 }
-#: Columns that each action uses; all of them except plane and confidence are required.
+#: Columns that each action uses; all columns except plane and confidence are required.
 _USED: dict[Action, tuple[str, ...]] = {
     "fixed": ("confidence",),
     "move": ("plane", "row", "col", "confidence"),
@@ -124,19 +136,26 @@ _USED: dict[Action, tuple[str, ...]] = {
     "press": ("amount",),
     "pull": ("plane", "row", "col"),
 }
-#: Values without an effect, which are allowed in unused cells.
+#: Values without any effect, which are allowed in unused cells.
 _NEUTRAL = {"plane": 0.0, "row": 0.0, "col": 0.0, "amount": 0.0, "confidence": 1.0}
-#: Kind of table to which a column belongs, for columns of only one kind.
+#: Kind of table for each column that occurs in only one kind of table.
 _OTHER_TABLES = {
     **{title: "a table of rules" for title in _OF_RULES if title not in _OF_MATERIALS},
     **{title: "a table of materials" for title in _OF_MATERIALS if title not in _OF_RULES},
 }
-#: Columns of a table of materials.
+#: Titles of the columns of a table of materials.
 MATERIAL_COLUMNS = (*_OF_MATERIALS,)
 
 
 def value_of(column: str, text: str) -> Any:
-    """Read a cell of a table of materials or rules.
+    """Convert the text of a cell in a table of materials or rules.
+
+    Parameters
+    ----------
+    column : str
+        Title of the column.
+    text : str
+        Text of the cell.
 
     Raises
     ------
@@ -160,12 +179,12 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     Returns
     -------
     tuple of Material
-        In the order of the table.
+        Materials in the order of the table.
 
     Raises
     ------
     FileFormatError
-        Naming the line and its error.
+        If the table is invalid; the message states the line and the error.
     OSError
         If the file cannot be opened.
     """
@@ -180,15 +199,16 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
 
 
 def write_named_materials(path: str | os.PathLike[str], found: NamedMaterials) -> Path:
-    """Write the materials of a segmentation to a .csv that `read_materials` reads.
+    """Write the materials of a segmentation to a .csv, in the format of `read_materials`.
 
-    Unknown labels get a row without a stiffness, to be filled in or removed.
+    The rows of labels with unknown materials have no stiffness; the user must fill in the stiffness
+    or remove the row.
 
     Parameters
     ----------
     path : str or path-like
     found : NamedMaterials
-        Materials and unknown labels of the segmentation.
+        Materials of the segmentation, and labels with unknown materials.
 
     Raises
     ------
@@ -221,7 +241,7 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
     Returns
     -------
     tuple of BoundaryRule
-        In the order of the table.
+        Rules in the order of the table.
 
     Raises
     ------
@@ -233,7 +253,7 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
 
 
 def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
-    """Return the rule of a row; refuse missing cells, and cells without an effect."""
+    """Return the rule in a row; raise an error if a cell is missing or has no effect."""
     action, label = row["action"], row["label"]
     used = _USED[action]
     needed = [title for title in used if title in ("row", "col", "amount")]
@@ -245,12 +265,13 @@ def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
                 f"Give {' and '.join(needed)}."
             )
         raise FileFormatError(
-            f"{where}: {action} has no value in {missing[0]!r}. Give 0 for no motion along it."
+            f"{where}: {action} has no value in {missing[0]!r}. Give 0 if it has no component "
+            "along this axis."
         )
     unused = [title for title, neutral in _NEUTRAL.items() if title not in used]
     for title in unused:
         if row.pop(title, _NEUTRAL[title]) != _NEUTRAL[title]:
-            usage = f"uses {' and '.join(needed)}" if needed else "uses no length"
+            usage = f"uses {' and '.join(needed)}" if needed else "does not use a length"
             raise FileFormatError(
                 f"{where}: {title} has no effect on {action}, which {usage}. Leave the cell "
                 "empty, or give another action."
@@ -263,7 +284,7 @@ def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
 
 
 def named_materials_in_words(found: NamedMaterials) -> str:
-    """Return lines of text with the labels recognised as each tissue, and the unknown labels."""
+    """Return text with the labels recognised as each known tissue, and the unknown labels."""
     of_tissue: dict[KnownTissue, list[str]] = {}
     for row in found.materials:
         of_tissue.setdefault(found.tissues[row.label], []).append(f"{row.label} {row.name}")
@@ -276,25 +297,26 @@ def named_materials_in_words(found: NamedMaterials) -> str:
         lines.append(f"{tissue.name} ({values}): {', '.join(labels)}")
     if found.unknown:
         labels = [f"{label} {name}" for label, name in found.unknown.items()]
-        lines.append(f"unknown, to be filled in or removed: {', '.join(labels)}")
+        lines.append(f"unknown (fill in or remove): {', '.join(labels)}")
     return "\n".join(lines)
 
 
 def measurement_table(
     rows: Sequence[Measurement], *, volume: bool = False
 ) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Arrange measurements as a table.
+    """Convert measurements to the titles and cells of a table.
 
     Parameters
     ----------
     rows : sequence of Measurement
     volume : bool
-        True if the measurements are of a volume.
+        True if the measurements are those of a volume.
 
     Returns
     -------
     titles : list of str
-        Titles of the columns; those of strain state its kind, as "mean_elastic_strain_percent".
+        Titles of the columns. The titles of strain columns contain the kind of strain, as in
+        "mean_elastic_strain_percent".
     cells : list of tuple
         Cells of each row.
     """
@@ -307,22 +329,22 @@ def measurement_table(
 
 
 def _strain_of(rows: Sequence[Measurement]) -> StrainKind:
-    """Return the kind of strain of measurements, which is the same for all of a solution."""
+    """Return the kind of strain in measurements, which is the same for all tissues."""
     return rows[0].strain if rows else "elastic"
 
 
 def measurements_in_words(
     rows: Sequence[Measurement], unit: str, *, volume: bool = False
 ) -> tuple[list[str], list[list[str]]]:
-    """Return measurements as text for display.
+    """Format measurements as text for display.
 
     Parameters
     ----------
     rows : sequence of Measurement
     unit : str
-        Unit of lengths.
+        Unit of length.
     volume : bool
-        True if the measurements are of a volume, which changes the titles.
+        True if the measurements are those of a volume, which has other column titles.
 
     Returns
     -------
@@ -351,17 +373,17 @@ def measurements_in_words(
 def forces_in_words(
     rows: Sequence[HeldForce], ways: Directions, stiffness: str, unit: str
 ) -> tuple[list[str], list[list[str]]]:
-    """Return the forces that hold and move tissue as text for display.
+    """Format the forces on constrained tissue as text for display.
 
     Parameters
     ----------
     rows : sequence of HeldForce
     ways : Directions
-        Directions of the components of a force.
+        Directions of the force components on the screen.
     stiffness : str
         Unit of stiffness; "" if unknown.
     unit : str
-        Unit of lengths.
+        Unit of length.
 
     Returns
     -------
@@ -386,7 +408,7 @@ def forces_in_words(
 
 
 def _in_words(row: Measurement, name: str, axes: int) -> str:
-    """Format a value with four digits; large sizes in full, and negligible values as 0."""
+    """Format a measurement with four digits, large numbers in full, and negligible values as 0."""
     value = getattr(row, name)
     if not isinstance(value, float):
         return str(value)
@@ -403,16 +425,16 @@ def write_measurements(
     *,
     volume: bool = False,
 ) -> Path:
-    """Write measurements to a .csv, a row for each tissue.
+    """Write measurements to a .csv, with a row for each tissue.
 
     Parameters
     ----------
     path : str or path-like
     rows : sequence of Measurement
     unit : str
-        Unit of lengths, written into a last column; "" leaves the column out.
+        Unit of length, written to an additional last column; "" omits the column.
     volume : bool
-        True if the measurements are of a volume, which changes the titles.
+        True if the measurements are those of a volume, which has other column titles.
 
     Raises
     ------
@@ -430,7 +452,10 @@ def write_measurements(
 def _read(
     path: str | os.PathLike[str], columns: dict[str, _Column], needed: tuple[str, ...]
 ) -> list[tuple[int, dict[str, Any]]]:
-    """Return the rows of a table with their line numbers; empty cells are left out."""
+    """Return the rows of a table, as values by column title, and their line numbers.
+
+    Empty cells are omitted.
+    """
     source = Path(checked_path(path))
     file, known = source.name, ", ".join(columns)
 
@@ -449,7 +474,7 @@ def _read(
 
     lines = read_csv(source, largest=_LARGEST, check=check).lines
     if not lines:
-        raise FileFormatError(f"{file} has no line below the column titles. Add one.")
+        raise FileFormatError(f"{file} has no lines below the column titles. Add a line.")
     rows = [(number, _values(line, f"{file}: line {number}", columns)) for number, line in lines]
     labels = []
     for number, row in rows:
@@ -468,7 +493,7 @@ def _read(
 
 
 def _values(cells: dict[str, str], where: str, columns: dict[str, _Column]) -> dict[str, Any]:
-    """Return the values of the cells, by title."""
+    """Convert the cells of a row, and return their values by column title."""
     row = {}
     for title, text in cells.items():
         try:

@@ -1,4 +1,4 @@
-"""Conversion between napari layers and the solver: layers to a study, a solution to layers.
+"""Conversion of napari layers to studies, and of solutions to napari layers.
 
-Nothing in this package needs a window. The data of layers are copied when they are read.
+This package does not require a window. The data of layers are copied when they are read.
 """

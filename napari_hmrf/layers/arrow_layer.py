@@ -1,6 +1,6 @@
-"""Lines that show drawn arrows and landmarks in a Vectors layer.
+"""Display of drawn arrows and landmarks as lines in a Vectors layer.
 
-A landmark also has a cross at its base, and the selected mark has another colour.
+The base of a landmark is marked with a cross, and the selected mark has a different colour.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ NAME = "Motion"
 def arrow_lines(
     drawing: Drawing, spacing: Sequence[float], selected: int | None = None, across: int = 0
 ) -> Lines:
-    """Return the lines that show the arrows and landmarks of a drawing.
+    """Return the lines that display the arrows and landmarks of a drawing.
 
     Parameters
     ----------
     drawing : Drawing
     spacing : sequence of float, shape (n,)
-        Size of a pixel along each axis.
+        Pixel size along each axis.
     selected : int, optional
-        Index of the mark that is highlighted.
+        Index of the mark to highlight.
     across : int
-        For a volume, the axis across the visible slices.
+        Axis of a volume perpendicular to the visible slices; ignored in 2-D.
 
     Returns
     -------
     lines : ndarray, shape (N, 2, n), float32
-        (start, step) in pixels.
+        Start and vector of each line, in pixels.
     colours : ndarray, shape (N, 4), float32
-        Red, green, blue and opacity of each line, 0 to 1.
+        Red, green, blue and opacity of each line, from 0 to 1.
     """
     parts = []
     for number, mark in enumerate(drawing.marks):
@@ -59,13 +59,13 @@ def arrow_lines(
 
 
 def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
-    """Return an empty Vectors layer for arrows, on the pixels of a frame."""
+    """Return the data of an empty Vectors layer for arrows, with the transform of a frame."""
     look = {
         "vector_style": "line",
         "opacity": 1.0,
         "edge_color": np.array(DRAWN),
         "edge_width": max(shape) / 220,
-        "ndim": frame.ndim,  # napari cannot derive it from an empty array
+        "ndim": frame.ndim,  # napari cannot infer this from an empty array
     }
     known = {"kind": "drawing", "slice": frame.slice_name}
     return layer_on(frame, np.zeros((0, 2, len(frame.plane))), NAME, known, look, "vectors")

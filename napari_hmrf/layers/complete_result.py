@@ -1,4 +1,4 @@
-"""Layers of a finished deformation, with notes on it."""
+"""Layers of a completed deformation, and notes for the user."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from napari_hmrf.study.shortcomings import shortcomings
 
 
 class CompleteResult(NamedTuple):
-    """Finished deformation with its layers, and notes to the user, as clauses."""
+    """Completed deformation with its layers and with notes for the user, which are clauses."""
 
     moved: Deformation
     outputs: Outputs
@@ -29,14 +29,14 @@ class CompleteResult(NamedTuple):
 def complete_result(
     moved: Deformation, checkpoint: Callable[[], None] = lambda: None
 ) -> CompleteResult:
-    """Make the layers of a deformation, and collect notes on it.
+    """Create the layers of a deformation, and collect notes for the user.
 
     Parameters
     ----------
     moved : Deformation
         Deformation with a solution.
     checkpoint : callable
-        Called between the steps; raises an exception to stop the work.
+        Called between steps; raises an exception to cancel the work.
     """
     study, ground, stated, solved = moved.study, moved.ground, moved.stated, moved.solution
     assert ground is not None
@@ -50,12 +50,12 @@ def complete_result(
     if isinstance(stated.prior, Elastic):
         forces = partial(held_forces, stated.problem, solved, stated.prior)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces)
-    caveats = shortcomings(solved, study.grid.unit, folds=0)  # the warning chip counts folds
+    caveats = shortcomings(solved, study.grid.unit, folds=0)  # the warning chip reports folds
     return CompleteResult(moved, outputs, tuple(filter(None, (*caveats, *ground.notes_on(stated)))))
 
 
 def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:
-    """Return the solution to keep: without air, and with the drawing and a record of the tissue."""
+    """Return the solution without air, and with records of the drawing and the tissue."""
     study, solution = moved.study, moved.solution
     assert solution is not None
     body = solution.tissue & ground.body

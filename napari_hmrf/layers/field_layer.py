@@ -1,8 +1,8 @@
-"""Layers that hold a displacement field, and layers that can be moved with a result.
+"""Layers that contain a displacement field, and layers that can be deformed with a result.
 
-A layer draws a few arrows of its field and holds the whole field in its metadata, either as a
-result or as a field from a file. Images, labels, points and shapes on the same tissue can be moved
-with a result.
+A layer with a field displays some arrows of the field. The complete field is in the metadata of the
+layer, either as a result or as a field from a file. A result can also deform other layers of the
+same tissue: images, labels, points and shapes.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from napari_hmrf.layers.result_layers import ARROWS, LayerData, PlacedSolution
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, full_resolution, layer_extents
 
 Array = npt.NDArray[Any]
-#: Kind, in the metadata, of a layer that was moved with a result.
+#: Kind, in the metadata, of a layer that was deformed with a result.
 MOVED = "moved"
 
 
 def result_of(layer: Any) -> PlacedSolution | None:
-    """Return the result that a layer of arrows holds; None if it holds none."""
+    """Return the result in the metadata of a layer of arrows; None if there is no result."""
     answer = metadata_of(layer).get("answer")
     return answer if isinstance(answer, PlacedSolution) else None
 
 
 def holds_field(layer: Any) -> bool:
-    """Return whether a layer holds a field, from a file or of a result."""
+    """Return whether a layer contains a displacement field, from a file or from a result."""
     return layer is not None and ("field" in metadata_of(layer) or result_of(layer) is not None)
 
 
 def field_of(layer: Any) -> PixelField | None:
-    """Return the field that a layer holds; None if it holds none."""
+    """Return the displacement field in the metadata of a layer; None if there is no field."""
     if not holds_field(layer):
         return None
     answer, frame = result_of(layer), frame_of(layer)
@@ -55,14 +55,14 @@ def field_of(layer: Any) -> PixelField | None:
 def field_layer(
     field: DisplacementField, place: Mapping[str, Any], name: str, role: str | None = None
 ) -> LayerData:
-    """Make a layer that holds a field and draws some of its arrows.
+    """Create a layer that contains a displacement field and displays some of its arrows.
 
     Parameters
     ----------
     field : DisplacementField
-        In pixels, along all axes.
+        Field in pixels, with one component per axis.
     place : mapping
-        Place of the pixels in the world, as keyword arguments of a new layer.
+        Transform from pixels to world coordinates, as keyword arguments of a new layer.
     name : str
     role : str, optional
         Role of the layer, for its metadata.
@@ -76,7 +76,7 @@ def field_layer(
 
 
 def source_of(layers: Iterable[Any], result: PlacedSolution) -> Any:
-    """Find the image that a result deforms: by its name, else any image on the same pixels."""
+    """Find the image that a result deforms, by its name, or otherwise any image on its grid."""
     images = (layer for layer in layers if can_be_source(layer, result))
 
     def likeness(image: Any) -> tuple[bool, bool]:
@@ -86,19 +86,19 @@ def source_of(layers: Iterable[Any], result: PlacedSolution) -> Any:
 
 
 def can_be_source(layer: Any, result: PlacedSolution) -> bool:
-    """Return whether a layer is an image on the pixels of a result, and not itself a result."""
+    """Return whether a layer is an image on the grid of a result, and not a result itself."""
     is_plain_image = isinstance(layer, Image) and "kind" not in metadata_of(layer)
     return is_plain_image and frame_in(layer, result) is not None
 
 
 def tissue_labels(layers: Iterable[Any], result: PlacedSolution) -> Any:
-    """Find the topmost Labels layer of tissue on the pixels of a result, or None."""
+    """Find the topmost Labels layer of tissue on the grid of a result, or return None."""
     tissues = [layer for layer in layers if isinstance(layer, Labels) and rows_of(layer, TISSUE)]
     return next((each for each in reversed(tissues) if frame_in(each, result)), None)
 
 
 def frame_in(layer: Any, result: PlacedSolution) -> Frame | None:
-    """Return the frame of a layer's slice on the pixels of a result; None if there is none."""
+    """Return the frame of a layer's slice on the grid of a result; None if there is no slice."""
     try:
         return result.frame.slice_in(frame_of(layer), layer_extents(layer), result.shape)
     except (ProblemError, ValueError, IndexError):
@@ -106,7 +106,7 @@ def frame_in(layer: Any, result: PlacedSolution) -> Frame | None:
 
 
 def picture_of(layer: Any, result: PlacedSolution) -> npt.NDArray[Any] | None:
-    """Copy the slice of a layer on the pixels of a result; None if the layer lies elsewhere.
+    """Copy the slice of a layer on the grid of a result; None if there is no such slice.
 
     Raises
     ------
@@ -120,12 +120,12 @@ def picture_of(layer: Any, result: PlacedSolution) -> npt.NDArray[Any] | None:
 def place_at(
     layer: Any, result: PlacedSolution, position: Any, view: View
 ) -> tuple[float, ...] | None:
-    """Convert a point of the world to the pixels of a result.
+    """Convert world coordinates to pixel coordinates of a result.
 
     Parameters
     ----------
     layer : napari.layers.Layer
-        Layer that holds the result.
+        Layer that contains the result.
     result : PlacedSolution
     position : sequence of float
         World coordinates, such as those of a viewer's cursor.
@@ -135,8 +135,8 @@ def place_at(
     Returns
     -------
     tuple of float or None
-        ([depth,] row, col), with whole numbers at the middle of a pixel; None outside the pixels
-        or the slice of the result.
+        ([plane,] row, col), with integers at pixel centres; None if the position is outside the
+        grid or the slice of the result.
     """
     if len(position) < layer.ndim:
         return None
@@ -144,15 +144,21 @@ def place_at(
 
 
 def can_move(layer: Any) -> bool:
-    """Return whether a layer can be moved with a result, and is not itself a result."""
+    """Return whether a layer can be deformed with a result, and is not a result itself."""
     return isinstance(layer, Image | Labels | Points | Shapes) and "kind" not in metadata_of(layer)
 
 
 def prepare_move(layer: Any, answer: PlacedSolution) -> Callable[[], LayerData]:
-    """Return a function that moves a layer with a result; it can be called on any thread.
+    """Return a function that deforms a layer with a result.
 
-    The layer may have other pixels than the result, and more axes, as described in `OtherGrid.of`.
-    Labels are not interpolated.
+    The layer may have a different grid and more axes than the result, as described in
+    `OtherGrid.of`. Labels are not interpolated.
+
+    Returns
+    -------
+    callable
+        Function without arguments that returns the data of the deformed layer. It can be called on
+        any thread.
 
     Raises
     ------

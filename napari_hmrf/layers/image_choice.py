@@ -1,4 +1,4 @@
-"""Choice of an image among the layers of a viewer: the selected one, or the topmost visible one."""
+"""Choice of the image to deform among the layers of a viewer, and its visibility."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from napari_hmrf.layers.slice_view import View, fits, full_resolution
 
 #: Blending modes in which an image hides the layers below it.
 _OPAQUE = ("opaque", "translucent", "translucent_no_depth")
-#: Number of places along each axis that are checked for visibility.
+#: Number of points along each axis at which the visibility of an image is checked.
 _SAMPLES = 5
 
 
 def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] = ()) -> Any:
-    """Find the image to deform if the user has not chosen one.
+    """Find the image to deform if the user has not chosen an image.
 
     Parameters
     ----------
@@ -33,7 +33,8 @@ def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] 
     Returns
     -------
     napari.layers.Image or None
-        The active image, or else the topmost selected, visible or other one, in this order.
+        In order of preference: the active image, the topmost selected image, the topmost visible
+        image, the topmost image. None if there are no candidates.
     """
     preferred, selection = set(worked_on), viewer.layers.selection
 
@@ -44,9 +45,10 @@ def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] 
 
 
 def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> list[Any]:
-    """Return the layers of tissue or boundaries on the pixels of an image, lowest first.
+    """Return the tissue and boundary layers on the grid of an image, lowest first.
 
-    The layers of a sample belong to the image of the sample below them, and not to other images.
+    If several images have the same grid, a layer belongs to the nearest image below it that has a
+    role, such as the image of a sample.
     """
     painted, ordered = list[Any](), list(layers)
     for at, layer in enumerate(ordered):
@@ -58,15 +60,15 @@ def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> l
 
 
 def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = ()) -> Any:
-    """Find the topmost image that hides all given places of another image, or None.
+    """Find the topmost image that covers another image at all given points, or return None.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     image : napari.layers.Image
-        Image in the viewer.
+        Image that may be covered.
     places : iterable of sequence of float
-        Places in world coordinates; by default, places spread over the whole image.
+        Points in world coordinates; by default, a grid of points over the whole image.
     """
     targets, layers = tuple(places) or _sample_places(viewer, image), list(viewer.layers)
     above = filter(_is_opaque, reversed(layers[layers.index(image) + 1 :]))
@@ -77,7 +79,7 @@ def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = 
 
 
 def uncover(viewer: Any, image: Any) -> list[Any]:
-    """Show an image, and hide all images that cover a part of it; return the hidden images."""
+    """Show an image, hide all images that cover a part of it, and return the hidden images."""
     image.visible, hidden = True, list[Any]()
     for place in _sample_places(viewer, image):
         while (other := image_covering(viewer, image, [place])) is not None:
@@ -87,7 +89,7 @@ def uncover(viewer: Any, image: Any) -> list[Any]:
 
 
 def in_middle(viewer: Any, image: Any) -> bool:
-    """Return whether the middle of the canvas lies on an image."""
+    """Return whether the centre of the canvas shows a pixel of an image."""
     place, shown = list(viewer.dims.point), viewer.dims.displayed
     for axis, at in zip(shown, camera_of(viewer).center[-len(shown) :], strict=True):
         place[axis] = at
@@ -95,7 +97,7 @@ def in_middle(viewer: Any, image: Any) -> bool:
 
 
 def _sample_places(viewer: Any, image: Any) -> list[tuple[float, ...]]:
-    """Return a grid of places over the visible slice of an image, in world coordinates."""
+    """Return a grid of points on the visible slice of an image, in world coordinates."""
     extent, missing = image.extent.world, viewer.dims.ndim - image.ndim
     ends: list[Any] = [[at] for at in viewer.dims.point]
     for axis in viewer.dims.displayed:
@@ -107,12 +109,12 @@ def _sample_places(viewer: Any, image: Any) -> list[tuple[float, ...]]:
 def _is_opaque(layer: Any) -> bool:
     is_image = isinstance(layer, Image) and "kind" not in metadata_of(layer)  # not a result
     hides = is_image and layer.visible and layer.blending in _OPAQUE
-    # A fourth colour channel is an opacity.
+    # An image with a fourth colour channel, the opacity, can be transparent.
     return hides and layer.opacity == 1 and not (layer.rgb and layer.data.shape[-1] == 4)
 
 
 def _has_pixel_at(layer: Any, place: Sequence[float], view: View) -> bool:
-    """Return whether a layer has a pixel at a place in world coordinates."""
+    """Return whether a layer has a pixel at a point in world coordinates."""
     if layer.ndim > len(place):
         return False
     pixel = np.rint(view.pixel(layer, place))

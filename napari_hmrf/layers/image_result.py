@@ -1,4 +1,4 @@
-"""Layers of the results in a viewer: the newest result of each image and slice."""
+"""Layers of results in a viewer: the latest result of each image and slice."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from napari_hmrf.layers.metadata import (
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: Kind of the layer of the painted confidence.
+#: Kind of the layer of painted confidence.
 CONFIDENCE: Literal["painted confidence"] = "painted confidence"
 #: Kind of the layer of all other paint.
 PAINTED: Literal["painted"] = "painted"
-#: Part of a result that has a layer: the image and arrows of a solution, the paint, or an overlay.
+#: Type of the name of a part: image and arrows of a solution, overlay, or paint.
 Part = Kind | Literal["overlay", "painted confidence", "painted"]
-#: Display settings that change with the data of an overlay or of paint.
+#: Display settings that are updated together with the data, by part.
 _LOOKS = {"overlay": ("colormap", "contrast_limits"), PAINTED: ("colormap",)}
 #: Percentage of the complete deformation.
 _WHOLE = 100
@@ -39,52 +39,54 @@ _WHOLE = 100
 
 @dataclass(eq=False)
 class _PartState:
-    """Layer of a part of a result, and its state."""
+    """Layer of one part of a result, and its state."""
 
     #: Weak reference to the layer.
     layer: Callable[[], Any]
-    #: Name of the layer as set by napari; it differs from the layer's name if the user renamed it.
+    #: Name of the layer when it was created or updated; a different name of the layer shows that
+    #: the user has renamed it.
     name: str
-    #: True if the user wants to see the layer.
+    #: True if the user has not hidden the layer.
     is_wanted: bool = True
-    #: True if the layer belongs to the newest result, rather than waiting for a later one.
+    #: True if the latest result has this part; otherwise the layer is hidden for now.
     current: bool = True
-    #: Visibility that was set last; if the layer's differs, the user has changed it.
+    #: Visibility set by this package; a different visibility shows that the user has changed it.
     is_shown: bool = True
-    #: Data of the layer if no other object uses the array, so that it can be written to.
+    #: Data of the layer, if no other object uses the array, so that it can be overwritten; or None.
     writable: Any = None
-    #: Data of the layer while it shows a part of the deformation.
+    #: Data of the layer while a fraction of the deformation is shown; otherwise None.
     part: Any = None
-    #: Data of the layer at the complete deformation, while it shows a part.
+    #: Data for the complete deformation while a fraction is shown; otherwise None.
     complete: Any = None
 
 
 class Result:
     """Layers of one result.
 
-    A layer is visible if the user has not hidden it, it belongs to the newest result, the image is
-    not shown before its motion, and the user works on the same extent (slice or volume).
+    A layer is visible if the user has not hidden it, the latest result has this part, the
+    undeformed image is not shown instead, and the user is working on the same extent (slice or
+    volume).
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-        The viewer, or a weak proxy of it.
+        Viewer, or a weak proxy of a viewer.
     anchor : napari.layers.Layer
-        Deformed layer; for a result from a file, the layer of arrows that holds the result.
+        Deformed layer; for a result from a file, the layer of arrows that contains the result.
     where : str
-        Name of the slice, as in the layers' metadata.
+        Name of the slice, as in the metadata of the layers.
 
     Attributes
     ----------
     is_before : bool
-        True while the image is shown before its motion.
+        True while the undeformed image is shown instead of the result.
     is_away : bool
-        True while the result is hidden because the user works on another extent of the image.
+        True while the result is hidden because the user is working on another extent of the image.
     """
 
     #: True if the complete deformation is shown.
     _is_whole = True
-    #: True if another state will follow soon.
+    #: True if another update will follow soon.
     moving = False
 
     def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
@@ -104,11 +106,11 @@ class Result:
         return still_there(self._viewer, None if state is None else state.layer())
 
     def part_of(self, layer: Any) -> Part | None:
-        """Return the part of a layer, which may have been removed; None for other layers."""
+        """Return the part that a layer shows, even if the layer was removed; None if no part."""
         return next((part for part, state in self._states.items() if state.layer() is layer), None)
 
     def is_wanted(self, part: Part) -> bool:
-        """Return whether the user wants to see a part; it may be hidden at present."""
+        """Return whether the user has not hidden a part; other conditions may hide the part."""
         layer = self.layer(part)
         if layer is None:
             return False
@@ -116,7 +118,7 @@ class Result:
         return bool(layer.visible if layer.visible != state.is_shown else state.is_wanted)
 
     def holds(self, part: Part) -> bool:
-        """Return whether the newest result has a part; undeformed tissue has no arrows."""
+        """Return whether the latest result has a part; undeformed tissue has no arrows."""
         return part in self._states and self._states[part].current
 
     @property
@@ -126,7 +128,7 @@ class Result:
 
     @property
     def percent(self) -> int:
-        """Percentage of the deformation that is shown; 0 if no picture is visible."""
+        """Displayed percentage of the deformation; 0 if no image or overlay is visible."""
         pictures = (
             layer for part, layer, _ in self._present_layers() if part in ("image", "overlay")
         )
@@ -135,23 +137,24 @@ class Result:
     # Display
 
     def adopt(self, part: Part, layer: Any) -> None:
-        """Use an existing layer for a part."""
+        """Use an existing layer as the layer of a part."""
         seen = layer.visible
         self._states[part] = _PartState(weakref.ref(layer), layer.name, seen, is_shown=seen)
         self._update_visibility()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
-        """Add or update the layer of a part of the current result.
+        """Add or update the layer of a part.
 
         Parameters
         ----------
         part : Part
         made : LayerData
+            New data of the layer.
         source : napari.layers.Layer, optional
-            Image that was moved, if it is not the deformed layer.
+            Deformed image, if it is not the anchor of the result.
         show : bool
-            True to show the layer even if the user has hidden it; for an overlay, layers of tissue
-            and boundaries are then hidden.
+            If True, show the layer even if the user has hidden it. For an overlay, the tissue and
+            boundary layers are then hidden.
         """
         if part != PAINTED or not self._overwrite(part, made):
             self._update_or_replace(part, made, source)
@@ -162,7 +165,7 @@ class Result:
         self.set_wanted(part, show or self.is_wanted(part))
 
     def show(self, frame: Frame, layers: Mapping[Part, LayerData], moving: bool = False) -> None:
-        """Show another state of the result; see `ResultLayers.show`."""
+        """Update all layers of the result; see `ResultLayers.show`."""
         quick = moving and frame == self._frame
         self._frame, self.moving, self._is_whole = frame, moving, True
         for part, made in layers.items():
@@ -176,16 +179,16 @@ class Result:
         self._update_visibility()
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
-        """Show a part of the deformation, until `show_whole` or a newer result.
+        """Show a fraction of the deformation, until `show_whole` is called or a result arrives.
 
-        Paint is drawn at the end of the deformation, so it is hidden meanwhile.
+        Paint is hidden meanwhile, because it is drawn for the complete deformation.
 
         Parameters
         ----------
         percent : int
             Percentage of the deformation.
         parts : mapping of Part to ndarray
-            Data of the layers at that percentage.
+            Data of the layers for this percentage.
         """
         self._is_whole = percent == _WHOLE
         for part, data in parts.items():
@@ -197,12 +200,12 @@ class Result:
                 state.complete = layer.data
             layer.data = state.part = data
             state.writable = None
-            # A layer that is saved now states which part of the deformation it shows.
+            # The metadata record the percentage, in case the user saves the layer.
             add_metadata(layer, percent=percent)
         self._update_visibility()
 
     def show_whole(self) -> None:
-        """Restore the layers that `show_part` changed, unless their data have changed since."""
+        """Restore the layers changed by `show_part`, unless their data were changed afterwards."""
         self._is_whole = True
         for part, layer, state in self._present_layers():
             if state.part is not None and layer.data is state.part:
@@ -217,7 +220,7 @@ class Result:
     # Visibility
 
     def set_wanted(self, part: Part, is_wanted: bool) -> None:
-        """Show or hide a part; a hidden part stays hidden in later results."""
+        """Show or hide a part, in this and in later results."""
         if (layer := self.layer(part)) is not None:
             state = self._states[part]
             state.is_wanted, state.is_shown = is_wanted, layer.visible
@@ -225,7 +228,7 @@ class Result:
             self._update_visibility()
 
     def drop(self, part: Part) -> None:
-        """Remove a part from the viewer; a layer that the user has renamed is hidden instead."""
+        """Remove the layer of a part; if the user has renamed the layer, only hide it."""
         layer, state = self.layer(part), self._states.pop(part, None)
         if state is not None and layer is not None:
             if layer.name == state.name:
@@ -234,7 +237,7 @@ class Result:
                 layer.visible = False
 
     def drop_paint(self, besides: Collection[Part] = ()) -> None:
-        """Remove the layers of paint from the viewer, except some parts."""
+        """Remove the layers of paint, except the parts in `besides`."""
         for part in (PAINTED, CONFIDENCE):
             if part not in besides:
                 self.drop(part)
@@ -242,23 +245,24 @@ class Result:
     def leave(self) -> None:
         """Hide the overlay, because another result is selected."""
         self.set_wanted("overlay", False)
-        if self.anchor() is self.layer("arrows"):  # from a file; its image was made separately
+        # A result from a file has no image layer as its anchor, so hide its deformed image, too.
+        if self.anchor() is self.layer("arrows"):
             self.set_wanted("image", False)
 
     def show_before(self, before: bool) -> None:
-        """Hide the result, so that the image is visible before its motion; or show it again."""
+        """Hide the result, to show the undeformed image, or show the result again."""
         before = before and (self.is_before or self.visible)
         if before != self.is_before:
             self.is_before = before
             self._update_visibility()
 
     def update_extent(self, place: Frame) -> None:
-        """Hide the result if the user works on another extent of the image; else show it again."""
+        """Show the result if the user is working on its extent of the image; otherwise hide it."""
         self.is_away = self._frame is not None and self._frame.plane != place.plane
         self._update_visibility()
 
     def remove(self) -> None:
-        """Remove the layers from the viewer, except those that the user has renamed."""
+        """Remove the layers from the viewer, except layers that the user has renamed."""
         for part, layer, state in self._present_layers():
             if layer.name == state.name:
                 self.drop(part)
@@ -266,7 +270,7 @@ class Result:
     # Implementation
 
     def _present_layers(self) -> Iterator[tuple[Part, Any, _PartState]]:
-        """Yield the layers that are in the viewer, each with its part and state."""
+        """Yield part, layer and state of each layer that is in the viewer."""
         for part, state in [*self._states.items()]:
             if (layer := self.layer(part)) is not None:
                 yield part, layer, state
@@ -282,7 +286,7 @@ class Result:
                 layer.visible = state.is_shown
 
     def _overwrite(self, part: Part, made: LayerData) -> bool:
-        """Write new pixels into a layer if nothing else has changed; return whether this worked."""
+        """Write new pixels to a layer if nothing else has changed; return whether it succeeded."""
         layer, state = self.layer(part), self._states.get(part)
         if layer is None or state is None or state.part is not None or not _fits(layer, made):
             return False
@@ -293,7 +297,7 @@ class Result:
         return True
 
     def _update_or_replace(self, part: Part, made: LayerData, source: Any = None) -> None:
-        """Update the layer of a part, or replace it with a new layer."""
+        """Update the layer of a part, or replace the layer if it cannot show the new data."""
         layers, layer, state = self._viewer.layers, self.layer(part), self._states.get(part)
         name, is_scale = made.attributes["name"], part != "image" and made.kind == "image"
         is_overlaid = part == "overlay" and made.kind != "vectors"
@@ -302,11 +306,11 @@ class Result:
                 wanted = layer is None or self.is_wanted(part)
                 self.drop(part)
                 layer = Layer.create(*made)
-                # Registered before it is inserted, so that callbacks of the insertion find it.
+                # Register the layer first, so that callbacks of the insertion can find it.
                 state = self._states[part] = _PartState(weakref.ref(layer), name, wanted)
                 layers.insert(self._index(part, made, source), layer)
                 state.name = layer.name
-                # Two colour bars in the same corner would look like one.
+                # Use different corners, because two colour bars in one corner would overlap.
                 corner = "top_left" if part == CONFIDENCE else "top_right"
                 if is_scale:
                     layer.colorbar.position, layer.colorbar.visible = corner, True
@@ -322,21 +326,22 @@ class Result:
                     layer.name = name
                     state.name = layer.name
                 now, at = layers.index(layer), self._index(part, made, source)
-                if is_overlaid and now + 1 < at:  # paint was added above it
+                if is_overlaid and now + 1 < at:  # paint was added above the overlay
                     layers.move(now, at)
         state.writable = state.part = state.complete = None
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
-        """Return the index for a layer: pictures above deformed layers, lines on top."""
+        """Return the index for a new layer: lines on top, and pictures above their source."""
         layers = self._viewer.layers
-        if made.kind == "vectors" or _kind_of(made) in MARKS:  # folds often lie below lines
+        # Marks, such as folds, are also on top, because lines would often cover them.
+        if made.kind == "vectors" or _kind_of(made) in MARKS:
             return len(layers)
-        if part in (PAINTED, CONFIDENCE):  # below the lines that are drawn on the image
+        if part in (PAINTED, CONFIDENCE):  # below the lines on the image
             lowest = self._above(self.layer("image"), self.anchor())
             drawn = (at for at, each in enumerate(layers) if at >= lowest and _is_drawn(each))
             return next(drawn, len(layers))
         below = [] if part == "image" else [self.layer("image")]
-        if part == "overlay":  # paint above it would change its colours
+        if part == "overlay":  # paint above the overlay would change its colours
             below += [each for each in layers if _is_paint(each)]
         if source is None:
             below.append(self.anchor())
@@ -345,7 +350,7 @@ class Result:
         return self._above(*below)
 
     def _above(self, *below: Any) -> int:
-        """Return the index directly above some layers."""
+        """Return the lowest index above all given layers."""
         layers = self._viewer.layers
         return max((layers.index(each) + 1 for each in below if each in layers), default=0)
 
@@ -359,7 +364,7 @@ def _kind_of(made: LayerData) -> Any:
 
 
 def _fits(layer: Any, made: LayerData) -> bool:
-    """Return whether a layer can show new data: its type, axes and kind must be the same."""
+    """Return whether a layer can show new data, which must have the same type, axes and kind."""
     axes, rgb = len(made.attributes["scale"]), made.attributes.get("rgb", False)
     same = made.kind == "image" or metadata_of(layer).get("kind") == _kind_of(made)
     same = same and made.kind == type(layer).__name__.lower()
@@ -372,7 +377,7 @@ def _is_drawn(layer: Any) -> bool:
 
 
 def _is_paint(layer: Any) -> bool:
-    """Return whether a layer shows paint, or holds tissue or boundaries."""
+    """Return whether a layer shows paint, or is a tissue or boundary layer."""
     painted = metadata_of(layer).get("kind") in (CONFIDENCE, PAINTED)
     return painted or role_of(layer) in (TISSUE, BOUNDARY)
 
@@ -384,10 +389,10 @@ def _is_moved(layer: Any, where: str) -> bool:
 
 
 class ResultLayers:
-    """Results that a viewer shows.
+    """Results displayed in a viewer.
 
-    A newer result of the same image and slice replaces the previous one. Layers that the user has
-    hidden or renamed stay so. The results of an image are removed together with it.
+    A new result replaces the previous result of the same image and slice. Layers that the user has
+    hidden or renamed remain hidden or renamed. When an image is removed, its results are removed.
 
     Parameters
     ----------
@@ -396,7 +401,7 @@ class ResultLayers:
     Attributes
     ----------
     changed : Signal(Result)
-        Emitted when another result, or none, is shown for an image and slice.
+        Emitted when the displayed result of an image and slice changes.
     """
 
     changed = Signal(object)
@@ -411,7 +416,7 @@ class ResultLayers:
         return [result.anchor() for result in self._results if result.visible]
 
     def at(self, source: Any, where: str) -> Result:
-        """Return the result of a layer and a slice; it is created if it does not exist."""
+        """Return the result of a layer and a slice, and create it if it does not exist."""
         for result in self._results:
             if result.anchor() is source and result.where == where:
                 return result
@@ -419,12 +424,12 @@ class ResultLayers:
         return self._results[-1]
 
     def pictures_of(self, source: Any) -> list[Any]:
-        """Return the layers of the deformed image of a layer, of all slices."""
+        """Return the layers with the deformed image of a layer, one for each slice."""
         own = (result for result in self._results if result.anchor() is source)
         return [layer for result in own if (layer := result.layer("image")) is not None]
 
     def of(self, arrows: Any) -> Result:
-        """Return the result of a layer of arrows, which may come from a file."""
+        """Return the result of a layer of arrows, which may be from a file."""
         for result in self._results:
             if result.part_of(arrows) is not None:
                 return result
@@ -433,7 +438,10 @@ class ResultLayers:
         return result
 
     def show_extent(self, source: Any, place: Frame) -> None:
-        """Show the result of the slice or volume that the user works on, and hide other extents."""
+        """Show the result of the extent that the user is working on, and hide other results.
+
+        The extent is a slice or the volume. Only results of the layer `source` are affected.
+        """
         for result in [each for each in self._results if each.anchor() is source]:
             result.update_extent(place)
             if result.is_away or result.where == place.slice_name:
@@ -442,21 +450,21 @@ class ResultLayers:
     def show(
         self, source: Any, frame: Frame, layers: Mapping[Part, LayerData], *, moving: bool = False
     ) -> None:
-        """Show a result in place of the previous one of the same layer and slice.
+        """Show a result, in place of the previous result of the same layer and slice.
 
-        A part that the new result lacks is hidden until a later result has it. Nothing is shown if
-        the deformed layer was removed.
+        If the new result lacks a part, the layer of this part is hidden until a later result has
+        the part. If the deformed layer has been removed, nothing is shown.
 
         Parameters
         ----------
         source : napari.layers.Layer
             Deformed layer.
         frame : Frame
-            Place of the result.
+            Frame of the result.
         layers : dict of part to LayerData
-            In stacking order.
+            Layers in stacking order.
         moving : bool
-            True if another state will follow soon, so that only the canvas needs an update.
+            True if another update will follow soon. Then only the canvas is updated, if possible.
         """
         if source in self._viewer.layers:
             result = self.at(source, frame.slice_name)
@@ -464,13 +472,16 @@ class ResultLayers:
             self.changed.emit(result)
 
     def show_only(self, source: Any) -> None:
-        """Show the results of a layer and hide those of other layers; results from files stay."""
+        """Show the results of a layer, and hide the results of other layers.
+
+        Results from files are not affected.
+        """
         for result in self._results:
             if not isinstance(result.anchor(), Vectors):
                 result.show_before(result.anchor() is not source)
 
     def remove_orphans(self) -> None:
-        """Remove the results of removed images; called after napari has removed their layers."""
+        """Remove the results of images that are no longer in the viewer."""
         for result in [*self._results]:
             if result.anchor() not in self._viewer.layers:
                 self._results.remove(result)

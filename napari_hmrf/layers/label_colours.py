@@ -10,41 +10,42 @@ from napari.utils.colormaps.standardize_color import transform_color
 
 from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opacity
 
-#: Display settings of a quantity above an image.
+#: Display settings of a quantity shown over an image.
 OVER = {"blending": "translucent", "opacity": OPACITY}
-#: Colour of the arrows of the given motion.
+#: Colour of arrows of the observed motion.
 OBSERVED = "magenta"
-#: Colour of the arrows of a result; visible on black, grey and white.
+#: Colour of arrows of a result, which is visible on black, grey and white.
 ARROWS = "#ff6000"
-#: Colormap of stiffness: its lightness rises evenly, and its colours differ from those of results.
+#: Colormap of stiffness, which is perceptually uniform and differs from the colormaps of results.
 _STIFF = "viridis"
 #: Red, green, blue and opacity of drawn arrows.
 DRAWN = (0.0, 0.62, 1.0, 1.0)
-#: The same of a selected arrow; it is much brighter, so that colour-blind users see the difference.
+#: Red, green, blue and opacity of a selected arrow, which is much brighter than `DRAWN`, so that
+#: colour-blind users can see the difference.
 SELECTED = (1.0, 0.9, 0.1, 1.0)
-#: Colours of boundary labels 1, 2, ...; the colours of napari would repeat those of the tissues.
-#: The first two, which hold and push in new layers, differ from the colours of arrows on them.
+#: Colours of boundary labels 1, 2, ...; napari's default colours are used for the tissues. The
+#: first two colours, for fixed and moved boundaries in new layers, differ from those of arrows.
 _BOUNDARY = ("#7ee081", "#f4f482", "#ff4fd8", "#a78bfa", "#ff5a5f", "#ff9f1c")
 
 
 def boundary_colours() -> Any:
-    """Return the colormap of a Labels layer of boundaries."""
+    """Return the colormap of a boundary layer, which is a Labels layer."""
     return colormaps.CyclicLabelColormap(colors=["transparent", *_BOUNDARY])
 
 
 def mark_look() -> dict[str, Any]:
-    """Return the display settings of a Labels layer of marked sites, such as folds."""
+    """Return the display settings of a Labels layer that marks sites, such as folds."""
     colours = {None: "transparent", 0: "transparent", 1: "red"}
     return {"colormap": colormaps.DirectLabelColormap(color_dict=colours), "opacity": 1.0}
 
 
 def quantity_colours(signed: bool, folds: bool = False) -> Any:
-    """Return the colormap of an Image layer of a quantity, transparent where nothing changes.
+    """Return the colormap of an Image layer of a quantity, transparent at the neutral value.
 
     Parameters
     ----------
     signed : bool
-        True if the middle of the colormap stands for no change, instead of the lower end.
+        True if the neutral value is at the middle of the colormap, False if it is at the lower end.
     folds : bool
         True to draw values at or below the lower limit in the colour of folds.
     """

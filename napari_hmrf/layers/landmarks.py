@@ -1,4 +1,4 @@
-"""Landmarks read from layers of points or lines: positions and target positions."""
+"""Reading of landmarks (positions and target positions) from Points and Shapes layers."""
 
 from __future__ import annotations
 
@@ -28,40 +28,42 @@ def read_landmarks(
     radius: float | None = None,
     confidence: float = 1.0,
 ) -> tuple[Landmark, ...]:
-    """Read landmarks from two layers of points, paired by order, or from a layer of lines.
+    """Read landmarks from two Points layers, paired by order, or from a Shapes layer of lines.
 
-    Points are compared in world coordinates.
+    The layers can have different transforms, because points are matched in world coordinates.
 
     Parameters
     ----------
     where : napari.layers.Points or napari.layers.Shapes
-        Positions; or lines and paths from positions to target positions. Pairs on other slices of a
-        stack are left out; a layer that lacks an axis of the image lies on all its slices.
+        Layer of positions; or layer of lines and paths from positions to target positions.
+        Landmarks on other slices of a stack are ignored. A layer that lacks an axis of the image
+        applies to all slices along this axis.
     should : napari.layers.Points or None
-        Target positions; None with lines.
+        Layer of target positions; None if `where` is a Shapes layer.
     frame : Frame
         Slice of the image.
     shape : (int, int)
-        Shape of the image.
+        Shape of the slice.
     view : View, optional
-        Visible slice, for points with more axes than the image: points on other slices are left
-        out.
+        Visible slice. If the points have more axes than the image, points on other slices are
+        ignored.
     radius : float, optional
         Radius of the patch of tissue that moves with each landmark, in the unit of the image; by
         default `usual_radius`. It is reduced where patches would overlap.
     confidence : float
-        Confidence of the landmarks, above 0, up to 1 (certain).
+        Confidence of the landmarks, greater than 0 and at most 1 (certain).
 
     Returns
     -------
     tuple of Landmark
-        In pixels of the image.
+        Landmarks in pixels of the image.
 
     Raises
     ------
     ProblemError
-        Naming the layer: if the layers hold different numbers of points or none, a shape is not a
-        line, or a landmark cannot be placed, lies outside the image, or contradicts another.
+        If the layers have different numbers of points, or no points; if a shape is not a line; or
+        if a landmark has an invalid position, is outside the image, or contradicts another
+        landmark. The message names the layer.
     """
     pairs = landmark_pairs(where, should, frame, shape, view)
     wanted = usual_radius(shape, frame.spacing) if radius is None else radius
@@ -76,7 +78,7 @@ def read_landmarks(
 def landmark_pairs(
     where: Any, should: Any, frame: Frame, shape: tuple[int, ...], view: View | None = None
 ) -> LandmarkPairs:
-    """Return the pairs of positions on a slice; arguments and errors as for `read_landmarks`."""
+    """Return the pairs of positions on a slice; for arguments and errors, see `read_landmarks`."""
     kind: Literal["point", "line"] = "line" if isinstance(where, Shapes) else "point"
     begins, ends = _ends_of_lines(where) if kind == "line" else _point_pairs(where, should)
     should = where if kind == "line" else should
@@ -112,41 +114,51 @@ def landmark_pairs(
 def _place_on_image(
     layer: Any, places: FloatArray, kind: str, frame: Frame, view: View | None
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Convert places of a layer to pixels of the image, (N, D); return also a mask of its slice."""
+    """Convert points of a layer to pixel coordinates of an image.
+
+    Returns
+    -------
+    pixels : ndarray, shape (N, D)
+        Points in pixels of the image.
+    on_slice : ndarray of bool, shape (N,)
+        True for points on the slice of the image.
+    """
     invalid = np.flatnonzero(~np.isfinite(places).all(axis=1))
     if len(invalid):
         raise LayerError(layer, f"has NaN or infinity in {kind} {invalid[0]}. Remove it.")
-    to = frame.from_pixels_of(frame_of(layer))  # a missing axis puts them on the slice
+    # Points of a layer that lacks an axis of the image are on every slice along this axis.
+    to = frame.from_pixels_of(frame_of(layer))
     if to is None:
         raise LayerError(
             layer,
-            "has another unit than the image. If its numbers are in the unit of the image, type in "
-            f"napari's console: viewer.layers['{layer.name}'].units = '{frame.unit}'.",
+            "has a different unit from that of the image. If its coordinates are in the unit of "
+            f"the image, type in napari's console: viewer.layers['{layer.name}'].units = "
+            f"'{frame.unit}'.",
         )
     pixels = places @ to[:, :-1].T + to[:, -1]
     on_slice = frame.has(pixels)
     extra = layer.ndim - frame.ndim
-    if extra > 0 and view is not None:  # axes that the image lacks: only the visible slice counts
+    if extra > 0 and view is not None:  # use only the visible slice along axes the image lacks
         shown = np.array(frame_of(layer, view).index)[:extra]
         on_slice &= (np.rint(places[:, :extra]) == shown).all(axis=1)
     return pixels, on_slice
 
 
 def _point_pairs(where: Any, should: Any) -> tuple[FloatArray, FloatArray]:
-    """Return the points of two layers; refuse layers with different numbers of points."""
+    """Return the points of two layers, which must have the same number of points."""
     if should is None or where is should:
         raise LayerError(
             where,
-            "holds positions without targets. Choose another Points layer as 'should be at', or a "
-            "Shapes layer of lines.",
+            "contains positions without targets. Choose another Points layer as 'should be at', "
+            "or a Shapes layer of lines.",
         )
     count, other = len(where.data), len(should.data)
     if count != other:
         points = "1 point" if other == 1 else f"{other} points"
         raise LayerError(
             should,
-            f"has {points}, but '{where.name}' has {count}. Points are paired by their order, so "
-            "add or remove some.",
+            f"has {points}, but '{where.name}' has {count}. Points are paired in their order, so "
+            "add or remove points.",
         )
     return np.asarray(where.data, dtype=float), np.asarray(should.data, dtype=float)
 
@@ -162,5 +174,5 @@ def _ends_of_lines(layer: Any) -> tuple[FloatArray, FloatArray]:
                 "3 draws an outline).",
             )
     ends = np.array([line[[0, -1]] for line in layer.data], dtype=float)
-    ends = ends.reshape(-1, 2, layer.ndim)  # also for no lines
+    ends = ends.reshape(-1, 2, layer.ndim)  # gives the correct shape even if there are no lines
     return ends[:, 0], ends[:, 1]

@@ -1,4 +1,4 @@
-"""The package's entries in a layer's metadata: the layer's role, and its table."""
+"""Metadata of layers that belong to this package: the role of a layer, and its table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from napari_hmrf.tissue.row_table import Row, RowTable
 #: Key of the package's entry in a layer's metadata.
 METADATA = "napari-hmrf"
 
-#: Role of a layer in a study.
+#: Type of the role of a layer in a study.
 Role = Literal["image", "tissue", "boundary"]
 IMAGE: Literal["image"] = "image"
 TISSUE: Literal["tissue"] = "tissue"
@@ -25,13 +25,13 @@ _TABLES: dict[Role, tuple[str, Callable[..., Material | BoundaryRule]]] = {
 
 
 def metadata_of(layer: Any) -> Mapping[str, Any]:
-    """Return the package's entry in a layer's metadata; empty if there is none."""
+    """Return the package's entry in the metadata of a layer; empty if there is no entry."""
     known = layer.metadata.get(METADATA)
     return known if isinstance(known, Mapping) else {}
 
 
 def add_metadata(layer: Any, **facts: Any) -> None:
-    """Add values to the package's entry in a layer's metadata."""
+    """Add values to the package's entry in the metadata of a layer."""
     layer.metadata = {**layer.metadata, METADATA: {**metadata_of(layer), **facts}}
 
 
@@ -42,18 +42,19 @@ def layer_metadata(
     preset: str = "",
     source: str = "",
 ) -> dict[str, Any]:
-    """Return metadata with a layer's role, and its table in JSON types.
+    """Create metadata with the role of a layer and its table, in JSON types.
 
     Parameters
     ----------
     role : {"image", "tissue", "boundary"}
     rows : iterable of Material or BoundaryRule
+        Rows of the table.
     unit : str
         Unit of stiffness.
     preset : str
-        Name of the preset.
+        Name of the preset from which the table was created.
     source : str
-        Source of the values of the preset.
+        Source of the values in the preset.
     """
     known: dict[str, Any] = {"role": role}
     if role in _TABLES:
@@ -65,18 +66,19 @@ def layer_metadata(
 
 
 def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
-    """Return the definition of the tissue, in JSON types, to be stored with a solution.
+    """Return a description of the tissue, in JSON types, to be stored with a solution.
 
     Parameters
     ----------
     layer : napari.layers.Labels or napari.layers.Image
+        Layer that defines the tissue.
     materials : iterable of Material
         Materials of the labels.
 
     Returns
     -------
     dict
-        The layer's name and, if there are any, the unit of stiffness and the table of materials.
+        Name of the layer and, if available, the unit of stiffness and the materials.
     """
     known = metadata_of(layer)
     record = {"layer": str(layer.name), **({"unit": known["unit"]} if "unit" in known else {})}
@@ -85,9 +87,9 @@ def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
 
 
 def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
-    """Return the materials that a result was solved with, and the unit of stiffness.
+    """Return the materials with which a result was computed, and the unit of stiffness.
 
-    The materials are None, and the unit is "", if the layer has no readable record of them.
+    If the layer has no valid record of the tissue, the materials are None and the unit is "".
     """
     try:
         record = metadata_of(layer)["solution"].provenance.parameters["tissue"]
@@ -97,7 +99,7 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
 
 
 def role_of(layer: Any) -> Role | None:
-    """Return the role of a layer from its metadata; None if it has no role."""
+    """Return the role in the metadata of a layer; None if there is no role."""
     role = metadata_of(layer).get("role")
     return role if role in (IMAGE, TISSUE, BOUNDARY) else None
 
@@ -109,7 +111,7 @@ def rows_of(layer: Any, role: Literal["boundary"]) -> tuple[BoundaryRule, ...]: 
 @overload
 def rows_of(layer: Any, role: Role) -> tuple[Material | BoundaryRule, ...]: ...
 def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
-    """Return the rows of the table in a layer's metadata; empty if there is no readable table."""
+    """Return the rows of the table in the metadata of a layer; empty if there is no valid table."""
     key, row_type = _TABLES[role]
     try:
         return tuple(
@@ -127,11 +129,11 @@ def table_of(layer: Any, role: Literal["boundary"]) -> RowTable[BoundaryRule]: .
 @overload
 def table_of(layer: Any, role: Role) -> RowTable[Any]: ...
 def table_of(layer: Any, role: Role) -> RowTable[Any]:
-    """Return the table in a layer's metadata; an empty table if there is none."""
+    """Return the table in the metadata of a layer; an empty table if there is no valid table."""
     texts = (str(metadata_of(layer).get(name, "")) for name in RowTable._fields[1:])
     return RowTable(rows_of(layer, role), *texts)
 
 
 def store_table(table: RowTable[Row], layer: Any, role: Role) -> None:
-    """Store a table in a layer's metadata."""
+    """Store a table in the metadata of a layer."""
     layer.metadata.update(layer_metadata(role, *table))

@@ -1,8 +1,9 @@
-"""Display of paint: a Labels layer coloured by action, and marks that need no colour.
+"""Display of paint: a Labels layer with a colour for each action, and marks.
 
-The hues are those of Okabe and Ito, which colour-blind users can distinguish. Freed tissue is drawn
-in stripes, and so is painted tissue that also has an action. Crosses mark fixed sites, arrows moved
-ones, and double arrows sites that are observed in one direction only.
+The colours are those of Okabe and Ito, which colour-blind users can distinguish. Freed tissue is
+striped, as is painted tissue that also has an action. Marks show the action without colour: crosses
+mark fixed sites, arrows mark moved sites, and double arrows mark sites with an observation in only
+one direction.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ from napari_hmrf.tissue.material_presets import Palette
 
 FloatArray = npt.NDArray[np.float32]
 Places = npt.NDArray[np.float64]
-#: Red, green and blue, 0 to 1.
+#: Red, green and blue, from 0 to 1.
 Colour = tuple[float, float, float]
 
 #: Name of the layer of paint.
 NAME = "Motion, painted"
-#: Red, green and blue of each action, 0 to 1.
+#: Colour of each action.
 COLOURS: dict[str, Colour] = {
     "pin": (0.90, 0.62, 0.0),
     "free": (1.0, 1.0, 1.0),
@@ -42,21 +43,21 @@ COLOURS: dict[str, Colour] = {
     "expand": (0.80, 0.47, 0.65),
     "confidence": (0.0, 0.62, 0.45),
 }
-#: Colours of painted tissues whose colour is not defined by a Labels layer.
+#: Colours of painted tissues, if their colours are not defined by a Labels layer.
 _HUES = (
     (0.95, 0.9, 0.26), (0.0, 0.45, 0.70), (0.84, 0.37, 0.0), (0.6, 0.95, 0.6), (0.5, 0.3, 0.9),
     (0.95, 0.7, 0.8), (0.3, 0.85, 0.85),
 )  # fmt: skip
-#: Pixel value of the first painted tissue, and number of values for tissues.
+#: Pixel value of the first painted tissue, and number of pixel values for tissues.
 _TISSUE, _TISSUES = 64, 128
 #: Opacity of actions, and of painted tissue.
 _OPACITY, _TISSUE_OPACITY = 0.55, 0.6
-#: Number of marks that fit across the shorter side of a picture.
+#: Number of marks along the shorter side of an image.
 _ACROSS = 32
 
 
 def number_of(action: Action, label: int = 0) -> int:
-    """Return the pixel value of a painted action, or of a painted tissue with a label."""
+    """Return the pixel value of an action; for the action "tissue", that of a label."""
     return _TISSUE + label % _TISSUES if action == "tissue" else KINDS[action]
 
 
@@ -76,11 +77,11 @@ def show_painted(
     base : Canvas
         Canvas without the paint.
     window : Box
-        Pixels to update.
+        Region of pixels to update.
     picture : ndarray of uint8, shape ([D,] H, W)
-        Values as returned by `number_of`; 0 where nothing is painted, or confidence only.
+        Picture of actions and tissues, with the values of `number_of`; 0 elsewhere.
     confidence : ndarray of float32, shape ([D,] H, W), optional
-        Confidence of the motion, the largest of its components.
+        Picture of the confidence of the motion, the largest confidence of its components.
     """
     kinds = canvas.kinds[window]
     shown = kinds.copy()
@@ -97,13 +98,13 @@ def show_painted(
 
 
 def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Colour]:
-    """Return the colour of each tissue, by label.
+    """Return the colour of each tissue in a palette, by label.
 
-    The colours are those of the layer if it holds the table of the palette.
+    If the palette is the table of the layer, the colours are those of the layer.
     """
     if palette.is_table and isinstance(
         layer, Labels
-    ):  # the user may have chosen an Image layer since
+    ):  # the user may have switched to an Image layer
         colours = {row.label: layer.get_color(row.label) for row in palette.materials}
         return {
             label: (0.5, 0.5, 0.5) if colour is None else _colour(colour)
@@ -120,20 +121,20 @@ def _colour(rgba: Sequence[float]) -> Colour:
 
 
 def painted_colours(tissues: dict[int, Colour]) -> CyclicLabelColormap:
-    """Return the colormap of paint; the same object for the same tissues.
+    """Return the colormap of paint, which is cached for each set of tissue colours.
 
     Parameters
     ----------
     tissues : dict of int to colour
-        Colour of the label of each tissue.
+        Colour of each tissue, by label.
     """
     return _colours(tuple((label, *colour) for label, colour in tissues.items()))
 
 
 @lru_cache(maxsize=4)
 def _colours(tissues: tuple[tuple[float, ...], ...]) -> CyclicLabelColormap:
-    # A cyclic colormap with a colour for each of the 256 values. For a colormap of only some
-    # values, napari would first compile the mapping, which takes seconds.
+    # A cyclic colormap with a colour for each of the 256 values, because napari would need seconds
+    # to compile the mapping of a direct colormap for some of the values.
     colours = np.zeros((256, 4))
     for action, kind in KINDS.items():
         colours[kind] = (*COLOURS[action], _OPACITY)
@@ -145,23 +146,23 @@ def _colours(tissues: tuple[tuple[float, ...], ...]) -> CyclicLabelColormap:
 def painted_layer(
     frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Colour]
 ) -> LayerData:
-    """Return the Labels layer of paint."""
+    """Return the data of the Labels layer of paint."""
     known = {"kind": PAINTED, "slice": frame.slice_name}
     look = {"opacity": 1.0, "colormap": painted_colours(tissues)}
     return layer_on(frame, picture, NAME, known, look, "labels")
 
 
 def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
-    """Return the Image layer of painted confidence."""
+    """Return the data of the Image layer of painted confidence."""
     known = {"kind": CONFIDENCE, "slice": frame.slice_name}
     return layer_on(frame, confidence, "Confidence", known, confidence_look())
 
 
 def painted_marks(canvas: Canvas) -> Lines:
-    """Return crosses for pinned tissue, and arrows for moved tissue; thin strokes are included.
+    """Return the lines of marks: crosses for fixed tissue, and arrows for moved tissue.
 
-    Where only one direction is observed, a double arrow along it replaces a cross. In a volume,
-    each slice along the first axis has its own marks, which lie in the slice.
+    Thin strokes also get marks. If only one direction is observed, a double arrow along this
+    direction replaces the cross. In a volume, there are marks in each slice along the first axis.
 
     Parameters
     ----------
@@ -171,9 +172,9 @@ def painted_marks(canvas: Canvas) -> Lines:
     Returns
     -------
     lines : ndarray, shape (N, 2, n), float32
-        (start, step) in pixels.
+        Start and vector of each line, in pixels.
     colours : ndarray, shape (N, 4), float32
-        Red, green, blue and opacity of each line, 0 to 1.
+        Red, green, blue and opacity of each line, from 0 to 1.
     """
     kinds, size = canvas.kinds, np.array(canvas.spacing)
     n = len(size)
@@ -191,20 +192,20 @@ def painted_marks(canvas: Canvas) -> Lines:
     return coloured(parts, n)
 
 
-#: Actions that are marked in addition to their colour.
+#: Actions that are shown with marks in addition to colours.
 _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
 
 
 def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Places], Places]) -> Lines:
-    """Return the path of the brush in a selected stroke, with a circle at each end.
+    """Return the lines of the brush path of a selected stroke, with a circle at each end.
 
     Parameters
     ----------
     stroke : Stroke
     spacing : sequence of float, shape (n,)
-        Size of a pixel along each axis.
+        Pixel size along each axis.
     goes_to : callable
-        Maps places, (N, n) in pixels, to the positions at which they are shown.
+        Maps original positions, shape (N, n) in pixels, to the positions at which they are shown.
     """
     paths = [np.array(line) for line in stroke.lines]
     circle = stroke.radius * CIRCLE @ np.eye(len(spacing))[-2:] / spacing

@@ -1,4 +1,4 @@
-"""Pictures of what brushes have painted, which move with the tissue."""
+"""Overlay of paint on the image, which moves with the tissue."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ShownDeformation(NamedTuple):
     ----------
     moved : Deformation
     marks : Lines, optional
-        As returned by `painted_marks`; None if nothing is painted.
+        Lines as returned by `painted_marks`; None if nothing is painted.
     """
 
     moved: Deformation
@@ -31,12 +31,12 @@ class ShownDeformation(NamedTuple):
 
     @property
     def confidence(self) -> npt.NDArray[np.float32] | None:
-        """Painted confidence of the motion, 0 to 1; None if none was painted."""
+        """Painted confidence of the motion, from 0 to 1; None if no confidence is painted."""
         return self.moved.overlay[1] if len(self.moved.overlay) > 1 else None
 
 
 class PaintedOverlay:
-    """Overlay of an `Engine` that shows paint; used on the compute thread only."""
+    """Overlay of paint for an `Engine`, for use on the compute thread only."""
 
     def __init__(self) -> None:
         self._canvas: Canvas | None = None
@@ -44,7 +44,7 @@ class PaintedOverlay:
     def __call__(
         self, ground: Ground, drawing: Drawing, canvas: Canvas, window: Box | None, over: Pictures
     ) -> Pictures:
-        """Update the pictures: one of the paint, and one of the painted confidence if there is any.
+        """Update the pictures of the overlay.
 
         Parameters
         ----------
@@ -54,13 +54,14 @@ class PaintedOverlay:
         canvas : Canvas
             Canvas with the paint of the drawing.
         window : Box, optional
-            Pixels that have changed; None if none have.
+            Region of pixels that have changed; None if no pixels have changed.
         over : Pictures
             Pictures of the previous drawing, which are updated in place.
 
         Returns
         -------
         Pictures
+            Picture of the paint and, if confidence is painted, picture of the confidence.
         """
         self._canvas = canvas
         actions = {mark.action for mark in drawing.marks if isinstance(mark, Stroke)}
@@ -69,7 +70,7 @@ class PaintedOverlay:
         if "confidence" not in actions:
             over = over if len(over) < 2 else over[:1]
         elif len(over) < 2:
-            # Order 0, so that no confidence is interpolated into sites without it.
+            # Order 0, so that confidence is not interpolated into sites without confidence.
             confidence = Picture(np.zeros(canvas.shape, np.float32), order=0)
             over, window = (*over, confidence), canvas.whole
         if over and window is not None:
@@ -77,7 +78,7 @@ class PaintedOverlay:
         return over
 
     def with_marks(self, moved: Deformation) -> ShownDeformation:
-        """Return a deformation with the marks of the newest paint."""
+        """Return a deformation with the marks of the current paint."""
         if self._canvas is None or not moved.overlay or not moved.overlay[0].any():
             return ShownDeformation(moved)
         return ShownDeformation(moved, painted_marks(self._canvas))

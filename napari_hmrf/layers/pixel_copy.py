@@ -1,4 +1,4 @@
-"""Cache of copies of layer data; a layer is copied again only after a change."""
+"""Cache of copies of layer data, in which a layer is copied again only after a change."""
 
 from __future__ import annotations
 
@@ -15,35 +15,37 @@ from napari_hmrf.layers.slice_view import copy_slice
 from napari_hmrf.study.study import is_same
 
 T = TypeVar("T")
-#: Number of copies kept of each layer, so that undoing paint returns to an earlier object.
+#: Largest number of cached copies of each layer; more than one, so that an earlier copy is reused
+#: when paint is undone.
 _MOST_COPIES = 4
-#: Events after which the data of a layer may have changed. "set_data" is also emitted for many
-#: other reasons, but it is the only one after a script has changed an array in place.
+#: Names of the events after which the data of a layer may have changed. "set_data" is also emitted
+#: for many other reasons, but it is the only event when a script changes an array in place and then
+#: refreshes the layer.
 CHANGES = ("data", "labels_update", "paint", "set_data")
 
 
 class LayerCopies:
     """Cache of copies of layer data.
 
-    The same object is returned for unchanged data, so that callers can compare by identity.
+    For unchanged data, the same object is returned, so that callers can compare by identity.
 
     Parameters
     ----------
     viewer : object, optional
-        Viewer of the layers; ignored, as each viewer has its own cache (`shared`).
+        Ignored; accepted because `shared` passes the viewer to the class.
     """
 
     def __init__(self, viewer: Any = None) -> None:
         self._copies: weakref.WeakKeyDictionary[Any, _Copies] = weakref.WeakKeyDictionary()
 
     def of(self, layer: Any, own: Frame | None = None) -> npt.NDArray[Any]:
-        """Return a copy of a slice of a layer, or of all of it.
+        """Return a copy of a slice of a layer, or of all its data.
 
         Parameters
         ----------
         layer : napari.layers.Layer
         own : Frame, optional
-            Slice of the layer; by default all of its data are copied.
+            Slice of the layer; by default, all data are copied.
 
         Returns
         -------
@@ -61,16 +63,16 @@ class LayerCopies:
         return known.slice(layer, own)
 
     def derive(self, layer: Any, of: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Return a value derived from a copy of a layer, cached until one of its inputs changes.
+        """Return a value derived from the copy of a layer, which is cached until an input changes.
 
         Parameters
         ----------
         layer : napari.layers.Layer
-            Layer that was copied before.
+            Layer for which `of` has been called.
         of : tuple
-            Inputs of the value: arrays, which are compared by identity, and other values.
+            Inputs of the value: arrays, which are compared by identity, and other objects.
         make : callable
-            Computes the value.
+            Function without arguments that computes the value.
         """
         known = self._copies[layer]
         if known.derived is None or not all(map(is_same, known.derived[0], of)):
@@ -79,13 +81,13 @@ class LayerCopies:
         return value
 
     def invalidate(self) -> None:
-        """Mark all copies as stale, as arrays may have been changed in place without an event."""
+        """Mark all copies as stale, because arrays may have been changed without an event."""
         for known in self._copies.values():
             known.mark_stale()
 
 
 class _Copies:
-    """Copies of one layer."""
+    """Cached copies of the data of one layer."""
 
     def __init__(self, layer: Any) -> None:
         self._slices: deque[tuple[Any, npt.NDArray[Any]]] = deque(maxlen=_MOST_COPIES)

@@ -1,4 +1,4 @@
-"""Conversion between napari layers and a `Study`."""
+"""Conversion of napari layers to a `Study`, and of a `Study` to napari layers."""
 
 from __future__ import annotations
 
@@ -39,50 +39,51 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
-#: Choice of confidence that is complete where the image has edges, and 0 elsewhere.
+#: Choice of a confidence that is 1 at edges in the image and 0 elsewhere.
 EDGES = "edges"
-#: Shear below which pixels count as rectangles, in degrees.
+#: Shear angle up to which pixels are considered to be rectangular, in degrees.
 _RIGHT_ANGLE = 0.1
-#: Displacement out of the slice below which it is ignored without a note, in pixels.
+#: Displacement out of the slice up to which it is ignored without a note, in pixels.
 _NEGLIGIBLE = 0.1
-#: Largest number of arrows in a layer; more become a field, of which only some are drawn.
+#: Largest number of arrows in a layer; more observations are stored as a field, with fewer arrows.
 _MOST_ARROWS = 2000
 
 
 @dataclass(frozen=True)
 class Request:
-    """Selection of the user: layers, tables, the drawing and the visible slice.
+    """Layers, tables and options selected by the user, with the drawing and the visible slice.
 
     Attributes
     ----------
     tissue : napari.layers.Labels or napari.layers.Image, optional
-        Labels, each with a stiffness in `materials`; or an image of the stiffness. By default the
-        tissue is derived from the image.
+        Tissue labels, with a stiffness for each label in `materials`; or image of the stiffness. By
+        default, the tissue is derived from the image.
     boundary : napari.layers.Labels or napari.layers.Vectors, optional
-        Labels, each with a rule in `rules`; or the observed displacements: arrows on the pixels of
-        the image, or a layer that holds a field on any grid.
+        Boundary labels, with a rule for each label in `rules`; or observed displacements: arrows on
+        the grid of the image, or a layer that contains a field on any grid.
     image : napari.layers.Image, optional
-        Image to deform. Its grid is the reference; without an image it is that of `tissue`.
+        Image to deform. Its grid is the reference grid; without an image, the grid of `tissue` is.
     materials : tuple of Material, optional
-        By default those in the metadata of the tissue layer.
+        Materials of the tissue labels; by default, those in the metadata of the tissue layer.
     rules : tuple of BoundaryRule, optional
-        Rules with lengths in the unit of the image; by default those in the metadata of the
-        boundary layer.
+        Rules of the boundary labels, with lengths in the unit of the image; by default, those in
+        the metadata of the boundary layer.
     confidence : napari.layers.Image, napari.layers.Labels or "edges", optional
-        Confidence of the observed displacements, 0 to 1; labels are a mask. With "edges" it is 1
-        at the steepest edges of the image. By default it is 1 everywhere.
+        Confidence of the observed displacements: an image with values from 0 to 1; labels, which
+        are used as a mask; or "edges", which sets the confidence to 1 at edges in the image and to
+        0 elsewhere. By default, the confidence is 1 everywhere.
     view : View, optional
-        Visible slice; by default the first slice, along the last two axes.
+        Visible slice; by default, the first slice along the last two axes.
     hold_edge : bool
-        True if the outer edge of the tissue stays in place.
+        True if the outer edge of the tissue is fixed.
     drawing : Drawing, optional
         Drawn and painted marks, which take precedence; None if there is no drawing.
     preset : Preset, optional
-        Tissues that can be painted if the layer has no table.
+        Tissues that can be painted if the tissue layer has no table.
     without_border : bool
-        True if the dark border of the image is not tissue where its label is 0.
+        True if unlabelled pixels in the dark border of the image are not tissue.
     curve : StiffnessCurve, optional
-        Curve from the intensity of `image` to stiffness; replaces `tissue`.
+        Curve from the intensity of `image` to stiffness, used instead of `tissue`.
     weight : tuple of float
         Body force along each axis, as in `Motion`.
     """
@@ -103,7 +104,7 @@ class Request:
 
     @classmethod
     def of(cls, model: StudyModel, view: View, preset: Preset | None = None) -> Request:
-        """Return the choices for the selected image of a model, with its drawing.
+        """Return the request for the image that is selected in a model.
 
         Parameters
         ----------
@@ -111,7 +112,7 @@ class Request:
         view : View
             Visible slice.
         preset : Preset, optional
-            Tissues that can be painted if the layer has no table.
+            Tissues that can be painted if the tissue layer has no table.
         """
         choice = model.choice
         tissue, boundary = choice.tissue_layer, choice.boundary
@@ -135,27 +136,28 @@ class Request:
 
     @property
     def layers(self) -> tuple[Any, ...]:
-        """Layers that must have the same pixels, the reference first."""
+        """Layers that must have the same grid; the first layer is the reference."""
         arrows = None if holds_field(self.boundary) else self.boundary
         chosen = (self.image, self.tissue, arrows, self.confidence)
         return tuple(layer for layer in chosen if isinstance(layer, Layer))
 
 
 def study_from_layers(request: Request, copies: LayerCopies | None = None) -> Study:
-    """Read the visible slice of every layer into a study.
+    """Create a study from the visible slices of the selected layers.
 
-    This runs on the GUI thread, so it must be quick.
+    This function is called on the GUI thread, so it must be fast.
 
     Parameters
     ----------
     request : Request
     copies : LayerCopies, optional
-        Cache of a viewer, from which unchanged layers are taken.
+        Cache with copies of unchanged layers.
 
     Raises
     ------
     ProblemError
-        Naming the layer that lies elsewhere, has another size or cannot be read.
+        If a layer has another place or size than the reference, or cannot be read; the message
+        names the layer.
     """
     return _Reader(request, copies or LayerCopies()).study()
 
@@ -171,12 +173,12 @@ class _Reader:
         self._shape = plane_shape(reference, self._frame)
         self._notes: list[str] = []
         if (skew := self._frame.skew) > _RIGHT_ANGLE:
-            sheared = f"the pixels are sheared by {skew:.1f} degrees, but taken as rectangles"
+            sheared = f"the pixels are sheared by {skew:.1f} degrees, but treated as rectangles"
             self._notes.append(sheared)
         if request.view is not None and request.view.tilts(self._frame):
             self._notes.append(
-                f"napari draws '{reference.name}' as if it were not tilted out of its slices, and "
-                "shows positions accordingly; directions, lengths and saved files are correct"
+                f"napari does not display the tilt of '{reference.name}' out of its slices, so the "
+                "displayed positions are approximate; directions, lengths and saved files are exact"
             )
         if any(layer.multiscale for layer in request.layers):
             self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
@@ -212,7 +214,7 @@ class _Reader:
         )
 
     def _slice(self, layer: Any) -> npt.NDArray[Any]:
-        """Return the pixels of a layer on the grid of the reference."""
+        """Return the pixels of a layer, which must be on the grid of the reference layer."""
         own = frame_of(layer, self._request.view)
         check_size(layer, own, self._reference, self._frame, self._shape)
         return self._copies.of(layer, own)
@@ -239,8 +241,8 @@ class _Reader:
         if layer.rgb:
             raise LayerError(
                 layer,
-                "is a colour image, which cannot be a stiffness. Choose a Labels layer or a grey "
-                "image.",
+                "is a colour image, but stiffness requires one value per pixel. Choose a Labels "
+                "layer or a grey image.",
             )
         return Tissue(
             stiffness=self._slice(layer),
@@ -265,14 +267,14 @@ class _Reader:
             raise LayerError(
                 layer,
                 f"has no paint{f' in {slice_name}' if slice_name else ' yet'}. Choose a row, then "
-                "paint a region that is fixed or moves.",
+                "paint a region that is fixed or moved.",
             )
         rules = request.rules
         rules = rows_of(layer, BOUNDARY) if rules is None else tuple(rules)
         return Motion(request.hold_edge, labels, rules, drawing=drawing)
 
     def _observed(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Return the observed displacements of arrows or a field, and their confidence."""
+        """Return the displacements in a layer of arrows or a field, and their confidence."""
         request, frame, shape = self._request, self._frame, self._shape
         data, confidence, field = self._copies.of(layer), self._read_confidence(), field_of(layer)
         own = frame if field else frame_of(layer, request.view)
@@ -290,8 +292,8 @@ class _Reader:
             if known.any() and not c.any():
                 raise LayerError(
                     request.confidence,
-                    f"is 0 wherever '{layer.name}' has a displacement, so no displacement counts. "
-                    "Paint where it is certain, or choose ----- in 'confidence'.",
+                    f"is 0 wherever '{layer.name}' has a displacement, so no displacement is used. "
+                    "Paint where displacements are certain, or choose ----- in 'confidence'.",
                 )
             return y, np.repeat(c[..., None], len(shape), axis=-1), out, note
 
@@ -300,7 +302,9 @@ class _Reader:
         if note:
             self._notes.append(f"'{layer.name}' {note}")
         if out > (0 if field is None else _NEGLIGIBLE * max(frame.spacing)):
-            self._notes.append(f"'{layer.name}' also leads out of the slice, which is ignored")
+            self._notes.append(
+                f"'{layer.name}' also has displacements out of the slice, which are ignored"
+            )
         return y, c
 
     def _read_confidence(self) -> npt.NDArray[Any] | None:
@@ -318,7 +322,9 @@ class _Reader:
                 )
             return pixels
         if image is None:
-            raise LayerError(self._reference, "is no image with edges. Choose an image.")
+            raise LayerError(
+                self._reference, "is not an image, so it has no edges. Choose an image."
+            )
         pixels = self._slice(image)
         return self._copies.derive(
             image, (pixels,), lambda: edge_confidence(pixels, axes=len(self._shape))
@@ -326,7 +332,7 @@ class _Reader:
 
 
 def look_of(layer: Any) -> dict[str, Any]:
-    """Return the display settings of an Image or Labels layer, as arguments of a new layer."""
+    """Return the display settings of an Image or Labels layer, as arguments for a new layer."""
     if layer is None or getattr(layer, "rgb", False):
         return {}
     if isinstance(layer, Labels):
@@ -339,17 +345,20 @@ def look_of(layer: Any) -> dict[str, Any]:
 
 
 def study_layers(study: Study) -> dict[str, Any]:
-    """Make the layers of a study, at its place or at the origin; inverts `study_from_layers`.
+    """Create the layers of a study; the inverse of `study_from_layers`.
+
+    If the study has no place, the layers are at the origin. The drawing, the model and the option
+    `hold_edge` are not converted to layers.
 
     Parameters
     ----------
     study : Study
-        Its drawing, its model and `hold_edge` do not become layers.
 
     Returns
     -------
     dict of str to napari.layers.Layer
-        Existing layers among "image", "tissue", "boundary" and "confidence", in stacking order.
+        Layers in stacking order, with the keys "image", "tissue", "boundary" and "confidence" as
+        far as the study has these parts.
     """
     grid, tissue, motion, pictures = study.grid, study.tissue, study.motion, study.pictures
     n = len(grid.shape)
@@ -359,7 +368,7 @@ def study_layers(study: Study) -> dict[str, Any]:
     def add(
         part: str, name: str, data: Any, look: Mapping[str, Any], sort: str = "image", **what: Any
     ) -> None:
-        """Make a layer, with the name that it had in the study."""
+        """Create the layer of a part, with its name in the study or the default `name`."""
         name = study.names.get(part, name)
         known = layer_metadata(**what)[METADATA] if what else {}
         layers[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
@@ -389,6 +398,6 @@ def study_layers(study: Study) -> dict[str, Any]:
             add("boundary", "Observed", arrows, {}, "vectors", role=BOUNDARY)
         look = {"contrast_limits": (0, 1), "opacity": 0.3}
         add("confidence", "Confidence", confidence, look)
-    for part, layer in layers.items():  # layers of paint would tint the deformed image
+    for part, layer in layers.items():  # tissue and boundary layers would tint the deformed image
         layer.visible = not study.moves or part == ("image" if "image" in layers else "tissue")
     return layers

@@ -1,6 +1,7 @@
-"""Conversion of a solution to layers: the deformed image, and arrows that hold the result.
+"""Conversion of a solution to layers: the deformed image, the displacement as arrows, overlays.
 
-One overlay at a time lies over the image, such as the strain as colours.
+The layer of arrows contains the result. An overlay, such as the strain as colours, is shown over
+the image.
 """
 
 from __future__ import annotations
@@ -45,18 +46,18 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Pictures
 
 Array = npt.NDArray[Any]
-#: Metadata or display settings, by name.
+#: Type of metadata or display settings, by name.
 Facts = Mapping[str, Any]
-#: Layers that are made of each result.
+#: Type of the kind of a layer that is created for each result.
 Kind = Literal["image", "arrows"]
 
-#: Approximate number of arrows: enough to show the motion, but few enough to see the image.
+#: Approximate number of arrows: enough to show the motion, but few enough not to hide the image.
 ARROWS = 250
-#: Names of the overlays on the image.
+#: Type of the name of an overlay.
 Name = (
     Quantity | Mark | Literal["grid", "labels", "difference", "stiffness", "observed", "confidence"]
 )
-#: Number of arrows of the given motion that fit side by side across the image.
+#: Number of arrows of the observed motion along a side of the image.
 _ACROSS = 40
 
 
@@ -78,28 +79,28 @@ class LayerData(NamedTuple):
     kind: str
 
 
-#: Computes, on demand, the forces that hold and move each part of a result.
+#: Type of a function that computes the forces on the constrained parts of the tissue.
 Forces = Callable[[], tuple[HeldForce, ...]]
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedSolution:
-    """Solution with its position and the pictures that move with it; held by a layer of arrows.
+    """Solution with its place and pictures: the result that a layer of arrows contains.
 
     Attributes
     ----------
     solution : Solution
         Solution, including its frame.
     frame : Frame
-        Position of the solution in the world.
+        Place of the solution in world coordinates.
     pictures : Pictures
-        Pictures that move with the solution, without the pixels of the image. Empty for a result
-        from a file.
+        Pictures that are deformed with the solution, without the pixels of the image; empty for a
+        result from a file.
     problem : Problem, optional
-        Problem that was solved; None for a result from a file.
+        Solved problem; None for a result from a file.
     forces : callable, optional
-        Returns the forces that hold and move the parts of the tissue; None for a result from a
-        file.
+        Function that returns the forces on the constrained parts of the tissue; None for a result
+        from a file.
     """
 
     solution: Solution
@@ -110,30 +111,30 @@ class PlacedSolution:
 
     @property
     def unit(self) -> str:
-        """Unit of lengths, as shown in tables: "px", "mm"."""
+        """Symbol of the unit of length, such as "px" or "mm"."""
         return unit_symbol(self.frame.unit)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Numbers of rows and columns, preceded by the number of planes for a volume."""
+        """Shape of the grid: ([planes,] rows, columns)."""
         shape: tuple[int, ...] = self.solution.tissue.shape
         return shape
 
     def layer(
         self, kind: str, data: Array, what: str, look: Facts, sort: str = "image", source: str = ""
     ) -> LayerData:
-        """Make a layer of a part of the result, at the position of its tissue.
+        """Create a layer of a part of the result, with the transform of the solution.
 
         Parameters
         ----------
         kind : str
             Kind of the layer, for its metadata.
         data, look, sort
-            As in `layer_on`.
+            As for `layer_on`.
         what : str
-            Content of the layer, for its name.
+            Description of the content, for the name of the layer.
         source : str
-            Name of the source, for the layer's name; by default that of the deformed image.
+            Name of the source, for the name of the layer; by default, that of the deformed image.
         """
         provenance = self.solution.provenance
         known = {
@@ -161,12 +162,12 @@ class Outputs:
     layers : dict of kind to LayerData
         Layers in stacking order.
     folds : int
-        Sites at which the tissue folds over itself (Jacobian determinant <= 0).
+        Number of sites at which the tissue folds over itself (Jacobian determinant <= 0).
     overlaps : int
-        Pixels at which one part of the tissue has moved onto another; counted only if pictures
-        are given.
+        Number of pixels at which different parts of the tissue overlap; 0 if no pictures are given.
     fullest : dict of mark to tuple of int
-        For folds and for overlaps: index of the fullest plane perpendicular to each axis.
+        For folds and overlaps: index of the plane perpendicular to each axis with the largest
+        number of marked pixels.
     """
 
     solution: Solution
@@ -184,21 +185,19 @@ def result_layers(
     problem: Problem | None = None,
     forces: Forces | None = None,
 ) -> Outputs:
-    """Turn a solution into layer data, without a window or a layer.
-
-    All layers of results are made here.
+    """Convert a solution to layer data, without creating layers.
 
     Parameters
     ----------
     solution : Solution
     frame : Frame, optional
-        Position of the solution; by default its own `frame`, or the origin.
+        Place of the solution; by default, that in `solution.frame`, or else the origin.
     pictures : Pictures, optional
         Pictures to deform with the tissue.
     checkpoint : callable
-        Called between the steps; raises an exception to stop the work.
+        Called between steps; raises an exception to cancel the work.
     problem, forces
-        As in `PlacedSolution`.
+        As for `PlacedSolution`.
 
     Returns
     -------
@@ -223,7 +222,7 @@ def result_layers(
     answer = PlacedSolution(solution, frame, replace(shown, image=None, look={}), problem, forces)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
-    if pictures is not None:  # without pictures, as for a file, no compiled loops are needed
+    if pictures is not None:  # skipped for results from files, to avoid waiting for compiled loops
         checkpoint()
         origin, covered, overlapping = inverse_map_and_overlaps(*field)
         overlaps, fullest["overlaps"] = int(overlapping.sum()), fullest_planes(overlapping)
@@ -238,7 +237,7 @@ def result_layers(
 
 
 def _arrow_layer(answer: PlacedSolution) -> LayerData:
-    """Make the arrows of the displacement; the layer holds the answer, in memory only."""
+    """Create the layer of arrows, with the result in its metadata (in memory only)."""
     solution = answer.solution
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     pick_arrows = arrows_apart if tissue.ndim == 2 else arrows_in_slices
@@ -252,7 +251,7 @@ def _arrow_layer(answer: PlacedSolution) -> LayerData:
 
 
 def picture_layer(frame: Frame, pictures: Pictures, picture: Array, parameters: Facts) -> LayerData:
-    """Make the layer of a deformed image while its tissue is still moving.
+    """Create the layer of a deformed image during live updates, before the result is complete.
 
     Parameters
     ----------
@@ -262,7 +261,7 @@ def picture_layer(frame: Frame, pictures: Pictures, picture: Array, parameters: 
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
         Deformed image.
     parameters : mapping
-        Parameters in the solution's provenance.
+        Parameters in the provenance of the solution.
     """
     known = {**_origin_facts(frame, pictures), "kind": "image"}
     name = _result_name(pictures.name, "deformed", parameters, frame.slice_seen)
@@ -272,19 +271,21 @@ def picture_layer(frame: Frame, pictures: Pictures, picture: Array, parameters: 
 def layer_on(
     frame: Frame, data: Array, name: str, known: Facts, look: Facts, sort: str = "image"
 ) -> LayerData:
-    """Make a layer on the pixels of a slice, with its metadata.
+    """Create the data of a layer with the transform of a frame.
 
     Parameters
     ----------
     frame : Frame
     data : ndarray
-        Pixels, shape ([D,] H, W) or ([D,] H, W, 3 or 4); or segments in pixels, (N, 2, n).
+        Pixels, shape ([D,] H, W) or ([D,] H, W, 3 or 4); or vectors in pixels, shape (N, 2, n).
     name : str
+        Name of the layer.
     known : mapping
-        Metadata of the layer.
+        Entry of this package in the metadata of the layer.
     look : mapping
         Display settings, as keyword arguments of a new layer.
     sort : {"image", "labels", "vectors"}
+        Type of the layer.
     """
     lines = sort == "vectors"
     attributes = {**look, **frame.placement(image=not lines), "name": name}
@@ -296,12 +297,12 @@ def layer_on(
 
 
 def _origin_facts(frame: Frame, pictures: Pictures) -> dict[str, Any]:
-    """Return the source, slice and unit of a result, for the metadata."""
+    """Return the source, slice and unit of a result, for the metadata of its layers."""
     return {"source": pictures.name, "slice": frame.slice_name, "unit": frame.unit}
 
 
 def _result_name(source: str, what: str, parameters: Facts, where: str) -> str:
-    """Name a layer after its source image, its content, the model and the slice."""
+    """Return the name of a layer, from its source image, its content, the model and the slice."""
     name = ", ".join(filter(None, (f"{source} {what}".strip(), model_name(parameters))))
     return name + (f" ({where})" if where else "")
 
@@ -315,8 +316,8 @@ class Overlay(NamedTuple):
     layer : LayerData
         Layer at the full deformation.
     picture : ndarray, shape ([D,] H, W), optional
-        Pixels before they move with the tissue, bool for marked sites; None if the overlay does
-        not move or consists of lines.
+        Undeformed pixels of the overlay, bool for marked sites; None if the overlay consists of
+        lines.
     """
 
     name: Name
@@ -325,7 +326,7 @@ class Overlay(NamedTuple):
 
     @property
     def beyond(self) -> str:
-        """Note on values beyond the colour limits, in words; "" if there are none."""
+        """Note on values outside the colour limits; "" if there are no such values."""
         limits = self.layer.attributes.get("contrast_limits")
         return "" if limits is None or self.picture is None else beyond(self.picture, limits)
 
@@ -333,19 +334,27 @@ class Overlay(NamedTuple):
 def overlay_of(
     answer: PlacedSolution, name: Name, compared: Comparison | None = None
 ) -> Overlay | None:
-    """Make an overlay on the image of a result; on the compute thread only.
+    """Create an overlay on the image of a result; must be called on the compute thread.
 
-    Every overlay moves with the tissue, including the difference from the `compared` result, except
-    for the arrows of the given motion, which begin at the original position of the tissue.
+    Overlays are deformed with the tissue, except for the arrows of the observed motion, which
+    begin at the original positions of the tissue.
 
-    Signed quantities are drawn from purple (less) to orange (more), others from dark to light, and
-    the image shows through where values are close to zero. Folds are yellow, the colour of values
-    at the lower limit.
+    Signed quantities have colours from purple (lower) to orange (higher), and other quantities from
+    dark to light. The overlay is transparent at the neutral value. Folds are yellow.
+
+    Parameters
+    ----------
+    answer : PlacedSolution
+        Result.
+    name : Name
+        Name of the overlay.
+    compared : Comparison, optional
+        Comparison with another result, for the overlay "difference".
 
     Returns
     -------
     Overlay or None
-        None if the result has no such content: no folds, overlaps, labels, reference or problem.
+        None if the result does not have the content of the overlay, such as folds or labels.
     """
     if name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
@@ -364,7 +373,10 @@ def overlay_of(
 def _pixels_of(
     answer: PlacedSolution, name: Name, compared: Comparison | None
 ) -> tuple[Any, ...] | None:
-    """Return the unmoved pixels and the other arguments of `PlacedSolution.layer`, or None."""
+    """Return the undeformed pixels of an overlay, and the arguments of `PlacedSolution.layer`.
+
+    The result is None if there is no such overlay.
+    """
     pictures, problem = answer.pictures, answer.problem
     if name in QUANTITIES:
         title, unit = title_and_unit(name, answer.solution)
@@ -393,22 +405,22 @@ def _pixels_of(
 
 
 def stiffness_unit(answer: PlacedSolution) -> str:
-    """Return the unit of the stiffness in a result; "" if the stiffness is relative."""
+    """Return the unit of stiffness in a result; "" if the stiffness is relative."""
     tissue = answer.solution.provenance.parameters.get("tissue", {})
     return str(tissue.get("unit") or tissue.get("curve", {}).get("unit") or "")
 
 
 def _colours(shown: Coloured) -> dict[str, Any]:
-    """Return the display settings that colour the pixels of tissue."""
+    """Return the display settings of an Image layer of a quantity."""
     scale = label_colours.quantity_colours(shown.signed, shown.folded)
     return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
 
 
 def _motion_layer(answer: PlacedSolution) -> LayerData | None:
-    """Make arrows of the given motion of the tissue (y); return None without a problem."""
+    """Create the layer of arrows of the observed motion y; None if there is no problem."""
     if (problem := answer.problem) is None:
         return None
-    y, known = problem.observed, problem.known  # the arrows of fixed sites are dots
+    y, known = problem.observed, problem.known  # arrows of fixed sites have length 0: dots
     apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
     cell = (1, apart, apart)[-len(answer.shape) :]
     starts = spread(np.asarray(known.any(axis=-1)), cell)
@@ -416,4 +428,4 @@ def _motion_layer(answer: PlacedSolution) -> LayerData | None:
     arrows = np.stack([starts, steps], axis=1).astype(np.float32)
     width = max(answer.shape) / 300
     look = {"vector_style": "arrow", "edge_color": label_colours.OBSERVED, "edge_width": width}
-    return answer.layer("observed", arrows, "motion given where tissue was", look, "vectors")
+    return answer.layer("observed", arrows, "given motion", look, "vectors")

@@ -1,4 +1,4 @@
-"""Directions of rows and columns in a viewer, and sides of the patient at the canvas' edges."""
+"""Directions of the image axes on the canvas, and sides of the patient at its edges."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from napari_hmrf.layers.compat import camera_of
 
 
 def directions_of(frame: Frame, viewer: Any) -> Directions:
-    """Return the directions of a slice in a viewer, including flips by the camera.
+    """Return the directions of the axes of a slice on the canvas, including camera flips.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def directions_of(frame: Frame, viewer: Any) -> Directions:
 
 
 class Sides(NamedTuple):
-    """Side of the patient at each edge of the canvas: a letter, or "" if unknown."""
+    """Sides of the patient at the edges of the canvas, each a letter, or "" if unknown."""
 
     top: str = ""
     bottom: str = ""
@@ -34,7 +34,7 @@ class Sides(NamedTuple):
 
     @classmethod
     def of(cls, image: Any, viewer: Any) -> Sides:
-        """Return the sides for the visible slice of an image; all are "" in a 3-D view."""
+        """Return the sides for the visible slice of an image; all sides are "" in a 3-D view."""
         dims = viewer.dims
         if image is None or dims.ndisplay != 2:
             return cls()

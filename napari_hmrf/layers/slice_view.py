@@ -1,4 +1,4 @@
-"""Visible slice of a layer in a viewer: its place and its pixels."""
+"""Visible slice of a layer in a viewer: its frame and its pixels."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from napari_hmrf.field.units import unit_factor
 
 @dataclass(frozen=True)
 class View:
-    """Visible slice of a viewer: a copy of the parts of its `Dims` that select a slice.
+    """Visible slice of a viewer: an immutable copy of the relevant attributes of its `Dims`.
 
     Attributes
     ----------
     displayed : tuple of int
         Displayed world axes, in the order (rows, columns).
     point : tuple of float
-        World coordinates of the slice, along every axis.
+        World coordinates of a point on the slice.
     units : tuple of str, optional
         Units of `point`, if the viewer has units.
     sliders : tuple of (float, float)
         Start and step of the slider of each axis; empty without a viewer.
     volume : bool
-        True if the whole volume is selected, instead of the visible slice.
+        True if the whole volume is selected instead of the visible slice.
     """
 
     displayed: tuple[int, ...]
@@ -41,7 +41,7 @@ class View:
 
     @classmethod
     def of(cls, dims: Any, volume: bool = False) -> View:
-        """Return the view of a viewer's dims."""
+        """Return the view for the `Dims` of a viewer."""
         units = getattr(dims, "units", None)
         return cls(
             tuple(int(axis) for axis in dims.displayed),
@@ -52,26 +52,26 @@ class View:
         )
 
     def factors(self, layer: Any) -> npt.NDArray[np.float64]:
-        """Return the factors from the viewer's units to those of a layer or frame, by axis."""
+        """Return the factors that convert the viewer's units to those of a layer or frame."""
         if self.units is None:
             return np.ones(layer.ndim)
         units = zip(self.units[-layer.ndim :], layer.units, strict=True)
         return np.array([unit_factor(unit, str(to)) for unit, to in units])
 
     def sliders_of(self, layer: Any) -> tuple[tuple[float, float], ...]:
-        """Return start and step of the slider of each axis of a layer, in the layer's units."""
+        """Return start and step of the slider for each axis of a layer, in the layer's units."""
         sliders = zip(self.sliders[-layer.ndim :], self.factors(layer).tolist(), strict=False)
         return tuple((start * factor, step * factor) for (start, step), factor in sliders)
 
     def pixel(self, layer: Any, position: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return the pixel of a layer or frame that is drawn at a position in world coordinates."""
+        """Return the pixel of a layer or frame that is displayed at a position in the world."""
         world = np.nan_to_num(np.asarray(position)[-layer.ndim :] * self.factors(layer))
         return pixel_drawn(matrix_of(layer), self._drawn(layer), world)
 
     def point_at(self, layer: Any, pixel: npt.ArrayLike) -> dict[int, float]:
-        """Return the slider positions, by world axis, that show a pixel of a layer or frame.
+        """Return the slider positions that show a pixel of a layer or frame, by world axis.
 
-        Only axes that are not displayed have a slider.
+        The result has an entry for each axis of the layer that is not displayed.
         """
         positions = sliders_at(matrix_of(layer), self._drawn(layer), pixel)
         missing, factors = len(self.point) - layer.ndim, self.factors(layer)
@@ -90,7 +90,7 @@ class View:
 
 
 def matrix_of(layer: Any) -> npt.NDArray[np.float64]:
-    """Return the homogeneous matrix from the pixels of a layer or frame to the world."""
+    """Return the homogeneous matrix from pixels of a layer or frame to world coordinates."""
     if isinstance(layer, Frame):
         return np.array(layer.matrix)
     ndim = int(layer.ndim)
@@ -109,19 +109,19 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
     ----------
     layer : napari.layers.Layer
     view : View, optional
-        Visible slice; by default the first slice, along the last two axes.
+        Visible slice; by default, the first slice along the last two axes.
 
     Raises
     ------
     ProblemError
-        If the transform of the layer is invalid; or if the viewer shows the layer at an angle,
-        along an axis that the layer lacks, or beyond its ends.
+        If the transform or the units of the layer are invalid, if the layer lacks a displayed axis,
+        or if the visible slice is oblique to the axes of the layer or outside the layer.
     """
     matrix = matrix_of(layer)
     if not np.isfinite(matrix).all() or is_flat(matrix[:-1, :-1]):
         raise LayerError(
             layer,
-            "has a scale, translation, rotation or affine that holds NaN or infinity, or is "
+            "has a scale, translation, rotation or affine that contains NaN or infinity, or is "
             "singular. Set an invertible transform.",
         )
     plane = _axes_of(layer, view)
@@ -130,8 +130,7 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
     if np.isnan([unit_factor(unit, units[-1]) for unit in units]).any():
         raise LayerError(
             layer,
-            f"measures its axes in {' and '.join(dict.fromkeys(units))}. Give each a unit of "
-            "length.",
+            f"has axes in {' and '.join(dict.fromkeys(units))}. Give each axis a unit of length.",
         )
     return Frame(
         plane=plane,
@@ -149,21 +148,21 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
 
 
 def _axes_of(layer: Any, view: View | None) -> tuple[int, ...]:
-    """Return the axes of a layer that form its volume, or that are shown as rows and columns."""
+    """Return the axes of a layer's volume, or the axes displayed as rows and columns."""
     ndim = int(layer.ndim)
     if view is None:
         return ndim - 2, ndim - 1
     if view.volume:
         if ndim < 3:
-            raise LayerError(layer, "is not a volume. Choose one, or deform one slice at a time.")
+            raise LayerError(layer, "is not a volume. Choose a volume, or deform single slices.")
         return ndim - 3, ndim - 2, ndim - 1
     missing = len(view.point) - ndim
     rows, cols = (axis - missing for axis in view.displayed[-2:])
     if min(rows, cols) < 0:
         raise LayerError(
             layer,
-            f"has {ndim} axes, but lacks the one that the viewer shows as world axis "
-            f"{min(view.displayed[-2:])}. Show its own axes (the roll button below the canvas).",
+            f"has {ndim} axes, but lacks world axis {min(view.displayed[-2:])}, which the viewer "
+            "shows. Show the axes of this layer (with the roll button below the canvas).",
         )
     return rows, cols
 
@@ -171,7 +170,7 @@ def _axes_of(layer: Any, view: View | None) -> tuple[int, ...]:
 def _index_on(
     layer: Any, matrix: npt.NDArray[np.float64], plane: tuple[int, ...], view: View | None
 ) -> tuple[int, ...]:
-    """Return the index of the visible slice along the axes of a layer; 0 along those of `plane`."""
+    """Return the index of the visible slice along each axis of a layer; 0 along axes in `plane`."""
     ndim = int(layer.ndim)
     index, others = [0] * ndim, [axis for axis in range(ndim) if axis not in plane]
     if view is None or not others:
@@ -181,8 +180,9 @@ def _index_on(
         whole = "choose 'the whole volume', " if extents[-3:-2] > (1,) and not view.volume else ""
         raise LayerError(
             layer,
-            "is shown at an angle: its rotation or affine mixes the axes of the slice with the "
-            f"others. To deform it, {whole}show the axes of its acquisition, or resample it.",
+            "is shown at an oblique angle: its rotation or affine mixes the axes of the slice with "
+            f"the other axes. To deform the layer, {whole}show the axes of its acquisition, or "
+            "resample it.",
         )
     pixel = view.pixel(layer, view.point)
     for axis in others:
@@ -190,20 +190,27 @@ def _index_on(
         if extents and not 0 <= index[axis] < extents[axis]:
             raise LayerError(
                 layer,
-                f"does not reach the visible slice, which would be slice {index[axis]} along axis "
-                f"{axis}, but it has {extents[axis]}. Move the slider to a slice of this layer.",
+                f"has {extents[axis]} slices along axis {axis}, but the visible slice would be "
+                f"slice {index[axis]}. Move the slider to a slice of this layer.",
             )
     return tuple(index)
 
 
 def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
-    """Return the axis of a volume across which a viewer shows slices, and the visible index.
+    """Return the axis of a volume perpendicular to the visible slice, and the slice index.
 
     Parameters
     ----------
     frame : Frame
         Frame of the volume.
     view : View
+
+    Returns
+    -------
+    across : int
+        Axis perpendicular to the slice: 0, 1 or 2.
+    index : int
+        Index of the slice along this axis.
     """
     missing = len(view.point) - frame.ndim
     shown = {axis - missing for axis in view.displayed[-2:]}
@@ -212,7 +219,7 @@ def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
 
 
 def full_resolution(layer: Any) -> Any:
-    """Return the data of an Image or Labels layer, at the finest level if it is multiscale."""
+    """Return the data of an Image or Labels layer; of a multiscale layer, the finest level."""
     return layer.data[0] if getattr(layer, "multiscale", False) else layer.data
 
 
@@ -236,15 +243,16 @@ def plane_shape(layer: Any, frame: Frame) -> tuple[int, ...]:
 def check_size(
     layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, ...]
 ) -> None:
-    """Refuse a layer that lies elsewhere than the reference, or has another size."""
+    """Raise an error if the place or size of a layer differs from that of the reference."""
     own_shape = shape if isinstance(layer, Vectors) else plane_shape(layer, own)
     if own_shape != shape or not frame.same_place(own, shape):
         own_size, size = (" x ".join(map(str, each)) for each in (own_shape, shape))
         raise LayerError(
             layer,
-            f"lies elsewhere than '{reference.name}': it has {own_size} pixels, that has {size}; "
-            "or their scale, translation, rotation, shear, affine or units differ. Choose another "
-            "layer in its menu, or ----- for none; or resample one of them.",
+            f"is not on the grid of '{reference.name}'. The layers have {own_size} and {size} "
+            "pixels; if these are equal, the scale, translation, rotation, shear, affine or units "
+            "differ. Choose another layer in its menu, or ----- for no layer; or resample one of "
+            "the layers.",
         )
 
 
@@ -254,12 +262,12 @@ def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
     Raises
     ------
     ProblemError
-        If the slice cannot be read, or has masked pixels.
+        If the slice cannot be read, or contains masked pixels.
     """
     try:
         picture = own.take(full_resolution(layer))
     except Exception as error:
-        # A lazy layer runs the code of its reader plugin, which may raise any exception.
+        # Loading a lazy layer runs code of a reader plugin, which can raise any exception.
         reason = str(error).rstrip(".") or type(error).__name__
         raise LayerError(
             layer, f"could not be read: {reason}. Check the file of the layer."
@@ -268,14 +276,17 @@ def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
     if hidden:
         raise LayerError(
             layer,
-            f"is a masked array with {hidden} masked values in this slice, and the mask would be "
-            "lost. Fill them with a value (0 stands for no tissue).",
+            f"is a masked array with {hidden} masked values in this slice, and masks are not "
+            "supported. Replace the masked values with a number (0 if there is no tissue).",
         )
     return np.asarray(picture)
 
 
 def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
-    """Return whether a layer has the pixels of a reference in the visible, else the first slice."""
+    """Return whether a layer has the grid of a reference layer.
+
+    The visible slices are compared; if this is not possible, the first slices.
+    """
     try:
         own, frame = frame_of(layer, view), frame_of(reference, view)
     except (HmrfError, ValueError):

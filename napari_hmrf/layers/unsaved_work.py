@@ -10,7 +10,9 @@ from napari_hmrf.study.study_model import Part
 
 
 class UnsavedWork:
-    """Register of slices with unsaved edits; `shared` returns the one of a viewer.
+    """Register of slices with unsaved edits; `shared` returns the register of a viewer.
+
+    Slices are identified by their drawings.
 
     Parameters
     ----------
@@ -19,9 +21,9 @@ class UnsavedWork:
     Attributes
     ----------
     paths : dict of Part to Path
-        File from which each slice was opened, or to which it was saved.
+        Path from which each slice was opened, or to which it was saved.
     saved_files : dict of Part to Path
-        Recovery file of each slice.
+        Path of the recovery file of each slice.
     """
 
     def __init__(self, viewer: Any) -> None:
@@ -32,7 +34,7 @@ class UnsavedWork:
 
     @property
     def slices(self) -> tuple[Part, ...]:
-        """Drawings of the slices with unsaved edits."""
+        """Slices with unsaved edits, identified by their drawings."""
         now = {part: self._model.get(part) for part in self._model.parts}
         return tuple(
             here
@@ -48,7 +50,7 @@ class UnsavedWork:
         here : Part
             Drawing of the slice.
         part : Part, optional
-            Edited part; without it, the slice counts as unsaved even after its edits are undone.
+            Edited part. If not given, the slice is considered unsaved even if all edits are undone.
         before : object
             Value of the part before the edit.
         """
@@ -56,5 +58,5 @@ class UnsavedWork:
         self._before.setdefault(here, {}).setdefault(part or here, value)
 
     def save(self, here: Part) -> None:
-        """Record that a slice was saved or discarded."""
+        """Record that the edits of a slice were saved or discarded."""
         self._before.pop(here, None)

@@ -1,4 +1,4 @@
-"""Adding, updating and finding layers without disturbing the user's work in the viewer."""
+"""Adding, updating and finding layers without affecting the user's selection and settings."""
 
 from __future__ import annotations
 
@@ -15,48 +15,49 @@ from napari_hmrf.layers.result_layers import LayerData
 
 
 def still_there(viewer: Any, layer: Any) -> Any:
-    """Return a layer if it is in the viewer; None if it was removed, or is None."""
+    """Return a layer if it is in the viewer; None if it was removed or is None."""
     return layer if layer is not None and layer in viewer.layers else None
 
 
 def update_layer(layer: Any, made: LayerData) -> None:
-    """Set the data and the place of a layer; the user's display settings stay."""
+    """Set the data, transform and metadata of a layer; display settings are unchanged."""
     layer.data = made.data
     for name in PLACE:
-        # Each assignment makes napari update extents and redraw, even for an equal value.
+        # Assign only changed values: napari updates extents and redraws after each assignment.
         if not np.array_equal(getattr(layer, name), made.attributes[name]):
             setattr(layer, name, made.attributes[name])
     layer.metadata = made.attributes["metadata"]
 
 
 def overwrite(viewer: Any, layer: Any, data: npt.NDArray[Any]) -> bool:
-    """Write new data into the array of a layer, and refresh only the canvas.
+    """Copy new data to the array of a layer, and refresh only the canvas.
 
-    Setting the data of a layer makes napari also update the viewer's axes, the thumbnail and the
-    layer list. During a drag none of these change, and without them an update takes a third of the
-    time on the GUI thread.
+    When the data of a layer are set, napari also updates the axes of the viewer, the thumbnail and
+    the layer list. These updates are not necessary during a drag; without them, an update takes a
+    third of the time on the GUI thread.
 
-    The layer's `data` event is not emitted, and its thumbnail is not updated: set the data of the
-    layer after the last update.
+    The `data` event of the layer is not emitted, and its thumbnail is not updated. Therefore, set
+    the data of the layer after the last update.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     layer : napari.layers.Layer
-        Layer whose data are an array that no other object uses.
+        Layer with an array that no other object uses.
     data : ndarray
-        New data, which are copied.
+        New data.
 
     Returns
     -------
     bool
-        False if shape or type differ, or the array is read-only; then nothing is changed.
+        True on success; False, without any change, if the shape or type differs or the array is
+        read-only.
     """
     shown = layer.data
     if (shown.shape, shown.dtype) != (data.shape, data.dtype) or not shown.flags.writeable:
         return False
     np.copyto(shown, data)
-    # The layer list repaints after every event of a layer, although nothing in it changes here.
+    # Block events, because the layer list would be repainted although it has not changed.
     with viewer.layers.events.blocker_all():
         layer.refresh(thumbnail=False, highlight=False, extent=False)
     return True
@@ -64,7 +65,7 @@ def overwrite(viewer: Any, layer: Any, data: npt.NDArray[Any]) -> bool:
 
 @contextmanager
 def same_selection(viewer: Any) -> Iterator[None]:
-    """Keep the selection and the active layer while layers are added or removed."""
+    """Return a context in which adding and removing layers does not change the selection."""
     layers = viewer.layers
     selected, active = set(layers.selection), layers.selection.active
     with layers.selection.events.active.blocker():
@@ -81,15 +82,15 @@ _shared: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDiction
 
 
 def shared(viewer: Any, kind: Callable[[Any], _Shared]) -> _Shared:
-    """Return the object of a class that belongs to a viewer; it is created on first use.
+    """Return the instance of a class for a viewer, and create it on first use.
 
-    The object is shared by all docks of the viewer, also after one is closed.
+    The instance is shared by all docks of the viewer, and continues to exist when docks are closed.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     kind : type
-        Class, called with the viewer; its objects must not hold a reference to the viewer.
+        Class, called with the viewer; its instances must not have strong references to the viewer.
     """
     objects = _shared.setdefault(viewer, {})
     if kind not in objects:

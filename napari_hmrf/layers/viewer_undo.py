@@ -1,4 +1,4 @@
-"""Undo and redo of all edits in a viewer, and their keys."""
+"""Undo and redo of all edits in a viewer, and their key bindings."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.tissue.row_table import RowTable
 
-#: Keys of undo and redo.
+#: Method for each key.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
-# Numbers of the strokes of napari's brush, in all viewers.
+# Counter of brush strokes in napari's Labels layers, common to all viewers.
 _strokes = itertools.count(1)
 
 
 class ViewerUndo:
-    """Undo and redo of a viewer's `StudyModel`; `undo_of` returns the one of a viewer.
+    """Undo and redo for the `StudyModel` of a viewer; `undo_of` returns the object of a viewer.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ class ViewerUndo:
     ----------
     model : StudyModel
     message : Signal(str, object)
-        Emitted after undo or redo, with a sentence about the step, and the `Step` itself or None if
-        there was none.
+        Emitted after undo or redo, with a sentence for the user and the `Step`, or None if there
+        was no step.
     """
 
     message = Signal(str, object)
@@ -44,39 +44,41 @@ class ViewerUndo:
     def __init__(self, viewer: Any) -> None:
         self.model = StudyModel()
         self._viewer = weakref.proxy(viewer)
-        # Docks that use the keys.
+        # Docks that have bound the keys.
         self._owners: weakref.WeakSet[object] = weakref.WeakSet()
-        # Stacks that restore the keys of the viewer, and of the active layer.
+        # Stacks that unbind the keys of the viewer and of the active layer.
         self._keys, self._of_layer = ExitStack(), ExitStack()
         self.model.changed.connect(self._on_changed)
         viewer.layers.events.removed.connect(self._on_removed)
 
     def undo(self) -> None:
-        """Undo the last step, and show the slice that it was on."""
+        """Undo the last step, and show its slice."""
         if not self._undo_older_paint("undo", self.model.next_undo):
-            self._report("undo", "Took back", self.model.undo(), "There is nothing to take back.")
+            self._report("undo", "Undone", self.model.undo(), "There is nothing to undo.")
 
     def redo(self) -> None:
-        """Redo the step that was undone last, and show the slice that it is on."""
+        """Redo the step that was undone last, and show its slice."""
         if not self._undo_older_paint("redo", self.model.next_redo):
-            self._report("redo", "Did again", self.model.redo(), "There is nothing to do again.")
+            self._report("redo", "Redone", self.model.redo(), "There is nothing to redo.")
 
     @property
     def tooltips(self) -> tuple[str, str]:
-        """Tooltips of undo and redo: the step, and the key."""
+        """Tooltips of undo and redo, with the next step and the key."""
         undo, redo = self.model.next_undo, self.model.next_redo
-        return f"{_tip('take back', undo)} (Ctrl+Z)", f"{_tip('do again', redo)} (Ctrl+Shift+Z)"
+        return f"{_tip('undo', undo)} (Ctrl+Z)", f"{_tip('redo', redo)} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: object) -> None:
         """Bind undo and redo to their keys.
 
-        While a Labels layer is active, napari binds these keys to the undo of paint; they are
-        replaced, and strokes in the layer become steps of the model.
+        While a Labels layer is active, napari binds the same keys to its own undo of paint. These
+        key bindings are replaced, and brush strokes in the layer are recorded as steps of the
+        model.
 
         Parameters
         ----------
         owner : object
-            User of the keys; they stay bound until the last owner calls `unbind_keys`.
+            Object that uses the keys. The keys remain bound until all owners have called
+            `unbind_keys`.
         """
         bound = bool(self._owners)
         self._owners.add(owner)
@@ -91,7 +93,7 @@ class ViewerUndo:
         self._on_active()
 
     def unbind_keys(self, owner: object) -> None:
-        """Restore the viewer's keys, once no owner is left."""
+        """Remove an owner; without any owners, restore the key bindings of the viewer."""
         self._owners.discard(owner)
         if not self._owners:
             self._keys.close()
@@ -99,7 +101,7 @@ class ViewerUndo:
     def _bind(self, owner: Any) -> ExitStack:
         bound = ExitStack()
         for key, name in KEYS.items():
-            with suppress(ValueError):  # bound by another plugin
+            with suppress(ValueError):  # the key is already bound by another plugin
                 owner.bind_key(key, lambda _, name=name: getattr(self, name)())
                 bound.callback(owner.bind_key, key, None)
         return bound
@@ -107,21 +109,22 @@ class ViewerUndo:
     def _on_active(self, *_: Any) -> None:
         self._of_layer.close()
         active = self._viewer.layers.selection.active
-        # If napari's history of paint cannot be used, its keys stay as they are.
+        # If napari's history of paint is not accessible, its key bindings are not replaced.
         if isinstance(active, Labels) and paint_steps(active, "undo") is not None:
             self._of_layer = self._bind(active)
             active.events.paint.connect(self._on_paint)
             self._of_layer.callback(active.events.paint.disconnect, self._on_paint)
 
     def _on_paint(self, event: Any) -> None:
-        """Make a stroke of napari's brush a step."""
+        """Record a brush stroke in a Labels layer as a step."""
         part = Part("paint", event.source)
         self.model.setdefault(part, 0)
-        # Unlike a count per layer, this number differs after undo and another stroke.
+        # Use a global counter: with a counter per layer, a stroke after an undo would have the
+        # number of the undone stroke.
         self.model.do(part, next(_strokes), f"painted in '{event.source.name}'")
 
     def _undo_older_paint(self, name: str, step: Step | None) -> bool:
-        """Undo or redo paint that is older than all steps; return whether there was such paint."""
+        """Undo or redo paint older than all steps; return whether there was such paint."""
         layer = self._viewer.layers.selection.active
         has_paint = step is None and bool(paint_steps(layer, name))
         if has_paint:
@@ -129,16 +132,17 @@ class ViewerUndo:
         return has_paint
 
     def _report(self, name: str, what: str, step: Step | None, nothing: str) -> None:
-        """Show the slice of an undone or redone step and report it; napari undoes its paint."""
+        """Report an undone or redone step and show its slice; for paint, call napari's undo."""
         if step is not None and isinstance(part := step.part, Part):
-            if part.kind == "paint" and paint_steps(part.layer, name):  # napari keeps 100 at most
+            # napari stores at most 100 strokes, so the stroke may no longer be available.
+            if part.kind == "paint" and paint_steps(part.layer, name):
                 getattr(part.layer, name)()
             self.go_to(part)
             what += self._of_image(part)
         self.message.emit(nothing if step is None else f"{what}: {step.word}.", step)
 
     def _of_image(self, part: Part) -> str:
-        """Return a clause that names the image, if several were edited."""
+        """Return a phrase with the name of the image if several images were edited, or ""."""
         images = {each.layer for each in self.model.parts if each.kind == "drawing" and each.layer}
         said = len(images) > 1 and part.kind in ("drawing", "choice")
         return f" on '{part.layer.name}'" if said and part.layer else ""
@@ -150,9 +154,10 @@ class ViewerUndo:
         ----------
         part : Part
         turn : bool
-            True to also change the displayed axes; otherwise nothing is done if they differ.
+            If True, also change the displayed axes. If False, do nothing if other axes are
+            displayed.
         """
-        if part.place is None or len(part.place.plane) == 3:  # a volume is shown in any slice
+        if part.place is None or len(part.place.plane) == 3:  # every slice shows a volume
             return
         plane, index = part.place.plane, part.place.index
         dims, layer = self._viewer.dims, part.layer
@@ -167,7 +172,7 @@ class ViewerUndo:
         dims.set_point([*there], [*there.values()])
 
     def _on_changed(self, part: Part, value: object) -> None:
-        """Store a table in the metadata of its layer."""
+        """Store a changed table in the metadata of its layer."""
         if isinstance(value, RowTable) and (part.kind == TISSUE or part.kind == BOUNDARY):
             store_table(value, part.layer, part.kind)
 
@@ -180,5 +185,5 @@ def _tip(what: str, step: Step | None) -> str:
 
 
 def undo_of(viewer: Any) -> ViewerUndo:
-    """Return the undo of a viewer, with its `StudyModel`."""
+    """Return the `ViewerUndo` of a viewer."""
     return shared(unwrapped(viewer), ViewerUndo)

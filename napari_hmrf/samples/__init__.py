@@ -1,1 +1,1 @@
-"""Phantoms, the demonstration and the self-test."""
+"""Phantoms, demonstrations and the self-test."""

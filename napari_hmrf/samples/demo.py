@@ -40,8 +40,8 @@ class Demonstration:
         Root mean square deviation from the finite-element displacement over the tissue, in pixels
         (eq. 20); None if there is no finite-element field of this size.
     rmsd_of_fem : float or None
-        Deviation of the solution with the material of the finite elements, if the solution has
-        another elastic material; otherwise None.
+        The same deviation for a second solution with the material of the finite elements, in
+        pixels. None unless `solution` has a different elastic material.
     folds : int
         Number of sites where the tissue folds, from `count_folds`.
     """
@@ -70,7 +70,7 @@ class Demonstration:
         )
 
     def _distances(self) -> tuple[tuple[str, str], ...]:
-        """Return the rows of deviations from finite elements, for both materials."""
+        """Return the rows for the deviations from finite elements, for both materials."""
         name, other = f"RMSD from FEM, nu {FEM.poisson}", "with another material"
         if self.rmsd is None:
             return (name, "-"), (other, "-")
@@ -107,7 +107,7 @@ def demonstrate(
     prior: Prior | None = None,
     optimizer: Optimizer | None = None,
 ) -> Demonstration:
-    """Solve a phantom.
+    """Solve a phantom, and compare the solution with finite elements.
 
     Parameters
     ----------
@@ -116,9 +116,9 @@ def demonstrate(
     size : int
         Number of pixels along each side.
     backend : str
-        One of `BACKEND_NAMES`; "auto" is the fastest that is ready, as in napari.
+        One of `BACKEND_NAMES`; "auto" selects the fastest backend that is ready, as in napari.
     progress : callable
-        Called repeatedly with a `Monitor`.
+        Function called repeatedly with a `Monitor`.
     prior, optimizer : optional
         As for `solve`.
 
@@ -129,7 +129,7 @@ def demonstrate(
     Raises
     ------
     ArgumentError
-        If there is no such phantom, or the size is invalid.
+        If the name or the size is invalid.
     BackendError
         If the requested backend cannot run.
     """
@@ -152,7 +152,7 @@ def demonstrate(
 
 
 def write_results(demonstration: Demonstration, folder: Path) -> list[Path]:
-    """Write the solution and its pictures to an existing folder, and return the written files."""
+    """Write the solution and its pictures to an existing folder; return the written files."""
     path = folder / "solution.npz"
     demonstration.solution.write(path)
     subject = demonstration.phantom

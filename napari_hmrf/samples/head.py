@@ -1,7 +1,7 @@
 """Three-dimensional phantom of a head: a brain with ventricles and a growing tumour, in a skull.
 
-All shapes are formulas, so that the phantom can have any size. Lengths are in millimetres. The
-module `phantoms` has phantoms of slices.
+Formulas define all shapes, so the phantom can have any size. Lengths are in millimetres. The module
+`phantoms` contains two-dimensional phantoms.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from napari_hmrf.tissue.boundary_rules import (
 Uint8Array = npt.NDArray[np.uint8]
 FloatArray = npt.NDArray[np.float64]
 
-#: Smallest size at which all parts of the head have an inside.
+#: Smallest size at which every part of the head has interior voxels.
 SMALLEST = 24
-#: Size of the sample in napari, whose voxels are 2 mm wide.
+#: Size of the sample in napari, at which voxels are 2 mm wide.
 SAMPLE_SIZE = 95
-#: Length of the image from front to back; half axes of the brain along (up, back, left); thickness
-#: of the skull. In millimetres.
+#: Length of the image from front to back, half axes of the brain along (up, back, left), and
+#: thickness of the skull, in millimetres.
 _LONG, _BRAIN, _SKULL = 190.0, (62.0, 84.0, 66.0), 7.0
-#: Position (up, back, left) of the tumour from the centre of the brain, and its radius.
+#: Position (up, back, left) of the tumour relative to the centre of the brain, and radius of the
+#: tumour, in millimetres.
 _TUMOUR_AT, _RADIUS = (10.0, 28.0, 30.0), 20.0
-#: Half axes and position of each horn of a ventricle along (up, back, lateral).
+#: Half axes and position of each horn of a ventricle along (up, back, lateral), in millimetres.
 _HORNS = (((8.0, 30.0, 8.0), (10.0, -6.0, 11.0)), ((16.0, 9.0, 7.0), (0.0, 24.0, 17.0)))
 
 #: Label of the tumour.
@@ -57,13 +58,13 @@ class HeadPhantom:
     Attributes
     ----------
     image : ndarray, shape (D, H, W), uint8
-        Image whose axes lead up, back and to the left of the patient.
+        Image with axes that point up, back and to the left of the patient.
     tissue_labels : ndarray, shape (D, H, W), uint8
         Labels of `materials`; the skull has label 0, like the outside.
     materials : tuple of Material
         Materials with relative stiffness.
     boundary_labels : ndarray, shape (D, H, W), uint8
-        Label of the rule of each voxel; 0 is not observed.
+        Label of the boundary rule at each voxel; 0 where the motion is not observed.
     boundary : tuple of BoundaryRule
         Rules of the boundary labels: the brain is fixed at the skull, and the rim of the tumour
         moves outward. Lengths are in millimetres.
@@ -89,14 +90,14 @@ class HeadPhantom:
 
     @cached_property
     def problem(self) -> Problem:
-        """Problem of the labels and their tables."""
+        """Problem that the labels and their tables define."""
         y, c = boundary_images(self.boundary_labels, self.boundary, spacing=self.spacing)
         m = stiffness_image(self.tissue_labels, self.materials)
         return Problem(y, c, m, spacing=self.spacing)
 
     @property
     def frame(self) -> Frame:
-        """Place of the head, with its centre at the origin of patient coordinates."""
+        """Frame that places the centre of the head at the origin of patient coordinates."""
         affine = np.eye(4)
         affine[:3, 3] = -(np.array(self.image.shape) - 1) / 2 * self.spacing
         units = ("millimeter",) * 3
@@ -106,13 +107,13 @@ class HeadPhantom:
 
 
 def head_phantom(size: int = 64, *, growth: float = 5.0) -> HeadPhantom:
-    """Draw the head at any size.
+    """Create the phantom of a head at any size.
 
     Parameters
     ----------
     size : int
-        Number of voxels from front to back; along the other axes there are four fifths of that
-        number. At size 190, voxels are 1 mm wide.
+        Number of voxels from front to back. The other axes have 0.8 times as many voxels. At size
+        190, voxels are 1 mm wide.
     growth : float
         Outward displacement of the rim of the tumour, in millimetres. The radius of the tumour is
         20 mm.
@@ -152,8 +153,8 @@ def head_phantom(size: int = 64, *, growth: float = 5.0) -> HeadPhantom:
     image = scipy.ndimage.gaussian_filter(grey, 0.6)
     pixels = np.clip(np.rint(image), 0, 255).astype(np.uint8)
     boundary = (inside & ~scipy.ndimage.binary_erosion(inside)).astype(np.uint8)
-    # With the full neighbourhood the rim has no gaps at edges and corners, so that it separates the
-    # inside of the tumour from the brain.
+    # With the full neighbourhood the rim has no gaps at edges and corners, so it separates the
+    # interior of the tumour from the brain.
     boundary[tumour & ~scipy.ndimage.binary_erosion(tumour, np.ones((3, 3, 3)))] = 2
     rules = (
         BoundaryRule(1, "fixed", name="skull"),
@@ -169,7 +170,10 @@ def _from(
     spacing: tuple[float, ...],
     middle: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the offset of each voxel from a position relative to the centre, in millimetres."""
+    """Return the offset of each voxel from a position, in millimetres.
+
+    The position `middle` is relative to the centre of the image.
+    """
     lines = [
         (np.arange(count) - (count - 1) / 2) * step - at
         for count, step, at in zip(shape, spacing, middle, strict=True)
@@ -179,7 +183,7 @@ def _from(
 
 
 def _ball(away: tuple[FloatArray, ...], half: tuple[float, ...] | list[float]) -> FloatArray:
-    """Return the squared distance from the centre of an ellipsoid, 1 on its surface."""
+    """Return the squared distance from the centre of an ellipsoid, scaled to 1 on its surface."""
     squares = ((part / size) ** 2 for part, size in zip(away, half, strict=True))
     inside: FloatArray = np.asarray(sum(squares), dtype=np.float64)
     return inside

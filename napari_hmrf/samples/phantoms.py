@@ -1,8 +1,8 @@
 """Phantoms: synthetic images with their tissue and the motion of their boundaries.
 
 The phantoms are the brain of the paper's figure 1, which expands or is pushed by a growing tumour,
-and a bar of two tissues. Each phantom consists of label images and two small tables, which the same
-functions convert to a `Problem` as for painted layers.
+and a bar of two tissues. Each phantom consists of label images and two small tables, which are
+converted to a `Problem` in the same way as painted layers.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from napari_hmrf.tissue.painted_loads import growth_loads
 
 #: Names of the phantoms.
 PHANTOM_NAMES = ("expansion", "mass-effect", "bar")
-#: Smallest size, in pixels, at which all parts of the phantoms have an inside.
+#: Smallest size, in pixels, at which every part of the phantoms has interior pixels.
 SMALLEST = 16
-#: Size, in pixels, for which the geometry is written: that of the paper's images.
+#: Size, in pixels, for which the geometry is defined: the size of the paper's images.
 _DRAWN_AT = 300
 
 _OUTSIDE = Material(0, "outside", 0.0)
@@ -60,7 +60,7 @@ class Phantom:
     name : str
         "expansion", "mass-effect" or "bar".
     title : str
-        Description.
+        Short description of the phantom.
     image : ndarray, shape (H, W), uint8
         Synthetic scan.
     tissue_labels : ndarray, shape (H, W), uint8
@@ -69,7 +69,7 @@ class Phantom:
         Materials of the tissue labels, with the relative stiffnesses of the paper: 20, 10 and 40,
         and 0 outside.
     boundary_labels : ndarray, shape (H, W), uint8
-        Label of the rule of each pixel; 0 is not observed.
+        Label of the boundary rule at each pixel; 0 where the motion is not observed.
     boundary : tuple of BoundaryRule
         Rules of the boundary labels; lengths are in pixels.
     """
@@ -87,7 +87,7 @@ class Phantom:
 
     @cached_property
     def problem(self) -> Problem:
-        """Problem of the labels and their tables, with spacing (1, 1)."""
+        """Problem that the labels and their tables define, with spacing (1, 1)."""
         y, c = boundary_images(self.boundary_labels, self.boundary, spacing=1)
         loads = growth_loads(self.tissue_labels, self.materials)
         return Problem(y, c, stiffness_image(self.tissue_labels, self.materials), loads=loads)
@@ -98,8 +98,8 @@ class Phantom:
         Parameters
         ----------
         strain : float
-            Growth of the tumour, as a relative change of length. With the default its rim also
-            moves by about 8 pixels at size 300.
+            Growth of the tumour, as a relative change of length. With the default, the rim of the
+            tumour moves by about 8 pixels at size 300, as in "mass-effect".
 
         Returns
         -------
@@ -117,18 +117,18 @@ class Phantom:
 
 
 def phantom(name: str, size: int = 300) -> Phantom:
-    """Draw a phantom at any size.
+    """Create a phantom at any size.
 
     Parameters
     ----------
     name : {"expansion", "mass-effect", "bar"}
-        "expansion": the brain's outline moves outward by 10 pixels at size 300. "mass-effect": the
-        outline is fixed and the rim of the tumour moves outward by 8 pixels. "bar": half normal,
-        half soft tissue; its left end is fixed and its right end moves 20 pixels to the right.
-        Motion scales with size.
+        "expansion": the outline of the brain moves outward by 10 pixels. "mass-effect": the
+        outline is fixed, and the rim of the tumour moves outward by 8 pixels. "bar": half of the
+        bar is normal tissue and half is soft tissue; the left end is fixed, and the right end
+        moves by 20 pixels to the right. These lengths apply at size 300 and scale with the size.
     size : int
-        Number of pixels along each side, at least 16; the bar has this length and a third of it as
-        height.
+        Number of pixels along each side, at least 16. The height of the bar is a third of this
+        number.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def phantom(name: str, size: int = 300) -> Phantom:
     Raises
     ------
     ArgumentError
-        If there is no phantom of this name, or `size` is not a whole number of at least 16.
+        If there is no phantom of this name, or if `size` is not a whole number of at least 16.
     """
     size = _checked(name, size)
     if name == "bar":
@@ -177,8 +177,8 @@ def sample(name: str) -> Phantom:
 def reference_displacement(name: str) -> npt.NDArray[np.float32]:
     """Return the finite-element displacement of ``phantom(name)`` from `sample_data`.
 
-    It was computed with bilinear quadrilaterals on the pixel grid in plane stress, with a Poisson's
-    ratio of 0.3, and is stored with a precision of 0.001 pixels.
+    The field was computed with bilinear quadrilaterals on the pixel grid, in plane stress and with
+    a Poisson's ratio of 0.3. The values are stored with a resolution of 0.001 pixels.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def _width(size: int) -> int:
 
 
 def _rim(region: npt.NDArray[np.bool_], size: int) -> npt.NDArray[np.bool_]:
-    """Return the pixels of a region along its edge, as wide as the painted boundary."""
+    """Return the mask of a region's rim, which is as wide as the painted boundary."""
     rim: npt.NDArray[np.bool_] = region & (
         scipy.ndimage.distance_transform_edt(region) <= _width(size)
     )
@@ -269,7 +269,10 @@ def _ellipse(
     half: tuple[float, float],
     tilt: tuple[float, float] = (1.0, 0.0),
 ) -> npt.NDArray[np.bool_]:
-    """Return a mask of an ellipse with half axes along and across the unit vector `tilt`."""
+    """Return the mask of an ellipse.
+
+    The half axes `half` are parallel and perpendicular to the unit vector `tilt`.
+    """
     row, col = row - centre[0], col - centre[1]
     along = (row * tilt[0] + col * tilt[1]) / half[0]
     across = (col * tilt[0] - row * tilt[1]) / half[1]
@@ -278,11 +281,11 @@ def _ellipse(
 
 
 def _brain(size: int) -> tuple[Uint8Array, npt.NDArray[np.bool_]]:
-    """Return the tissue labels of the brain, and its outline."""
+    """Return the tissue labels of the brain, and the mask of its outline."""
     row, col = _coordinates((size, size), size)
-    # The brain is egg-shaped and slightly wider at the back. It has two ventricles of two horns
-    # each and a round tumour. Only sums, products and quotients are used, so that the labels are
-    # equal on all platforms.
+    # The brain is egg-shaped and slightly wider at the back. It has two ventricles with two horns
+    # each, and a round tumour. The formulas use only sums, products and quotients, so the labels
+    # are identical on all platforms.
     egg = col / (106.0 * (1.0 + 0.06 * row / 128.0))
     inside = egg * egg + (row / 128.0) * (row / 128.0) <= 1.0
     tissue = np.zeros((size, size), dtype=np.uint8)
@@ -327,7 +330,7 @@ def _brain_image(tissue: Uint8Array, size: int) -> Uint8Array:
 
 
 def _texture(grey: FloatArray, size: int) -> Uint8Array:
-    """Blur the edges slightly, and add folds that make motion within a tissue visible."""
+    """Return a slightly blurred image with folds, which make motion within a tissue visible."""
     row, col = _coordinates(grey.shape, size)
     folds = (
         6.0 * np.sin(0.23 * row + 2.1 * np.sin(0.083 * col + 0.4))

@@ -1,6 +1,6 @@
 """Self-test: a report on the system and on the results of each backend.
 
-The report is plain text without the names of the user or of folders, for use in a bug report.
+The report is plain text for a bug report, and omits the names of the user and of the home folder.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import solve
 
-#: Largest allowed error of a backend, in pixels, for an affine field.
+#: Largest allowed errors of a backend for an affine field, in pixels: with the closed form, with a
+#: candidate set, and with the elastic prior.
 CLOSED_FORM_BOUND = 0.001
 CANDIDATES_BOUND = 0.02
 ELASTIC_BOUND = 0.001
 
-# Shape of the test volume: wider than a work group of the shaders, with several levels.
+# Shape of the test volume, which is wider than a work group of the shaders and has several levels.
 _VOLUME = (9, 12, 37)
 _BACKENDS = ("cpu", "opengl:fragment", "opengl:compute")
 _PACKAGES = (
@@ -53,12 +54,12 @@ def selftest(write: Callable[[str], None] = print) -> bool:
     Parameters
     ----------
     write : callable
-        Called with each line of the report.
+        Function called with each line of the report.
 
     Returns
     -------
     bool
-        True if there is a backend, and the results of all backends are right.
+        True if at least one backend is available, and the results of all backends are correct.
     """
 
     def write_line(line: str) -> None:
@@ -77,10 +78,10 @@ def selftest(write: Callable[[str], None] = print) -> bool:
 
 
 def affine_example(shape: tuple[int, ...] = (16, 23)) -> tuple[Problem, np.ndarray[Any, Any]]:
-    """Return a problem of uniform tissue whose border moves by an affine field, and the field.
+    """Return a problem with an affine solution, and that solution.
 
-    The affine field satisfies equilibrium inside the tissue for each mechanical prior, so that it
-    is the exact solution.
+    The border of uniform tissue moves by an affine field. This field satisfies equilibrium inside
+    the tissue for every mechanical prior, so it is the exact solution.
 
     Parameters
     ----------
@@ -142,7 +143,7 @@ def _report_opengl(write_line: Callable[[str], None]) -> None:
 
 
 def _check_backend(name: str, write_line: Callable[[str], None]) -> bool | None:
-    """Check the results of a backend; return whether they are right, None without the backend."""
+    """Return whether the results of a backend are correct, or None if it is not available."""
     write_line(f"  {name}")
     image, volume = affine_example(), affine_example(_VOLUME)
     refusal = _refusal(name, image[0])
@@ -179,7 +180,7 @@ def _check_backend(name: str, write_line: Callable[[str], None]) -> bool | None:
 
 
 def _refusal(name: str, problem: Problem) -> BackendError | None:
-    """Return the error of a backend that is missing or does not support a problem, or None."""
+    """Return the error if a backend is not available or does not support a problem, else None."""
     try:
         job = SolveJob.of(problem, ElasticPrior().resolved(problem), Multigrid())
         opened = partial(open_backend, job, name, lambda: None)
@@ -190,7 +191,7 @@ def _refusal(name: str, problem: Problem) -> BackendError | None:
 
 
 def _timings(name: str) -> Iterator[str]:
-    """Yield the times of solves of an image of the paper's size."""
+    """Yield descriptions of the solve times for an image of the paper's size."""
     problem = phantom("expansion").problem
     started = time.perf_counter()
     solution = solve(problem, SeilerPrior(), backend=name)
@@ -204,7 +205,7 @@ def _timings(name: str) -> Iterator[str]:
     started = time.perf_counter()
     solution = solve(problem, ElasticPrior(), backend=name)
     seconds = time.perf_counter() - started
-    yield f"300 x 300, elastic, once warm: {seconds:.3f} s, {solution.iterations} cycles"
+    yield f"300 x 300, elastic, second solve: {seconds:.3f} s, {solution.iterations} cycles"
 
 
 def _list(
@@ -223,7 +224,7 @@ def _list(
 
 
 def _anonymous(text: str) -> str:
-    """Remove the home folder and the name of the user from a text."""
+    """Replace the home folder and the name of the user in a text by a tilde."""
     text = text.replace(str(Path.home()), "~")
     try:
         user = getpass.getuser()

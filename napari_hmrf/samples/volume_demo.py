@@ -23,8 +23,8 @@ from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
-#: Outward displacement of the tumour's rim, in millimetres. From 2.5 on, elastic tissue around the
-#: tumour folds.
+#: Outward displacement of the tumour's rim, in millimetres. With 2.5 mm or more, elastic tissue
+#: around the tumour folds.
 GROWTH = 2.0
 #: One millilitre in cubic millimetres.
 _MILLILITRE = 1000.0
@@ -54,13 +54,13 @@ class VolumeDemonstration:
 
     @property
     def note(self) -> str:
-        """Warning about folded voxels, with a remedy; "" if there are none."""
+        """Warning about folded voxels, with a remedy; "" if there are no folded voxels."""
         if not self.folds:
             return ""
         return (
-            f"the tissue folds over itself at {self.folds} voxels, which no tissue does: the "
-            f"tumour grows by too much ({self.head.growth:g} mm). From Python, "
-            f"head_phantom({self.head.image.shape[1]}, growth={self.head.growth / 2:g}) grows less."
+            f"the tissue folds over itself at {self.folds} voxels, which real tissue cannot do: "
+            f"the growth of the tumour ({self.head.growth:g} mm) is too large. In Python, use "
+            f"head_phantom({self.head.image.shape[1]}, growth={self.head.growth / 2:g}) instead."
         )
 
     def rows(self) -> tuple[tuple[str, str], ...]:
@@ -72,7 +72,7 @@ class VolumeDemonstration:
         near = solution.convergence
         return (
             ("sample", f"{self.head.title}, {size}"),
-            ("growth", f"by {self.head.growth:g} mm, all around"),
+            ("growth", f"by {self.head.growth:g} mm in all directions"),
             ("model", in_words(run.parameters)),
             ("renderer", f"{run.renderer} ({run.backend})"),
             ("iterations", f"{solution.iterations}"),
@@ -93,7 +93,7 @@ def demonstrate_volume(
     poisson: float = USUAL_POISSON,
     growth: float = GROWTH,
 ) -> VolumeDemonstration:
-    """Solve the phantom of a head in which a tumour grows.
+    """Solve the phantom of a head with a growing tumour.
 
     Parameters
     ----------
@@ -102,6 +102,7 @@ def demonstrate_volume(
     backend, progress
         As for `demonstrate`.
     model : {"elastic", "paper", "paper, converged"}
+        Model of the tissue.
     poisson : float
         Poisson's ratio of all elastic tissue.
     growth : float
@@ -128,9 +129,9 @@ def demonstrate_volume(
         pictures=Pictures(head.image, head.tissue_labels, "head"),
     )
     if backend == "auto":
-        # All loops are compiled now, so that napari does not wait for them.
+        # Compile all loops now, so that napari does not have to wait for the compiler later.
         provide_loops(EVERYTHING, progress)
-        # Loops for volumes are compiled only on request.
+        # Loops for volumes are compiled only on request, so request those of this study.
         job = SolveJob(study.grid.shape, study.grid.spacing, study.prior, study.optimizer)
         provide_loops(job.loops, progress)
     solution = solve_study(study, backend=backend, progress=progress)
@@ -145,7 +146,7 @@ def demonstrate_volume(
 
 
 def write_volume_results(demonstration: VolumeDemonstration, folder: Path) -> list[Path]:
-    """Write the study with its field, and pictures of slices through the centre of the tumour.
+    """Write the study with its solution, and pictures of slices through the tumour's centre.
 
     Parameters
     ----------

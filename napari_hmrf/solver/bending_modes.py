@@ -1,9 +1,8 @@
 """Check that the observations determine the motion in the paper's model (eq. 7).
 
-The cliques resist only the bending of each component. In uniform tissue, a component that is
-constant or varies linearly has no energy; across tissues of different stiffness, only a constant
-component has none. The observations of each piece must prevent these motions, or the solution is
-not unique.
+The cliques resist only the bending of each component. A constant component has no energy. In a
+piece of uniform stiffness, a component that varies linearly has no energy either. The observations
+of each piece must prevent these motions; otherwise the solution is not unique.
 """
 
 from __future__ import annotations
@@ -18,18 +17,19 @@ from napari_hmrf.solver.priors.seiler import in_cliques
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 
-# Fraction of a motion's squared displacement at held sites up to which the motion is free.
+# Sum of squared displacements at constrained sites, as a fraction of the sum over all sites, up to
+# which a motion is free.
 _FREE_SHARE = 1e-9
-_DIRECTIONS = ("along rows", "along columns")
+_DIRECTIONS = ("along the row axis", "along the column axis")
 
 
 def check_bending(problem: Problem) -> None:
-    """Refuse a problem with a piece of tissue that could still move without energy.
+    """Raise an error if a piece of tissue can move without energy.
 
     Raises
     ------
     ProblemError
-        Naming the piece by its size and centre, and its possible motion.
+        If a piece can move; the message gives its size, its centre and its motion.
     """
     free = free_bend(problem, problem.known)
     if free is not None:
@@ -37,13 +37,13 @@ def check_bending(problem: Problem) -> None:
 
 
 def free_bend(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:
-    """Return a motion of some tissue that has no energy, or None.
+    """Return a motion of some tissue that has no energy, or None if there is none.
 
     Parameters
     ----------
     problem : Problem
     held : ndarray of bool, shape (H, W, 2)
-        Mask of the held components.
+        Mask of the constrained components.
     """
     for piece, component, motions in _free_pieces(problem, held):
         clause = "could still grow" if held[piece, component].any() else "is not held anywhere"
@@ -54,10 +54,10 @@ def free_bend(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | Non
 def _free_pieces(
     problem: Problem, held: npt.NDArray[np.bool_]
 ) -> Iterator[tuple[npt.NDArray[np.bool_], int, npt.NDArray[np.float64]]]:
-    """Yield each piece that could move, its component, and its free motions (motions, H, W, 2)."""
+    """Yield each piece that can move, its component, and its free motions, shape (n, H, W, 2)."""
     cliques = in_cliques(problem)
     i, j = np.indices(problem.shape)
-    # Motions that a component of a piece can make without energy: constant and linear.
+    # Motions of a component of a piece that may have no energy: constant and linear.
     basis = np.stack([np.ones(problem.shape), i / max(problem.shape), j / max(problem.shape)], -1)
     for component in range(len(_DIRECTIONS)):
         pieces, _ = scipy.ndimage.label(cliques[..., component], structure=np.ones((3, 3)))
@@ -78,7 +78,7 @@ def _free_pieces(
 def _free_modes(
     possible: npt.NDArray[np.float64], held_sites: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.float64]:
-    """Return the combinations of motions (sites, motions) that vanish at the held sites."""
+    """Return the combinations of motions (sites, motions) that vanish at constrained sites."""
     sizes, combinations = np.linalg.eigh(possible.T @ possible)
     is_independent = sizes > _FREE_SHARE * sizes[-1]
     basis = combinations[:, is_independent] / np.sqrt(sizes[is_independent])

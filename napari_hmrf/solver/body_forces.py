@@ -1,8 +1,8 @@
-"""Weight, pressure and traction as forces at sites.
+"""Forces of weight, pressure and traction at sites.
 
-The surface of tissue consists of the faces of elements (in an image, the edges) that belong to one
-element only. A force per volume or per area is shared equally by the corners of the element or the
-face, as in finite elements.
+The surface of tissue consists of the faces (in an image, the edges) that belong to a single
+element. A force per volume or area is distributed equally to the corners of the element or face, as
+in finite elements.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def weight(
     Parameters
     ----------
     stiffness : array_like, shape (H, W) or (D, H, W)
-        Stiffness of the problem; above 0 is tissue.
+        Stiffness of the problem; above 0 in tissue.
     acceleration : sequence of float, shape (n,)
         Acceleration vector, components in the order of the axes. Its product with density is a
         force per volume, in the unit of stiffness per length: 0.00981 kPa / mm for water.
@@ -57,7 +57,7 @@ def weight(
     Raises
     ------
     ProblemError
-        Naming the invalid input and a remedy.
+        If an input is invalid; the message names the input and a remedy.
     """
     tissue, size = _tissue(stiffness), _size(stiffness, spacing)
     vector = _vector("acceleration", acceleration, tissue.shape, of_sites=False)
@@ -66,7 +66,7 @@ def weight(
     if not elements.any():
         raise ProblemError(
             "stiffness",
-            "has no tissue that is two pixels wide, so that no weight acts. Make the tissue wider.",
+            "has no tissue that is two pixels wide, so no weight acts. Make the tissue wider.",
         )
     share = math.prod(size) / 2**tissue.ndim
     mean = of_corners(density_of_sites, np.add) / 2**tissue.ndim
@@ -81,18 +81,18 @@ def pressure(
     *,
     spacing: float | Sequence[float],
 ) -> Loads:
-    """Return the forces of a pressure on a painted part of the tissue's surface.
+    """Return the forces of a pressure on a marked part of the tissue's surface.
 
     Parameters
     ----------
     stiffness : array_like, shape (H, W) or (D, H, W)
-        Stiffness of the problem; above 0 is tissue.
+        Stiffness of the problem; above 0 in tissue.
     surface : array_like of bool, shape (H, W) or (D, H, W)
-        Mask of painted sites. The pressure acts on each face of the surface whose corners are all
-        painted; other painted sites have no effect. The surface includes the edge of the image.
+        Mask of marked sites. The pressure acts on each face of the surface with all corners marked;
+        other marked sites have no effect. The surface includes the edge of the image.
     amount : float or array_like, shape (H, W) or (D, H, W)
-        Force per area, in the unit of stiffness; above 0 it pushes into the tissue, below 0 it
-        pulls outwards.
+        Force per area, in the unit of stiffness. Positive values push into the tissue, negative
+        values pull outwards.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel, as in the problem; a single number applies to all axes.
 
@@ -103,7 +103,7 @@ def pressure(
     Raises
     ------
     ProblemError
-        Naming the invalid input and a remedy.
+        If an input is invalid; the message names the input and a remedy.
     """
     tissue, size = _tissue(stiffness), _size(stiffness, spacing)
     presses = _of_sites("amount", amount, tissue.shape)
@@ -122,21 +122,21 @@ def traction(
     *,
     spacing: float | Sequence[float],
 ) -> Loads:
-    """Return the forces of a traction, in any direction, on a painted part of the tissue's surface.
+    """Return the forces of a traction, in any direction, on a marked part of the tissue's surface.
 
-    An oblique surface is a staircase of faces, whose total area is larger than that of the surface.
-    The area of each face is therefore multiplied by the cosine of the angle between the face and
-    the smoothed surface.
+    On the pixel grid, an oblique surface is a staircase of faces with a larger total area. The area
+    of each face is therefore multiplied by the cosine of the angle between the face and the
+    smoothed surface.
 
     Parameters
     ----------
     stiffness : array_like, shape (H, W) or (D, H, W)
-        Stiffness of the problem; above 0 is tissue.
+        Stiffness of the problem; above 0 in tissue.
     surface : array_like of bool, shape (H, W) or (D, H, W)
-        Mask of painted sites, as for `pressure`.
+        Mask of marked sites, as for `pressure`.
     vector : array_like, shape (n,), (H, W, 2) or (D, H, W, 3)
         Force per area, in the unit of stiffness, components in the order of the axes: one vector
-        for the whole surface, or one for each site.
+        for the whole surface, or one vector for each site.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel, as in the problem; a single number applies to all axes.
 
@@ -147,7 +147,7 @@ def traction(
     Raises
     ------
     ProblemError
-        Naming the invalid input and a remedy.
+        If an input is invalid; the message names the input and a remedy.
     """
     tissue, size = _tissue(stiffness), _size(stiffness, spacing)
     pulls = _vector("vector", vector, tissue.shape, of_sites=True)
@@ -159,10 +159,10 @@ def traction(
 
 
 class _Faces(NamedTuple):
-    """Faces of a grid across one axis, with the sign of their outward normal on a surface."""
+    """Faces of a grid perpendicular to one axis, with the sign of their outward normal."""
 
     axis: int
-    # Sign of the outward normal along the axis; 0 for faces that are not on the surface.
+    # Sign of the outward normal along the axis; 0 for faces that are not part of the surface.
     outward: npt.NDArray[np.int8]
 
     def mean(self, values: npt.NDArray[Any]) -> Float64Array:
@@ -171,7 +171,7 @@ class _Faces(NamedTuple):
         return np.asarray(total / 2 ** (values.ndim - 1))
 
     def corners(self, values: Float64Array) -> Float64Array:
-        """Spread the value of each face over its corners, in equal parts."""
+        """Distribute the value of each face equally to its corners."""
         padding = [(0 if along == self.axis else 1,) * 2 for along in range(values.ndim)]
         total = _across(np.pad(values, padding), self.axis, np.add)
         return np.asarray(total / 2 ** (values.ndim - 1))
@@ -180,7 +180,7 @@ class _Faces(NamedTuple):
 def _across(
     values: npt.NDArray[Any], axis: int, combine: Callable[[Any, Any], Any]
 ) -> npt.NDArray[Any]:
-    """Combine the values at the corners of each face across an axis."""
+    """Combine the values at the corners of each face perpendicular to an axis."""
     for along, (first, last) in enumerate(pairs(values.ndim)):
         if along != axis:
             values = combine(values[first], values[last])
@@ -188,7 +188,7 @@ def _across(
 
 
 def _surface(tissue: Mask, surface: npt.ArrayLike) -> list[_Faces]:
-    """Return the painted faces of the tissue's surface, for each axis."""
+    """Return the marked faces of the tissue's surface, for each axis."""
     painted = as_float32("surface", surface)
     if painted.shape != tissue.shape:
         raise ProblemError(
@@ -212,10 +212,10 @@ def _surface(tissue: Mask, surface: npt.ArrayLike) -> list[_Faces]:
 
 
 def _areas(surface: list[_Faces], size: tuple[float, ...]) -> Iterator[tuple[_Faces, Float64Array]]:
-    """Yield the faces across each axis with their areas, corrected for the steps of the surface."""
+    """Yield the faces perpendicular to each axis, with areas corrected for the staircase."""
     axes = len(size)
     sigma = [_SMOOTHING * max(size) / length for length in size]
-    # Smoothed area at each site, by axis and sign of the normal.
+    # Smoothed area at each site, for each axis and sign of the normal.
     around = {}
     for faces in surface:
         area = math.prod(size) / size[faces.axis]
@@ -252,7 +252,7 @@ def _size(stiffness: npt.ArrayLike, spacing: float | Sequence[float]) -> tuple[f
 
 
 def _of_sites(name: str, values: npt.ArrayLike, grid: tuple[int, ...]) -> Float64Array:
-    """Return a number, or one number for each site, broadcast to the grid."""
+    """Return a number, or one number for each site, as an array on the grid."""
     array = as_float32(name, values)
     if array.shape not in ((), grid):
         raise ProblemError(
@@ -265,7 +265,7 @@ def _of_sites(name: str, values: npt.ArrayLike, grid: tuple[int, ...]) -> Float6
 def _vector(
     name: str, values: npt.ArrayLike, grid: tuple[int, ...], of_sites: bool
 ) -> Float64Array:
-    """Return a checked vector; with `of_sites`, one vector for each site of the grid."""
+    """Return a validated vector; with `of_sites`, one vector for each site of the grid."""
     array, axes = as_float32(name, values), len(grid)
     if array.shape != (axes,) and not (of_sites and array.shape == (*grid, axes)):
         or_field = f", or a vector for each site, {(*grid, axes)}" if of_sites else ""

@@ -12,18 +12,18 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import levels, sampled
 
-# Share of a boundary that the first three coarse levels must sample. They sample 0.16 to 0.29 of a
-# boundary that is one pixel wide, and 0.41 or more if it is 3 pixels wide.
+# Least fraction of a boundary that the first three coarse levels must sample. They sample 0.16 to
+# 0.29 of a boundary that is one pixel wide, and 0.41 or more if the boundary is 3 pixels wide.
 _SAMPLED_SHARE = 0.32
-# Number of levels up to which the share is not checked: images of up to 32 pixels have few coarse
-# levels.
+# Number of levels up to which the fraction is not checked: images of up to 32 pixels have few
+# coarse levels.
 _SMALLEST_TREE = 6
-#: Clause for tissue that nothing holds.
+#: Clause for tissue without sufficient constraints.
 LOOSE = "nothing holds the tissue"
 
 
 def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, ...]:
-    """Return caveats of a problem, as clauses for the user, except those that a solve refuses.
+    """Return caveats about a problem that can be solved, as clauses for the user.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
 
 
 def shortfall(reach: Reach | None, unit: str) -> str:
-    """Describe where large motion fell short of the problem, and by how much; "" if nowhere.
+    """Describe how large motion falls short of the problem; "" if it does not.
 
     Parameters
     ----------
@@ -51,36 +51,34 @@ def shortfall(reach: Reach | None, unit: str) -> str:
     """
     clauses = []
     if reach is not None and reach.grown < 1:
-        clauses.append(
-            f"tissue has grown by {reach.grown:.0%} of what it was to: there is no more room"
-        )
+        clauses.append(f"only {reach.grown:.0%} of the growth was possible: there is no more room")
     if reach is not None and reach.where is not None:
         clauses.append(
-            f"tissue could not go all the way without folding: {reach.sites} pixels stay short of "
-            f"where they were to be, the one at {reach.where} by {reach.missing:.3g} {unit}"
+            f"tissue could not move all the way without folding: {reach.sites} pixels stay short "
+            f"of their targets, the pixel at {reach.where} by {reach.missing:.3g} {unit}"
         )
     if reach is not None and reach.unbalanced_at is not None:
         clauses.append(
             "crushed tissue did not settle: pixels may still be "
-            f"{reach.unbalanced:.3g} {unit} from balance, most at {reach.unbalanced_at}"
+            f"{reach.unbalanced:.3g} {unit} from equilibrium, most at {reach.unbalanced_at}"
         )
     return "; ".join(clauses)
 
 
 def missing_constraint(problem: Problem) -> str:
-    """Return a clause if no tissue moves, or if nothing holds the tissue; else "".
+    """Return a clause if no tissue moves, or if the tissue is not constrained; otherwise "".
 
     Parameters
     ----------
     problem : Problem
     """
-    if problem.loads is not None:  # loads are refused elsewhere if nothing holds the tissue
+    if problem.loads is not None:  # another check raises an error for unconstrained tissue
         return ""
     observed = problem.known.any(axis=-1)
     displacements = problem.observed[observed]
     if not displacements.any():
         return (
-            "nothing moves: have something on tissue move or expand, by a distance other than 0 "
+            "nothing moves: mark tissue that moves or expands, by a distance other than 0 "
             "and with a confidence above 0"
         )
     rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
@@ -94,13 +92,13 @@ def missing_constraint(problem: Problem) -> str:
 
 
 def rigid_caveat(problem: Problem, prior: Prior) -> str:
-    """Return a clause if doubted observations are held exactly near rigid tissue; else "".
+    """Return a clause if rigid tissue makes uncertain observations exact; otherwise "".
 
     Parameters
     ----------
     problem : Problem
     prior : Prior
-        The prior as given, before `resolved`.
+        Prior before `resolved`.
     """
     if not isinstance(prior, Elastic) or prior.penalty is not None or not problem.rigid.any():
         return ""
@@ -110,15 +108,15 @@ def rigid_caveat(problem: Problem, prior: Prior) -> str:
         return ""
     pixels = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
     return (
-        f"{pixels} held exactly, though of a confidence below 1, as beside rigid tissue nothing "
-        "may slip"
+        f"{pixels} held exactly, although the confidence is below 1, because observations cannot "
+        "slip in a problem with rigid tissue"
     )
 
 
 def _thin_boundary(problem: Problem) -> str:
-    """Return a clause if the boundary is too thin for the coarse levels to sample it; else ""."""
-    # Level n samples every 2^n-th pixel. Motion starts on the coarse levels; the sweeps on the
-    # finest level cannot correct for a boundary that these miss.
+    """Return a clause if the boundary is too thin for the coarse levels; otherwise ""."""
+    # Level n samples every 2^n-th pixel. Motion starts on the coarse levels; if they miss a
+    # boundary, the sweeps on the finest level cannot correct for it.
     tree = levels(problem.shape)
     if len(tree) <= _SMALLEST_TREE:
         return ""
@@ -139,7 +137,7 @@ def _thin_boundary(problem: Problem) -> str:
 
 
 def _loose_pieces(problem: Problem) -> str:
-    """Return a clause if pieces of tissue have no observation; else ""."""
+    """Return a clause if pieces of tissue have no observation; otherwise ""."""
     around = np.ones((3,) * problem.tissue.ndim)
     pieces, count = scipy.ndimage.label(problem.tissue, structure=around)
     held = np.unique(pieces[problem.known.any(axis=-1)])
@@ -149,4 +147,4 @@ def _loose_pieces(problem: Problem) -> str:
     pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
     sites = "voxels" if problem.tissue.ndim == 3 else "pixels"
     subject = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
-    return f"{subject} no boundary ({pixels} {sites}): how it moves is not determined"
+    return f"{subject} no boundary ({pixels} {sites}): its motion is not determined"

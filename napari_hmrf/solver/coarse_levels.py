@@ -1,14 +1,15 @@
-"""Coarse levels of multigrid: their grids, springs at held sites, and bounds of the spectrum.
+"""Coarse levels of multigrid: grids, springs near constrained sites, and bounds of the spectrum.
 
-Coarse site i lies *on* fine site 2 i (the sites of the quadtree lie between), so a level has
-``size // 2 + 1`` sites along an axis. A coarse element has the mean Lame parameters of the four
-elements that it covers, with 0 for void. In two dimensions the energy of an element does not depend
-on its size, so the kernels need no other data. In three dimensions it is proportional to the side
-of the element, so a coarse element has twice the mean of its eight elements.
+Coarse site i *coincides* with fine site 2 i (unlike sites of the quadtree, which lie between fine
+sites), so a coarse level has ``size // 2 + 1`` sites along an axis. A coarse element has the mean
+Lame parameters of its four fine elements, where void counts as 0. In two dimensions the energy of
+an element does not depend on its size, so the kernels need no other data. In three dimensions the
+energy is proportional to the side of the element, so a coarse element has twice the mean of its
+eight fine elements.
 
-Held sites do not move on the finest level. On coarse levels, springs act on the sites near them:
-fixing every coarse site that touches a held one would make the correction useless near any
-boundary.
+Constrained sites do not move on the finest level. On coarse levels, springs act on the sites near
+them. If every coarse site next to a constrained fine site were fixed instead, the correction would
+be useless near any boundary.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio
 
 #: Number of sites along the longest axis up to which a level is the coarsest.
 COARSEST = 5
-#: Largest number of held fine sites that count at a coarse site.
+#: Upper limit of the number of constrained fine sites that contribute to a coarse site.
 MOST_PINS = 4.0
-#: Stiffness of the spring for each held fine site, as a fraction of the coarse site's diagonal.
+#: Stiffness of the spring for each constrained fine site, relative to the coarse diagonal.
 SPRING = 0.6
 
 
@@ -38,11 +39,11 @@ def grids(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def smoother_bounds(material: ElasticMaterial) -> tuple[float, float]:
-    """Return two upper bounds of the spectrum of D^-1 A: one for usual, one for any materials.
+    """Return upper bounds of the spectrum of D^-1 A, for usual materials and for any materials.
 
-    The first is the bound for a uniform grid, from its symbol; mixtures of materials hardly exceed
-    it. The second is the bound for the worst single element, which no mixture exceeds. Both grow
-    with lambda / mu.
+    The first bound is that of a uniform grid, from its symbol; mixtures of materials hardly exceed
+    this bound. The second bound is that of the worst single element, which no mixture exceeds. Both
+    bounds increase with lambda / mu.
     """
     return _bounds(lame_ratio(material.largest_poisson, material.strain), material.shape)
 

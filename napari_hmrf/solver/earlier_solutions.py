@@ -1,4 +1,4 @@
-"""Earlier solutions, from which the next solve starts."""
+"""Earlier solutions, as warm starts of the next solve."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from napari_hmrf.solver.loads import are_same
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
-#: Number of solutions to keep. Each costs a pass over the image. A patch that is dragged has two
-#: directions and an origin, which makes three; one more is kept in reserve.
+#: Number of solutions to store. Each solution costs a pass over the image. A dragged patch needs
+#: three: one for each of two directions, and one for the origin. One more is in reserve.
 KEPT = 4
 
 
 class EarlierSolutions:
     """Latest solutions on one grid, for different observations and loads.
 
-    Displacements are proportional to observations and loads, so that a linear combination of these
-    solutions is often so close to the next one that its solve needs hardly any cycles.
+    Displacements are proportional to observations and loads. A linear combination of these
+    solutions is therefore often close to the next solution, which then needs only a few cycles.
 
     Attributes
     ----------
     solutions : list of Solution
-        Latest first.
+        Solutions, latest first.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class EarlierSolutions:
             self.solutions, self._latest_problem = [], None
 
     def add(self, problem: Problem, solution: Solution) -> None:
-        """Keep a solution; it replaces the latest one if both have the same observations."""
+        """Store a solution; it replaces the latest solution if both have the same observations."""
         before, self._latest_problem = self._latest_problem, problem
         if before is not None and _same_observations(before, problem):
             del self.solutions[0]

@@ -1,4 +1,4 @@
-"""Elastic properties of a solution, from which elastic strain is computed."""
+"""Elastic properties of a solution, for the computation of elastic strain."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from napari_hmrf.solver.real_arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Elasticity:
-    """Elastic properties with which a displacement was solved.
+    """Elastic properties of the tissue of a solution.
 
     Attributes
     ----------
@@ -27,11 +27,12 @@ class Elasticity:
     plane : {"stress", "strain"}
         As for `ElasticPrior`; ignored in a volume.
     finite : bool
-        True for `NeoHookeanPrior`, False for `ElasticPrior`, whose strain is small strain.
+        True for the finite strain of `NeoHookeanPrior`, False for the small strain of
+        `ElasticPrior`.
     growth : ndarray, optional
-        Growth strain as in `Loads`, scaled to the fraction of the growth that the solve reached.
+        Growth strain as in `Loads`, times the completed fraction of the growth.
     rigid : ndarray of bool, shape ([D,] H, W), optional
-        Rigid tissue, which has no strain; None if there is none.
+        Mask of rigid tissue, which has no strain; None if there is none.
     """
 
     poisson: float | npt.NDArray[np.float32]
@@ -42,14 +43,14 @@ class Elasticity:
 
     @classmethod
     def of_problem(cls, problem: Problem, prior: Elastic, grown: float = 1.0) -> Elasticity:
-        """Return the properties of a problem's tissue.
+        """Return the elastic properties of a problem's tissue.
 
         Parameters
         ----------
         problem : Problem
         prior : ElasticPrior or NeoHookeanPrior
         grown : float
-            Fraction of the growth that the solve reached.
+            Completed fraction of the growth.
         """
         growth = None if problem.loads is None else problem.loads.growth
         if growth is not None and grown != 1:
@@ -67,12 +68,12 @@ class Elasticity:
 
 
 def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Elasticity | None:
-    """Read elastic properties from a file; older files have them only in their parameters.
+    """Read elastic properties from a file; in older files, they are part of the parameters.
 
     Raises
     ------
     Invalid
-        If the properties are invalid, or do not fit the grid of the file.
+        If the properties are invalid, or do not match the grid of the file.
     """
     grid, poisson, growth = arrays["tissue"].shape, arrays.get("poisson"), arrays.get("growth")
     given, rigid = header.get("elasticity"), arrays.get("rigid")
@@ -97,15 +98,15 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
         if growth.shape not in [grid, *((*grid, size, size) for size in sizes)]:
             raise array_file.Invalid(f"its growth {growth.shape} and tissue disagree")
         if not np.isfinite(growth).all():
-            raise array_file.Invalid("its growth holds values that are not numbers")
+            raise array_file.Invalid("its growth contains values that are not numbers")
     if rigid is not None and rigid.shape != grid:
         raise array_file.Invalid(f"its rigid tissue {rigid.shape} and tissue disagree")
     return Elasticity(float(nu) if poisson is None else poisson, plane, finite, growth, rigid)
 
 
 def _elasticity_in_parameters(provenance: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the properties of a result without growth and with one Poisson's ratio, else None."""
-    # Parameters hold neither growth nor a map of Poisson's ratios.
+    """Return the properties recorded in the parameters, or None if these are not sufficient."""
+    # Parameters contain neither growth nor a map of Poisson's ratios.
     prior = provenance.get("parameters", {}).get("prior")
     finite = {"ElasticPrior": False, "NeoHookeanPrior": True}
     if not isinstance(prior, dict) or prior.get("name") not in finite:

@@ -1,8 +1,9 @@
-"""Queue of the compute thread in which only the latest job counts.
+"""Queue of the compute thread in which the latest job replaces the pending job.
 
-Edits come faster than they can be solved, and a slider moves faster than pictures can be drawn. A
-`LatestQueue` runs one job at a time. A job that is submitted meanwhile waits, and replaces the job
-that waited before. Each job is called with a `Turn`, which shows whether the job is out of date.
+Edits arrive faster than they can be solved, and a slider moves faster than pictures can be drawn. A
+`LatestQueue` runs one job at a time. A job that is submitted in the meantime is pending until the
+running job ends, and replaces the previous pending job. Each job is called with a `Turn`, which
+reports whether the job is out of date.
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ _log = logging.getLogger("napari_hmrf")
 
 
 class Turn:
-    """Turn of a job of a `LatestQueue`; also the flag that stops its solve.
+    """State of a job of a `LatestQueue`; also the flag that cancels its solve.
 
     Attributes
     ----------
     generation : int
-        Number of the job: 1 for the first that was submitted to its queue, then counting up.
+        Number of the job, counted from 1 for each queue.
     series : int
-        Number of times that the jobs of the queue had been dropped before. Jobs with the same
-        number belong together.
+        Number of times that all jobs of the queue had been dropped before this job was submitted.
+        Jobs of the same series belong together.
     submitted : float
-        Time of submission, by `time.perf_counter`.
+        Time of submission, from `time.perf_counter`.
     patience : float
-        Time, in seconds from its start, for which the job goes on although a newer one may start.
-        The job may change it.
+        Time, in seconds from its start, during which a newer job does not stop this job. The job
+        may change this value.
     """
 
     def __init__(self, queue: LatestQueue, generation: int, series: int, patience: float) -> None:
@@ -45,11 +46,11 @@ class Turn:
 
     @property
     def dropped(self) -> bool:
-        """True if the result of the job is no longer wanted, even if it has ended by now."""
+        """True if the result of the job is obsolete, even if the job has ended."""
         return self.series != self._queue.series
 
     def is_set(self) -> bool:
-        """Return whether to stop: the job is dropped, or too late while a newer job waits."""
+        """Return whether to stop: dropped, or out of patience while another job could start."""
         late = time.perf_counter() > self._started + self.patience
         return self.dropped or (late and self._queue.can_go_on)
 
@@ -58,21 +59,21 @@ class Turn:
         self._started = time.perf_counter()
 
 
-#: Work on the compute thread, called with its turn; it handles its own errors.
+#: Work on the compute thread, called with its turn. It must handle its own errors.
 Job = Callable[[Turn], object]
 
 
 class LatestQueue:
     """Queue of the compute thread in which the latest job replaces the pending job.
 
-    All methods may be called from any thread, and all but `wait` return at once. The queues of a
-    process share the compute thread and take turns after each job.
+    All methods may be called from any thread. All methods except `wait` return immediately. The
+    queues of a process share the compute thread and take turns after each job.
 
     Parameters
     ----------
     doing : str
-        Description of the jobs of this queue and how to stop them, as a clause after "waiting for";
-        shown to other users of the compute thread.
+        Description of the jobs of this queue and how to stop them, as a clause after "waiting for".
+        Other users of the compute thread display it.
     """
 
     def __init__(self, doing: str) -> None:
@@ -93,14 +94,14 @@ class LatestQueue:
         Parameters
         ----------
         job : callable
-            Called with its turn on the compute thread, unless it is replaced before.
+            Called with its turn on the compute thread, unless a newer job replaces it before.
         patience : float
             As for `Turn`; by default the job runs to its end.
 
         Raises
         ------
         RuntimeError
-            After `close`.
+            If the queue is closed.
         """
         with self._changed:
             if self._closed:
@@ -112,34 +113,34 @@ class LatestQueue:
             return turn
 
     def hold(self) -> None:
-        """Start no other job until `resume`, for instance until a result is painted.
+        """Start no other job until `resume`, for example until a result is painted.
 
-        Called by the running job; without effect if that job was dropped.
+        Called by the running job; has no effect if that job was dropped.
         """
         with self._changed:
             self._is_held = self._current is not None and not self._current.dropped
 
     def resume(self) -> None:
-        """Start the job that waits, after `hold`."""
+        """Start the pending job, after `hold`."""
         with self._changed:
             self._is_held = False
             self._go_on()
 
     def drop(self) -> None:
-        """Drop all jobs so far; the one that runs stops at its next checkpoint."""
+        """Drop all submitted jobs; the running job stops at its next check for cancellation."""
         with self._changed:
             self.series += 1
             self._waiting, self._is_held = None, False
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Drop all jobs, and accept none from now on; harmless if repeated."""
+        """Drop all jobs and accept no more; may be called repeatedly."""
         with self._changed:
             self._closed = True
             self.drop()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no job waits or runs; return whether that happened in time."""
+        """Wait until no job is pending or running; return False after a timeout."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: self._waiting is None and self._scheduled is None, timeout
@@ -164,22 +165,22 @@ class LatestQueue:
 
     @property
     def has_pending(self) -> bool:
-        """True if a job waits that is newer than the one that runs."""
+        """True if a job is pending."""
         return self._waiting is not None
 
     @property
     def can_go_on(self) -> bool:
-        """True if the job that waits would start if the one that runs stopped."""
+        """True if the pending job would start if the running job stopped."""
         return self._waiting is not None and not self._is_held
 
     @property
     def delay(self) -> str:
-        """Description of other work that the job waits for, and how to stop it; "" if none."""
+        """Description of work that delays the pending job, and how to stop it; "" if none."""
         with self._changed:
             return "" if self._scheduled is None else compute_thread.delays(self._scheduled)
 
     def _go_on(self) -> None:
-        """Schedule the waiting job, if any: one job at a time, so that other queues get turns."""
+        """Schedule the pending job, if any; one job at a time, so that other queues get turns."""
         if self._scheduled is not None:
             return
         if self._waiting is None:

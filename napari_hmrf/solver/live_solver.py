@@ -1,7 +1,7 @@
 """Solver for a problem that is being edited: the latest edit wins, with a warm start.
 
-Edits come faster than solves end, so only the latest waits, and each solve starts from the last
-solutions. All work runs on the compute thread.
+Edits arrive faster than solves end, so only the latest edit is pending, and each solve starts from
+the last solutions. All work runs on the compute thread.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_
 TOLERANCE = 0.01
 #: Tolerance of a preview, in pixels.
 PREVIEW_TOLERANCE = 0.3
-#: A preview is shown if the first solution is expected to take longer than this, in seconds.
+#: Expected time of the first solution, in seconds, above which a preview is shown.
 PATIENCE = 0.1
 # Time of a cold start per site on two cores, in seconds.
 _SITE_SECONDS = 2e-7
 
-# Solutions with a smaller Jacobian determinant are no warm start for large motion.
+# Least Jacobian determinant of a solution that is used as a warm start for large motion.
 _CRUSHED = 0.01
 
 _log = logging.getLogger("napari_hmrf")
@@ -48,14 +48,14 @@ class Update:
     number : int
         Number of the edit, as returned by `LiveSolver.submit`.
     problem : Problem or None
-        The solved problem; None if it could not be built.
+        Solved problem; None if it could not be built.
     solution : Solution or None
         Solution of the problem; None if there is an error.
     error : Exception or None
-        Error, such as a `ProblemError` if the problem cannot be solved yet; None if there is a
-        solution.
+        Error, such as a `ProblemError` if the problem has no unique solution yet; None if there is
+        a solution.
     final : bool
-        False for a preview, which is within `PREVIEW_TOLERANCE` pixels. The final solution follows
+        False for a preview, which is accurate to `PREVIEW_TOLERANCE`. The final solution follows
         unless there is a newer edit.
     seconds : float
         Time since the edit was submitted.
@@ -69,37 +69,40 @@ class Update:
     seconds: float
 
 
-#: Input of an edit: a problem, alone or with a prior of its own.
+#: Input of an edit: a problem, or a problem with its own prior.
 Input = Problem | tuple[Problem, Prior]
 
 
 class LiveSolver:
     """Solver for a problem that is being edited: the latest edit wins, with a warm start.
 
-    Of several edits submitted during a solve, only the last is solved. The running solve is
-    delivered when it is done, so that tissue follows a drag that never pauses; after its preview,
-    or after its `patience`, it is cancelled for a newer edit. Whatever the timing, the last update
-    belongs to the last edit. All methods may be called from any thread, and all but `wait` return
-    at once.
+    Of several edits submitted during a solve, only the last is solved. By default the running solve
+    is completed and delivered first, so that tissue follows a drag without a pause. A newer edit
+    cancels the solve only after its preview was delivered, or after its `patience`. Whatever the
+    timing, the last update belongs to the last edit.
+
+    All methods may be called from any thread. All methods except `wait` return immediately.
 
     Parameters
     ----------
     deliver : callable
-        Called with an `Update` on the compute thread, where an image can be warped, too. It should
+        Called with an `Update` on the compute thread, where it may also warp an image. It should
         return soon, because the solver waits for it.
     prior : Prior, optional
         Energy of the tissue; by default elastic tissue. The attribute `prior` may be set at any
-        time, for later edits.
+        time, and applies to later edits.
     optimizer : Optimizer, optional
-        Schedule; by default multigrid, to `TOLERANCE`. The paper's schedule works, but with a cold
-        start each time. The attribute `optimizer` may be set at any time, for later edits.
+        Schedule; by default multigrid, to `TOLERANCE`. The paper's schedule is possible, but always
+        makes a cold start. The attribute `optimizer` may be set at any time, and applies to later
+        edits.
     backend : str
-        Backend, as for `solve`. The attribute `backend` may be set at any time, for later edits.
+        Backend, as for `solve`. The attribute `backend` may be set at any time, and applies to
+        later edits.
     progress : callable, optional
         Called with a `Monitor` on the compute thread. The first solve on a machine compiles for
         half a minute.
     doing : str
-        Clause for messages to other users of the compute thread: the job, and how to stop it.
+        Description of the work and how to stop it, for other users of the compute thread.
 
     Examples
     --------
@@ -158,33 +161,34 @@ class LiveSolver:
         preview: bool = True,
         patience: float | None = None,
     ) -> int:
-        """Submit an edit, which replaces the one that waits.
+        """Submit an edit, which replaces the pending edit.
 
         Parameters
         ----------
         problem : Problem, tuple of Problem and Prior, or callable
-            A callable is called on the compute thread, unless the edit is replaced before, and
-            returns the problem; an error that it raises is delivered. Building a problem may take
-            as long as a solve, and with a callable a replaced edit does not take this time.
+            Problem, or a function that returns the problem. The function is called on the compute
+            thread, unless the edit is replaced before; an error that it raises is delivered.
+            Building a problem may take as long as a solve. With a function, a replaced edit does
+            not cost this time.
         preview : bool
             True if a preview may be delivered when the solution takes long. Without a preview, the
             solution of the first edit after `cancel` is bitwise equal to that of `solve` with the
             same optimizer: ``solve(problem, optimizer=live.optimizer)``.
         patience : float, optional
-            Time, in seconds, for which the solve of this edit continues while a newer edit waits;
-            by default to its end.
+            Time, in seconds, for which the solve of this edit continues while a newer edit is
+            pending; by default until its end.
 
         Returns
         -------
         int
-            Number of the edit: one more than the number of the previous edit.
+            Number of the edit, counted from 1.
 
         Raises
         ------
         ArgumentError
             If `patience` is not a time.
         RuntimeError
-            After `close`.
+            If the solver is closed.
         """
         right = patience is None or real(patience) >= 0
         refuse_unless(right, "patience", patience, "a time in seconds, such as 0.2, or None")
@@ -195,46 +199,46 @@ class LiveSolver:
         return self._queue.submit(partial(self._answer, edit), patience).generation
 
     def cancel(self) -> None:
-        """Drop the waiting and the running edit; the next solve is a cold start.
+        """Drop the pending and the running edit; the next solve is a cold start.
 
-        Results of the edits submitted so far are no longer delivered, unless a delivery has already
-        begun.
+        Results of the edits submitted up to now are no longer delivered, unless a delivery has
+        already started.
         """
         self._queue.drop()
 
     def close(self) -> None:
-        """Drop all edits, and accept none from now on; harmless if repeated."""
+        """Drop all edits and accept no more; may be called repeatedly."""
         self._queue.close()
 
     def hold(self) -> None:
-        """Start no newer edit until `resume`, for instance until a solution is painted.
+        """Start no newer edit until `resume`, for example until a solution is painted.
 
-        It has an effect only while an update is delivered.
+        The call has an effect only while an update is delivered.
         """
         self._queue.hold()
 
     def resume(self) -> None:
-        """Start the edit that waits, after `hold`."""
+        """Start the pending edit, after `hold`."""
         self._queue.resume()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the last edit is answered; for scripts, never for a window.
+        """Wait until the last edit is solved; for scripts, never for the GUI thread.
 
         Returns
         -------
         bool
-            True if the last edit was answered before the timeout.
+            True if an update for the last edit was delivered before the timeout.
         """
         return self._queue.wait(timeout)
 
     @property
     def busy(self) -> bool:
-        """True until the last edit is answered or dropped."""
+        """True until the last edit is solved or dropped."""
         return self._queue.busy
 
     @property
     def has_pending(self) -> bool:
-        """True if an edit waits that is newer than the one that is being solved."""
+        """True if an edit is pending."""
         return self._queue.has_pending
 
     @property
@@ -244,7 +248,7 @@ class LiveSolver:
 
     @property
     def delay(self) -> str:
-        """Description of the job that an edit waits for, and how to stop it; "" if none."""
+        """Description of work that delays the pending edit, and how to stop it; "" if none."""
         return self._queue.delay
 
     def __enter__(self) -> LiveSolver:
@@ -276,8 +280,8 @@ class LiveSolver:
             self._deliver_update(turn, problem, error=error)
 
     def _takes_long(self, problem: Problem) -> bool:
-        """Return whether the solve is a cold start of large tissue."""
-        # With a warm start a preview costs nearly as much as the solution.
+        """Return whether the solve is a cold start of a large problem."""
+        # With a warm start, a preview costs nearly as much time as the solution.
         return not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
 
     def _solve(
@@ -289,7 +293,7 @@ class LiveSolver:
         *,
         stop: CancelFlag,
     ) -> Solution:
-        """Solve with a warm start, and keep the solution for the next one."""
+        """Solve with a warm start, and store the solution for the next solve."""
         earlier = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
         initial = [solution for solution in earlier if not _is_crushed(solution)] or None
         solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
@@ -304,7 +308,7 @@ class LiveSolver:
         error: Exception | None = None,
         final: bool = True,
     ) -> None:
-        # The newer edit either corrects the error of a replaced edit, or raises it again.
+        # A newer edit either corrects this error, or raises the error again.
         if turn.dropped or (error is not None and self._queue.has_pending):
             return
         seconds = time.perf_counter() - turn.submitted
@@ -317,17 +321,17 @@ class LiveSolver:
 
 
 def _has_preview(optimizer: Optimizer) -> bool:
-    """Return whether a solve to `PREVIEW_TOLERANCE` ends before that of the optimizer."""
+    """Return whether the optimizer has a smaller tolerance than a preview."""
     return isinstance(optimizer, Multigrid) and optimizer.tolerance < PREVIEW_TOLERANCE
 
 
 def _is_crushed(solution: Solution) -> bool:
-    """Return whether a solution is too crushed for a warm start: a cold start is faster."""
+    """Return whether a solution is so crushed that a cold start is faster than a warm start."""
     return solution.reach is not None and solution.reach.least_jacobian < _CRUSHED
 
 
 class _Edit(NamedTuple):
-    """A problem to solve, with the solver settings at its submission."""
+    """Problem to solve, with the solver settings at the time of submission."""
 
     problem: Input | Callable[[], Input]
     prior: Prior

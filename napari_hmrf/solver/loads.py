@@ -19,42 +19,44 @@ from napari_hmrf.solver.real_arrays import (
     how_many,
 )
 
-# Largest difference between a tensor and its transpose, relative to the largest strain.
+# Largest accepted difference between a tensor and its transpose, relative to the largest strain.
 _ASYMMETRY = 1e-5
-# Relative difference up to which pixel sizes, often rounded in files, are equal.
+# Relative difference up to which pixel sizes are equal; files often round them.
 _SAME_SPACING = 1e-4
 _AXES = 3
 
 
 class Loads:
-    """Growth of elastic tissue and forces on it, on one grid; frozen.
+    """Growth of elastic tissue and forces on elastic tissue, on one grid; immutable.
 
-    Loads can be added: ``growth(0.1 * tumour) + weight(stiffness, (0.01, 0), spacing=1)``. Motion
-    is proportional to the forces and inversely proportional to stiffness, whose unit then matters.
+    Loads can be added: ``growth(0.1 * tumour) + weight(stiffness, (0.01, 0), spacing=1)``. The
+    resulting motion is proportional to the forces and inversely proportional to the stiffness, so
+    the unit of stiffness matters.
 
     Parameters
     ----------
     growth : array_like, optional
         Strain that the tissue would have if it were free: 0.1 is a tenth longer. Either one number
-        for each site, (H, W) or (D, H, W): equal growth along all three axes, including the axis
-        across an image. Or a symmetric tensor for each site, in the order of the axes:
-        (H, W, 2, 2), without growth across the image; (H, W, 3, 3), whose first axis is across the
-        image; (D, H, W, 3, 3). Growth across an image has an effect in plane strain, where a slice
-        that cannot thicken pushes outwards instead, and in large motion, where a thicker slice is
-        stiffer in proportion. Values in void are ignored. Rigid tissue must not grow.
+        for each site, shape (H, W) or (D, H, W), for equal growth along all three axes, including
+        the axis perpendicular to an image. Or a symmetric tensor for each site, in the order of the
+        axes: shape (H, W, 2, 2), without growth perpendicular to the image; (H, W, 3, 3), where the
+        first axis is perpendicular to the image; or (D, H, W, 3, 3). Growth perpendicular to an
+        image has an effect in plane strain, where a slice that cannot thicken expands in its plane
+        instead, and in large motion, where a thicker slice is proportionally stiffer. Values in
+        void are ignored. Rigid tissue must not grow.
     force : array_like, shape (H, W, 2) or (D, H, W, 3), optional
-        Force on each site, components in the order of the axes: in an image a force per thickness,
-        in the unit of stiffness times length; in a volume a force, in the unit of stiffness times
+        Force on each site, components in the order of the axes. In an image, a force per thickness,
+        in the unit of stiffness times length; in a volume, a force, in the unit of stiffness times
         length squared. The force stays constant while the site moves (dead load).
     spacing : sequence of float, shape (n,), optional
-        Size of a pixel along each axis for which the forces were computed; `pressure`, `traction`
-        and `weight` set it. A `Problem` with another spacing refuses the loads. By default unknown,
-        and not checked.
+        Pixel size along each axis for which the forces were computed; set by `pressure`, `traction`
+        and `weight`. A `Problem` with another spacing does not accept the loads. By default the
+        spacing is unknown, and is not checked.
 
     Raises
     ------
     ProblemError
-        Naming the invalid input and a remedy.
+        If an input is invalid; the message names the input and a remedy.
     """
 
     growth: FloatArray | None
@@ -87,7 +89,7 @@ class Loads:
         object.__setattr__(self, "spacing", sizes)
 
     def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError("Loads are frozen. Create new ones")
+        raise AttributeError("Loads are immutable. Create new Loads")
 
     def __add__(self, other: Loads) -> Loads:
         """Add the growth and the forces of two loads."""
@@ -96,7 +98,7 @@ class Loads:
         if not _is_close(self.spacing, other.spacing):
             raise ProblemError(
                 "loads",
-                f"are made for pixels of {_sizes(self.spacing)} and of {_sizes(other.spacing)}. "
+                f"are for pixels of {_sizes(self.spacing)} and of {_sizes(other.spacing)}. "
                 "Make both with the spacing of the problem.",
             )
         return Loads(
@@ -123,7 +125,7 @@ class Loads:
         )
 
     def check(self, stiffness: FloatArray, spacing: tuple[float, ...]) -> None:
-        """Refuse loads that do not fit the tissue of a problem.
+        """Raise an error if the loads do not match the tissue of a problem.
 
         Parameters
         ----------
@@ -156,7 +158,7 @@ class Loads:
         if not _is_close(self.spacing, spacing):
             raise ProblemError(
                 "loads",
-                f"are made for pixels of {_sizes(self.spacing)}, but the problem has pixels of "
+                f"are for pixels of {_sizes(self.spacing)}, but the problem has pixels of "
                 f"{_sizes(spacing)}. Make them with the spacing of the problem.",
             )
         if self.force is not None:
@@ -170,8 +172,8 @@ class Loads:
             if nowhere.any():
                 raise ProblemError(
                     "force",
-                    f"has {how_many(nowhere)} that are on no tissue two pixels wide, the first at "
-                    f"{first_index(nowhere)}. Give 0 there, or that place a stiffness.",
+                    f"has {how_many(nowhere)} without tissue that is two pixels wide, the first at "
+                    f"{first_index(nowhere)}. Give 0 there, or give these pixels a stiffness.",
                 )
 
 
@@ -182,12 +184,12 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
     ----------
     strain : array_like, shape (H, W) or (D, H, W)
         Strain that each site would have if it were free: 0.1 is a tenth longer, -0.1 a tenth
-        shorter, 0 is no growth. For two tissues, for example,
+        shorter, and 0 means no growth. For two tissues, for example,
         ``0.1 * (labels == 2) + 0.02 * (labels == 3)``.
     along : array_like, shape (n,), (H, W, 2) or (D, H, W, 3), optional
-        Direction of growth for all sites, or for each site, for tissue that grows along fibres; its
-        length is ignored. By default growth is equal in all directions, including the one across an
-        image.
+        Direction of growth for all sites, or for each site, if tissue grows along fibres; the
+        length of the vector is ignored. By default growth is equal in all directions, including the
+        direction perpendicular to an image.
 
     Returns
     -------
@@ -196,7 +198,7 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
     Raises
     ------
     ProblemError
-        If strain is no image or volume of numbers above -1, or a direction has length 0.
+        If strain is not an image or volume of numbers above -1, or a direction has length 0.
     """
     amount = as_float32("growth", strain)
     if amount.ndim not in (2, 3):
@@ -220,7 +222,7 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
         first = np.broadcast_to(direction, (*amount.shape, amount.ndim))[bad][0]
         raise ProblemError(
             "along",
-            f"is {shown(first.tolist())} at {first_index(bad)}, which is no direction. Give a "
+            f"is {shown(first.tolist())} at {first_index(bad)}, which is not a direction. Give a "
             "finite vector other than 0.",
         )
     norm = length[..., None]
@@ -229,7 +231,7 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
 
 
 def _check_growth(strain: FloatArray | None) -> None:
-    """Refuse a tensor that is not symmetric, and tissue that would shrink to nothing."""
+    """Raise an error if a tensor is not symmetric, or if tissue would shrink to nothing."""
     if strain is None:
         return
     stretch = strain
@@ -268,7 +270,7 @@ def _sum_of_growth(
 
 
 def _tensor(strain: FloatArray) -> FloatArray:
-    """Return a 3 x 3 tensor for each site; a single number is equal growth along all axes."""
+    """Return a 3 x 3 tensor for each site; a single number means equal growth along all axes."""
     if strain.ndim <= _AXES:
         return strain[..., None, None] * np.eye(_AXES, dtype=np.float32)
     missing = _AXES - strain.shape[-1]
@@ -288,7 +290,7 @@ def _sum_of_forces(
 
 
 def _is_close(one: tuple[float, ...] | None, other: tuple[float, ...] | None) -> bool:
-    """Return whether two spacings are equal up to rounding, or one is unknown."""
+    """Return whether two spacings are equal up to rounding, or at least one is unknown."""
     if one is None or other is None:
         return True
     pairs = zip(one, other, strict=False)
@@ -302,7 +304,7 @@ def _sizes(spacing: tuple[float, ...] | None) -> str:
 
 
 def are_same(one: Loads | None, other: Loads | None) -> bool:
-    """Return whether two problems have the same loads, or both have none."""
+    """Return whether two problems have the same loads, or both have no loads."""
     return one is other or (one is not None and one.same_as(other))
 
 

@@ -1,36 +1,36 @@
-"""Advice on the models of tissue: their uses and measured accuracy, in sentences for the user."""
+"""Advice on tissue models: their uses and measured accuracy, in sentences for the user."""
 
 from __future__ import annotations
 
 from napari_hmrf.solver.model_names import ELASTIC, ModelName
 from napari_hmrf.solver.priors.elastic import Plane
 
-# The figures are the same as in the README. `make benchmarks` measures them; the times are for two
+# The figures are the same as in the README. `make benchmarks` measures them. Times are for two
 # cores without a GPU.
 _WHEN: dict[ModelName, str] = {
     "elastic": "Tissue stretches and bulges as elastic material does. Boundaries of confidence 1 "
     "are held exactly.",
-    "large motion": "Elastic tissue that may turn and stretch as far as it likes: no pixel of it "
-    "folds. It takes 8 to 36 times as long; take it where elastic tissue folds, or turns by more "
-    "than ten degrees. Bars stretched by 30 % are within 0.002 px of finite elements.",
-    "paper": "The paper's own results. It stops a little early; squeezed tissue does not bulge.",
-    "paper, converged": "The paper's model, computed to the end. Squeezed tissue does not bulge.",
+    "large motion": "Elastic tissue that may rotate and stretch without limit: no pixel folds. It "
+    "takes 8 to 36 times as long; use it if elastic tissue folds, or rotates by more than ten "
+    "degrees. Bars stretched by 30 % are within 0.002 px of finite elements.",
+    "paper": "The results of the paper. It stops a little early; squeezed tissue does not bulge.",
+    "paper, converged": "The paper's model, until convergence. Squeezed tissue does not bulge.",
 }
 _OFF: dict[ModelName, float] = {"elastic": 0.0002, "paper": 1.03, "paper, converged": 0.23}
 _FROM_FEM = (
-    "The sample brain moves by 7.4 px; there the field is {} px from finite elements, the "
-    "engineers' standard, with Poisson's ratio 0.3 (0.02 s)."
+    "The sample brain moves by 7.4 px; its field is {} px from finite elements, the standard in "
+    "engineering, with Poisson's ratio 0.3 (0.02 s)."
 )
 _WHEN_PLANE: dict[Plane, str] = {
-    "stress": "Squeezed tissue can bulge out of the image, as in a thin cut.",
-    "strain": "Squeezed tissue can give way only within the image, as deep in a body.",
+    "stress": "Squeezed tissue can bulge out of the image, as in a thin section.",
+    "strain": "Squeezed tissue can expand only within the image, as deep inside a body.",
 }
 _HOW_MUCH = (
     "Try both choices: their fields differ by a few per cent to more than half of the movement. "
     "They differ most where Poisson's ratio is near 0.5."
 )
 ABOUT_POISSON = (
-    "Bulging of squeezed tissue: 0, none at all; 0.499, so much that tissue loses hardly any "
+    "Bulging of squeezed tissue: none at 0; at 0.499, so much that tissue hardly loses any "
     "volume.\n0.45 is common for soft tissue."
 )
 

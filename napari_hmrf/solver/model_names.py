@@ -1,4 +1,4 @@
-"""Names of the tissue models, for display, for files and for the command line."""
+"""Names of the tissue models for display, for files and for the command line."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import re
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
-#: Linear elasticity; finite strain; the paper's random field with its schedule of sweeps; and the
-#: same random field with sweeps until they converge.
+#: Names: linear elasticity, finite strain, the paper's random field with its schedule of sweeps,
+#: and the same random field with sweeps until convergence.
 ModelName = Literal["elastic", "large motion", "paper", "paper, converged"]
 #: Models that have an elastic strain.
 ELASTIC: tuple[ModelName, ...] = "elastic", "large motion"
 
 
 def as_word(name: str) -> str:
-    """Return the name of a model as one word, as it is typed in a shell or in a table."""
+    """Return the name of a model as one word, as typed in a shell or in a table."""
     return re.sub(r"[\s,_-]+", "-", name.strip().casefold())
 
 
-#: Models by the word that is typed for them.
+#: Models by the word that users type.
 MODELS: dict[str, ModelName] = {as_word(name): name for name in get_args(ModelName)}
 
-# Largest `energy_change` with which a schedule of sweeps counts as converged.
+# Largest `energy_change` of a schedule of sweeps that is considered converged.
 _CONVERGED_CHANGE = 1e-7
 
 
@@ -31,14 +31,14 @@ def model_name(parameters: Mapping[str, Any]) -> str:
     Parameters
     ----------
     parameters : mapping
-        Parameters of prior and optimizer, as in `Provenance.parameters`; if they were read from a
-        file, they may have any type.
+        Parameters of prior and optimizer, as in `Provenance.parameters`. Values may have any type,
+        because they may come from a file.
 
     Returns
     -------
     str
         A `ModelName`, with "blanket" after "paper" if the prior uses the blanket reading, as in
-        "paper, blanket, converged"; "" if it is unknown.
+        "paper, blanket, converged"; "" if the model is unknown.
     """
     prior, optimizer = _parts(parameters)
     if prior.get("name") == "ElasticPrior":
@@ -52,7 +52,7 @@ def model_name(parameters: Mapping[str, Any]) -> str:
 
 
 def in_words(parameters: Mapping[str, Any]) -> str:
-    """Describe the energy that was minimised, and the schedule; "unknown" if they are not recorded.
+    """Describe the model and the schedule of a result; "unknown" if they are not recorded.
 
     Parameters
     ----------
@@ -76,20 +76,20 @@ def in_words(parameters: Mapping[str, Any]) -> str:
 
 
 def is_multigrid(parameters: Mapping[str, Any]) -> bool:
-    """Return whether the iterations of a result are cycles over all levels, not sweeps on each."""
+    """Return whether a result was computed by multigrid cycles, rather than by sweeps."""
     return _parts(parameters)[1].get("name") == "Multigrid"
 
 
 def converged(optimizer: Mapping[str, Any]) -> bool:
-    """Return whether an optimizer with these parameters iterates until the field stays the same."""
-    # Older files have "tolerance" instead.
+    """Return whether an optimizer with these parameters iterates until convergence."""
+    # In older files, the parameter is called "tolerance".
     change = optimizer.get("energy_change", optimizer.get("tolerance"))
     exact = isinstance(change, int | float) and change <= _CONVERGED_CHANGE
     return optimizer.get("name") == "Multigrid" or exact
 
 
 def _parts(parameters: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return the parameters of the prior and of the optimizer; empty where they are missing."""
+    """Return the parameters of the prior and of the optimizer; empty if they are missing."""
     known = parameters if isinstance(parameters, Mapping) else {}
     prior, optimizer = (known.get(part) for part in ("prior", "optimizer"))
     return (

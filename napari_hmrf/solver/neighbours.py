@@ -1,7 +1,7 @@
 """Grid operations on sites and on the elements between them.
 
-An element is a block of two sites along each axis. It has the index of its first site, so that an
-array of elements is one shorter along each axis than an array of sites.
+An element is a block of two sites along each axis. It has the index of its first site, so an array
+of elements is one shorter along each axis than an array of sites.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Values = npt.NDArray[Any]
 
 
 def pairs(ndim: int) -> Iterator[tuple[Any, Any]]:
-    """Yield, for each axis, the index of all sites but the last and of all but the first."""
+    """Yield, for each axis, the index of all sites except the last, and of all except the first."""
     for axis in range(ndim):
         before = (slice(None),) * axis
         yield (*before, slice(None, -1)), (*before, slice(1, None))
@@ -38,12 +38,12 @@ def around_sites(values: Values, combine: Callable[[Values, Values], Values]) ->
 
 
 def in_elements(m: Values) -> npt.NDArray[np.bool_]:
-    """Return a mask of the elements of tissue: those whose sites are all tissue.
+    """Return a mask of the elements of tissue, in which all sites are tissue.
 
     Parameters
     ----------
     m : ndarray, shape (H, W) or (D, H, W)
-        Stiffness, or a mask; above 0 is tissue.
+        Stiffness, or a mask; above 0 in tissue.
 
     Returns
     -------

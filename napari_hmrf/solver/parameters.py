@@ -1,4 +1,4 @@
-"""Construction of priors and optimizers from the parameters that solutions and files record."""
+"""Construction of priors and optimizers from the parameters recorded in solutions and files."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ _Kind = TypeVar("_Kind")
 
 
 def prior_from_dict(parameters: Mapping[str, Any], poisson: Any = None) -> Prior:
-    """Return the prior with these parameters.
+    """Return the prior with the given parameters.
 
     Parameters
     ----------
     parameters : mapping
         Name and parameters, as in `ElasticPrior.parameters`.
     poisson : ndarray, shape (H, W) or (D, H, W), optional
-        Map of Poisson's ratios, of which `parameters` hold only the digest.
+        Map of Poisson's ratios; `parameters` contain only its digest.
 
     Raises
     ------
     ArgumentError
-        If there is no prior of this name or with these parameters.
+        If there is no prior with this name or with these parameters.
     """
     kinds: dict[str, type[Prior]] = {
         "ElasticPrior": ElasticPrior,
@@ -40,7 +40,7 @@ def prior_from_dict(parameters: Mapping[str, Any], poisson: Any = None) -> Prior
 
 
 def optimizer_from_dict(parameters: Mapping[str, Any]) -> Optimizer:
-    """Return the optimizer with these parameters.
+    """Return the optimizer with the given parameters.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def optimizer_from_dict(parameters: Mapping[str, Any]) -> Optimizer:
     Raises
     ------
     ArgumentError
-        If there is no optimizer of this name or with these parameters.
+        If there is no optimizer with this name or with these parameters.
     """
     kinds: dict[str, type[Optimizer]] = {"ICM": ICM, "Multigrid": Multigrid}
     return _construct(kinds, parameters)

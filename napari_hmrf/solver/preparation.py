@@ -1,4 +1,4 @@
-"""Preparation of a solve: compilation of loops, and a trial of the kernels on a small problem."""
+"""Preparation of a solve: compilation of loops, and a trial run of the kernels."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.problem import Problem
 
-# Size of a small problem, by its number of axes.
+# Number of sites along each axis of the trial problem, by the number of axes.
 _SIZES = {2: 40, 3: 12}
 _prepared: set[tuple[str | bool, ...]] = set()
 
 
 def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
-    """Let another process compile the loops of a job, with progress reports.
+    """Wait until another process has compiled the loops of a job, with progress reports.
 
     Parameters
     ----------
     job : str
-        Set of loops, as named by `SolveJob.loops`, or `sets.EVERYTHING`.
+        Name of a set of loops, from `SolveJob.loops`, or `sets.EVERYTHING`.
     report : callable
-        Called several times a second; raises to stop waiting.
+        Called several times a second; raises an exception to stop the wait.
     """
 
     def report_stage(stage: Stage) -> None:
@@ -47,10 +47,10 @@ def prepare(
     optimizer: Optimizer,
     report: Callable[[Monitor], None],
 ) -> None:
-    """Compile the kernels of a schedule by running it on a small problem, once per process.
+    """Compile the kernels of a schedule by running it on a trial problem, once per process.
 
-    The problem is small, but has intermediate levels, a solution other than 0, and too many sites
-    to be solved without a cycle. Square pixels and volumes have kernels of their own.
+    The trial problem is small, but has intermediate levels, a nonzero solution, and too many sites
+    to be solved without a cycle. Square pixels and volumes have their own kernels.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def prepare(
     job : SolveJob
     optimizer : ICM or Multigrid
     report : callable
-        Called with a `Monitor` now and then; raises to cancel.
+        Called with a `Monitor` at intervals; raises an exception to cancel.
     """
     rehearsal, axes, prior = optimizer.rehearsal(), len(job.shape), job.prior
     square = len(set(job.spacing)) == 1
@@ -80,14 +80,14 @@ def prepare(
         displacement = rehearsal.run(small, tissue, device, report_preparing).displacement
         host.settle(displacement, small.tissue, small.unit)
         if isinstance(rehearsal, Multigrid):
-            # Three solutions need both kernels that combine them: for two at once and for one.
+            # Three solutions run both kernels that combine them: for two at once and for one.
             start = WarmStart((displacement,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
             rehearsal.run(small, tissue, device, report_preparing, start)
     _prepared.add(key)
 
 
 def loop_watch(job: str, report: Callable[[Monitor], None]) -> AbstractContextManager[None]:
-    """Return a context manager that reports the loops that this process compiles.
+    """Return a context manager that reports the loops compiled by this process.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Inputs of the method: observations, their confidence, and the stiffness of the tissue."""
+"""Inputs of the method: observations, confidence, and stiffness of the tissue."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
 
-#: Largest ratio between two stiffnesses for which single precision is reliable.
+#: Largest ratio between two stiffnesses for which single precision is sufficient.
 MAX_STIFFNESS_RATIO = 1e7
 _SMALLEST_PIXEL = 1e-15
 _SMALLEST_STIFFNESS = 1e-30
 # Default spacing, recognised by identity.
 _EVEN = (1.0, 1.0)
-#: Longest plausible displacement, in diagonals of the image.
+#: Largest plausible displacement, in diagonals of the image.
 MAX_REACH = 2.0
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class Problem:
-    """Boundary displacement, confidence and stiffness on one pixel grid; frozen and validated.
+    """Boundary displacement, confidence and stiffness on one pixel grid; validated and immutable.
 
     The arrays are copied, converted to float32 and made read-only.
 
@@ -41,29 +41,30 @@ class Problem:
     observed : array_like, shape (H, W, 2) or (D, H, W, 3)
         Observed (boundary) displacement, y in the equations: components in (row, col) order, in a
         volume (plane, row, col), in the unit of `spacing`. Material displacement: tissue at X was
-        observed to move to X + y(X). Ignored, and stored as zero, where `confidence` is zero.
+        observed to move to X + y(X). Where `confidence` is zero, values are ignored and stored as
+        zero.
     confidence : array_like, shape (H, W, 2) or (D, H, W, 3)
-        Confidence in each component of `observed`, c in the equations: 1 is certain and held
-        exactly, 0 is unknown. Values in between are doubted: the site is held with a force of at
-        most c, where a force of 1 strains a pixel of the stiffest tissue by 1, and slips beyond
-        that.
+        Confidence in each component of `observed`, c in the equations. At 1 the observation is
+        certain and exactly prescribed; at 0 it is unknown. In between, the force of the observation
+        is at most c, where a force of 1 strains a pixel of the stiffest tissue by 1. If a larger
+        force is required, the site slips.
     stiffness : array_like, shape (H, W) or (D, H, W)
-        Young's modulus, m in the equations, in any unit: only ratios matter, unless a force pulls
-        (see `loads`). ``0`` means no tissue (void): no clique touches such a site and it has no
-        displacement. ``inf`` means rigid tissue, for `ElasticPrior` and `NeoHookeanPrior`:
+        Young's modulus, m in the equations, in any unit: only ratios matter, unless there are
+        forces (see `loads`). ``0`` means no tissue (void): such a site belongs to no clique and has
+        no displacement. ``inf`` means rigid tissue, for `ElasticPrior` and `NeoHookeanPrior`:
         connected rigid sites move as one body.
     spacing : sequence of float, shape (2,) or (3,)
         Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction, in
         any unit of length; by default 1 along each axis.
     loads : Loads, optional
-        Growth, and forces, for `ElasticPrior` and `NeoHookeanPrior`. Forces are in the unit of
-        stiffness times a length in the unit of `spacing` (per thickness, in an image), or times its
-        square (in a volume).
+        Growth and forces, for `ElasticPrior` and `NeoHookeanPrior`. In an image, forces per
+        thickness are in the unit of stiffness times length; in a volume, forces are in the unit of
+        stiffness times length squared. The unit of length is that of `spacing`.
 
     Raises
     ------
     ProblemError
-        Naming the invalid input and a remedy.
+        If an input is invalid; the message names the input and a remedy.
     """
 
     observed: FloatArray
@@ -154,7 +155,7 @@ class Problem:
 
     @cached_property
     def digests(self) -> Mapping[str, str]:
-        """SHA-256 of each image's bytes: equal for equal inputs. Computed on first access."""
+        """SHA-256 of the bytes of each array, computed on first access."""
         names = ("observed", "confidence", "stiffness")
         arrays = {name: getattr(self, name) for name in names}
         if self.loads is not None:
@@ -169,7 +170,7 @@ class Problem:
 
 
 class _Digests(Mapping[str, str]):
-    """SHA-256 of read-only arrays, computed on access because it takes milliseconds."""
+    """SHA-256 of read-only arrays, computed on access, because each takes milliseconds."""
 
     def __init__(self, arrays: dict[str, FloatArray]) -> None:
         self._arrays = arrays
@@ -199,7 +200,7 @@ def grid_in_words(sizes: Iterable[float]) -> str:
 
 
 def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
-    """Copy a stiffness image to float32, as in a `Problem`.
+    """Copy a stiffness image to float32, validated as in a `Problem`.
 
     Raises
     ------
@@ -228,7 +229,7 @@ def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> Float
 
 
 def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
-    """Return the checked sizes of a pixel along `ndim` axes; a number applies to all of them."""
+    """Return the validated pixel size along `ndim` axes; a number applies to all axes."""
     values = reals((spacing,) * ndim if isinstance(spacing, Real) else spacing, ndim)
     if not all(0 < size < math.inf for size in values):
         raise ProblemError(
@@ -238,7 +239,8 @@ def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
         )
     if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
         raise ProblemError(
-            "spacing", f"is {values}. Choose a unit of length in which pixels are not so extreme."
+            "spacing",
+            f"is {values}. Choose a unit of length with less extreme pixel sizes.",
         )
     return values
 
@@ -269,10 +271,10 @@ def _check_finite(
 
 
 def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
-    """Refuse displacements far beyond the image, usually because of a wrong unit."""
+    """Raise an error for displacements far beyond the image, usually due to a wrong unit."""
     grid = y.shape[:-1]
     diagonal = math.hypot(*(size * step for size, step in zip(grid, spacing, strict=True)))
-    # The largest component usually decides; computing all lengths takes ten times as long.
+    # Usually the largest component is sufficient; computing all lengths takes ten times as long.
     largest = max(float(y.max()), -float(y.min()))
     if math.sqrt(len(grid)) * largest <= MAX_REACH * diagonal:
         return
@@ -289,7 +291,7 @@ def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
 
 
 def _shown(length: float) -> str:
-    """Format a length with three digits, without an exponent as long as it is readable."""
+    """Format a length with three digits, without an exponent if possible."""
     return f"{float(f'{length:.3g}'):g}"
 
 
@@ -320,7 +322,7 @@ def _check_stiffness(m: FloatArray) -> None:
 
 
 def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
-    """Refuse stiffnesses that lose digits in single precision, or whose inverse overflows."""
+    """Raise an error for stiffnesses that lose digits, or with an inverse that overflows."""
     array = np.asarray(given)
     extreme = (m > 1 / _SMALLEST_STIFFNESS) | ((m < _SMALLEST_STIFFNESS) & (array > 0))
     extreme &= array != np.inf

@@ -1,8 +1,8 @@
 """Quadtree of scale levels: the sites of each level, and the pixels that they sample.
 
-Level 0 is the image; a site of level n covers 2^n x 2^n pixels of it, fewer at the far borders. The
-coarsest level R is a single site (the paper's root r). For a volume the tree is an octree, whose
-sites cover 2^n x 2^n x 2^n voxels.
+Level 0 is the image. A site of level n covers 2^n x 2^n pixels, or fewer at the far borders. The
+coarsest level R is a single site (the root r in the paper). For a volume the tree is an octree, in
+which a site covers 2^n x 2^n x 2^n voxels.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def nearest_pixels(level: Level, shape: tuple[int, ...]) -> tuple[IntArray, ...]
     """Return, for each axis, the pixel of level 0 nearest to the centre of each site of a level.
 
     The centre of site i of level n is at pixel coordinate (i + 1/2) 2^n - 1/2, half-way between two
-    pixels for n > 0. The later pixel is used, as in nearest-neighbour texture sampling, and the
-    last pixel of the axis if a centre lies beyond it.
+    pixels for n > 0. Of these two, the pixel with the larger index is used, as in nearest-neighbour
+    texture sampling. If a centre lies beyond the last pixel of the axis, the last pixel is used.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Reaction forces at held and pulled sites."""
+"""Reaction forces at sites with observed displacement."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Pr
 from napari_hmrf.solver.problem import Problem, grid_in_words
 from napari_hmrf.solver.solution import Solution
 
-#: Largest relative difference of equal spacings.
+#: Relative difference up to which spacings are equal.
 _SAME_SPACING = 1e-6
 
 
 def reactions(
     problem: Problem, solution: Solution, prior: Prior | None = None
 ) -> npt.NDArray[np.float64]:
-    """Return the force with which each held or pulled site acts on the tissue.
+    """Return the force that each observed site exerts on the tissue.
 
-    In total they balance the forces of the problem's loads; their sum over a mark is the force that
-    holds or pulls the mark: ``reactions(problem, solution)[mark].sum(axis=0)``. They are as
-    accurate as the field: for forces, solve to a smaller tolerance than for motion.
+    The reactions and the forces of the problem's loads add up to zero. The sum over a mark is the
+    force that constrains or pulls this mark: ``reactions(problem, solution)[mark].sum(axis=0)``.
+    Their accuracy depends on the accuracy of the field: for accurate reactions, solve to a smaller
+    tolerance than for displacements.
 
     Parameters
     ----------
@@ -37,15 +38,16 @@ def reactions(
     Returns
     -------
     ndarray, shape (H, W, 2) or (D, H, W, 3)
-        Components in the order of the axes; 0 where nothing is observed. In an image, a force per
-        thickness, in the unit of stiffness times length; in a volume, a force, in that of stiffness
-        times length squared. The force on a rigid body is shared evenly by its held sites.
+        Components in the order of the axes; 0 at sites without observation. In an image, a force
+        per thickness, in the unit of stiffness times length; in a volume, a force, in the unit of
+        stiffness times length squared. The force on a rigid body is distributed over its observed
+        sites.
 
     Raises
     ------
     ArgumentError
-        If an argument is of the wrong type, the solution has another problem or prior, or the prior
-        is not elastic.
+        If an argument has the wrong type, the solution belongs to another problem or prior, or the
+        prior is not elastic.
     """
     require_kind(Problem, "problem", problem, "Problem(observed, confidence, stiffness)")
     require_kind(Solution, "solution", solution, "the result of solve()")

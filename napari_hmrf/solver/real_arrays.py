@@ -1,4 +1,4 @@
-"""Checked conversion of input to arrays of real numbers."""
+"""Validated conversion of input to arrays of real numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 
 def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
-    """Return a value as an array of real numbers, not copied; raise `ProblemError` otherwise."""
+    """Return a value as an array of real numbers, without a copy; raise an error otherwise."""
     if isinstance(value, np.ma.MaskedArray):
         raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
     try:
@@ -34,7 +34,7 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
 
 
 def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
-    """Copy `value` to a C-contiguous native float32 array; refuse masked or too large values."""
+    """Copy `value` to a C-contiguous float32 array; raise an error for masked or huge values."""
     array = as_numbers(field, value)
     if array.dtype.kind == "f" and array.dtype.itemsize > 4 and array.size:
         with np.errstate(invalid="ignore"):
@@ -53,7 +53,7 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
     Raises
     ------
     ProblemError
-        If a label is not a whole number; the error names `field`.
+        If a label is not a whole number; the message names `field`.
     """
     array = as_numbers(field, labels)
     if array.dtype.kind != "f":
@@ -69,7 +69,7 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
 
 
 def check_finite(field: str, array: FloatArray) -> None:
-    """Refuse an array with NaN or infinite values."""
+    """Raise an error if an array has NaN or infinite values."""
     if not np.isfinite(array).all():
         raise ProblemError(field, "has values that are NaN or infinite. Replace them by numbers.")
 

@@ -1,9 +1,9 @@
 """Check that the observations determine the motion of elastic tissue.
 
-A piece of tissue has three rigid motions without energy (along rows, along columns, and turning),
-in a volume six. Its observations must prevent all of them, or the solution is not unique. Two
-pieces that meet in a single site, or in a volume along an edge, are hinged there: each can still
-turn by itself.
+A piece of tissue has three rigid motions without energy in an image (two translations and a
+rotation), and six in a volume. Its observations must prevent all of them; otherwise the solution is
+not unique. Two pieces that share only a single site, or in a volume only an edge, are hinged there:
+each piece can still rotate by itself.
 """
 
 from __future__ import annotations
@@ -22,29 +22,30 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.problem import Problem
 
-# Strength of a constraint, relative to the largest, up to which it counts as rounding.
+# Strength of a constraint that is rounding error, relative to the largest strength.
 _ROUNDING = 1e-9
-# Size of a piece's motion, relative to the largest in a free motion, up to which it is at rest.
+# Size of a piece's motion up to which the piece is at rest, relative to the largest motion of any
+# piece.
 _REST = 1e-6
-_STEPS = ("along planes", "along rows", "along columns")
+_STEPS = ("along the plane axis", "along the row axis", "along the column axis")
 
 Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
-#: Displacement of sites along an axis in each rigid motion, by the motion's number.
+#: Displacement of sites along an axis in each rigid motion, by the number of the motion.
 Ways = dict[int, Motions]
-# A cluster of pieces, its cost matrix, the costs of its motions, and these motions.
+# Cluster of pieces, its cost matrix, the costs of its motions in ascending order, and the motions.
 _Ways = tuple[npt.NDArray[np.int64], Motions, Motions, Motions]
 
 
 class HeldTissue(NamedTuple):
-    """Tissue that was found to be held; kept because the check takes as long as a few cycles.
+    """Tissue without free motions, cached because the check takes as long as a few cycles.
 
     Attributes
     ----------
     tissue : ndarray of bool, shape (H, W) or (D, H, W)
-        Mask of tissue, all of which is held.
+        Mask of tissue without free motions.
     held : ndarray of bool, shape (H, W, 2) or (D, H, W, 3)
-        Mask of the held components.
+        Mask of the constrained components.
     strength : float
         Result of `holding_strength`.
     """
@@ -54,7 +55,7 @@ class HeldTissue(NamedTuple):
     strength: float = 0.0
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
-        """Return whether the tissue is also held under other constraints, which may be more.
+        """Return whether the tissue is the same, and `held` includes all checked constraints.
 
         Parameters
         ----------
@@ -75,11 +76,11 @@ class FreeMotion:
     Attributes
     ----------
     piece : ndarray of bool, shape (H, W)
-        The tissue that moves most.
+        Mask of the tissue that moves most.
     description : str
         Description of the motion, as a clause.
     motion : ndarray, shape (H, W, 2)
-        Displacement of all tissue, in pixels; its scale is arbitrary.
+        Displacement of all tissue, in pixels, with an arbitrary scale.
     """
 
     piece: npt.NDArray[np.bool_]
@@ -88,27 +89,27 @@ class FreeMotion:
 
     @property
     def centre(self) -> tuple[int, ...]:
-        """Site in the middle of the piece."""
+        """Site at the centre of the piece."""
         return tuple(int(np.mean(at)) for at in np.nonzero(self.piece))
 
 
 def check_held(problem: Problem) -> None:
-    """Refuse a problem with a piece of tissue that could still move freely.
+    """Raise an error if a piece of tissue can move freely.
 
     Raises
     ------
     ProblemError
-        Naming the piece by its size and centre, and its possible motion.
+        If a piece can move; the message gives its size, its centre and its motion.
     """
     holding_strength(problem)
 
 
 def holding_strength(problem: Problem) -> float:
-    """Return how firmly the observations hold tissue against its rigid motions.
+    """Return a measure of the constraints on the least constrained rigid motion of tissue.
 
-    The value is that of the least constrained rigid motion, scaled so that the far end of the
-    tissue moves by about 1: the sum of its squared displacements over all held components, divided
-    by the approximate size of the tissue's surface.
+    The motion is scaled so that the farthest point of the tissue moves by about 1. The measure is
+    the sum of the squared displacements of all constrained components, divided by the approximate
+    size of the tissue's surface.
 
     Raises
     ------
@@ -116,7 +117,7 @@ def holding_strength(problem: Problem) -> float:
         As for `check_held`.
     """
     held = problem.known
-    for firm in _firm:  # first, because every image of a drag needs the result
+    for firm in _firm:  # checked first, because every image of a drag needs the result
         if firm.covers(problem.tissue, held):
             return firm.strength
     if held[problem.tissue].all():
@@ -133,7 +134,7 @@ def holding_strength(problem: Problem) -> float:
 
 
 def refusal(free: FreeMotion) -> ProblemError:
-    """Return an error that names the piece that could move, and the motion."""
+    """Return an error that describes the piece that can move, and its motion."""
     return ProblemError(
         "confidence",
         f"leaves a piece of tissue free: the piece of {int(free.piece.sum())} pixels around "
@@ -142,25 +143,25 @@ def refusal(free: FreeMotion) -> ProblemError:
 
 
 def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:
-    """Find a motion that some tissue could still make, if there is one.
+    """Return a free motion of some tissue, or None if there is none.
 
     Parameters
     ----------
     problem : Problem
     held : ndarray of bool, shape (H, W, 2)
-        Components that are held.
+        Mask of the constrained components.
     """
     pieces, count = _pieces(problem.stiffness)
     return _first_motion(problem, pieces, count, _modes(pieces, count, held))
 
 
 def _some_pieces(problem: Problem) -> tuple[Labels, int]:
-    """Return the pieces of elements; refuse a problem without any."""
+    """Return the labelled pieces of tissue; raise an error if there is no element of tissue."""
     pieces, count = _pieces(problem.stiffness)
     if count == 0:
         raise ProblemError(
             "stiffness",
-            "has no tissue that is two pixels wide, so that nothing can deform. Make the tissue "
+            "has no tissue that is two pixels wide, so no tissue can deform. Make the tissue "
             "wider.",
         )
     return pieces, count
@@ -169,7 +170,7 @@ def _some_pieces(problem: Problem) -> tuple[Labels, int]:
 def _first_motion(
     problem: Problem, pieces: Labels, count: int, ways: Iterable[_Ways]
 ) -> FreeMotion | None:
-    """Return the first free motion of any cluster, or None."""
+    """Return the first free motion of any cluster of pieces, or None."""
     for cluster, strength, modes in _free(ways):
         mode = modes[0]
         worst, freedom = int(np.argmax((mode**2).sum(axis=1))), mode.shape[1]
@@ -190,19 +191,18 @@ def _first_motion(
 def free_motions(
     problem: Problem, held: npt.NDArray[np.bool_]
 ) -> Iterator[npt.NDArray[np.float64]]:
-    """Find all motions that tissue could still make.
+    """Find all free motions of tissue.
 
     Parameters
     ----------
     problem : Problem
     held : ndarray of bool, shape (H, W, 2)
-        Components that are held.
+        Mask of the constrained components.
 
     Yields
     ------
-    ndarray, shape (ways, H, W, 2)
-        Independent free motions of connected pieces; those of different items have no site in
-        common.
+    ndarray, shape (n, H, W, 2)
+        Independent free motions of a cluster of connected pieces; clusters have no common site.
     """
     pieces, count = _pieces(problem.stiffness)
     for cluster, _, modes in _free(_modes(pieces, count, held)):
@@ -217,21 +217,22 @@ def free_motions(
 def free_pieces(
     tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]
 ) -> tuple[Labels, npt.NDArray[np.intp]]:
-    """Find all tissue that could still move.
+    """Find all pieces of tissue that can move freely.
 
     Parameters
     ----------
     tissue : ndarray of bool, shape (H, W)
+        Mask of tissue.
     held : ndarray of bool, shape (H, W, 2)
-        Components that are held.
+        Mask of the constrained components.
 
     Returns
     -------
     pieces : ndarray of int, shape (H, W)
-        Numbers of the pieces of tissue that could move, 0 elsewhere; a site in which such a piece
-        meets fixed tissue belongs to the latter.
+        Numbers of the free pieces, 0 elsewhere. A site that a free piece shares with a constrained
+        piece belongs to the constrained piece.
     free : ndarray of int
-        Numbers of the pieces that could move.
+        Numbers of the free pieces.
     """
     pieces, count = _pieces(tissue)
     if count == 0:
@@ -258,8 +259,8 @@ def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
 
 def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions]]:
     """Yield the free motions of each cluster of connected pieces."""
-    # Yields the pieces of the cluster, from 0; its cost matrix; and its free motions, of shape
-    # (ways, pieces, motions).
+    # Yields the numbers of the pieces, from 0; the cost matrix of the cluster; and its free
+    # motions, shape (n, pieces, rigid motions).
     for cluster, strength, stops, modes in ways:
         free = stops <= _ROUNDING * max(stops[-1], 1.0)
         if free.any():
@@ -267,14 +268,14 @@ def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motion
 
 
 def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[_Ways]:
-    """Compute the motions of each cluster and their costs, in ascending order of cost."""
-    # The cost of a motion is the sum of its squared displacements at the constraints.
+    """Compute the motions of each cluster, and their costs, in ascending order of cost."""
+    # The cost of a motion is the sum of its squared displacements at all constraints.
     if count == 0:
         return
     shape = held.shape[:-1]
     axes, freedom = len(shape), len(_turns(len(shape))) + len(shape)
-    # Constraints of a piece: a row for each held component, and for each component of a hinge, in
-    # which its two pieces have opposite signs.
+    # Each constrained component is a constraint on its piece. Each component of a hinge is a
+    # constraint on the difference between the motions of two pieces.
     of_sites = _sites(pieces)
     holds = []
     for along in range(axes):
@@ -298,13 +299,13 @@ def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[
 
 
 def _sites(pieces: Labels) -> Labels:
-    """Return the piece of each site, from the elements around it; 0 if it is in none."""
+    """Return the piece of each site, from the elements around the site; 0 if there is none."""
     return around_sites(pieces, np.maximum)
 
 
 def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
-    """Return the displacement (H, W, 2) of sites for their pieces' motions (H, W, motions)."""
-    # A turn moves sites in proportion to their distance along the other axis.
+    """Return the displacement (H, W, 2) of sites, from their rigid motions (H, W, motions)."""
+    # A rotation moves sites in proportion to their distance along the other axis.
     sites = tuple(map(np.asarray, np.indices(modes.shape[:-1])))
     field = np.zeros((*modes.shape[:-1], len(sites)))
     for along in range(len(sites)):
@@ -314,12 +315,12 @@ def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
 
 
 def _turns(axes: int) -> list[tuple[int, int]]:
-    """Return the planes in which a body can turn: from the first axis to the second."""
+    """Return the planes of rotation: pairs of axes, from the first axis to the second."""
     return list(combinations(range(axes), 2))
 
 
 def _motions(sites: tuple[npt.NDArray[Any], ...], along: int, shape: tuple[int, ...]) -> Ways:
-    """Return the displacement of sites along an axis in each rigid motion along it."""
+    """Return the displacement of sites along an axis in each rigid motion that affects it."""
     from_middle = [index - size / 2 for index, size in zip(sites, shape, strict=True)]
     motions = {along: np.ones(np.shape(sites[0]))}
     for number, (first, second) in enumerate(_turns(len(shape)), start=len(shape)):
@@ -336,7 +337,7 @@ def _tie(
     ways: Ways,
     other: npt.NDArray[Any] | None = None,
 ) -> None:
-    """Add the cost of motions of pieces, or of motions relative to other pieces, in place."""
+    """Add the cost of motions of pieces, or of relative motions of two pieces, in place."""
     count = len(costs)
     pairs = [(piece, piece, 1.0)]
     if other is not None:
@@ -348,9 +349,9 @@ def _tie(
 
 
 def _hinges(pieces: Labels) -> npt.NDArray[np.int64]:
-    """Return sites where two pieces meet: their indices, piece and other piece, from 0."""
+    """Return the hinges between pieces: indices of the site, and the two pieces, from 0."""
     largest, axes = _sites(pieces), pieces.ndim
-    # Reversed numbers, so that the maximum finds the least number.
+    # Numbers are reversed, so that the maximum finds the least number.
     smallest = _sites(np.where(pieces > 0, largest.max() + 1 - pieces, 0))
     sites = np.nonzero((largest > 0) & (largest + smallest != largest.max() + 1))
     around, hinges = np.pad(pieces, 1), []

@@ -34,20 +34,22 @@ class Provenance:
     backend : str
         "cpu", "opengl:fragment" or "opengl:compute".
     renderer : str
-        Device, in words.
+        Description of the device.
     reason : str
-        Reason for the choice of this backend.
+        Reason for the choice of the backend.
     seconds : float
-        Wall time of the schedule, including uploads and read-back.
+        Wall time of the schedule, including uploads and downloads.
     preparation_seconds : float
-        Wall time before the schedule: loading or compiling kernels, creating an OpenGL context.
-        Usually zero after the first solve of a process; the first on a machine compiles.
+        Wall time before the schedule, for loading or compiling kernels and creating an OpenGL
+        context. Usually zero after the first solve of a process. The first solve on a machine
+        compiles.
     parameters : mapping
         Prior, optimizer and their parameters; JSON types only.
     versions : mapping
         Versions of this package and its dependencies.
     model : str
-        Name of the model: "elastic", "paper" or "paper, converged"; by default from the parameters.
+        Name of the model: "elastic", "paper" or "paper, converged"; by default derived from the
+        parameters.
     inputs : mapping
         SHA-256 of the bytes of observed, confidence and stiffness, and of growth and force if
         there are loads.
@@ -72,21 +74,20 @@ class Provenance:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Displacement field with its history.
+    """Displacement field, with the record of its solve.
 
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
-        Components in (row, col) order, in the unit of `spacing`. Material (push-forward): tissue
-        at X moves to X + d(X). Zero where there is no tissue. In float64, also in files, where
-        float32 does not meet the tolerance or would fold a crushed pixel.
+        Components in (row, col) order, in the unit of `spacing`. Material displacement
+        (push-forward): tissue at X moves to X + d(X). Zero where there is no tissue. The type is
+        float64, also in files, if float32 would exceed the tolerance or fold a crushed pixel.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
-        squared, less the work of loads; one value if no iteration was needed. For multigrid with
-        the centred update, which has no energy to minimise, the final value throughout.
+        squared, minus the work of loads; one value if no iteration was needed. For multigrid with
+        the centred update, which does not minimise an energy, all values are the final value.
     levels : tuple of LevelRun
-        Levels in the order in which they ran, with their numbers of iterations, which divide
-        `energy` by level.
+        Levels in the order in which they ran. Their numbers of iterations divide `energy` by level.
     tissue : ndarray, shape (H, W), bool
         Mask of tissue.
     spacing : tuple of float
@@ -95,18 +96,18 @@ class Solution:
     convergence : Convergence, optional
         Distance from the converged field, if the optimizer measures it.
     reach : Reach, optional
-        For large motion: the least Jacobian, and the extent to which observations were met.
+        For large motion: least Jacobian, and extent to which observations are satisfied.
     frame : mapping, optional
-        Place of the field in the world, for code that made the problem from layers; JSON types
-        only. The solver neither reads nor writes it.
+        Place of the field in the world, for code that created the problem from layers; JSON types
+        only. The solver neither reads nor writes this attribute.
     loads : Loads, optional
-        Loads of the problem, for solves that start from this one. Files keep only their digest.
+        Loads of the problem, for warm starts from this solution. Files contain only their digest.
     elasticity : Elasticity, optional
-        Poisson's ratios and growth of elastic tissue, from which `strain` and `measure` get elastic
-        strain. None for the paper's model.
+        Poisson's ratios and growth of elastic tissue, from which `strain` and `measure` compute
+        elastic strain. None for the paper's model.
     notes : tuple of str
-        Clauses for the user: input without effect, assumptions and shortcomings. Files do not keep
-        them.
+        Clauses for the user about input without effect, assumptions and shortcomings. Files do not
+        contain the notes.
     unit : str
         Unit of `spacing` and `displacement`, such as "mm", as in the `Grid` of a study; "" if
         unknown, as for a `Problem`.
@@ -114,7 +115,7 @@ class Solution:
     Raises
     ------
     ProblemError
-        If the displacement, the tissue and the spacing are not of the same grid.
+        If the displacement, the tissue and the spacing do not have the same grid.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -154,7 +155,7 @@ class Solution:
 
     @property
     def _unit_in_words(self) -> str:
-        """Unit of lengths with a space in front; "" if it is unknown."""
+        """Unit of lengths after a space; "" if the unit is unknown."""
         if self.unit not in ("", "pixel"):
             from napari_hmrf.field.units import unit_symbol  # above: field
 
@@ -164,21 +165,21 @@ class Solution:
 
     @property
     def iterations(self) -> int:
-        """Total number of sweeps over all levels."""
+        """Total number of iterations on all levels."""
         return sum(level.iterations for level in self.levels)
 
     @property
     def mean_energy(self) -> float:
-        """Mean total energy per site of tissue at the end, in pixels squared."""
+        """Final mean total energy per site of tissue, in pixels squared."""
         return float(self.energy[-1])
 
-    # These methods import higher layers of the package when they are called. They pass on spacing
-    # and tissue, so that the caller cannot forget them.
+    # These methods import higher layers of the package when they are called. They pass spacing and
+    # tissue on, so that the caller cannot forget these arguments.
 
     def warp(
         self, image: npt.ArrayLike, *, order: int = 1, fill: float = 0
     ) -> npt.NDArray[np.generic]:
-        """Move an image, or labels with ``order=0``, with the tissue.
+        """Move an image with the tissue; use ``order=0`` for labels.
 
         Parameters
         ----------
@@ -194,14 +195,14 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the image is not on the pixels of the solution.
+            If the image does not have the pixel grid of the solution.
         """
         from napari_hmrf.field.warp import warp  # above: field
 
         return warp(image, self.displacement, order=order, fill=fill, **self._on_grid)
 
     def jacobian(self) -> npt.NDArray[np.float32]:
-        """Return the factor by which area, or volume, changes at each site.
+        """Return the factor by which area or volume changes at each site.
 
         Returns
         -------
@@ -221,28 +222,28 @@ class Solution:
     def strain(
         self, kind: Literal["elastic", "total", "small"] = "elastic"
     ) -> npt.NDArray[np.float32]:
-        """Return the strain of each site.
+        """Return the strain at each site.
 
         Parameters
         ----------
         kind : {"elastic", "total", "small"}
-            "elastic": strain of the model in all three directions, without growth. "total":
-            `green_lagrange_strain` of the displacement, including growth. "small": `small_strain`
-            of the displacement.
+            "elastic" is the strain of the model along all three axes, without growth. "total" is
+            the `green_lagrange_strain` of the displacement, including growth. "small" is the
+            `small_strain` of the displacement.
 
         Returns
         -------
         ndarray, float32
-            Symmetric tensors in the order of the axes, NaN where there is no tissue: shape
-            ([D,] H, W, 3, 3) for elastic strain, whose first axis is across the image in an image;
-            (H, W, 2, 2) or (D, H, W, 3, 3) for the others.
+            Symmetric tensors in the order of the axes; NaN where there is no tissue. Elastic strain
+            has shape ([D,] H, W, 3, 3); for an image, the first axis is perpendicular to the image.
+            The other kinds have shape (H, W, 2, 2) or (D, H, W, 3, 3).
 
         Raises
         ------
         ArgumentError
-            If `kind` is none of these.
+            If `kind` is not one of these values.
         ProblemError
-            If the model has no elastic strain, such as the paper's.
+            If the model has no elastic strain, such as the paper's model.
         """
         from napari_hmrf.field.elastic_strain import elastic_strain  # above: field
         from napari_hmrf.field.strain import green_lagrange_strain, small_strain  # above: field
@@ -255,7 +256,7 @@ class Solution:
         return of_field(self.displacement, **self._on_grid)
 
     def at(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return the displacement at points of the tissue, linear between pixels.
+        """Return the displacement at points of the tissue, interpolated linearly.
 
         Parameters
         ----------
@@ -271,14 +272,14 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points have another number of axes than the field, or all lie outside the grid.
+            If the number of axes differs from the field, or all points are outside the grid.
         """
         moved = self.move(points) - np.asarray(points)
         step: npt.NDArray[np.float64] = moved * np.array(self.spacing)
         return step
 
     def move(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return the moved positions of points of the tissue.
+        """Return the positions of points of the tissue after the motion.
 
         Parameters
         ----------
@@ -294,7 +295,7 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points have another number of axes than the field, or all lie outside the grid.
+            If the number of axes differs from the field, or all points are outside the grid.
         """
         from napari_hmrf.field.moved_points import moved_points, refuse_outside  # above: field
 
@@ -309,7 +310,7 @@ class Solution:
         Parameters
         ----------
         labels : array_like of int, shape ([D,] H, W)
-            Labels of the tissue before it moves.
+            Labels of the tissue before the motion.
         names : mapping of int to str, optional
             Names of the labels.
 
@@ -321,7 +322,7 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the labels are not on the pixels of the solution.
+            If the labels do not have the pixel grid of the solution.
         """
         from napari_hmrf.field.measurement import measure  # above: field
 
@@ -335,22 +336,23 @@ class Solution:
         grid: Grid | None = None,
         placed: bool = True,
     ) -> float:
-        """Write the field for other tools, at the place of its image.
+        """Write the field to a file for other tools, in the coordinates of its image.
 
         Parameters
         ----------
         path : str or path-like
             As for `napari_hmrf.fields.write_field`, which lists the formats.
         forward : bool
-            If True, the file maps the old position of tissue to the new one, as transforms of
-            points do; by default the new position to the old one, as transforms of images do.
+            If True, the file maps old positions of tissue to new positions, like transforms of
+            points. By default, it maps new positions to old positions, like transforms of images.
         grid : Grid, optional
-            Grid of the image, as returned by `Grid.from_image`; needed if the solution has no
-            place, because it comes from a `Problem`, or from a study whose grid has none.
+            Grid of the image, as returned by `Grid.from_image`. Required if the solution has no
+            place in the world, because it was computed from a `Problem`, or from a study with a
+            grid without a place.
         placed : bool
             If False, a solution without a place is written at the origin, along the axes, with
-            its spacing converted to mm; an unknown unit counts as 1 mm. This is the place of a
-            picture (.png, .tif) in other tools.
+            its spacing converted to mm; an unknown unit counts as 1 mm. Other tools place pictures
+            (.png, .tif) in the same way.
 
         Returns
         -------
@@ -363,10 +365,10 @@ class Solution:
         ArgumentError
             If `grid` is not a Grid.
         ProblemError
-            If the place is unknown, or the file's format cannot hold it; or if the grid has
-            another shape, spacing or place than the solution.
+            If the place is unknown, or the file format does not support it; or if the grid differs
+            from the solution in shape, spacing or place.
         FileFormatError
-            If the name has no ending of a field file.
+            If the suffix of the name is not that of a field file.
         HmrfError
             If SimpleITK is not installed.
         OSError
@@ -381,43 +383,42 @@ class Solution:
         return {"spacing": self.spacing, "tissue": self.tissue}
 
     def write(self, path: str | os.PathLike[str]) -> Path:
-        """Write to one .npz file, atomically.
+        """Write the solution to one .npz file, atomically.
 
         Parameters
         ----------
         path : str or path-like
-            Used as given; ".npz" is added only if the name has no suffix. An existing file is
-            replaced only when the new one is complete.
+            Path of the file; ".npz" is added only if the name has no suffix. An existing file is
+            replaced only when the new file is complete.
 
         Returns
         -------
         Path
-            The written file.
+            Path of the written file.
 
         Raises
         ------
         OSError
             If the folder is missing or the file cannot be written; the message names the file.
         TypeError, ValueError
-            If frame or parameters hold a value that is no JSON type, or the shapes of the parts
-            disagree.
+            If frame or parameters contain a value that is not a JSON type, or the shapes of the
+            arrays differ.
         """
         return array_file.write(path, SOLUTION_FORMAT, self)
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> Solution:
-        """Read a file of `write`, in this or an earlier version.
+        """Read a file that `write` has written, in this or an earlier version.
 
         Returns
         -------
         Solution
-            The saved solution, without loads (sequences in parameters and frame come back as
-            lists).
+            The saved solution, without loads. Sequences in parameters and frame are read as lists.
 
         Raises
         ------
         FileFormatError
-            If the file holds no solution, or is damaged.
+            If the file does not contain a solution, or is damaged.
         OSError
             If the file cannot be opened.
         """
@@ -425,7 +426,7 @@ class Solution:
 
 
 def is_solution_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is marked as a saved solution; reads only its beginning.
+    """Return whether a file is marked as a saved solution; reads only its first bytes.
 
     Parameters
     ----------
@@ -482,7 +483,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
     if len(spacing) != tissue.ndim or not all(0 < size < float("inf") for size in spacing):
         raise array_file.Invalid(f"its pixel spacing is {spacing}")
     if not array_file.is_finite(displacement):
-        raise array_file.Invalid("its displacement holds values that are not numbers")
+        raise array_file.Invalid("its displacement contains values that are not numbers")
     if len(energy) != max(1, sum(run.iterations for run in levels)):
         raise array_file.Invalid("its energies and iterations disagree")
     frame = header["frame"]
@@ -510,7 +511,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
 
 
 def _reach(given: Mapping[str, Any] | None) -> Reach | None:
-    """Return the extent to which large motion was completed; None in older files."""
+    """Return the extent to which large motion was completed; None for older files."""
     if given is None:
         return None
     where, furthest = given["where"], given.get("unbalanced_at")
@@ -526,7 +527,7 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
     )
 
 
-#: The file that `Solution.write` writes.
+#: Format of the files that `Solution.write` writes.
 SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
     name="napari-hmrf solution",
     schema=1,

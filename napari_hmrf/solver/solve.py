@@ -43,10 +43,10 @@ _log = logging.getLogger("napari_hmrf")
 _announced: set[str] = set()
 
 #: Description of a solve for other callers that wait for the compute thread.
-_DOING = "a solve that a script started, which its cancel flag or Ctrl-C stops"
+_DOING = "a solve started by a script, which its cancel flag or Ctrl-C stops"
 # Interval between checks of the cancel flag, in seconds.
 _CHECK_INTERVAL = 0.1
-# Time that cancelled work has to stop before the call returns without it, in seconds.
+# Time, in seconds, after which a cancelled call returns although the work has not stopped.
 _GRACE = 0.25
 
 
@@ -70,35 +70,37 @@ def solve(
 ) -> Solution:
     """Compute the displacement of the tissue.
 
-    The work runs on the process's compute thread; the caller waits, and may be any thread.
+    The work runs on the compute thread of the process, and the call waits for the result. It may be
+    made from any thread.
 
     Parameters
     ----------
     problem : Problem
     prior : SeilerPrior, ElasticPrior or NeoHookeanPrior, optional
-        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``. Large motion is
-        ``NeoHookeanPrior()``, with multigrid, on the compiled loops.
+        Energy of the tissue; by default elastic tissue. The paper's energy is ``SeilerPrior()``.
+        Large motion is ``NeoHookeanPrior()``, which requires multigrid and the compiled loops.
     optimizer : ICM or Multigrid, optional
-        The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
-        level. ``Multigrid()`` solves the paper's prior to the limit of such sweeps.
+        Schedule; by default multigrid, or 70 sweeps on each level for the paper's prior, as in the
+        paper. ``Multigrid()`` solves the paper's prior to the limit of infinitely many sweeps.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
         Backend to run on. "auto" chooses the shaders on a real GPU and the compiled loops
-        elsewhere, and logs the choice once. Volumes need compute shaders (OpenGL 4.3), or the
+        otherwise, and logs the choice once. Volumes require compute shaders (OpenGL 4.3) or the
         loops.
     progress : callable, optional
-        Called on the caller's thread with a `Monitor`: a message and the fraction done. Without
-        it, a solve that waits for the compiler, which takes minutes once on a machine, logs a
-        warning.
+        Called on the caller's thread with a `Monitor`: a message and the completed fraction. If
+        `progress` is None, a solve that waits for the compiler logs a warning. Compilation takes
+        minutes, once per machine.
     cancel : threading.Event or similar, optional
-        Flag that cancels the solve once it is set; the call then returns within half a second, even
+        Flag that cancels the solve once it is set. The call then returns within half a second, even
         while loops are compiled.
     initial : Solution or sequence of Solution, optional
-        Warm start from earlier solutions of the same grid: after a small edit of the problem
+        Warm start from earlier solutions on the same grid. After a small edit of the problem,
         multigrid then needs fewer cycles. Several solutions are combined linearly to match the
-        observations and loads most closely. Displacements are proportional to observations and
-        loads, so moving the same patch again takes one cycle, or none if the errors of the
-        solutions add up to less than the tolerance. The result is the same within the tolerance.
-        The paper's schedule starts from zero on its coarsest level, and ignores `initial`.
+        observations and loads as closely as possible. Displacements are proportional to
+        observations and loads, so moving the same patch again takes one cycle, or no cycle if the
+        errors of the solutions add up to less than the tolerance. The result is the same within the
+        tolerance. The paper's schedule starts from zero on its coarsest level, and does not
+        accept `initial`.
 
     Returns
     -------
@@ -107,11 +109,11 @@ def solve(
     Raises
     ------
     ArgumentError
-        If an argument is of the wrong type, or the optimizer does not fit the prior.
+        If an argument has the wrong type, or the optimizer does not support the prior.
     BackendError
         If the backend is not available, or returns wrong values.
     ProblemError
-        If the solution is not unique: some tissue could still move freely.
+        If the solution is not unique, because some tissue can move freely.
     ConvergenceError
         If an iteration does not converge.
     Cancelled
@@ -138,7 +140,7 @@ def solve(
     if compute_thread.is_current():
         return run_here(problem, prior, optimizer, backend, progress, stop, initial)
     reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
-    # Send no reports without `progress`: each one wakes the caller, which competes with the work.
+    # Without `progress`, send no reports: each report wakes the caller, which slows the work.
     send = None if progress is None else reports.put
     interrupted = threading.Event()
     either = _Either(stop, interrupted)
@@ -153,7 +155,7 @@ def solve(
             if progress is not None:
                 progress(report)
     except BaseException:
-        # Ctrl-C, or an error in `progress`: the work must not continue in the background.
+        # After Ctrl-C or an error in `progress`, the work must not continue in the background.
         interrupted.set()
         if job is not None:
             job.cancel()
@@ -163,7 +165,7 @@ def solve(
 
 def _next(reports: queue.SimpleQueue[Monitor | None], cancel: CancelFlag | None) -> Monitor | None:
     """Wait for the next report, but only briefly once the work is cancelled."""
-    # The compilation of a loop cannot be interrupted, so a cancelled call returns before its end.
+    # The compilation of a loop cannot be interrupted, so a cancelled call returns before it ends.
     if cancel is None:
         return reports.get()
     for _ in iter(cancel.is_set, True):
@@ -213,12 +215,12 @@ _ARGUMENTS: dict[str, tuple[Callable[[object], bool], str]] = {
 
 
 def check_arguments(**given: object) -> None:
-    """Refuse arguments of a wrong type, before any work is done.
+    """Raise an error if an argument has the wrong type, before any work is done.
 
     Raises
     ------
     ArgumentError
-        Naming the argument and the expected type.
+        If an argument has the wrong type; the message names the argument and the expected type.
     """
     for name, value in given.items():
         is_valid, expected = _ARGUMENTS[name]
@@ -236,7 +238,7 @@ def run_here(
     cancel: CancelFlag,
     initial: Initial | None = None,
 ) -> Solution:
-    """Solve on the compute thread, which must be the current thread.
+    """Solve on the current thread, which must be the compute thread.
 
     Parameters
     ----------
@@ -250,7 +252,7 @@ def run_here(
     Raises
     ------
     RuntimeError
-        On any other thread.
+        If the current thread is not the compute thread.
     """
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
@@ -266,7 +268,7 @@ def _solution_of(
     progress: Progress | None,
     initial: Initial | None,
 ) -> Solution:
-    """Prepare the backend, run the schedule, and record how it was run."""
+    """Prepare the backend, run the schedule, and record the run."""
     begun = time.perf_counter()
     check_memory(problem)
     given = prior or ElasticPrior()
@@ -344,7 +346,7 @@ def _solution_of(
 
 
 class _Either:
-    """Flag that is set when any of its flags is."""
+    """Flag that is set if at least one of several flags is set."""
 
     def __init__(self, *flags: CancelFlag) -> None:
         self._flags = flags
@@ -354,7 +356,7 @@ class _Either:
 
 
 def _announce(choice: Choice) -> None:
-    """Log once per device which backend runs the kernels, and why."""
+    """Log the device that runs the kernels and the reason for its choice, once per device."""
     message = f"{choice.backend.renderer} ({choice.reason})"
     if message not in _announced:
         _announced.add(message)
@@ -363,9 +365,9 @@ def _announce(choice: Choice) -> None:
 
 @cache
 def _announce_compilation() -> None:
-    """Log once per process that a solve waits for the compiler, which takes minutes."""
+    """Log that a solve waits for the compiler, which takes minutes, once per process."""
     _log.warning(
-        "compiling loops for this processor, once on a machine, which takes two to three minutes; "
+        "compiling loops for this processor, once per machine, which takes two to three minutes; "
         "solve(..., progress=print) shows the progress"
     )
 

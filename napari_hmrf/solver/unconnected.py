@@ -1,7 +1,8 @@
-"""Small loose pieces of tissue, which are left out of a solve.
+"""Small loose pieces of tissue, which are excluded from a solve.
 
-Elastic tissue that could still move freely has no unique solution, and is refused. However, a mask
-of tissue from an intensity threshold may contain specks; these stay at rest instead.
+If elastic tissue can move freely, the solution is not unique, and the solver raises an error.
+However, a mask of tissue from an intensity threshold may contain specks. Such specks stay at rest
+instead.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ import scipy
 
 from napari_hmrf.solver.rigid_modes import HeldTissue, free_pieces
 
-#: Size from which an observed piece is kept, as a fraction of all tissue.
+#: Least size of an observed piece that is never excluded, as a fraction of all tissue.
 _LARGE_PIECE = 0.01
-# Leaving out a piece may free another one. Longer chains than this are left to the solver, which
-# refuses the problem.
+# Largest number of exclusion rounds, because the exclusion of a piece may free another piece. After
+# that, the solver raises an error.
 _ROUNDS = 4
 
 
 class _Search(NamedTuple):
-    """Search for loose pieces: its constraints, the pieces, and whether all others are held."""
+    """Result of a search for loose pieces: constraints, loose pieces, whether the rest is held."""
 
     constraints: HeldTissue
     pieces: npt.NDArray[np.bool_]
@@ -34,27 +35,27 @@ class _Search(NamedTuple):
             return False
         if not self.is_rest_held:
             return np.array_equal(self.constraints.held, held)
-        # A new constraint may hold a piece that was left out.
+        # A new constraint may hold a piece that was excluded.
         return not (self.pieces.any() and (held > self.constraints.held)[self.pieces].any())
 
 
-# Last search, kept because a search takes as long as a few cycles.
+# Last search, cached because a search takes as long as a few cycles.
 _last_search: list[_Search] = []
 
 
 def scraps(tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Find loose pieces of tissue that are left out of a solve.
+    """Find the loose pieces of tissue to exclude from a solve.
 
     These are the loose pieces without an observation, and small loose pieces with too few
-    observations. If no observed tissue would be left, the result is empty, and the solver then
-    refuses the problem with a reason.
+    observations. If no observed tissue would remain, the result is empty, and the solver raises an
+    error with the reason.
 
     Parameters
     ----------
     tissue : ndarray of bool, shape (H, W)
         Mask of tissue.
     held : ndarray of bool, shape (H, W, 2)
-        Mask of observed components.
+        Mask of the observed components.
 
     Returns
     -------
@@ -94,12 +95,12 @@ def _scraps(
 
 
 def left_at_rest(scrap: npt.NDArray[np.bool_]) -> str:
-    """Describe the pieces that are left at rest, as a clause for the user; "" if there are none."""
+    """Describe the excluded pieces as a clause for the user; "" if there are none."""
     _, count = scipy.ndimage.label(scrap, structure=np.ones((3, 3)))
     if not count:
         return ""
     pixels = int(scrap.sum())
     pieces = "1 piece" if count == 1 else f"{count} pieces"
     size = "1 pixel" if pixels == 1 else f"{pixels} pixels"
-    verb = "holds stays where it is" if count == 1 else "holds stay where they are"
-    return f"{pieces} of tissue that too little {verb} ({size})"
+    verb = "stays at rest" if count == 1 else "stay at rest"
+    return f"{pieces} of tissue with too few constraints {verb} ({size})"

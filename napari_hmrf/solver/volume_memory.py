@@ -1,4 +1,4 @@
-"""Check that there is enough memory to solve a volume, before any is allocated."""
+"""Check for sufficient memory to solve a volume, before any memory is allocated."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from napari_hmrf.solver.problem import Problem, grid_in_words
 
 #: Bytes per voxel that a solve needs in addition to the problem.
 ORDINARY = 112
-#: The same, for a solve whose cycles continue in double precision.
+#: Bytes per voxel that a solve needs if its cycles continue in double precision.
 IN_DOUBLE = 256
-#: Additional bytes per voxel for loads, while the forces at the voxels are computed.
+#: Additional bytes per voxel while the forces of loads are computed.
 LOADED = 48
 # Fraction of the free memory that a solve may use.
 _FREE = 0.9
@@ -22,12 +22,12 @@ _GIB = 2.0**30
 
 
 def check_memory(problem: Problem) -> None:
-    """Refuse a volume that does not fit into memory.
+    """Raise an error if the solve of a volume does not fit into memory.
 
     Raises
     ------
     ProblemError
-        Naming the largest size that fits, and a remedy.
+        If the memory is not sufficient; the message gives the largest size and a remedy.
     """
     bytes_per_voxel = ORDINARY if problem.loads is None else ORDINARY + LOADED
     if not problem.is_volume or fits(problem.shape, bytes_per_voxel):
@@ -43,12 +43,12 @@ def check_memory(problem: Problem) -> None:
     raise ProblemError(
         "stiffness",
         f"is a volume, {grid_in_words(problem.shape)}, which needs {needed / _GIB:.2g} GiB of "
-        f"memory to solve, and {free / _GIB:.2g} GiB are free. As many voxels as in {side} x "
-        f"{side} x {side} would fit: crop it, or take every second voxel along each axis, which "
-        "needs an eighth of that.",
+        f"memory to solve, and {free / _GIB:.2g} GiB are free. A volume of {side} x "
+        f"{side} x {side} voxels would fit: crop the volume, or use every second voxel along each "
+        "axis, which needs an eighth of the memory.",
     )
 
 
 def fits(shape: tuple[int, ...], bytes_a_voxel: float) -> bool:
-    """Return whether so many bytes are free for each voxel of a grid."""
+    """Return whether the given number of bytes per voxel of a grid is free."""
     return bool(bytes_a_voxel * math.prod(shape) <= _FREE * psutil.virtual_memory().available)

@@ -1,4 +1,4 @@
-"""Warm start: the linear combination of earlier solutions that comes closest to a problem."""
+"""Warm start: the linear combination of earlier solutions that is closest to a problem."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import FloatArray
 from napari_hmrf.solver.solution import Solution
 
-#: Solution or solutions from which a solve can start.
+#: One or more solutions as a warm start.
 Initial = Solution | Sequence[Solution]
 Float64Array = npt.NDArray[np.float64]
-# Size relative to the largest change up to which a difference of changes counts as rounding.
+# Relative difference up to which two changes are equal.
 _ROUNDING = 1e-5
-# Added to the diagonal of the normal equations, so that they are regular without any change.
+# Term on the diagonal of the normal equations, which keeps them regular if all changes are zero.
 _TINY = 1e-300
-# Number of values of loads that are compared at once, which limits the memory.
+# Number of load values that are compared at once, which limits the memory.
 _BLOCK_SIZE = 1 << 20
 
 
 def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
     """Return the combination of earlier solutions that is closest to the observations and loads.
 
-    Displacements are proportional to observations and loads. The shares of the solutions add up to
-    one, so that all motion that the solutions have in common is kept.
+    Displacements are proportional to observations and loads. The weights of the solutions add up to
+    one, so that the common part of all solutions is preserved.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
     Returns
     -------
     WarmStart
-        Displacements, their shares, and the largest deviation from the observations and loads.
+        Displacements, their weights, and the largest deviation from the observations and loads.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
         if (shape, spacing) != (problem.shape, problem.spacing):
             raise ArgumentError(
                 f"initial has a grid of {shape} pixels of size {spacing}, but the problem has a "
-                f"grid of {problem.shape} pixels of size {problem.spacing}. Leave it out"
+                f"grid of {problem.shape} pixels of size {problem.spacing}. Leave initial out"
             )
     displacements = tuple(solution.displacement for solution in solutions)
     blocks = _Blocks(problem, solutions)
@@ -63,8 +63,8 @@ def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
     for target, (first, *others) in blocks:
         if others:
             changes = np.stack(others) - first
-            # `einsum`, because the threads of a matrix product in BLAS keep the cores busy for a
-            # while after it, and the solve needs them.
+            # `einsum`, because a matrix product in BLAS starts threads, which would occupy the
+            # cores that the solve needs.
             normal += np.einsum("an,bn->ab", changes, changes)
             right += np.einsum("an,n->a", changes, target - first)
     weights = _nearest(normal, right) if count else right
@@ -79,10 +79,10 @@ def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
 
 
 class _Blocks:
-    """Observations and loads of a problem, with those of each solution, in blocks of values."""
+    """Observations and loads of a problem and of each solution, in blocks of values."""
 
-    # Loads are scaled to the size of the displacements, so that both have a similar weight. They
-    # are split into blocks, because those of a volume are large.
+    # Loads are scaled to the size of the displacements, so that both have similar weights. They
+    # are split into blocks, because the loads of a volume are large.
 
     def __init__(self, problem: Problem, solutions: tuple[Solution, ...]) -> None:
         self._problem, self._solutions = problem, solutions
@@ -98,7 +98,7 @@ class _Blocks:
         self.comparable = all(len(forms) == 1 for forms in shapes)
 
     def __iter__(self) -> Iterator[tuple[Float64Array, list[Float64Array]]]:
-        """Yield blocks of the problem's values, with those of each solution."""
+        """Yield blocks of the problem's values, with the values of each solution."""
         at = np.flatnonzero(self._problem.known)
         displacements = [solution.displacement.ravel()[at] for solution in self._solutions]
         observed = self._problem.observed.ravel()[at].astype(np.float64)
@@ -127,7 +127,7 @@ class _Blocks:
 
 def _nearest(normal: Float64Array, right: Float64Array) -> Float64Array:
     """Solve the normal equations for the weight of each change."""
-    # There are few equations, however many the observations. They are slightly damped, so that
-    # equal changes share the weight.
+    # There are few equations, independent of the number of observations. Weak damping
+    # distributes the weight equally over equal changes.
     damped = normal + (_ROUNDING**2 * np.trace(normal) + _TINY) * np.eye(len(right))
     return np.linalg.solve(damped, right)

@@ -16,19 +16,19 @@ from napari_hmrf.tissue.drawing.marks import Point
 
 @dataclass(frozen=True)
 class CoarseGrid:
-    """Grid of every `step`-th site of an image or a volume along each axis, from the first.
+    """Grid of every `step`-th site of an image or a volume along each axis, from the first site.
 
     Attributes
     ----------
     step : int
-        Distance of neighbouring sites, in pixels; 1 is the full grid.
+        Distance between neighbouring sites, in pixels; 1 is the full grid.
     """
 
     step: int = 1
 
     @classmethod
     def of_at_most(cls, sites: int, shape: tuple[int, ...]) -> CoarseGrid:
-        """Return the finest grid of a full shape that has at most `sites` sites."""
+        """Return the finest grid with at most `sites` sites, given the shape of the full grid."""
         step = 1
         while math.prod(-(-size // step) for size in shape) > sites:
             step += 1
@@ -43,7 +43,7 @@ class CoarseGrid:
         return tuple(at * self.step for at in point)
 
     def study(self, study: Study) -> Study:
-        """Return the study with its tissue, motion and drawing on this grid.
+        """Return the study with its tissue, motion and drawing converted to this grid.
 
         Parameters
         ----------
@@ -53,14 +53,14 @@ class CoarseGrid:
         Returns
         -------
         Study
-            Study on this grid, which keeps the `place` of the full grid.
+            Study on this grid, with the `place` of the full grid.
         """
         if self.step == 1:
             return study
         grid, motion = study.grid, study.motion
         shape = tuple(-(-size // self.step) for size in grid.shape)
         spacing = tuple(size * self.step for size in grid.spacing)
-        if motion.labels is not None:  # the filter keeps thin labels, so that shells stay closed
+        if motion.labels is not None:  # the filter preserves thin labels, so shells stay closed
             painted = scipy.ndimage.maximum_filter(motion.labels, self.step)
             motion = replace(motion, labels=painted)
         return replace(
@@ -80,7 +80,7 @@ class CoarseGrid:
         )
 
     def drawing(self, drawing: Drawing) -> Drawing:
-        """Convert a drawing to pixels of this grid; lengths stay in the unit of the spacing."""
+        """Convert a drawing to pixels of this grid; lengths remain in the unit of the spacing."""
         if self.step == 1:
             return drawing
         return Drawing(tuple(map(self._mark, drawing.marks)))
@@ -103,7 +103,7 @@ class Preview:
     grid : CoarseGrid
         Grid on which the tissue is solved.
     axis, number : int, optional
-        For a volume: axis across the visible slice, and index of that slice.
+        For a volume: axis perpendicular to the visible slice, and index of the slice.
     """
 
     grid: CoarseGrid

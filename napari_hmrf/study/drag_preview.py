@@ -1,4 +1,4 @@
-"""Accuracy and grid of a solve during a drag, for several pictures a second."""
+"""Tolerance and grid for solves during a drag, at several images a second."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Preview
 from napari_hmrf.study.study import Study
 
-#: Number of sites on which a volume, or an image in large motion, is solved during a drag.
+#: Largest number of sites for a solve of a volume, or of an image in large motion, during a drag.
 PREVIEW_SITES = 100_000
-#: Images in large motion with up to this many times `PREVIEW_SITES` are solved on the full grid.
+#: Images in large motion with up to this multiple of `PREVIEW_SITES` are solved on the full grid.
 _LARGER = 4
 #: Tolerance during a drag in the large-motion model, in pixels.
 _LARGE_MOTION_TOLERANCE = 0.1
 
 
 def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Preview | None:
-    """Return the coarse grid to solve a study on during a drag; None for the full grid.
+    """Return the coarse grid for a study during a drag; None for the full grid.
 
     Parameters
     ----------
     study : Study
     plane : tuple of int, optional
-        For a volume: axis across the visible slice, and index of that slice.
+        For a volume: axis perpendicular to the visible slice, and index of the slice.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Preview 
 
 
 def as_dragged(study: Study) -> Study:
-    """Return the study with the tolerance of a drag, whose error is too small to be visible."""
+    """Return the study with the tolerance for a drag; the resulting error is not visible."""
     optimizer = study.optimizer
     if not isinstance(optimizer, Multigrid):
         return study

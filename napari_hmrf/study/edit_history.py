@@ -1,7 +1,7 @@
-"""Undo history: values of the parts of a study, and the steps between them.
+"""Undo history: current values of the parts of a study, and the steps between values.
 
 All parts share one sequence of steps, in the order of the user's edits. Values are immutable, so
-that undo restores them exactly.
+undo restores them exactly.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class EditHistory:
     Parameters
     ----------
     depth : int
-        Largest number of steps; older steps are dropped.
+        Largest number of steps; when it is exceeded, the oldest steps are dropped.
 
     Attributes
     ----------
     changed : Signal(object, object, object)
-        Emitted with a part, its new value and its old value when the value changes.
+        Emitted with the part, the new value and the old value when a value changes.
     steps_changed : Signal()
-        Emitted when the steps to undo or redo change.
+        Emitted when the steps available for undo or redo change.
     """
 
     changed = Signal(object, object, object)
@@ -62,12 +62,12 @@ class EditHistory:
 
     @property
     def in_progress(self) -> Hashable | None:
-        """Part whose edit has begun and has not ended, or None."""
+        """Part with an edit in progress, or None."""
         return None if self._begun is None else self._begun.part
 
     @property
     def next_undo(self) -> Step | None:
-        """Step that `undo` would undo, with the value that it would restore, or None."""
+        """Step that `undo` would undo, with the value that `undo` would restore, or None."""
         begun = self._begun
         if begun is not None and begun.value != self._now[begun.part]:
             return begun
@@ -81,24 +81,24 @@ class EditHistory:
     # Edits
 
     def setdefault(self, part: Hashable, value: Any) -> Any:
-        """Set the value of a part that has none; return the value of the part."""
+        """Set the value of a part if it has none, and return the value of the part."""
         return self._now.setdefault(part, value)
 
     def amend(self, part: Hashable, value: Any) -> None:
-        """Set a value without a step, for changes that are no edits, such as opening a file."""
+        """Set a value without a step, for a change that is not an edit, such as opening a file."""
         if self._begun is not None and self._begun.part == part:
             self.end()
         self._show(part, value)
 
     def do(self, part: Hashable, value: Any, word: str) -> None:
-        """Set a value as one step, after ending an edit in progress.
+        """End any edit in progress, then set a value as one step.
 
         Parameters
         ----------
         part : hashable
-            Part that has a value.
+            Part, which must have a value.
         value : object
-            New value; if it equals the current value, there is no step.
+            New value. If it equals the current value, no step is added.
         word : str
             Name of the step, in the past tense: "removed an arrow".
         """
@@ -109,7 +109,7 @@ class EditHistory:
             self._show(part, value)
 
     def begin(self, part: Hashable, word: str) -> None:
-        """Begin an edit of several values, such as a drag, that is undone as one step.
+        """Begin an edit with several updates, such as a drag, that is undone as one step.
 
         Raises
         ------
@@ -132,12 +132,12 @@ class EditHistory:
         self._show(self._begun.part, value)
 
     def end(self) -> Step | None:
-        """End the edit in progress, if there is one.
+        """End the edit in progress, if any.
 
         Returns
         -------
         Step or None
-            The new step; None if the value has not changed.
+            The new step; None if there is no edit or its value has not changed.
         """
         begun, self._begun = self._begun, None
         if begun is None or begun.value == self._now[begun.part]:
@@ -146,35 +146,35 @@ class EditHistory:
         return begun
 
     def cancel(self) -> None:
-        """Cancel the edit in progress: restore the value before it, without a step."""
+        """Cancel the edit in progress and restore the previous value, without adding a step."""
         begun, self._begun = self._begun, None
         if begun is not None:
             self._show(begun.part, begun.value)
 
     def undo(self) -> Step | None:
-        """Undo one step, after ending an edit in progress.
+        """End any edit in progress, then undo one step.
 
         Returns
         -------
         Step or None
-            The undone step, with the value that redo would set; None if there is no step to undo.
+            The undone step, with the value that `redo` would set; None if there is no step.
         """
         self.end()
         return self._go(self._past, self._future)
 
     def redo(self) -> Step | None:
-        """Redo one step, after ending an edit in progress.
+        """End any edit in progress, then redo one step.
 
         Returns
         -------
         Step or None
-            The redone step, with the value that undo would set; None if there is no step to redo.
+            The redone step, with the value that `undo` would set; None if there is no step.
         """
         self.end()
         return self._go(self._future, self._past)
 
     def drop(self, unwanted: Callable[[Any], bool]) -> None:
-        """Drop the parts for which `unwanted` is True, with all their steps."""
+        """Drop all parts for which `unwanted` returns True, and all steps of these parts."""
         if self._begun is not None and unwanted(self._begun.part):
             self._begun = None
         before = len(self._past) + len(self._future)

@@ -1,8 +1,8 @@
-"""Live solution of studies and deformation of their images, independent of the window.
+"""Live solver of studies, which also warps their images; independent of the window.
 
-All computation is on the compute thread. While a study is solved, the latest request wins. A solve
-is a warm start unless a cold start is requested, and parts that two consecutive studies share are
-computed once.
+All computation is on the compute thread. While a study is solved, only the latest request remains
+pending. Each solve is a warm start unless a cold start is requested. Parts that are common to two
+consecutive studies are computed once.
 """
 
 from __future__ import annotations
@@ -37,29 +37,30 @@ from napari_hmrf.tissue.drawing.marks import Point
 
 _log = logging.getLogger("napari_hmrf")
 Array = npt.NDArray[Any]
-#: Pictures that move with the tissue.
+#: Pictures that are warped with the tissue.
 Pictures = tuple[Picture, ...]
-#: Callback that updates pictures of the drawing. Its arguments are the ground, the drawing, the
+#: Callback that updates the pictures of the drawing. Its arguments are the ground, the drawing, the
 #: images with the drawing, the box of pixels that may have changed (None if there are none), and
-#: the earlier pictures. It returns new pictures, or the earlier pictures, which it may modify.
+#: the earlier pictures. It returns new pictures, or the earlier pictures, possibly modified.
 Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Pictures], Pictures]
 
 
 class Engine:
-    """Solver of the newest submitted study, which delivers a `Deformation`.
+    """Solver of the newest submitted study; delivers each result as a `Deformation`.
 
-    All methods return immediately. One thread submits and drops studies; the other methods may be
-    called from any thread. The answer to a study without boundary conditions or loads is the
-    undeformed image.
+    All methods return immediately. `submit` and `cancel` must be called from a single thread, other
+    methods from any thread. For a study without boundary conditions or loads, the undeformed image
+    is delivered.
 
     Parameters
     ----------
     deliver : callable
-        Called with a `Deformation` on the compute thread; it should forward it and return.
+        Called with a `Deformation` on the compute thread; it should only forward its argument.
     doing : str
-        Name of the solve, and how to stop it, as a clause for messages of jobs that wait for it.
+        Description of the solve, and how to stop it: a clause for messages of jobs that are queued
+        behind the solve.
     overlay : callable, optional
-        An `Overlay`, called on the compute thread.
+        Callback of type `Overlay`, called on the compute thread.
     """
 
     def __init__(
@@ -74,13 +75,14 @@ class Engine:
         self._reached = Monitor("starting", 0.0)
         #: Event that is set when the engine is closed.
         self.closed = threading.Event()
-        # Generations of the last study, and of the last study that was dropped.
+        # Generation numbers of the last study, and of the last cancelled study.
         self._generation = self._dropped = 0
         self._latest_deformation: Deformation | None = None
-        #: Latest answer with a result. Only the compute thread uses this and the attributes below.
+        #: Latest result without an error. Use this and the attributes below on the compute thread
+        #: only.
         self.latest: Deformation | None = None
         self._request: Deformation | None = None
-        # Ground on each grid, with the study that it was computed from.
+        # Ground for each grid, with the study from which the ground was computed.
         self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
@@ -95,12 +97,12 @@ class Engine:
 
     @property
     def has_pending(self) -> bool:
-        """True if a study is pending that is newer than the study being solved."""
+        """True if a study newer than the study being solved is pending."""
         return self._live.has_pending
 
     @property
     def monitor(self) -> Monitor:
-        """Progress of the solve, or the name of the job that it waits for."""
+        """Progress of the solve, or the name of the job that delays it."""
         waits = self._live.delay
         return Monitor(waits, 0.0) if waits else self._reached
 
@@ -111,7 +113,7 @@ class Engine:
         cold_start: bool = False,
         preview: Preview | None = None,
     ) -> int:
-        """Submit a study, which replaces the pending study.
+        """Submit a study, which replaces any pending study.
 
         Parameters
         ----------
@@ -119,15 +121,15 @@ class Engine:
         backend : str
             As for `solve`.
         cold_start : bool
-            If True, solve from a cold start, with a result equal to `solve_study` bit by bit. A
-            study without boundary conditions or loads is then an error.
+            If True, solve from a cold start. The result is then identical to that of `solve_study`,
+            and a study without boundary conditions or loads is an error.
         preview : Preview, optional
-            Preview during a drag: the study is solved only on its coarse grid.
+            Settings of a preview during a drag; the study is solved only on the coarse grid.
 
         Returns
         -------
         int
-            Generation number of the study, greater than that of all earlier studies.
+            Generation number of the study, greater than the numbers of all earlier studies.
         """
         if cold_start:
             self.cancel()
@@ -140,13 +142,13 @@ class Engine:
         return self._generation
 
     def is_current(self, answer: Deformation) -> bool:
-        """Return whether an answer is the newest and its study has not been dropped."""
+        """Return whether a result is the latest and its study has not been cancelled."""
         return answer is self._latest_deformation and answer.generation > self._dropped
 
     def hold(self) -> None:
-        """Postpone the pending study until `resume`, for instance until the answer is painted.
+        """Postpone the pending study until `resume`, for instance until a result is painted.
 
-        This is called while an answer is delivered.
+        Call this method while a result is delivered.
         """
         self._live.hold()
 
@@ -174,7 +176,7 @@ class Engine:
     def _state(
         self, study: Study, cold_start: bool, preview: Preview | None
     ) -> tuple[Problem, Prior]:
-        """Build the problem of a study; recompute only parts that have changed."""
+        """Build the problem of a study; recompute only the parts that have changed."""
         self._request = Deformation(study, settled=cold_start, preview=preview)
         grid = self._request.grid
         fine = self._ground_of(study, CoarseGrid())
@@ -228,19 +230,19 @@ class Engine:
     def _try_to_move(
         self, request: Deformation, solution: Solution | None
     ) -> tuple[tuple[Array | None, tuple[Array, ...]], Exception | None]:
-        """Deform the image and its overlays; return them, and the error if that failed."""
+        """Warp the image and its overlays; return them, and the error if warping failed."""
         try:
             return self._moved(request, solution), None
         except Cancelled:
             raise
-        except Exception as error:  # noqa: BLE001 - the caller always gets an answer
+        except Exception as error:  # noqa: BLE001 - the error is delivered with the result
             _log.exception("the image could not be deformed")
             return (None, ()), error
 
     def _moved(
         self, request: Deformation, solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
-        """Return the image and its overlays, deformed by a solution."""
+        """Return the image and its overlays, warped by a solution."""
         image, preview = request.study.pictures.image, request.preview
         if preview is None or preview.axis is None:
             if solution is not None and request.ground is not None and request.grid.step > 1:
@@ -256,10 +258,11 @@ class Engine:
 
 
 def patience_for(study: Study, preview: Preview | None) -> float:
-    """Return the time, in seconds, for which a solve continues although a newer study is pending.
+    """Return how long a solve continues while a newer study is pending, in seconds.
 
-    A solve is not cancelled immediately, because tissue must also follow a drag without pauses. The
-    time is 0 for a volume on its full grid, whose solution would be stale before it is displayed.
+    A solve is not cancelled immediately, because otherwise tissue would not move during a drag
+    without pauses. The time is 0 for a volume on its full grid, because that solution would be
+    stale before it is displayed.
     """
     return 0.0 if preview is None and len(study.grid.shape) == 3 else 3.0
 
@@ -270,27 +273,28 @@ class _StillError(HmrfError):
 
 @dataclass(frozen=True, eq=False)
 class Deformation:
-    """Answer to a study: the motion of its tissue, or an error.
+    """Result for a submitted study: the motion of its tissue, or an error.
 
     Attributes
     ----------
     study : Study
     ground : Ground, optional
-        Interpretation of the study; None if it cannot be interpreted.
+        Interpretation of the study; None if interpretation failed.
     stated : Statement, optional
         Problem that was solved; None if it could not be built.
     solution : Solution, optional
         None if the study has no boundary conditions or loads, or if there is an error.
     image : ndarray, optional
-        Image of the study, deformed with the tissue.
+        Image of the study, warped with the tissue.
     overlay : tuple of ndarray
-        Deformed pictures over the image.
+        Warped pictures to display over the image.
     error : Exception, optional
-        Reason for the lack of a solution, in terms of the study.
+        Error that prevented a solution, with the names used in the study.
     settled : bool
         True if the study was solved from a cold start, as by `solve_study`.
     preview : Preview, optional
-        Settings of a preview, whose `image` is one slice of a volume, (H, W), or the whole image.
+        Settings of a preview. The `image` of a preview is one slice, (H, W), of a volume, or the
+        whole image.
     generation : int
         Generation number, as returned by `Engine.submit`.
     """
@@ -318,7 +322,7 @@ class Deformation:
         return drawn or (self.solution is not None and bool(self.solution.displacement.any()))
 
     def origin_of(self, point: Point) -> Point | None:
-        """Return the origin of the tissue at a point, in pixels; None if there is no tissue."""
+        """Return the origin of the tissue at a point, in pixels; None if no tissue is there."""
         if self.solution is not None:
             site = self.grid.down(point)
             before = self._points.before(site)
@@ -326,12 +330,12 @@ class Deformation:
                 point = self.grid.up(before)
             elif holds(self.solution.tissue, _pixel(site)):
                 return None
-            # Otherwise the tissue is unconstrained; it was excluded and has not moved.
+            # Otherwise the tissue is unconstrained: it was excluded and has not moved.
         is_tissue = self.ground is not None and holds(self.ground.body, _pixel(point))
         return point if is_tissue else None
 
     def moved_positions(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the moved positions of points of the tissue, (N, n) in pixels."""
+        """Return the moved positions, (N, n) in pixels, of tissue points, (N, n) in pixels."""
         if self.solution is None or not len(points):
             return points
         return self._points.after(points / self.grid.step) * self.grid.step

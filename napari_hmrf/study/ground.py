@@ -1,4 +1,4 @@
-"""Conversion of a study to a problem, shared by the window, Python and the shell."""
+"""Conversion of a study to a problem, shared by the window, the Python API and the shell."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
-#: Stiffness of the subject and of its dark surroundings if no tissue is painted. The surroundings
-#: are too soft to hinder motion, but as tissue they still constrain the subject.
+#: Stiffness of the subject and of its dark surroundings if there is no tissue map. The surroundings
+#: are too soft to impede motion, but as tissue they still constrain the subject.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
 
 _OVER = (
-    "the drawing moves tissue that is painted as held: where they overlap, the drawing takes "
-    "precedence; make it smaller, or move it further away"
+    "the drawing moves tissue that is painted as held, and takes precedence where they overlap; "
+    "make the drawing smaller, or move it further away"
 )
 
 _NO_UNIT = (
@@ -63,7 +63,7 @@ _NO_UNIT = (
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """Problem of a study, with its prior and optimizer.
+    """Problem that represents a study, with its prior and optimizer.
 
     Attributes
     ----------
@@ -75,9 +75,10 @@ class Statement:
         Mask of insufficiently constrained tissue, which is excluded from the problem and does not
         move.
     labels : ndarray of int, shape ([D,] H, W), optional
-        Tissue labels with brush strokes, if strokes changed labels of the tissue's own table.
+        Tissue labels including brush strokes; None unless strokes changed labels of the tissue's
+        own table.
     study : Study, optional
-        Study of the problem.
+        Study from which the problem was built.
     """
 
     problem: Problem
@@ -93,13 +94,13 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Images of a study without its drawing.
+    """Interpretation of a study without its drawing: stiffness and prescribed displacements.
 
     Attributes
     ----------
     study : Study
     base : Canvas
-        Prescribed displacements without the drawing.
+        Images of prescribed displacements, without the drawing.
     stiffness : ndarray, shape ([D,] H, W), float32
         Young's modulus; 0 in void, infinite in rigid tissue.
     prior : Prior
@@ -107,9 +108,9 @@ class Ground:
     body : ndarray of bool, shape ([D,] H, W)
         Mask of the tissue without the dark surroundings.
     palette : Palette
-        Tissues for painting, to which the labels of `base` refer.
+        Tissues that brushes can paint; the labels of `base` refer to them.
     notes : tuple of str
-        Clauses for the user on how the study was interpreted.
+        Clauses for the user about the interpretation of the study.
     """
 
     study: Study
@@ -122,13 +123,15 @@ class Ground:
 
     @classmethod
     def of(cls, study: Study, checkpoint: Callable[[], None] = lambda: None) -> Ground:
-        """Interpret a study; any thread may call this, because large images take long.
+        """Interpret a study without its drawing; callable from any thread.
+
+        The interpretation of a large image is slow.
 
         Parameters
         ----------
         study : Study
         checkpoint : callable
-            Called between the steps; it may raise an error to cancel the work.
+            Called between the steps; it may raise an error to cancel the computation.
 
         Returns
         -------
@@ -137,7 +140,7 @@ class Ground:
         Raises
         ------
         ProblemError
-            If a part of the study is invalid; the error names the part and a remedy.
+            If a part of the study is invalid; the error names the part and suggests a remedy.
         """
         _check_study(study)
         _refuse_other_axes(study)
@@ -160,7 +163,7 @@ class Ground:
         checkpoint()
         if study.motion.hold_edge:
             free = ~(base.confidence > 0).any(axis=-1)
-            if study.motion.labels is not None:  # the inside of an expanding patch must stay free
+            if study.motion.labels is not None:  # an expanding patch must remain free inside
                 free &= study.motion.labels == 0
             for part in (tissue, ground.body):
                 rim = outer_rim(part) & free
@@ -168,14 +171,14 @@ class Ground:
         return replace(ground, notes=tuple(notes))
 
     def statement(self, drawn: Canvas | None = None) -> Statement:
-        """Return the problem of this ground with a drawing.
+        """Return the problem that consists of this ground and a drawing.
 
         Insufficiently constrained tissue is excluded from the problem and does not move.
 
         Parameters
         ----------
         drawn : Canvas, optional
-            `base` with a drawing; by default with the drawing of the study.
+            `base` with a drawing; by default the drawing of the study.
 
         Returns
         -------
@@ -184,7 +187,7 @@ class Ground:
         Raises
         ------
         ProblemError
-            If a part of the study is invalid; the error names the part and a remedy.
+            If a part of the study is invalid; the error names the part and suggests a remedy.
         """
         canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
         m, prior = self.palette.painted(canvas.labels, self.base.labels, self.stiffness, self.prior)
@@ -201,7 +204,7 @@ class Ground:
         return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study)
 
     def _loads(self, labels: npt.NDArray[Any], m: FloatArray) -> Loads | None:
-        """Return the loads of growth, surface forces and weight."""
+        """Return the loads due to growth, surface forces and weight; None if there are none."""
         motion, spacing = self.study.motion, self.study.grid.spacing
         parts = [growth_loads(labels, self.palette.materials)]
         if motion.labels is not None:
@@ -212,12 +215,12 @@ class Ground:
         return reduce(add, known) if known else None
 
     def refuse_motionless(self, statement: Statement) -> None:
-        """Refuse a problem without any displacement, force or growth.
+        """Raise an error if a problem has no displacement, force or growth.
 
         Raises
         ------
         ProblemError
-            If tissue would stay at rest; the error names inputs without effect, and a remedy.
+            If no tissue would move; the error lists inputs without effect and suggests a remedy.
         """
         if not asks_motion(statement.problem):
             idle = (*self.unused(statement), *self.idle_marks(statement))
@@ -229,14 +232,14 @@ class Ground:
             )
 
     def idle_marks(self, statement: Statement) -> tuple[str, ...]:
-        """Return clauses on marks of the drawing that have no effect."""
+        """Return clauses about marks of the drawing that have no effect."""
         drawing, tissue = self.study.motion.drawing, statement.problem.tissue | statement.at_rest
         return tuple(marks_without_effect(drawing, tissue, self.study.grid.spacing))
 
     def unused(self, statement: Statement) -> tuple[str, ...]:
-        """Return clauses on rules and growth that have no effect.
+        """Return clauses about rules and growth that have no effect.
 
-        The window does not show them, because its tables are shared by all slices.
+        The window does not display these clauses, because its tables apply to all slices.
         """
         labels = statement.labels
         if labels is None and self.study.tissue.labels is not None:
@@ -244,7 +247,7 @@ class Ground:
         return tuple(rows_without_effect(self.study, labels))
 
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
-        """Return clauses for the user on how a problem was interpreted."""
+        """Return clauses for the user about the interpretation of a problem."""
         motion, problem = self.study.motion, statement.problem
         notes = [*self.notes]
         notes += self.idle_marks(statement)
@@ -265,12 +268,13 @@ class Ground:
 
 
 def refuse_unknown(study: Study) -> None:
-    """Refuse rigid tissue, growth and forces if the prior does not support them.
+    """Raise an error for rigid tissue, growth or forces that the prior does not support.
 
     Raises
     ------
     ProblemError
-        If the study has such a property; the error names the tissue, the property and a remedy.
+        If the study has rigid tissue, growth or forces that are not supported; the error names the
+        tissue and suggests a remedy.
     """
     prior, tissue = study.prior, study.tissue
     if study.bears_loads and not isinstance(prior, Elastic):
@@ -296,7 +300,7 @@ def refuse_unknown(study: Study) -> None:
 
 
 def build_problem(study: Study) -> Statement:
-    """Return the problem of a study, with its prior and optimizer.
+    """Convert a study to a problem, with its prior and optimizer.
 
     Parameters
     ----------
@@ -305,12 +309,12 @@ def build_problem(study: Study) -> Statement:
     Returns
     -------
     Statement
-        Its attributes `problem`, `prior` and `optimizer` are arguments of `solve`.
+        Its attributes `problem`, `prior` and `optimizer` are the arguments of `solve`.
 
     Raises
     ------
     ProblemError
-        If a part of the study is invalid; the error names the part and a remedy.
+        If a part of the study is invalid; the error names the part and suggests a remedy.
     """
     return Ground.of(study).statement()
 
@@ -329,7 +333,7 @@ def solve_study(
     ----------
     study : Study
     stated : Statement, optional
-        Result of `build_problem` for the study; computed by default.
+        Result of `build_problem` for this study; computed by default.
     backend, progress, cancel
         As for `solve`.
 
@@ -337,8 +341,8 @@ def solve_study(
     -------
     Solution
         Solution with the place and the unit of the study's grid. Its notes list shortcomings such
-        as folds. Folds of volumes are not counted; `Solution.count_folds` does this. If `stated` is
-        None, the notes also list inputs without effect and assumed values.
+        as folds. Folds of volumes are not counted; use `Solution.count_folds` for these. If
+        `stated` is None, the notes also list inputs without effect and assumed values.
 
     Raises
     ------
@@ -346,7 +350,7 @@ def solve_study(
         If `study` is not a Study, or `stated` is not a Statement of this study.
     ProblemError
         If a part of the study is invalid, or if there is no displacement, force or growth; the
-        error names the part and a remedy.
+        error names the part and suggests a remedy.
     Cancelled, ConvergenceError, BackendError
         As for `solve`.
     """
@@ -364,7 +368,7 @@ def solve_study(
             "out."
         )
     solution = solve_statement(study, stated, backend=backend, progress=progress, cancel=cancel)
-    # Counting the folds of a volume takes 5 % of the time of its solve; of an image, milliseconds.
+    # Counting folds takes milliseconds for an image, but 5 % of the solve time for a volume.
     folds = 0 if solution.tissue.ndim == 3 else solution.count_folds()
     short = shortcomings(solution, solution.unit, folds)
     return replace(solution, notes=(*short, *(notes or solution.notes)))
@@ -384,7 +388,7 @@ def solve_statement(
     ----------
     study : Study
     stated : Statement
-        Result of `build_problem` for the study.
+        Result of `build_problem` for this study.
     backend, progress, cancel
         As for `solve`.
 
@@ -408,15 +412,15 @@ def solve_statement(
 
 
 def _check_study(study: object) -> None:
-    """Refuse an argument that is not a study."""
+    """Raise an error if the argument is not a study."""
     if isinstance(study, Problem):
         raise ArgumentError("study is a Problem. Call solve(problem), or give a Study.")
     require_kind(Study, "study", study, "Study(grid, tissue, motion)")
 
 
 def _refuse_other_axes(study: Study) -> None:
-    """Refuse marks whose number of axes differs from that of the grid."""
-    # `Study` itself does not check this, because the window changes grid and drawing in turn.
+    """Raise an error if a mark and the grid differ in their number of axes."""
+    # `Study` does not check this, because the window changes grid and drawing one after the other.
     axes = len(study.grid.shape)
     for mark in study.motion.drawing.marks:
         place = mark.lines[0][0]
@@ -429,7 +433,7 @@ def _refuse_other_axes(study: Study) -> None:
 
 
 def _tissue_of(study: Study) -> Ground:
-    """Return the ground with the tissues of a study, without prescribed motion."""
+    """Return the ground of a study with its tissues, but without prescribed displacements."""
     tissue, image, shape, prior = study.tissue, study.pictures.image, study.grid.shape, study.prior
     palette, notes = Palette.of_preset(tissue.preset, relative=False), [*study.notes]
     labels, around = np.full(shape, OTHER, dtype=np.int32), np.zeros(shape, dtype=bool)
@@ -456,7 +460,7 @@ def _tissue_of(study: Study) -> Ground:
             raise ProblemError(
                 study.named("tissue"),
                 "is given by a curve of the image's brightness, but the study has no image. Give "
-                "one (`pictures=Pictures(image)`).",
+                "an image (`pictures=Pictures(image)`).",
             )
         _refuse_unknown_brightness(study, intensities)
         m = tissue.curve(intensities)
@@ -470,7 +474,7 @@ def _tissue_of(study: Study) -> Ground:
 
 
 def _refuse_unknown_brightness(study: Study, intensities: npt.NDArray[Any]) -> None:
-    """Refuse an image with NaN or infinite values if its brightness determines stiffness."""
+    """Raise an error if brightness determines stiffness and is NaN or infinite somewhere."""
     unknown = ~np.isfinite(intensities)
     if unknown.any():
         raise LayerError(
@@ -482,13 +486,13 @@ def _refuse_unknown_brightness(study: Study, intensities: npt.NDArray[Any]) -> N
 
 
 def _unknown_pixels(study: Study) -> str:
-    """Return a clause about the NaN or infinite pixels of the image; "" if it has none."""
+    """Return a clause about the NaN or infinite pixels of the image; "" if there are none."""
     image, name = study.pictures.image, f"'{study.named('image')}'"
     return "" if image is None else unknown_values(image, len(study.grid.shape), name)
 
 
 def _observe(study: Study, base: Canvas) -> list[str]:
-    """Write the observed and the painted displacements to a blank canvas; return notes on them."""
+    """Write observed and painted displacements to a blank canvas; return notes about them."""
     motion, notes = study.motion, []
     if motion.observed is not None and motion.confidence is not None:
         c, by_component = motion.confidence, motion.confidence.ndim > len(base.shape)

@@ -14,14 +14,14 @@ from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
-#: Energy and optimizer of a study that names none.
+#: Default prior and optimizer of a study.
 USUAL_PRIOR, USUAL_OPTIMIZER = ElasticPrior(), Multigrid()
-#: Holding force in the form that holds all observations exactly, whatever their confidence.
+#: Holding force, in the form, that enforces all observations exactly, whatever their confidence.
 HOLD_ALL = 1e6
 
 
 def _form_field(usual: Any, label: str, tooltip: str, **options: Any) -> Any:
-    """Return a dataclass field with its label, tooltip and choices in the form."""
+    """Return a dataclass field with the label, tooltip and choices of its form control."""
     options["tooltip"] = tooltip
     return field(default=usual, metadata={"label": label, "options": options})
 
@@ -30,23 +30,24 @@ def _form_field(usual: Any, label: str, tooltip: str, **options: Any) -> Any:
 class SolverDetails:
     """Optional settings of a solve.
 
-    A form is generated from these fields; `detail_names` lists the fields that apply to a
-    model. Zeros stand for None in the priors and optimizers.
+    A form is generated from these fields; `detail_names` lists the fields that apply to a model.
+    Zero stands for None in the priors and optimizers.
 
     Attributes
     ----------
     reading : {"centred", "blanket"}
         Argument `conditional` of `SeilerPrior`.
     method : {"steps", "closed form"}
-        Candidate steps, or exact steps, of `ICM`.
+        Candidate steps or exact steps of `ICM`.
     sweeps : int
         Argument `iterations` of `ICM`.
     energy_change : float
-        Argument of `ICM`; 0: never leave a level early.
+        Argument `energy_change` of `ICM`; 0 to perform all sweeps of each level.
     penalty : float
-        K of eq. 19 in the paper's model; 0: large enough to hold.
+        K of eq. 19 in the paper's model; 0 for a value that enforces boundary conditions.
     grip : float
-        K of eq. 19 in the elastic models; 0: hold by confidence; `HOLD_ALL`: hold all exactly.
+        K of eq. 19 in the elastic models; 0 to constrain observations according to their
+        confidence; `HOLD_ALL` to enforce all observations exactly.
     accuracy : float
         Tolerance of `Multigrid`, in pixels.
     device : str
@@ -58,14 +59,14 @@ class SolverDetails:
         "reading",
         "Lines of three pixels (the paper's cliques) with which a pixel is compared.\n"
         "centred: lines with the pixel in the middle. Closest to finite elements.\n"
-        "blanket: all lines with the pixel. Borders of stiff and soft tissue hardly move.",
+        "blanket: all lines that contain the pixel. Borders of stiff and soft tissue hardly move.",
     )
     # Annotated as str, because magicgui shows the values of a `Literal` instead of the labels.
     method: str = _form_field(
         "steps",
         "steps",
-        "Steps of a pixel in each sweep. Candidate steps: the paper's, of 1, 0.1, 0.01 and 0.001 "
-        "pixels.\nClosed form: straight to the best position.",
+        "Steps of a pixel in each sweep.\nCandidate steps: the steps of the paper, 1, 0.1, 0.01 "
+        "and 0.001 pixels.\nClosed form: a single step to the best position.",
         choices=[("candidate steps", "steps"), ("closed form", "closed form")],
     )
     sweeps: int = _form_field(
@@ -78,31 +79,31 @@ class SolverDetails:
     energy_change: float = _form_field(
         0.0,
         "stop when stable to",
-        "Leave a level when its energy changes by less than this in ten sweeps",
+        "End a level when its energy changes by less than this fraction in ten sweeps",
         choices=[("never early", 0.0)]
         + [(f"{100 * part:g} %", part) for part in (1e-2, 1e-3, 1e-4, 1e-5)],
     )
     penalty: float = _form_field(
         0.0,
         "penalty K",
-        "Strength with which boundaries hold: energy per pixel of deviation from them",
+        "Strength of the boundary conditions: energy per pixel of deviation from them",
         max=1e9,
         step=1000,
     )
     grip: float = _form_field(
         0.0,
         "holding force",
-        "The greatest force that holds a boundary pixel, times its confidence: 1 strains the "
-        "stiffest tissue by 1. Where tissue pulls harder, the pixel slips.\n"
-        "By confidence: pixels of confidence 1 are held exactly, the others with a force of their "
-        "confidence.\n1,000,000: all are held exactly, whatever their confidence",
+        "Largest force that holds a boundary pixel, multiplied by its confidence. A force of 1 "
+        "strains the stiffest tissue by 1. Where tissue pulls harder, the pixel slips.\n"
+        "By confidence: pixels with confidence 1 are held exactly, other pixels with a force equal "
+        "to their confidence.\n1,000,000: all pixels are held exactly, regardless of confidence",
         max=HOLD_ALL,
         step=0.01,
     )
     accuracy: float = _form_field(
         Multigrid.tolerance,
         "converged to",
-        "Largest estimated distance of a pixel from the exact solution of the model",
+        "Largest estimated distance between a pixel and the exact solution of the model",
         choices=[(f"{distance:g} px", distance) for distance in (1e-1, 1e-2, 1e-3, 1e-4)],
     )
     device: str = _form_field(
@@ -137,7 +138,7 @@ def prior_of(
     plane: Plane = "stress",
     poisson: float = USUAL_POISSON,
 ) -> Prior:
-    """Return the prior of a model; materials of tissue labels override `poisson`."""
+    """Return the prior of a model; the materials of tissue labels override `poisson`."""
     if model in ELASTIC:
         kind = ElasticPrior if model == "elastic" else NeoHookeanPrior
         penalty = math.inf if details.grip >= HOLD_ALL else details.grip or None
@@ -153,24 +154,24 @@ def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> Optimizer
     return ICM(details.sweeps, energy_change=details.energy_change or None, **steps)
 
 
-#: Energy and optimizer of each model, with the usual details.
+#: Prior and optimizer of each model, with default details.
 _BY_NAME: dict[ModelName, tuple[Prior, Optimizer]] = {
     name: (prior_of(name), optimizer_of(name)) for name in MODELS.values()
 }
 
 
 def parts_of(name: str) -> tuple[Prior, Optimizer]:
-    """Return the prior and the optimizer of a model.
+    """Return the prior and the optimizer of a model with default details.
 
     Parameters
     ----------
     name : str
-        A `ModelName`, or its spelling with dashes, as in the shell: "large-motion".
+        A `ModelName`, or its spelling with dashes as in the shell, such as "large-motion".
 
     Raises
     ------
     ArgumentError
-        If there is no model of this name.
+        If there is no model with this name.
     """
     model = MODELS.get(as_word(name)) if isinstance(name, str) else None
     if model is None:
@@ -180,7 +181,7 @@ def parts_of(name: str) -> tuple[Prior, Optimizer]:
 
 
 def is_by_name(part: Prior | Optimizer) -> bool:
-    """Return whether a prior or an optimizer is the usual one, or comes from `parts_of`."""
+    """Return whether a prior or optimizer is a default or was returned by `parts_of`."""
     known = [(USUAL_PRIOR, USUAL_OPTIMIZER), *_BY_NAME.values()]
     return any(part is each for pair in known for each in pair)
 
@@ -201,7 +202,7 @@ def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
 
 
 def family_of(prior: Prior, optimizer: Optimizer) -> ModelName:
-    """Return the name of the model with this prior and optimizer."""
+    """Return the name of the model to which a prior and an optimizer belong."""
     if isinstance(prior, NeoHookeanPrior):
         return "large motion"
     if isinstance(prior, ElasticPrior):

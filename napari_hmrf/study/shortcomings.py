@@ -10,7 +10,7 @@ from napari_hmrf.solver.solution import Solution
 
 
 def shortcomings(solution: Solution, unit: str, folds: int) -> Iterator[str]:
-    """Yield the shortcomings of a solution, as clauses for the user.
+    """Yield the shortcomings of a solution as clauses for the user.
 
     Parameters
     ----------
@@ -18,7 +18,7 @@ def shortcomings(solution: Solution, unit: str, folds: int) -> Iterator[str]:
     unit : str
         Name of the unit of lengths.
     folds : int
-        Number of sites that fold, as counted by `count_folds`; 0 if not counted.
+        Number of sites that fold, as returned by `count_folds`; 0 if folds were not counted.
 
     Yields
     ------
@@ -26,7 +26,7 @@ def shortcomings(solution: Solution, unit: str, folds: int) -> Iterator[str]:
     """
     if folds:
         sites = "voxels" if solution.tissue.ndim == 3 else "pixels"
-        yield f"the tissue folds over itself at {folds} {sites}, which no tissue does: move it less"
-    # `unit_symbol` imports pint, which is slow, so it is called for large motion only.
+        yield f"the tissue folds over itself at {folds} {sites}, which is impossible: move it less"
+    # `unit_symbol` imports pint, which is slow, so call it for large motion only.
     if solution.reach is not None and (short := shortfall(solution.reach, unit_symbol(unit))):
         yield short

@@ -1,6 +1,6 @@
-"""Study: all inputs of a displacement field, shared by the window, Python and files.
+"""Study: all inputs of a displacement field, shared by the window, the Python API and files.
 
-This module does not import napari or Qt. A study is immutable; an edit makes a new study, which
+This module does not import napari or Qt. A study is immutable; an edit creates a new study that
 shares the unchanged parts. Arrays are therefore compared by identity, not by value.
 """
 
@@ -33,12 +33,12 @@ from napari_hmrf.tissue.tissue_maps import materials_of_maps, most_likely
 from napari_hmrf.tissue.tissue_names import materials_by_name
 
 Array = npt.NDArray[Any]
-#: Largest distance of a point in a slice from the centre of the slice, in slices.
+#: Largest distance between a point in a slice and the centre of the slice, in slices.
 _IN_SLICE = 0.5 + 1e-3
 
 
 class SimpleItkImage(Protocol):
-    """Methods of a SimpleITK image that describe its place."""
+    """Methods of a SimpleITK image that describe its grid."""
 
     def GetSize(self) -> Sequence[int]: ...  # noqa: D102
     def GetSpacing(self) -> Sequence[float]: ...  # noqa: D102
@@ -48,7 +48,7 @@ class SimpleItkImage(Protocol):
 
 
 class NibabelImage(Protocol):
-    """Properties of a nibabel image that describe its place."""
+    """Properties of a nibabel image that describe its grid."""
 
     @property
     def affine(self) -> Any: ...  # noqa: D102
@@ -67,19 +67,18 @@ class Grid:
     spacing : tuple of float
         Size of a pixel along each axis, in `unit`; a single number applies to all axes.
     unit : str
-        Unit of all lengths, such as displacements and radii. Names of one unit are equal: "mm" and
-        "millimeter", which `from_image` gives.
+        Unit of all lengths, such as displacements and radii. Different names of the same unit, such
+        as "mm" and "millimeter", are equivalent; `from_image` returns "millimeter".
     place : Frame, optional
         Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
-        Files for other tools need it; the displacement does not depend on it. A place does not
-        state the number of pixels: a grid of a smaller shape begins at the same first pixel.
+        It is required for files of other programs and does not affect the displacement. A place
+        does not include the number of pixels: a grid with fewer pixels starts at the same pixel.
 
     Raises
     ------
     ProblemError
-        If the shape or the spacing is invalid, or the place has another number of axes, another
-        spacing or another unit of length. Names of a unit, such as "mm" and "millimeter", are
-        equal.
+        If the shape or the spacing is invalid, or if the place has a different number of axes, a
+        different spacing or a different unit of length.
     ArgumentError
         If the unit is not a string.
     """
@@ -115,7 +114,7 @@ class Grid:
                 f"has {len(self.shape)} axes, but its place has {len(place.plane)}. Give the place "
                 "of the same slice or volume.",
             )
-        # The unit of a place is known even if it is the pixel.
+        # The pixel is a known unit for a place, but an unknown unit for the grid.
         is_same_kind = (self.unit in UNKNOWN_UNITS) == (place.unit in UNKNOWN_UNITS)
         sizes = place.spacing
         if not (is_same_kind and has_same_spacing(self.spacing, self.unit, sizes, place.unit)):
@@ -128,7 +127,7 @@ class Grid:
 
     @property
     def known_place(self) -> Frame:
-        """Place of the grid, for a grid that always has a place, such as one read from layers."""
+        """Place of a grid that is known to have one, such as a grid read from layers."""
         assert self.place is not None
         return self.place
 
@@ -139,7 +138,7 @@ class Grid:
         ----------
         points : array_like, shape (N, 3) or (N, 2)
             Points in mm, as returned by `read_points`: (z, y, x), towards superior, posterior and
-            left, for a volume or a slice of a volume; (y, x) for an image of two axes.
+            left, for a volume or a slice of a volume; (y, x) for a two-dimensional image.
 
         Returns
         -------
@@ -149,7 +148,7 @@ class Grid:
         Raises
         ------
         ProblemError
-            If the grid has no place, or points are on another slice or have too few axes.
+            If the grid has no place, or if points are on another slice or have too few axes.
         """
         if self.place is None:
             raise ProblemError("grid", "has no place. Use Grid.from_image(image).")
@@ -178,18 +177,18 @@ class Grid:
         slice: int | None = None,  # noqa: A002
         axis: int = 0,
     ) -> Grid:
-        """Return the grid of an image, or of one slice of a volume, with its place.
+        """Create the grid of an image, or of one slice of a volume, including its place.
 
         Parameters
         ----------
         image : path-like, SimpleITK image or nibabel image
-            Path of a NIfTI, MetaImage or NRRD file, a folder of DICOM files or a picture; or an
-            image object. The order of the axes is that of the array: ([z,] y, x) for a file or
+            Path of a NIfTI, MetaImage or NRRD file, a folder of DICOM files, or a picture; or an
+            image object. The axes are ordered as in the array: ([z,] y, x) for a file or
             SimpleITK's ``GetArrayFromImage``, and (x, y, z) for nibabel's ``dataobj``.
         slice : int, optional
-            Index of a slice of a volume; by default the grid is that of the whole image.
+            Index of a slice of a volume; by default the grid of the whole image is returned.
         axis : int
-            Axis of the array along which slices are counted.
+            Axis of the array that `slice` refers to.
 
         Returns
         -------
@@ -198,9 +197,9 @@ class Grid:
         Raises
         ------
         ArgumentError
-            If `image` is of another type, or has no such slice.
+            If `image` has another type, or if it does not have this slice.
         ProblemError
-            If the image's axes are not at right angles.
+            If the axes of the image are not at right angles.
         FileFormatError, HmrfError, OSError
             If a file cannot be read.
         """
@@ -218,14 +217,14 @@ class Grid:
 class Tissue:
     """Map of the tissue: from labels, from stiffness, from brightness, or from the image alone.
 
-    Without labels, stiffness and curve, all pixels are tissue of one stiffness, except that dark
+    Without labels, stiffness and curve, all pixels are tissue of equal stiffness, except that dark
     surroundings of the image are a hundred times softer.
 
     Attributes
     ----------
     labels : ndarray of int, shape ([D,] H, W), optional
-        Labels of the tissues; whole numbers stored as floats are converted. Each label has a row in
-        `materials`; a label without a row gets a default material.
+        Labels of the tissues; whole numbers stored as floats are converted to integers. A label
+        without a row in `materials` gets a default material.
     materials : tuple of Material
         Materials of the labels.
     stiffness : ndarray, shape ([D,] H, W), optional
@@ -233,11 +232,11 @@ class Tissue:
     curve : StiffnessCurve, optional
         Conversion of the image's intensity to stiffness.
     record : mapping
-        Origin of the tissue map, in JSON types, stored with a solution.
+        Origin of the tissue map, in JSON types; stored with a solution.
     preset : Preset, optional
         Tissues for brushes if there is no table; by default the first preset.
     unit : str
-        Unit of stiffness. It does not affect the displacement, because only ratios matter.
+        Unit of stiffness. It does not affect the displacement, which depends on ratios only.
     without_border : bool
         If True, dark surroundings with label 0 are void.
 
@@ -246,7 +245,7 @@ class Tissue:
     ProblemError
         If more than one of labels, stiffness and curve is given, or a label is not a whole number.
     ArgumentError
-        If a part is of another type.
+        If an attribute has an invalid type.
     """
 
     labels: Array | None = None
@@ -267,22 +266,23 @@ class Tissue:
         scale: float | None = None,
         unit: str = "",
     ) -> Tissue:
-        """Return the tissue of probability maps, such as those of a segmentation.
+        """Create a tissue map from probability maps, such as those of a segmentation.
 
-        Each pixel gets its most likely tissue, or label 0 where "none" is more likely, as for
-        ``--maps`` in the shell.
+        Each pixel is assigned its most likely tissue, or label 0 where "none" is more likely, as
+        ``--maps`` does in the shell.
 
         Parameters
         ----------
         maps : mapping of str to array_like, shape ([D,] H, W)
-            Probability of each tissue, by name.
+            Probability map of each tissue, by name.
         materials : mapping of str to Material or float, or sequence of Material, optional
             Materials, or stiffnesses, by the names of the maps; by default the published values for
             these names, from `materials_by_name`. "none" is the material of pixels without a likely
-            tissue; without it, these pixels are as stiff as the first tissue.
+            tissue; if it is missing, these pixels are as stiff as the first tissue.
         scale : {1, 100, 255}, optional
-            Value of certainty in all maps. By default the smallest of these that no map exceeds.
-            Give it for parts of larger maps, such as slices, whose values may all be small.
+            Value that means certainty in all maps; by default the smallest of these values that no
+            map exceeds. Give the scale for parts of larger maps, such as slices, because all values
+            of a part may be small.
         unit : str
             Unit of stiffness.
 
@@ -293,7 +293,7 @@ class Tissue:
         Raises
         ------
         ProblemError
-            If maps differ in shape or scale, are negative, have NaN or exceed the scale, or a
+            If maps differ in shape or scale, are negative, contain NaN or exceed the scale, or if a
             tissue has no material.
         ArgumentError
             If `maps` is not a mapping.
@@ -345,16 +345,16 @@ class Motion:
     """Prescribed motion of the tissue, and loads.
 
     Where prescribed motions overlap, the drawing takes precedence over labels, and labels over the
-    observed displacement; `hold_edge` holds only tissue without prescribed motion.
+    observed displacement. `hold_edge` applies only to tissue without other prescribed motion.
 
     Attributes
     ----------
     hold_edge : bool
-        If True, hold the outer edge of the tissue in place: tissue next to void or to the dark
-        surroundings, and at the edge of the image. The edges of holes are free.
+        If True, fix the outer edge of the tissue: tissue next to void or to the dark surroundings,
+        and tissue at the edge of the image. The edges of holes remain free.
     labels : ndarray of int, shape ([D,] H, W), optional
         Painted boundary labels. Each label has a row in `rules`; tissue under a label without a row
-        is held in place.
+        is fixed.
     rules : tuple of BoundaryRule
         Rules of the labels.
     observed : ndarray, shape ([D,] H, W, n), optional
@@ -366,15 +366,15 @@ class Motion:
     drawing : Drawing
         Arrows, landmarks and brush strokes.
     weight : tuple of float
-        Body force on all tissue along each axis: density times acceleration, in the unit of
-        stiffness per length; empty for none.
+        Body force on all tissue along each axis, which is density times acceleration, in the unit
+        of stiffness per length; empty if there is no body force.
 
     Raises
     ------
     ProblemError
         If only one of `observed` and `confidence` is given.
     ArgumentError
-        If a part is of another type.
+        If an attribute has an invalid type.
     """
 
     hold_edge: bool = False
@@ -414,17 +414,17 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """Image and labels to deform.
+    """Image and labels to warp with the tissue.
 
     Attributes
     ----------
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
     labels : ndarray of int, shape ([D,] H, W), optional
     name, labels_name : str
-        Names of the image and the labels, which results are named after.
+        Names of the image and the labels, from which the names of results are derived.
     look, labels_look : dict
-        Display settings of the image and the labels, such as the colormap, as arguments of a new
-        layer.
+        Display settings of the image and the labels, such as the colormap, as keyword arguments of
+        a new layer.
 
     Raises
     ------
@@ -460,33 +460,33 @@ class Study:
     tissue : Tissue
     motion : Motion
     model : {"elastic", "large motion", "paper", "paper, converged"}, optional
-        Name of a model, which sets `prior` and `optimizer`; by default elastic. A prior or an
-        optimizer that is given as well must belong to this model, and is kept. This is an argument
-        only; the attribute `model_name` is the name of the model.
+        Name of a model, which determines `prior` and `optimizer`; by default elastic. A prior or
+        optimizer that is also given must belong to this model, and then replaces the default of the
+        model. `model` is an argument only; the attribute `model_name` is the name of the model.
     prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
         Energy of the tissue. If tissues are given by labels, the Poisson's ratios of their
         materials apply.
     optimizer : ICM or Multigrid
-        Minimiser of the energy.
+        Minimizer of the energy.
     pictures : Pictures
-        Image and labels to deform; tissue may be derived from the image.
+        Image and labels to warp. The tissue may be derived from the image.
     names : mapping of str to str
-        Names of the parts "image", "tissue", "boundary", "confidence" and "drawing" in error
+        Names of the parts "image", "tissue", "boundary", "confidence" and "drawing" for error
         messages, such as names of layers or files.
     notes : tuple of str
-        Clauses for the user about assumptions made when the study was read.
+        Clauses for the user about assumptions that were made when the study was read.
 
     Raises
     ------
     ProblemError
         If a part does not have the shape of the grid; the error names the part.
     ArgumentError
-        If a part is of another type, there is no such model, or the prior or the optimizer is
-        of another model.
+        If an attribute has an invalid type, if there is no such model, or if the prior or the
+        optimizer belongs to another model.
 
     Examples
     --------
-    Pull tissue at a patch in its middle, and hold its edge.
+    Pull tissue at a patch in its middle, and fix its edge.
 
     >>> import numpy as np
     >>> from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study
@@ -542,7 +542,7 @@ class Study:
                 )
 
     def _take_model(self, model: str) -> None:
-        """Set the prior and the optimizer of a model, where none of the model is given."""
+        """Set the prior and the optimizer to those of a model, unless the caller gave others."""
         for name, usual in zip(("prior", "optimizer"), parts_of(model), strict=True):
             given = getattr(self, name)
             if is_by_name(given):
@@ -574,7 +574,7 @@ class Study:
 
     @property
     def moves(self) -> bool:
-        """True if the study prescribes any motion or load besides holding the edge."""
+        """True if the study prescribes any motion or load besides a fixed edge."""
         motion = self.motion
         given = (motion.drawing.marks, motion.labels is not None, motion.observed is not None)
         return any(given) or self.bears_loads
@@ -587,7 +587,7 @@ class Study:
         return forces or any(row.grows for row in self.tissue.materials)
 
     def named(self, *parts: str) -> str:
-        """Return the name, from `names`, of the first of these parts that has a name there."""
+        """Return the name of the first given part with a name in `names`, else the first part."""
         return next((self.names[part] for part in parts if part in self.names), parts[0])
 
     def same_as(self, other: Study) -> bool:
@@ -608,12 +608,12 @@ class Study:
 
     @contextmanager
     def naming(self, drawn: bool = True) -> Iterator[None]:
-        """Make errors about the inputs of a problem name the parts of the study.
+        """Replace argument names in error messages by the names of the study's parts.
 
         Parameters
         ----------
         drawn : bool
-            If True, errors about boundary conditions name the drawing, if there is one.
+            If True, errors about boundary conditions refer to the drawing, if there is one.
         """
         names = self.names
         marks = self.motion.drawing.marks
@@ -634,7 +634,7 @@ class Study:
             yield
 
     def in_words(self, error: Exception) -> Exception:
-        """Return an error with the names of the parts of the study."""
+        """Return an error with argument names replaced by the names of the study's parts."""
         try:
             with self.naming():
                 raise error
@@ -643,7 +643,7 @@ class Study:
 
 
 def _check_arrays(part: Tissue | Motion | Pictures, *names: str) -> None:
-    """Refuse images that are not arrays, such as lists."""
+    """Raise an error for images that are not arrays, such as lists."""
     for name in names:
         value = getattr(part, name)
         is_array = value is None or hasattr(value, "shape")
@@ -651,7 +651,7 @@ def _check_arrays(part: Tissue | Motion | Pictures, *names: str) -> None:
 
 
 def _take_whole_labels(part: Tissue | Motion) -> None:
-    """Convert whole numbers stored as floats to integers; refuse labels of any other type."""
+    """Convert whole numbers stored as floats to integers; raise an error for other labels."""
     labels = part.labels
     if labels is not None and np.dtype(labels.dtype).kind not in "biu":
         object.__setattr__(part, "labels", whole_numbers("labels", labels))

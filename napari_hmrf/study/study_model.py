@@ -1,9 +1,9 @@
-"""Studies of a viewer as the user edits them: the single source for forms, tools and the solver.
+"""Model of the studies in a viewer, which forms, tools and the solver share.
 
-The parts of a study have different owners: the drawing belongs to a slice, the table of materials
-or rules to a Labels layer, the choice of layers to an image, and the tissue model to the viewer.
-Each part is stored once, and an edit of a part changes the studies of all slices that use it.
-Layers are any hashable objects; this module does not import napari or Qt.
+The parts of a study have different owners: a drawing belongs to a slice, a table of materials or
+rules to a Labels layer, a choice of layers to an image, and the tissue model to the viewer. Each
+part is stored once, and an edit of a part changes the studies of all slices that use the part.
+Layers can be any hashable objects; this module does not import napari or Qt.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
 #: Kinds of parts: the drawing of a slice; the tables of a Labels layer; the stiffness curve of an
-#: image; the choices for an image; the tissue model; and the strokes of napari's brush in a layer.
+#: image; the choices for an image; the tissue model; and strokes of napari's brush in a layer.
 Kind = Literal["drawing", "image", "tissue", "boundary", "curve", "choice", "model", "paint"]
 #: Kinds of tables; the table of an image is always empty.
 TableKind = Literal["image", "tissue", "boundary"]
-#: Value of `ImageChoice.tissue` if the image's brightness gives the stiffness, by its curve.
+#: Value of `ImageChoice.tissue` if stiffness is computed from brightness by the image's curve.
 BRIGHTNESS = "brightness"
 # Attributes of `ImageChoice` that may be layers.
 _LAYER_NAMES = "tissue", "boundary", "confidence", "compare_with"
-# Name of the step that changes a choice, by attribute; the first changed attribute determines it. A
-# change of other attributes, such as solver details, is no step.
+# Name of the step that changes a choice, by attribute. The first changed attribute in this order
+# determines the name. A change of other attributes, such as solver details, is not a step.
 _STEP_NAMES = {
     "name": "chose another model",
     "plane": "chose another plane",
@@ -59,15 +59,16 @@ _STEP_NAMES = {
 
 
 class Part(NamedTuple):
-    """Key of a part of the studies, which is edited as one value.
+    """Key of a part of the studies; a part is edited as a whole.
 
     Attributes
     ----------
     kind : Kind
     layer : hashable
-        Owner of the part: an image, a Labels layer, or None. A removed layer's parts are dropped.
+        Owner of the part: an image, a Labels layer, or None. The parts of a removed layer are
+        dropped.
     place : hashable
-        For a drawing, its slice.
+        Slice of a drawing; None for other parts.
     """
 
     kind: Kind
@@ -81,13 +82,13 @@ MODEL_PART = Part("model", "")
 
 @dataclass(frozen=True)
 class ImageChoice:
-    """Layers and settings chosen for an image.
+    """Layers and settings that are selected for an image.
 
     Attributes
     ----------
     tissue : layer, "brightness" or None
-        Source of the tissue: labels, an image of stiffness, or the brightness of the image. None:
-        all pixels of the image are tissue.
+        Source of the tissue map: labels, an image of stiffness, or the brightness of the image. If
+        None, all pixels of the image are tissue.
     boundary : layer or None
         Labels or observed displacements that prescribe the motion.
     confidence : layer, "edges" or None
@@ -95,13 +96,13 @@ class ImageChoice:
     without_border : bool
         True if dark surroundings with label 0 are void.
     hold_edge : bool
-        True if the outer edge of the tissue is held.
+        True if the outer edge of the tissue is fixed.
     weight : tuple of float
-        As for `Motion`.
+        Body force, as in `Motion`.
     extent : {"slice", "volume"}
         Part of the image that is solved.
     compare_with : layer or None
-        Second image, displayed over the deformed image.
+        Second image to display over the warped image.
     """
 
     tissue: Any = None
@@ -115,7 +116,7 @@ class ImageChoice:
 
     @property
     def tissue_layer(self) -> Any:
-        """Layer that is chosen as tissue, or None."""
+        """Layer that is selected as the tissue map, or None."""
         return None if self.tissue == BRIGHTNESS else self.tissue
 
     @property
@@ -133,7 +134,7 @@ class ImageChoice:
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """Chosen tissue model and solver settings.
+    """Selected tissue model and solver settings.
 
     Attributes
     ----------
@@ -143,7 +144,7 @@ class ModelChoice:
     poisson : float
         Poisson's ratio of tissue without a table.
     details : SolverDetails
-        Optional settings.
+        Optional solver settings.
     """
 
     name: ModelName = "elastic"
@@ -155,7 +156,7 @@ class ModelChoice:
     def of(cls, study: Study) -> ModelChoice:
         """Return the choice that corresponds to the prior and the optimizer of a study.
 
-        An image of Poisson's ratios is ignored, because it belongs to the tissue.
+        An array of Poisson's ratios is ignored, because it belongs to the tissue map.
         """
         prior, optimizer = study.prior, study.optimizer
         choice = cls(family_of(prior, optimizer), details=details_of(prior, optimizer))
@@ -177,9 +178,9 @@ class ModelChoice:
 
 
 class StudyModel(EditHistory):
-    """Model of all studies of a viewer: their parts, the selected slice, and undo.
+    """Editable model of all studies of a viewer: their parts, the selected slice, and undo.
 
-    Each kind of part has a single method that writes it; `changed` is emitted with the `Part`.
+    Each kind of part is written by a single method, and `changed` is emitted with the `Part`.
 
     Parameters
     ----------
@@ -206,7 +207,7 @@ class StudyModel(EditHistory):
     # Selection
 
     def select(self, image: Hashable | None) -> bool:
-        """Select an image; return whether the model has choices for it."""
+        """Select an image; return whether there are stored choices for the image."""
         known = Part("choice", image) in self._now
         if image is not self.image:
             self.image = image
@@ -214,7 +215,7 @@ class StudyModel(EditHistory):
         return known and image is not None
 
     def select_slice(self, image: Hashable | None, place: Hashable = None) -> None:
-        """Select the drawing of a slice, after ending a drag in the previous slice."""
+        """End any drag in the previous slice, then select the drawing of a slice."""
         if self.drawing_in_progress:
             self.end()
         self.slice = Part("drawing", image, place)
@@ -234,17 +235,17 @@ class StudyModel(EditHistory):
         Parameters
         ----------
         step : bool
-            If True, undo can restore the old attributes.
+            If True, undo can restore the previous values.
         **changes
             New values of attributes of `ImageChoice`.
         """
         now = replace(self.choice, **changes)
-        # Without an image, undo would have no choices to restore.
+        # Without an image, there would be no choices for undo to restore.
         self._edit(Part("choice", self.image), now, step and self.image is not None)
 
     @property
     def model(self) -> ModelChoice:
-        """Chosen tissue model."""
+        """Selected tissue model."""
         choice: ModelChoice = self.get(MODEL_PART, ModelChoice())
         return choice
 
@@ -255,12 +256,13 @@ class StudyModel(EditHistory):
         ----------
         choice : ModelChoice
         step : bool
-            If True, undo can restore the old model; a change of solver details alone is no step.
+            If True, undo can restore the previous model; a change of solver details alone is not a
+            step.
         """
         self._edit(MODEL_PART, choice, step)
 
     def restore(self, study: Study, layers: Mapping[str, Hashable]) -> None:
-        """Select the image and the choices of a study without undo steps.
+        """Select the image and restore the choices of a study, without undo steps.
 
         The drawing of the study is not restored.
 
@@ -268,7 +270,7 @@ class StudyModel(EditHistory):
         ----------
         study : Study
         layers : mapping of str to layer
-            Layers of the parts "image", "tissue", "boundary" and "confidence".
+            Layer of each of the parts "image", "tissue", "boundary" and "confidence".
         """
         tissue, motion = study.tissue, study.motion
         image = layers.get("image")
@@ -303,19 +305,19 @@ class StudyModel(EditHistory):
     def set_table(
         self, kind: TableKind, layer: Hashable, table: RowTable[Any], word: str = ""
     ) -> None:
-        """Change the table of a layer, as a step named `word`; without a step if it is ""."""
+        """Change the table of a layer, as a step named `word`, or without a step if it is ""."""
         part = Part(kind, layer)
         if self.setdefault(part, table) != table:
             self._set(part, table, word)
 
     @property
     def curve(self) -> StiffnessCurve | None:
-        """Stiffness curve of the selected image, even if the tissue does not use it; or None."""
+        """Stiffness curve of the selected image, even if it is not used; None if there is none."""
         curve: StiffnessCurve | None = self.get(Part("curve", self.image))
         return curve
 
     def set_curve(self, curve: StiffnessCurve, word: str) -> None:
-        """Change the curve of the selected image; all changes until `end` are one step."""
+        """Change the curve of the selected image; all changes until `end` form one step."""
         part = Part("curve", self.image)
         if self.setdefault(part, curve) != curve:
             if self.in_progress != part:
@@ -332,16 +334,16 @@ class StudyModel(EditHistory):
 
     @property
     def drawing_in_progress(self) -> bool:
-        """True if an edit of this drawing has begun and has not ended."""
+        """True if an edit of the selected drawing is in progress."""
         return self.in_progress == self.slice
 
     def draw(self, drawing: Drawing, word: str) -> None:
-        """Change the drawing, as a step named `word`; without a step if it is ""."""
+        """Change the drawing, as a step named `word`, or without a step if it is ""."""
         self.setdefault(self.slice, Drawing())
         self._set(self.slice, drawing, word)
 
     def begin_drawing(self, word: str) -> None:
-        """Begin a drag, whose changes are one step."""
+        """Begin a drag; all its changes form one step."""
         self.setdefault(self.slice, Drawing())
         self.begin(self.slice, word)
 
@@ -351,19 +353,19 @@ class StudyModel(EditHistory):
         Raises
         ------
         RuntimeError
-            If no drag of this drawing has begun.
+            If no drag of the selected drawing is in progress.
         """
         if not self.drawing_in_progress:
             raise RuntimeError("no edit has begun; call begin_drawing() first, or draw()")
         self.update(drawing)
 
     def end_drawing(self) -> str:
-        """End the drag, if there is one; return the name of its step, or "" without a step."""
+        """End the drag, if any; return the name of its step, or "" if there is no step."""
         step = self.end() if self.drawing_in_progress else None
         return "" if step is None else step.word
 
     def cancel_drawing(self) -> None:
-        """Cancel the drag, if there is one, and restore the drawing before it."""
+        """Cancel the drag, if any, and restore the drawing before the drag."""
         if self.drawing_in_progress:
             self.cancel()
 
@@ -386,10 +388,10 @@ class StudyModel(EditHistory):
         self._set(part, now, word if step else "")
 
     def _change_earlier(self, part: Part, before: Any, now: Any, changed: list[str]) -> None:
-        """Apply a change that is no step to the states of a part in the history.
+        """Apply a change without a step to the stored states of a part in the history.
 
-        Undo then keeps the change. States with another value of a changed attribute stay unchanged
-        in this attribute.
+        Undo then preserves the change. A state in which a changed attribute has another value
+        retains this value.
         """
         for steps in (self._past, self._future):
             for number, step in enumerate(steps):

@@ -16,12 +16,12 @@ from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box, box_of, covered, is_empty
 from napari_hmrf.tissue.drawing.marks import Mark, Point
 
-#: Actions of strokes that have no effect outside tissue; other strokes change earlier marks.
+#: Actions of strokes that have no effect outside tissue; other strokes can change earlier marks.
 _HOLD_OR_MOVE = ("pin", "move", "expand")
 
 
 def asks_motion(problem: Problem) -> bool:
-    """Return whether a problem has a prescribed displacement other than 0, growth or a force."""
+    """Return whether a problem has a nonzero prescribed displacement, growth or a force."""
     loads = problem.loads
     given = () if loads is None else (loads.growth, loads.force)
     moved = problem.known & (problem.observed != 0)
@@ -31,7 +31,7 @@ def asks_motion(problem: Problem) -> bool:
 def marks_without_effect(
     drawing: Drawing, tissue: npt.NDArray[np.bool_], spacing: Sequence[float]
 ) -> Iterator[str]:
-    """Yield a clause for each kind of mark with marks outside the image or off tissue.
+    """Yield a clause for each kind of mark that is outside the image or outside tissue.
 
     Parameters
     ----------
@@ -52,23 +52,23 @@ def marks_without_effect(
         if is_empty(box):
             idle[kind, "outside the image"].append(place)
         elif _needs_tissue(mark) and not (covered(mark, spacing, box) & tissue[box]).any():
-            idle[kind, "off tissue"].append(place)
+            idle[kind, "outside tissue"].append(place)
     for (kind, where), places in idle.items():
         first = "(" + ", ".join(f"{at:.4g}" for at in places[0]) + ")"
         if len(places) == 1:
-            yield f"the {kind} at {first} lies {where} and has no effect"
+            yield f"the {kind} at {first} is {where} and has no effect"
         else:
-            yield f"{len(places)} {kind}s lie {where} and have no effect, the first at {first}"
+            yield f"{len(places)} {kind}s are {where} and have no effect, the first at {first}"
 
 
 def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterator[str]:
-    """Yield clauses about the rules and the growth of labels that do not occur in their images.
+    """Yield clauses about rules and growth of labels that do not occur in their images.
 
     Parameters
     ----------
     study : Study
     labels : ndarray of int, optional
-        Tissue labels of the problem, including strokes that paint tissue.
+        Tissue labels of the problem, including brush strokes that paint tissue.
 
     Yields
     ------

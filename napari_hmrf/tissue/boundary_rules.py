@@ -1,8 +1,8 @@
-"""Conversion of painted labels and their tables to the input images of the method.
+"""Conversion of painted labels and their tables to the input images of the solver.
 
 A *material* defines the stiffness and growth of the tissue under a label. A *boundary rule* defines
-the observed motion of the tissue under a label with its confidence, or a force on it. Both tables
-belong to integer label images, such as napari's Labels layers.
+the observed motion of the tissue under a label and its confidence, or a force on this tissue. The
+tables of materials and rules belong to integer label images, such as napari's Labels layers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from napari_hmrf.tissue.normals import outward_normals
 Action = Literal["fixed", "move", "expand", "press", "pull"]
 #: Actions that are forces rather than observed displacements.
 FORCES: tuple[Action, ...] = "press", "pull"
-#: Strain of growth: one number for all directions, or one along each axis of the image.
+#: Growth strain: one number for all directions, or one number for each axis of the image.
 Growth = float | tuple[float, ...]
 
 #: Default Poisson's ratio of soft tissue.
@@ -49,20 +49,21 @@ class Material:
     Attributes
     ----------
     label : int
-        Value in the label image; 0 is unpainted.
+        Value in the label image; 0 means unpainted.
     name : str
         Name for display.
     stiffness : float
-        Young's modulus in any unit that all materials share; only ratios matter. 0 is void: no
-        tissue, such as air or matter that does not adhere to its surroundings. Tissue of the
-        infinite stiffness `RIGID` moves as a rigid body; only elastic models support it.
+        Young's modulus. All materials share one unit, which is arbitrary because only ratios
+        matter. 0 means void, such as air or matter that does not adhere to its surroundings.
+        Tissue with the infinite stiffness `RIGID` moves as a rigid body, which only elastic models
+        support.
     poisson : float
-        Poisson's ratio, from 0 to 0.499; used by elastic models only, and not for void or rigid
-        tissue.
+        Poisson's ratio, from 0 to 0.499. Only elastic models use this value, and only for
+        deformable tissue.
     growth : float or tuple of float
-        Relative change of length of unconstrained tissue: 0.1 makes it a tenth longer. One number
-        for all directions, or one each along (row, col), or in a volume (plane, row, col). Void
-        and rigid tissue do not grow.
+        Relative change of length of unconstrained tissue: 0.1 means 10 % longer. One number for
+        all directions, or one number for each axis: (row, col), or (plane, row, col) in a volume.
+        Void and rigid tissue do not grow.
 
     Raises
     ------
@@ -88,7 +89,7 @@ class Material:
             raise ProblemError(
                 "growth",
                 f"gives {quoted(self)} a growth of {shown(self.growth)}. Give a number, such as "
-                "0.2 for 20 %, or one along each axis.",
+                "0.2 for 20 %, or a number for each axis.",
             )
         if self.is_deformable and not _has_poisson(self):
             raise _wrong_poisson(self)
@@ -109,7 +110,7 @@ class Material:
         return self.is_deformable and bool(np.any(self.growth))
 
     def as_row(self) -> dict[str, Any]:
-        """Convert to JSON types; an infinite stiffness, which JSON does not have, is "rigid"."""
+        """Convert the material to JSON types; an infinite stiffness becomes "rigid"."""
         row = asdict(self)
         if not self.grows:  # so that earlier versions can read the row
             del row["growth"]
@@ -117,7 +118,7 @@ class Material:
 
     @classmethod
     def of_row(cls, **row: Any) -> Material:
-        """Return the material of a row made by `as_row`."""
+        """Create a material from a row that `as_row` returned."""
         return cls(**{**row, "stiffness": read_stiffness(row["stiffness"])})
 
 
@@ -128,12 +129,13 @@ class BoundaryRule:
     Attributes
     ----------
     label : int
-        Value in the label image, above 0: unpainted tissue is not observed.
+        Value in the label image, above 0, because 0 means unpainted.
     action : {"fixed", "move", "expand", "press", "pull"}
-        "fixed": the tissue under the label stays in place. "move": it moves by `vector`. "expand":
-        it moves outward by `amount`, or inward if `amount` is negative; a painted ring moves as a
-        whole, a filled patch only at its rim. "press" and "pull": the tissue is free, and its
-        surface under the label bears a pressure of `amount`, or a traction of `vector`.
+        Effect on the tissue under the label. "fixed": the tissue does not move. "move": the tissue
+        moves by `vector`. "expand": the tissue moves outward by `amount`, or inward if `amount` is
+        negative. A painted ring moves as a whole; a filled patch moves only at its rim. "press"
+        and "pull": the tissue is free, and a pressure of `amount` or a traction of `vector` acts
+        on its surface under the label.
     vector : tuple of float
         Displacement along (row, col), or (plane, row, col) in a volume, in the unit of the pixel
         spacing; with two components in a volume, the plane component is 0. For "pull", force per
@@ -144,7 +146,7 @@ class BoundaryRule:
     confidence : tuple of float
         Confidence of the components along (row, col), or (plane, row, col) in a volume, from 0 (not
         observed) to 1 (certain). With two values in a volume, the plane component has the larger
-        of them.
+        value.
     name : str
         Name for display.
     """
@@ -178,12 +180,12 @@ def default_rule(label: int) -> BoundaryRule:
 
 
 def is_growth(strain: Any) -> bool:
-    """Return whether a strain is a valid growth: above -1, and too small to be in per cent."""
+    """Return whether a growth strain is valid: above -1 and up to `_LARGEST_GROWTH`."""
     return -1 < real(strain) <= _LARGEST_GROWTH
 
 
 def read_stiffness(value: Any) -> Any:
-    """Convert the word "rigid", in any case, to `RIGID`; return anything else unchanged."""
+    """Convert the word "rigid", in any case, to `RIGID`; return any other value unchanged."""
     is_word = isinstance(value, str) and value.strip().casefold() == _RIGID
     return RIGID if is_word else value
 
@@ -201,7 +203,7 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     labels : array_like of int, shape ([D,] H, W)
         Label of the tissue at each pixel.
     materials : iterable of Material
-        A material for each value in `labels`, 0 included; other materials are ignored.
+        Materials for all values in `labels`, including 0; other materials are ignored.
 
     Returns
     -------
@@ -211,8 +213,8 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     Raises
     ------
     ProblemError
-        If a label has no material or more than one, or if a stiffness is neither `RIGID` nor a
-        number of at least 0 that fits single precision.
+        If a label does not have exactly one material, or if a stiffness is neither `RIGID` nor a
+        number from 0 to `LARGEST_STIFFNESS`.
     """
     image, present, table = _read("stiffness", "materials", Material, labels, materials)
     for material in table.values():
@@ -233,13 +235,13 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     Returns
     -------
     float or ndarray, shape ([D,] H, W), float32
-        Argument `poisson` of an `ElasticPrior`: one number if all tissue has the same ratio,
-        otherwise an image that is 0 in void and rigid tissue.
+        Argument `poisson` of an `ElasticPrior`: a number if all deformable tissue has the same
+        ratio, otherwise an image that is 0 in void and rigid tissue.
 
     Raises
     ------
     ProblemError
-        If a label has no material or more than one, or a tissue's ratio is out of range.
+        If a label does not have exactly one material, or if a tissue's ratio is out of range.
     """
     image, present, table = _read("stiffness", "materials", Material, labels, materials)
     rows = [table[int(label)] for label in present]
@@ -259,18 +261,18 @@ def boundary_images(
     *,
     spacing: float | Sequence[float],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return images of the displacement and the confidence of each painted pixel's rule.
+    """Return images of the observed displacement and its confidence, from labels and rules.
 
-    Each connected part of an expanding label moves along the outward normal of its outer outline,
-    in which holes are filled. A painted ring around a tumour therefore moves radially. If the whole
-    tumour is painted, its rim moves in the same way, and its inside is free.
+    Each connected part of an expanding label moves along the outward normal of its outer outline;
+    holes are filled. Therefore a painted ring around a tumour moves radially. If the whole tumour
+    is painted, its rim moves in the same way, and its interior is free.
 
     Parameters
     ----------
     labels : array_like of int, shape ([D,] H, W)
-        Boundary label of each pixel; 0 is not observed.
+        Boundary label of each pixel; 0 where the motion is not observed.
     rules : iterable of BoundaryRule
-        A rule for each value in `labels` above 0; other rules are ignored.
+        Rules for all values in `labels` above 0; other rules are ignored.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis, in the unit of the displacements; a single number applies
         to all axes.
@@ -280,14 +282,14 @@ def boundary_images(
     observed : ndarray, shape ([D,] H, W, n), float32
         Material displacement in the order of the axes, in the unit of `spacing`.
     confidence : ndarray, shape ([D,] H, W, n), float32
-        Confidence of each component; 0 in unpainted pixels, under forces, inside an expanding
-        patch, and in an expanding spot that is too small to have a direction.
+        Confidence of each component; 0 in unpainted pixels, under forces, in the interior of an
+        expanding patch, and in an expanding spot that is too small to have a direction.
 
     Raises
     ------
     ProblemError
-        If a label has no rule or more than one, if a rule has numbers out of range, or if an
-        expanding label is an open line, which has no inside.
+        If a label does not have exactly one rule, if a number in a rule is out of range, or if an
+        expanding label is an open line, which has no interior.
     """
     image, present, table = _read("observed", "rules", BoundaryRule, labels, rules)
     n = image.ndim
@@ -314,7 +316,7 @@ def boundary_images(
 def _read(
     field: str, name: str, kind: type, labels: npt.ArrayLike, rows: Iterable[Any]
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], dict[int, Any]]:
-    """Return the label image, the labels in it, and the rows of the table by label."""
+    """Return the label image, the labels that it contains, and the table rows by label."""
     image = as_numbers(field, labels)
     if image.dtype.kind not in "biu" or image.ndim not in (2, 3):
         raise ProblemError(
@@ -340,7 +342,7 @@ def _read(
         raise ProblemError(
             field,
             f"has labels without a {'rule' if kind is BoundaryRule else 'stiffness'}: "
-            f"{', '.join(missing[:10])}. Give each of them in the table, or erase its pixels.",
+            f"{', '.join(missing[:10])}. Add each label to the table, or erase its pixels.",
         )
     return image, present, table
 
@@ -406,12 +408,12 @@ def quoted(row: Material | BoundaryRule) -> str:
 
 
 def unlisted(labels: npt.ArrayLike, rows: Iterable[Material | BoundaryRule]) -> list[int]:
-    """Return the labels of an image that have no row in a table, sorted."""
+    """Return the sorted labels of an image that are missing from a table."""
     return sorted({*np.unique(labels).tolist()} - {row.label for row in rows})
 
 
 def _at_labels(
     image: npt.NDArray[Any], present: npt.NDArray[Any], values: Sequence[float]
 ) -> FloatArray:
-    """Return an image of the value of each pixel's label; `present` has all labels, sorted."""
+    """Return an image of the value of each pixel's label; `present` lists the sorted labels."""
     return np.asarray(values, dtype=np.float32)[np.searchsorted(present, image)]

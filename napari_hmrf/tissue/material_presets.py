@@ -29,8 +29,8 @@ _VOID = Material(0, "no tissue", 0.0)
 class Preset:
     """Published materials from one source.
 
-    The stiffnesses of one preset share a unit and must not be mixed with those of another. The
-    Poisson's ratios are those of the source, if it gives any.
+    All stiffnesses of a preset share a unit, and must not be mixed with stiffnesses of another
+    preset. The Poisson's ratios are from the source, if the source reports any.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Preset:
     unit : str
         Unit of stiffness; "" if only ratios of stiffness are known.
     source : str
-        Publication.
+        Reference to the publication.
     materials : tuple of Material
     """
 
@@ -51,24 +51,25 @@ class Preset:
         return f"Preset({self.name!r}, {len(self.materials)} materials)"
 
     def replace_materials(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
-        """Replace the materials of a table by those of the preset.
+        """Replace the materials of a table by the materials of the preset.
 
-        A row is replaced by the material of its name, or else by the material of its label if that
-        matches no other row by name. Other materials of the preset are added. Rows without a
-        material of the preset stay void or rigid; if they are deformable, they get the stiffness of
-        the preset's first tissue, because their stiffness may be in another unit.
+        A row is replaced by the preset's material with the same name. If there is no such material,
+        the row is replaced by the material with the same label, unless the name of that material
+        matches another row. The remaining materials of the preset are added. A row that is not
+        replaced is unchanged if it is void or rigid. A deformable row that is not replaced gets the
+        stiffness of the preset's first tissue, because the old stiffness may be in another unit.
 
         Parameters
         ----------
         rows : sequence of Material
-            The table.
+            Rows of the table.
 
         Returns
         -------
         materials : tuple of Material
-            New table, sorted by label.
+            Rows of the new table, sorted by label.
         words : str
-            Sentence about rows whose name or stiffness has changed; "" if there are none.
+            Sentence about rows with a changed name or stiffness; "" if there are no such rows.
         """
         with_names = (each for each in self.materials if each.label > 0 and each.name.strip())
         named = {_key(each): each for each in with_names}
@@ -106,22 +107,22 @@ PRESETS: tuple[Preset, ...] = tuple(_published())
 
 
 def _key(row: Material) -> str:
-    """Return the name of a row for comparison, without case and surrounding spaces."""
+    """Return the name of a row for comparisons that ignore case and surrounding spaces."""
     return row.name.strip().casefold()
 
 
 @dataclass(frozen=True)
 class Palette:
-    """Tissues for painting.
+    """Set of tissues for painting.
 
     Attributes
     ----------
     materials : tuple of Material
-        A material for each label.
+        Materials with distinct labels.
     unit : str
-        Unit of stiffness; may be "".
+        Unit of stiffness; "" if it is unknown.
     unit_stiffness : float
-        Stiffness of the palette that equals a stiffness of 1 in the painted image.
+        Stiffness in the palette that corresponds to a stiffness of 1 in the painted image.
     is_table : bool
         True if the palette is the table of the tissue layer, False if it is a preset.
     """
@@ -133,15 +134,15 @@ class Palette:
 
     @classmethod
     def of_preset(cls, preset: Preset | None = None, relative: bool = True) -> Palette:
-        """Return a palette of the tissues of a preset, with void and a rigid material.
+        """Create a palette from the tissues of a preset, a void material and a rigid material.
 
         Parameters
         ----------
         preset : Preset, optional
-            By default the first preset.
+            Preset; the default is the first preset.
         relative : bool
-            If True, the stiffness of the first deformable tissue equals a stiffness of 1 in the
-            painted image, which is that of unpainted tissue.
+            If True, the stiffness of the first deformable tissue corresponds to a stiffness of 1
+            in the painted image, which is the stiffness of unpainted tissue.
 
         Returns
         -------
@@ -156,13 +157,13 @@ class Palette:
 
     @property
     def unpainted_label(self) -> int:
-        """Label of unpainted tissue if there is no table: the first deformable material."""
+        """Label of the first deformable material, for unpainted tissue without a table."""
         return next(row.label for row in self.materials if row.is_deformable)
 
     def painted(
         self, labels: npt.NDArray[Any], before: npt.NDArray[Any], m: FloatArray, prior: Prior
     ) -> tuple[FloatArray, Prior]:
-        """Return stiffness and prior after some pixels were painted with other tissues.
+        """Return the stiffness and the prior after pixels were painted with other tissues.
 
         Parameters
         ----------
@@ -176,7 +177,9 @@ class Palette:
         Returns
         -------
         m : ndarray, shape ([D,] H, W), float32
+            Stiffness after painting.
         prior : Prior
+            Prior after painting.
         """
         changed = labels != before
         if not changed.any():

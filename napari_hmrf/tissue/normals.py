@@ -11,16 +11,16 @@ import scipy
 
 from napari_hmrf.errors import ProblemError
 
-#: Standard deviation of the Gaussian blur of an outline before its normal is computed, in pixels.
+#: Standard deviation of the Gaussian blur of a part before its normals are computed, in pixels.
 _SMOOTHING = 1.5
-#: Ratio of length to thickness above which a part is an open line, which has no inside. In a volume
-#: a part is an open sheet if both its sides are this many times its thickness.
+#: Ratio of length to thickness above which a part is an open line, which has no interior. In a
+#: volume, a part is an open sheet if both sides are longer than its thickness by this factor.
 _LINE = 8.0
-#: Number of pixels of a bounding box up to which holes of a part are ignored.
+#: Largest number of pixels in the bounding box of a part for which holes are ignored.
 _SPECK = 25
 #: Fraction of the enclosed area below which holes are ignored: the part is a patch, not a ring.
 _HOLES = 0.1
-#: Width in pixels of the rim of a patch that moves with its outline. With a rim of one pixel, the
+#: Width of the rim of a patch that moves with its outline, in pixels. With a rim of one pixel, the
 #: paper's schedule would lose the outline on its coarse levels.
 _RIM = 2
 
@@ -28,15 +28,16 @@ _RIM = 2
 def outward_normals(
     mask: npt.NDArray[np.bool_], spacing: Sequence[float], name: str
 ) -> npt.NDArray[np.float32]:
-    """Return for each pixel the outward unit normal at the nearest pixel of its part's outline.
+    """Return the outward unit normal of each pixel, from the outline of its connected part.
 
-    All pixels of a ring have a normal. In a patch only pixels of the rim along its outline have a
-    normal, because an inside that moved as far as the rim would tear.
+    The normal of a pixel is the normal at the nearest pixel of the outline. All pixels of a ring
+    have a normal. In a patch, only pixels of the rim have a normal, because an interior that moved
+    as far as the rim would tear.
 
-    The outline is the outer outline of the part with its holes filled. Its normal is the negative
-    gradient of the blurred, filled part: the blur averages pixel steps, and thin rings need no
-    inside of their own. Far from the outline, many pixels share their nearest outline pixel; a
-    blur of the normals smooths the jumps between them.
+    The outline of a part is its outer outline, with holes filled. The normal of the outline is the
+    negative gradient of the blurred, filled part. The blur averages pixel steps, and filling makes
+    the gradient valid for thin rings. Far from the outline, many pixels share the same nearest
+    outline pixel, so a second blur smooths the jumps between normals.
 
     Parameters
     ----------
@@ -50,13 +51,13 @@ def outward_normals(
     Returns
     -------
     ndarray, shape ([D,] H, W, n), float32
-        Unit vectors in the order of the axes; 0 outside the mask, inside a patch, and in a part
-        that is too small to have a direction.
+        Unit vectors in the order of the axes; 0 outside the mask, in the interior of a patch, and
+        in a part that is too small to have a direction.
 
     Raises
     ------
     ProblemError
-        If a part is an open line, which has no inside.
+        If a part is an open line, which has no interior.
     """
     sizes = np.asarray(spacing, dtype=float)
     sigma = _SMOOTHING * sizes.max() / sizes
@@ -83,7 +84,7 @@ def outward_normals(
 
 
 def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Normalise vectors to length 1; a vector of nearly 0 becomes 0."""
+    """Normalise vectors to length 1; a vector of nearly zero length becomes 0."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     units: npt.NDArray[np.float64] = np.divide(
         vectors, length, out=np.zeros_like(vectors), where=length > 1e-6
@@ -95,7 +96,7 @@ def _parts(
     mask: npt.NDArray[np.bool_],
 ) -> Iterator[tuple[tuple[slice, ...], npt.NDArray[np.bool_]]]:
     """Yield the bounding box of each connected part, and the part within the box."""
-    # Pixels that touch at a corner are connected, so that a ring may be one pixel wide.
+    # Pixels that touch at a corner are connected, so a ring may be one pixel wide.
     numbered, _ = scipy.ndimage.label(mask, structure=np.ones((3,) * mask.ndim, dtype=bool))
     for number, box in enumerate(scipy.ndimage.find_objects(numbered), start=1):
         yield box, numbered[box] == number
@@ -110,7 +111,7 @@ def _refuse_open_line(
     at_least = 2 * deepest - sizes.max()
     if content <= _LINE ** (n - 1) * at_least**n:
         return
-    # At half the pixel size, even and odd widths have pixels at their middle, which makes the
+    # At half the pixel size, a part of even or odd width has pixels at its middle, which makes the
     # measured thickness exact.
     fine = np.kron(filled, np.ones((2,) * n, dtype=bool))
     thickness = 2 * float(scipy.ndimage.distance_transform_edt(fine, sampling=sizes / 2).max())
@@ -150,7 +151,7 @@ def outside_of(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
     Holes of the mask are not connected to the edge.
     """
-    # One more pixel around the image connects all regions that reach its edge.
+    # A margin of one pixel around the image connects all regions that touch its edge.
     pieces, _ = scipy.ndimage.label(np.pad(~mask, 1, constant_values=True))
     outside: npt.NDArray[np.bool_] = (pieces == pieces.flat[0])[(slice(1, -1),) * mask.ndim]
     return outside

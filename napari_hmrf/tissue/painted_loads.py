@@ -30,7 +30,7 @@ def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads 
     Returns
     -------
     Loads or None
-        None if no tissue grows.
+        Loads of the growth, or None if no tissue grows.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads 
             raise ProblemError(
                 "stiffness",
                 f"gives {quoted(material)} a growth of {shown(material.growth)}. Give a number "
-                f"above -1, up to 10 (0.1: a tenth longer), or {image.ndim}, one along each axis.",
+                f"above -1, up to 10 (0.1: 10 % longer), or {image.ndim} numbers, one per axis.",
             )
         axes = np.eye(image.ndim) if along else [None]
         parts += [growth(part * mask, along=axis) for part, axis in zip(amounts, axes, strict=True)]
@@ -69,17 +69,17 @@ def boundary_loads(
     labels, rules, spacing
         As for `boundary_images`, which checks them.
     stiffness : ndarray, shape ([D,] H, W)
-        Stiffness of each pixel; 0 is no tissue.
+        Stiffness of each pixel; 0 where there is no tissue.
 
     Returns
     -------
     Loads or None
-        None if no rule is a force.
+        Loads of the forces, or None if no rule applies a force.
 
     Raises
     ------
     ProblemError
-        If a label whose rule applies a force does not cover any surface of tissue.
+        If a label with a force does not cover any surface of tissue.
     """
     image, parts = np.asarray(labels), []
     for rule in rules:

@@ -1,4 +1,4 @@
-"""Table of the labels of a layer, as an immutable value, and descriptions of its changes."""
+"""Immutable table of the labels of a layer, and descriptions of changes between two tables."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class RowTable(NamedTuple, Generic[Row]):
 
 
 def change(before: RowTable[Row], after: RowTable[Row], name: str) -> str:
-    """Describe the change of a table in the past tense, for the menu of undo.
+    """Describe the change between two tables in the past tense, for the undo menu.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Stiffness from the intensity of an image, by a curve that the user draws.
+"""Stiffness as a function of image intensity, defined by a curve that the user draws.
 
-If tissues differ in brightness, they need not be painted: a curve through a few points maps each
-intensity to a stiffness, and intensities below a threshold are void. A curve is immutable.
+If tissues differ in brightness, painting them is not necessary: a curve through a few points maps
+each intensity to a stiffness, and intensities below a threshold are void. A curve is immutable.
 """
 
 from __future__ import annotations
@@ -25,42 +25,43 @@ from napari_hmrf.tissue.surroundings import void_threshold
 Between = Literal["straight", "smooth"]
 Point = tuple[float, float]
 
-#: Points of an initial curve, as percentiles of the intensity, and their stiffness: that of the
-#: paper's soft tissue, normal tissue and tumour.
+#: Points of an initial curve: percentiles of the intensity, and stiffnesses of the paper's soft
+#: tissue, normal tissue and tumour.
 PERCENTILES = (5.0, 50.0, 95.0)
 STIFFNESSES = (10.0, 20.0, 40.0)
-#: Number of linear pieces that approximate a smooth curve between two points, with a relative error
-#: of about 1e-5.
+#: Number of linear pieces that approximate a smooth curve between two points. The relative error is
+#: about 1e-5.
 _NODES = 64
 
 
 @dataclass(frozen=True)
 class StiffnessCurve:
-    """Curve of stiffness over intensity; a callable that maps intensities to stiffnesses.
+    """Curve that maps image intensities to stiffnesses; a callable object.
 
     Between its points the curve is linear or smooth. A smooth curve is a monotone cubic (PCHIP),
-    which stays in the range of its two neighbouring points. Beyond the outer points the curve is
-    constant. NaN is void.
+    which does not exceed the range of the two neighbouring points. Beyond the outer points the
+    curve is constant. NaN is void.
 
     Attributes
     ----------
     points : tuple of (float, float)
-        Pairs of intensity, in the unit of the image, and stiffness (Young's modulus, above 0). At
-        least two points, in the order of rising intensities.
+        Two or more pairs of intensity, in the unit of the image, and stiffness (Young's modulus,
+        above 0), sorted by increasing intensity.
     void_below : float, optional
         Intensity below which there is no tissue and the stiffness is 0.
     between : {"straight", "smooth"}
         Kind of interpolation between the points.
     logarithmic : bool
-        If True, interpolate the logarithm of the stiffness, because stiffnesses of tissues differ
-        by factors.
+        If True, interpolate the logarithm of the stiffness, because the stiffnesses of tissues
+        differ by orders of magnitude.
     unit : str
-        Unit of stiffness, for display only: only ratios matter.
+        Unit of stiffness, for display only, because only ratios matter.
 
     Raises
     ------
     ProblemError
-        If there are fewer than two points, intensities do not rise, or a value is invalid.
+        If there are fewer than two points, if the intensities do not increase, or if a value is
+        invalid.
     """
 
     points: tuple[Point, ...]
@@ -89,7 +90,7 @@ class StiffnessCurve:
                 raise _bad(f"needs a stiffness at intensity {intensity:g} that is {most}")
         if void_below is not None and not math.isfinite(void_below):
             raise _bad(
-                "has a threshold of tissue that is no finite number. Give a number, or leave it out"
+                "has a tissue threshold that is not a finite number. Give a number, or omit it"
             )
         if not is_one_of(self.between, get_args(Between)):
             raise _bad(f'is {shown(self.between)} between its points. Use "straight" or "smooth"')
@@ -99,12 +100,12 @@ class StiffnessCurve:
         object.__setattr__(self, "void_below", void_below)
 
     def __call__(self, intensities: npt.ArrayLike) -> FloatArray:
-        """Return an image of the stiffness of each pixel's intensity.
+        """Map the intensity of each pixel to a stiffness.
 
         Parameters
         ----------
         intensities : array_like of numbers, any shape
-            Intensities of an image; for a colour image, its `luminance`. Masked pixels are void.
+            Intensities of an image, or the `luminance` of a colour image. Masked pixels are void.
 
         Returns
         -------
@@ -121,8 +122,7 @@ class StiffnessCurve:
         if image.dtype.kind == "b":
             image = image.view(np.uint8)
         if image.dtype.kind in "iu" and image.dtype.itemsize <= 2:
-            # Each possible value is computed once. Negative values are at the end of the table,
-            # where indexing finds them.
+            # Compute each possible value once. A negative intensity indexes the table from its end.
             numbers = np.arange(256**image.dtype.itemsize).astype(image.dtype)
             values: FloatArray = self._at(numbers)[image]
         else:
@@ -155,7 +155,7 @@ class StiffnessCurve:
 
     @property
     def range(self) -> tuple[float, float]:
-        """Smallest and largest stiffness of the points."""
+        """Smallest and largest stiffness of all points."""
         stiffnesses = [stiffness for _, stiffness in self.points]
         return min(stiffnesses), max(stiffnesses)
 
@@ -165,12 +165,12 @@ class StiffnessCurve:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> StiffnessCurve:
-        """Return the curve from a dictionary of `as_dict`.
+        """Create a curve from a dictionary that `as_dict` returned.
 
         Raises
         ------
         ProblemError
-            If the dictionary is not from `as_dict`, or a value is invalid.
+            If the dictionary is not from `as_dict`, or if a value is invalid.
         """
         known = [field.name for field in fields(cls)]
         if not isinstance(values, Mapping) or "points" not in values or set(values) - set(known):
@@ -183,14 +183,14 @@ class StiffnessCurve:
         intensities: npt.ArrayLike,
         void_below: float | None = None,
     ) -> StiffnessCurve:
-        """Return an initial curve for an image, in which brighter pixels are stiffer.
+        """Create an initial curve for an image, with higher stiffness for brighter pixels.
 
         Parameters
         ----------
         intensities : array_like of numbers, any shape
             Intensities of the image.
         void_below : float, optional
-            Intensity below which there is no tissue; darker pixels do not count.
+            Intensity below which there is no tissue; darker pixels are ignored.
 
         Returns
         -------
@@ -199,7 +199,7 @@ class StiffnessCurve:
         Raises
         ------
         ProblemError
-            If there are no two different intensities.
+            If the image does not have two different intensities.
         """
         values = np.ma.masked_invalid(_as_intensities(intensities)).compressed().astype(float)
         if void_below is not None:
@@ -218,7 +218,7 @@ class StiffnessCurve:
 
 
 def first_curve(picture: npt.NDArray[Any]) -> StiffnessCurve:
-    """Guess a curve for an image: brighter is stiffer, and dark surroundings are void.
+    """Create an initial curve: brighter pixels are stiffer, and dark surroundings are void.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def with_point(curve: StiffnessCurve, at: int | None, point: Point | None) -> St
     Raises
     ------
     ProblemError
-        If the new points do not make a valid curve.
+        If the new points do not define a valid curve.
     """
     others = [each for number, each in enumerate(curve.points) if number != at]
     added = [] if point is None else [point]

@@ -1,4 +1,4 @@
-"""Detection of the dark surroundings of an image, which are void or soft."""
+"""Detection of the dark surroundings of an image, such as air."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from napari_hmrf.tissue.normals import outside_of
 # Smallest difference between the means of two kinds of dark surroundings, relative to the contrast
 # between bright pixels and air.
 _APART = 0.35
-# Smallest fraction of the surroundings that each kind covers.
+# Smallest fraction of the surroundings that each kind must cover.
 _PART = 0.02
-# Number of images whose border is cached.
+# Number of images for which the result is cached.
 _KEPT = 4
 _known: list[tuple[weakref.ref[Any], npt.NDArray[np.bool_]]] = []
-# Smallest fraction of the image's edge that dark surroundings cover.
+# Smallest fraction of the image's edge that dark surroundings must cover.
 _AROUND = 0.75
 # Position of the void threshold between the intensity of air (0) and the median of tissue (1).
 _ABOVE = 0.01
@@ -27,20 +27,21 @@ _ABOVE = 0.01
 def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool_]:
     """Return a mask of the dark surroundings of an image.
 
-    Otsu's threshold separates dark pixels. Dark pixels that are connected to the edge of the image
-    are surroundings; others stay tissue. If the surroundings clearly consist of two kinds, such as
-    air and fat in CT, only the darker kind is returned.
+    Otsu's threshold separates dark pixels from bright pixels. Dark pixels that are connected to the
+    edge of the image are surroundings; other dark pixels are tissue. If the surroundings clearly
+    consist of two kinds, such as air and fat in CT, the mask contains only the darker kind.
 
     Parameters
     ----------
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
+        Grey or colour image.
     axes : int
         Number of axes without channels: 2, or 3 for a volume.
 
     Returns
     -------
     ndarray of bool, shape ([D,] H, W)
-        All False if the image is constant.
+        Mask of the surroundings; all False if the image is constant.
     """
     from skimage.filters import threshold_otsu  # heavy: skimage
 
@@ -62,13 +63,15 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
 
 
 def dark_border(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool_]:
-    """Return a mask of the dark surroundings of an image; all False if they do not surround it.
+    """Return a mask of dark surroundings that cover most of the image's edge.
 
-    The result is cached for read-only images.
+    The mask is all False if the dark surroundings cover less of the edge. The result is cached for
+    read-only images.
 
     Parameters
     ----------
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
+        Grey or colour image.
     axes : int
         Number of axes without channels: 2, or 3 for a volume.
 
@@ -88,12 +91,12 @@ def dark_border(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool
 def surrounds(dark: npt.NDArray[np.bool_]) -> bool:
     """Return whether dark pixels cover most of the image's edge.
 
-    If they cover less, they may be a part of the object, such as a shadow in a photograph.
+    Otherwise the dark pixels may be a part of the object, such as a shadow in a photograph.
 
     Parameters
     ----------
     dark : ndarray of bool, shape ([D,] H, W)
-        From `background_of`.
+        Mask from `background_of`.
     """
     edge = np.concatenate(
         [dark.take(end, axis).ravel() for axis in range(dark.ndim) for end in (0, -1)]
@@ -102,7 +105,7 @@ def surrounds(dark: npt.NDArray[np.bool_]) -> bool:
 
 
 def void_threshold(picture: npt.NDArray[Any]) -> float | None:
-    """Guess the intensity below which there is no tissue.
+    """Estimate the intensity below which there is no tissue.
 
     Parameters
     ----------
@@ -111,19 +114,19 @@ def void_threshold(picture: npt.NDArray[Any]) -> float | None:
     Returns
     -------
     float or None
-        None if the image has no dark surroundings.
+        Threshold, or None if the image does not have dark surroundings.
     """
     dark, known = background_of(picture, picture.ndim), np.isfinite(picture)
     air, inside = picture[dark & known], picture[~dark & known]
     if not (surrounds(dark) and air.size and inside.size):
         return None
-    # The threshold is just above nearly all values of air, so that dark tissue stays tissue.
+    # The threshold is just above nearly all values of air, so dark tissue remains tissue.
     darkest, usual = float(np.percentile(air, 99)), float(np.median(inside))
     return float(f"{darkest + _ABOVE * (usual - darkest):.4g}")
 
 
 def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]) -> str:
-    """Return a clause of warning if most of the dark surroundings of an image are tissue, or "".
+    """Return a warning if most of an image's dark surroundings are marked as tissue, else "".
 
     Parameters
     ----------

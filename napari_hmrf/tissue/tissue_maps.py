@@ -17,9 +17,9 @@ from napari_hmrf.tissue.boundary_rules import Material
 
 #: Name of the material of pixels without a likely tissue.
 NONE = "none"
-#: Allowed scales of probability maps: values that mean certainty.
+#: Allowed scales of probability maps: the values that mean certainty.
 SCALES = 1, 100, 255
-#: Tolerance of the largest value, relative to the scale, for interpolated maps.
+#: Factor by which the largest value may exceed the scale, because maps may be interpolated.
 _BEYOND = 1.001
 
 
@@ -39,7 +39,7 @@ class MapRange(NamedTuple):
 
     @classmethod
     def of(cls, values: npt.ArrayLike) -> MapRange:
-        """Return the range of an array; 0 for an empty array."""
+        """Return the type and range of an array; the range of an empty array is (0, 0)."""
         array = as_numbers("tissue", values)
         if not array.size:
             return cls(array.dtype, 0.0, 0.0)
@@ -49,17 +49,17 @@ class MapRange(NamedTuple):
 def scale_of(
     maps: Mapping[str, MapRange], scale: float | None = None, *, fix: str = "pass its scale="
 ) -> float:
-    """Return the common scale of all maps, the value of certainty: 1, 100 or 255.
+    """Return the common scale of all maps: 1, 100 or 255, the value that means certainty.
 
     Parameters
     ----------
     maps : mapping of str to MapRange
         Ranges of the whole maps by name. (The range of a single slice may be too small.)
     scale : {1, 100, 255}, optional
-        By default the smallest scale that the largest value of all maps does not exceed.
+        Known scale. The default is the smallest scale that no value of the maps exceeds.
     fix : str
-        Remedy for error messages, other than probabilities from 0 to 1, in the words of the
-        interface.
+        Additional remedy for error messages, in the words of the user interface. The messages
+        always suggest probabilities from 0 to 1.
 
     Returns
     -------
@@ -68,8 +68,9 @@ def scale_of(
     Raises
     ------
     ProblemError
-        If a map is negative, has NaN, exceeds the scale, or differs in scale from the others; or if
-        the scale of 8-bit maps may be 100 or 255. The error names the map.
+        If a map has negative values or NaN, if it exceeds the scale, if its scale differs from the
+        scale of other maps, or if the scale of 8-bit maps is ambiguous (100 or 255). The message
+        names the map.
     """
     if scale is not None and not any(scale == each for each in SCALES):
         raise ProblemError("tissue", f"has a scale of {shown(scale)}. Give 1, 100 or 255.")
@@ -111,7 +112,7 @@ def scale_of(
 
 
 def scale_in_words(scale: float) -> str:
-    """Return a note on the scale of maps, as a clause; "" for probabilities from 0 to 1."""
+    """Return a clause that describes the scale of maps; "" for probabilities from 0 to 1."""
     words = {100: "per cent", 255: "probabilities from 0 to 255"}.get(int(scale))
     return f"the maps are read as {words}" if words else ""
 
@@ -125,20 +126,20 @@ def most_likely(
     Parameters
     ----------
     maps : mapping of str to array_like, all of one shape
-        Probability maps of the tissues by name, with one scale. "none" has the remaining
-        probability.
+        Probability maps of the tissues by name, with a common scale. The remaining probability is
+        the probability of "none".
     scale : {1, 100, 255}, optional
         As for `scale_of`.
 
     Returns
     -------
     ndarray of int
-        Position of the most likely map in `maps`, counted from 1.
+        Position of the most likely map in `maps`, counted from 1; 0 for "none".
 
     Raises
     ------
     ProblemError
-        If there are no maps, or they differ in shape, or as for `scale_of`.
+        If there are no maps, if the maps differ in shape, or as for `scale_of`.
     """
     arrays = [as_numbers("tissue", values) for values in maps.values()]
     if not arrays:
@@ -162,7 +163,7 @@ def most_likely(
 def materials_of_maps(
     names: Sequence[str], materials: Mapping[str, Any] | Sequence[Material]
 ) -> tuple[Material, ...]:
-    """Return the materials of the tissues of `most_likely`, by name.
+    """Assign materials by name to the labels that `most_likely` returns.
 
     Parameters
     ----------
@@ -175,8 +176,8 @@ def materials_of_maps(
     Returns
     -------
     tuple of Material
-        The label of each material is the position of its name in `names`, counted from 1; the label
-        of "none" is 0.
+        Materials with new labels: the position of the name in `names`, counted from 1, or 0 for
+        "none".
 
     Raises
     ------

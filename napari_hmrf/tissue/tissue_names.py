@@ -3,8 +3,8 @@
 `sample_data/tissue_names.json` lists the tissues with their sources and names. A tissue matches if
 the words of one of its names occur in the name of a label in the same order, with any separators:
 "fat" matches "subcutaneous_fat_left". Longer names take precedence: "kidney_cyst_left" is a cyst
-and not a kidney. A label is unknown if several tissues match, or if its name has a doubtful word,
-such as "lesion".
+and not a kidney. A label is unknown if several tissues match, or if its name contains an ambiguous
+word such as "lesion".
 """
 
 from __future__ import annotations
@@ -58,15 +58,15 @@ class NamedMaterials:
     Attributes
     ----------
     materials : tuple of Material
-        Materials of the labels with a known name, by label.
+        Materials of the labels with a known name, sorted by label.
     unknown : mapping of int to str
-        The other labels and their names; their stiffness is unknown.
+        Names of the labels with unknown stiffness.
     tissues : mapping of int to KnownTissue
-        Known tissue of each material.
+        Known tissue for each label in `materials`.
     unit : str
         Unit of stiffness.
     name : str
-        Name of the table of the label names.
+        Name of the table that lists the names of labels.
     """
 
     materials: tuple[Material, ...]
@@ -79,7 +79,7 @@ class NamedMaterials:
         return f"NamedMaterials({len(self.materials)} known, {len(self.unknown)} unknown)"
 
     def published(self, labels: Iterable[int]) -> str:
-        """Return a clause that lists the labels with published stiffness; "" if there are none.
+        """Return a clause that lists the labels with published stiffness; "" without such labels.
 
         Parameters
         ----------
@@ -100,28 +100,29 @@ class NamedMaterials:
 
     @property
     def source(self) -> str:
-        """Sources of the values of each tissue, in one line."""
+        """Sources of the values of all tissues, in one line."""
         used = dict.fromkeys(self.tissues.values())
         return "; ".join(f"{tissue.name}: {tissue.source}" for tissue in used)
 
     def replace_materials(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
         """Replace the materials of a table, label by label.
 
-        Rows of unknown labels stay void or rigid; if they are deformable, they get the stiffness of
-        the first known material, because their stiffness may be in another unit.
+        A row with an unknown label is unchanged if it is void or rigid. A deformable row with an
+        unknown label gets the stiffness of the first known deformable material, because the old
+        stiffness may be in another unit.
 
         Parameters
         ----------
         rows : sequence of Material
-            The table. No label is added to it.
+            Rows of the table. No label is added.
 
         Returns
         -------
         materials : tuple of Material
-            New table.
+            Rows of the new table.
         words : str
-            Sentences about the labels that use published stiffness, and about unknown labels whose
-            stiffness has changed.
+            Sentences about labels that use published stiffness, and about unknown labels with a
+            changed stiffness.
         """
         known = {row.label: row for row in self.materials}
         first = next((row for row in self.materials if row.is_deformable), None)
@@ -150,7 +151,7 @@ class _Rules(NamedTuple):
 
 
 def lookup_tissue(name: str) -> KnownTissue | None:
-    """Return the tissue that a name refers to; None if no tissue or more than one matches.
+    """Return the tissue that a name refers to, or None unless exactly one tissue matches.
 
     Parameters
     ----------
@@ -181,14 +182,14 @@ def lookup_tissue(name: str) -> KnownTissue | None:
 
 
 def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMaterials:
-    """Assign published stiffness to labels by the tissues in their names.
+    """Assign published stiffness to labels by their names.
 
     Parameters
     ----------
     names : mapping of int to str
         Name of each label of a segmentation, as returned by `read_label_names`.
     name : str
-        Name of the table of the label names.
+        Name of the table that lists the names of labels.
 
     Returns
     -------
@@ -226,7 +227,7 @@ def _words(name: str) -> _Words:
 
 
 def _is_within(span: tuple[int, int], others: list[tuple[int, int]]) -> bool:
-    """Return whether one of the other spans is longer than a span and contains it."""
+    """Return whether a longer span among `others` contains the given span."""
     first, last = span
     return any(i <= first and last <= j and j - i > last - first for i, j in others)
 

@@ -1,4 +1,4 @@
-"""Default lengths of the drawing tools, in proportion to the image."""
+"""Default lengths of the drawing tools, which are proportional to the size of the image."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
     Returns
     -------
     float
-        A sixteenth of the shortest side of the image, in the unit of the spacing.
+        Radius in the unit of the spacing: 1/16 of the shortest side of the image.
     """
     shorter = min(size * step for size, step in zip(shape, spacing, strict=True))
     return float(f"{shorter / 16:.2g}")
 
 
 def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:
-    """Return the default displacement of a patch of tissue: visible, but without folds.
+    """Return the default displacement of a patch of tissue, which is visible but without folds.
 
-    The tissue around an expanding disc is compressed by the ratio of the expansion to the radius;
-    around a ball by twice that ratio. Up to a compression of a third no tissue folds, even at the
-    pixel steps of the rim.
+    The compression of the tissue around an expanding disc is the ratio of the expansion to the
+    radius; around a ball it is twice this ratio. Up to a compression of 1/3, tissue does not fold,
+    even at the pixel steps of the rim.
 
     Parameters
     ----------
@@ -39,6 +39,6 @@ def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:
     Returns
     -------
     float
-        In the unit of the spacing.
+        Displacement in the unit of the spacing.
     """
     return float(f"{usual_radius(shape, spacing) / 3 / (len(shape) - 1):.2g}")

@@ -1,4 +1,4 @@
-"""Pairs of images whose deformation is known, as SimpleITK sees them."""
+"""Pairs of images with a known deformation, checked with SimpleITK."""
 
 import numpy as np
 import pytest
@@ -42,12 +42,12 @@ def truth(folder, *more):
     return main(["truth", *map(str, arguments)])
 
 
-def test_the_field_that_is_written_makes_the_deformed_image_for_simpleitk(files, capsys):
+def test_simpleitk_reproduces_the_deformed_image_from_the_written_field(files, capsys):
     assert truth(files, "--amplitude", 2, "--seed", 4) == 0
     out = files / "out"
     said = capsys.readouterr().out
     assert "moved up to" in said
-    assert "inverts the motion" in said
+    assert "contains the inverse displacement" in said
     image = sitk.ReadImage(str(out / "image.mha"), sitk.sitkFloat64)
     deformed = sitk.ReadImage(str(out / "001" / "deformed.mha"), sitk.sitkFloat64)
     field = sitk.ReadImage(str(out / "001" / "field.mha"), sitk.sitkVectorFloat64)
@@ -61,11 +61,11 @@ def test_the_field_that_is_written_makes_the_deformed_image_for_simpleitk(files,
     back = [transform.TransformPoint(tuple(to[::-1]))[::-1] for to in points.targets]
     off = np.linalg.norm(np.array(back) - points.points, axis=1)
     assert np.quantile(off, 0.9) < 0.005
-    assert off.max() < 0.1, "where the motion bends within a pixel"
+    assert off.max() < 0.1, "larger errors are allowed only where the motion bends within a pixel"
     assert np.linalg.norm(points.targets - points.points, axis=1).max() > 0.5
 
 
-def test_labels_move_with_the_image_and_the_study_solves_to_the_field(files):
+def test_labels_move_with_the_image_and_the_saved_study_reproduces_the_field(files):
     assert truth(files, "--amplitude", 2, "--seed", 4) == 0
     pair = files / "out" / "001"
     study, solution = read_study(pair / "truth.study")
@@ -77,7 +77,7 @@ def test_labels_move_with_the_image_and_the_study_solves_to_the_field(files):
     np.testing.assert_array_equal(read_image(pair / "deformed_labels.mha").pixels, moved)
 
 
-def test_each_of_several_pairs_is_another_and_a_seed_repeats_them(files):
+def test_pairs_differ_from_each_other_and_a_seed_reproduces_them(files):
     assert truth(files, "--count", 2, "--seed", 1) == 0
     first = [read_image(files / "out" / f"00{n}" / "deformed.mha").pixels for n in (1, 2)]
     assert not np.array_equal(*first)
@@ -86,7 +86,7 @@ def test_each_of_several_pairs_is_another_and_a_seed_repeats_them(files):
     np.testing.assert_array_equal(again, first[0])
 
 
-def test_a_volume_is_deformed_too(tmp_path):
+def test_a_volume_is_deformed(tmp_path):
     shape = (12, 14, 16)
     labels = np.ones(shape, np.uint8)
     labels[blob(shape, (6, 7, 8), 2.5)] = 2
@@ -99,10 +99,12 @@ def test_a_volume_is_deformed_too(tmp_path):
     assert main([*map(str, arguments), "--amplitude", "0.5"]) == 0
     field = sitk.ReadImage(str(tmp_path / "out" / "001" / "field.mha"))
     assert field.GetSize() == shape[::-1]
-    assert 0.2 < np.abs(sitk.GetArrayFromImage(field)).max() < 0.51, "of voxels up to 2 mm"
+    assert 0.2 < np.abs(sitk.GetArrayFromImage(field)).max() < 0.51, (
+        "the amplitude should be in mm, not in voxels"
+    )
 
 
-def test_a_picture_lies_in_its_pixels(files):
+def test_a_png_image_keeps_its_pixel_type(files):
     picture = np.clip(smooth_image(SHAPE), 0, 255).astype(np.uint8)
     write_image(files / "scan.png", ImageFile(picture))
     arguments = ["truth", files / "scan.png", "--labels", files / "labels.png", "--materials"]
@@ -111,20 +113,20 @@ def test_a_picture_lies_in_its_pixels(files):
     assert read_image(files / "out" / "image.mha").pixels.dtype == np.uint8
 
 
-def test_an_amplitude_that_is_no_length_is_refused(files, capsys):
+def test_an_amplitude_that_is_neither_a_number_nor_a_range_is_rejected(files, capsys):
     with pytest.raises(SystemExit):
         truth(files, "--amplitude", "1-far")
     assert "a range such as 1-4" in capsys.readouterr().err
 
 
-def test_a_sample_scaled_below_the_amplitude_is_said_with_the_options_of_the_shell(files, caplog):
+def test_a_sample_scaled_below_the_amplitude_is_reported_with_shell_options(files, caplog):
     assert truth(files, "--amplitude", "30-40") == 0
     (said,) = [each.getMessage() for each in caplog.records if "amplitude" in each.getMessage()]
     assert "Give a smaller amplitude or fewer patches (--amplitude, --patches)." in said
     assert "least_jacobian" not in said
 
 
-def test_what_makes_no_sense_is_said_before_any_work(files, capsys):
+def test_invalid_arguments_are_reported_before_any_solve(files, capsys):
     assert truth(files, "--count", 0) == 1
     assert truth(files, "--amplitude", -1) == 1
     (files / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
@@ -135,7 +137,7 @@ def test_what_makes_no_sense_is_said_before_any_work(files, capsys):
     assert "without a stiffness: 2" in said
 
 
-def test_a_slice_of_a_volume_with_maps_lies_in_its_volume(tmp_path):
+def test_a_slice_of_a_volume_with_tissue_maps_keeps_its_position(tmp_path):
     shape = (5, *SHAPE)
     place = Place((3.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
     second = np.broadcast_to(blob(SHAPE, (20, 24), 7), shape)
@@ -165,7 +167,7 @@ def test_a_slice_of_a_volume_with_maps_lies_in_its_volume(tmp_path):
     assert motion.hold_edge
 
 
-def test_a_study_with_its_labels_is_all_it_takes(files, capsys):
+def test_a_study_file_with_labels_needs_no_other_input(files, capsys):
     assert truth(files, "--amplitude", 2, "--seed", 4) == 0
     saved = files / "out" / "001" / "truth.study"
     again = ["truth", str(saved), "-o", str(files / "again"), "--patches", "4", "--seed", "4"]

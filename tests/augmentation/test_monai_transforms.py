@@ -1,4 +1,4 @@
-"""A transform of MONAI: as its own are used, tissue moving as tissue does."""
+"""MONAI transform for random elastic deformations."""
 
 import warnings
 from functools import cache
@@ -38,7 +38,7 @@ def deformation(axes=2):
 
 def data(axes=2):
     image = np.random.default_rng(0).random((2, *labels(axes).shape), dtype=np.float32)
-    return {"image": image, "label": labels(axes)[None], "name": "somebody"}
+    return {"image": image, "label": labels(axes)[None], "name": "case 1"}
 
 
 def transform(axes=2, prob=1.0, seed=3, **more):
@@ -50,10 +50,10 @@ def transform(axes=2, prob=1.0, seed=3, **more):
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_image_and_labels_move_by_one_field_of_the_deformation(axes):
+def test_image_and_labels_move_by_the_same_field(axes):
     given = data(axes)
     found = transform(axes)(given)
-    assert found["name"] == "somebody"
+    assert found["name"] == "case 1"
     assert found["image"].shape == given["image"].shape
     assert found["label"].dtype == np.uint8
     assert set(np.unique(found["label"])) == {0, 1}
@@ -65,7 +65,7 @@ def test_image_and_labels_move_by_one_field_of_the_deformation(axes):
         np.testing.assert_allclose(moved, sample.image(channel), atol=1e-6)
 
 
-def test_tensors_come_out_as_what_they_were():
+def test_tensors_keep_their_type_and_metadata():
     given = data()
     tensor, meta = torch.as_tensor(given["image"]), MetaTensor(given["image"])
     meta.meta["patient"] = 7
@@ -77,7 +77,7 @@ def test_tensors_come_out_as_what_they_were():
     assert found.meta["patient"] == 7
 
 
-def test_a_seed_repeats_and_a_probability_leaves_some_as_they_are():
+def test_a_seed_reproduces_results_and_a_probability_skips_some_images():
     once, again = (transform(seed=5)(data())["image"] for _ in range(2))
     np.testing.assert_array_equal(once, again)
     sometimes = transform(prob=0.5)
@@ -85,21 +85,21 @@ def test_a_seed_repeats_and_a_probability_leaves_some_as_they_are():
     assert 3 < sum(moved) < 17
 
 
-def test_it_stands_among_other_transforms():
+def test_the_transform_composes_with_other_transforms():
     chain = Compose([RandFlipd("image", prob=0.0), transform()]).set_random_state(1)
     assert chain(data())["label"].shape == (1, 24, 24)
 
 
-def test_each_dictionary_may_have_a_deformation_of_its_own():
+def test_a_callable_chooses_the_deformation_of_each_dictionary():
     asked = []
 
-    def of_case(found):
+    def deformation_of_case(found):
         asked.append(found["name"])
         return deformation()
 
-    made = RandPhysicalDeformationd("image", of_case, prob=1.0)
+    made = RandPhysicalDeformationd("image", deformation_of_case, prob=1.0)
     made(data())
-    assert asked == ["somebody"]
+    assert asked == ["case 1"]
 
 
 def test_a_missing_key_is_an_error_unless_it_is_allowed():
@@ -109,14 +109,14 @@ def test_a_missing_key_is_an_error_unless_it_is_allowed():
     assert "label" not in transform(allow_missing_keys=True)(image)
 
 
-def test_workers_of_a_loader_deform_too():
-    transform()(data())  # the parent has computed before it forks
+def test_the_transform_runs_in_data_loader_workers():
+    transform()(data())  # the parent process computes before it forks
     loader = DataLoader(Dataset([data()] * 4, transform()), batch_size=2, num_workers=1)
     batches = [batch["image"].shape for batch in loader]
     assert batches == [(2, 2, 24, 24)] * 2
 
 
-def test_what_makes_no_sense_is_refused():
+def test_invalid_arguments_are_rejected():
     with pytest.raises(ArgumentError, match="mode must be"):
         RandPhysicalDeformationd("image", deformation(), mode="cubic")
     with pytest.raises(ArgumentError, match="deformation must be"):

@@ -1,4 +1,4 @@
-"""Random deformations of a case: tissue moves as tissue does, exactly, and nothing folds."""
+"""Random deformations of a labelled case: elastic fields that do not fold."""
 
 import json
 import pickle
@@ -41,7 +41,7 @@ SPACING = (0.5, 0.8)
 
 @cache
 def labels(size=64, axes=2):
-    """A round body in air with an air hole, a bone and a tumour."""
+    """Return a round body in air with an air hole, a bone and a tumour."""
     at = np.moveaxis(np.indices((size,) * axes), 0, -1) / (size - 1)
     middle = (0.5,) * (axes - 2)
 
@@ -56,35 +56,35 @@ def labels(size=64, axes=2):
 
 
 @cache
-def flat():
+def deformation_2d():
     return RandomDeformation(labels(), MATERIALS, spacing=SPACING, amplitude=(1, 8), weight=0.03)
 
 
 @cache
-def deep():
+def deformation_3d():
     return RandomDeformation(
         labels(20, axes=3), MATERIALS, amplitude=2, patches=3, radius=1.5, spacing=1
     )
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_sum_is_what_a_full_solve_of_the_same_boundary_finds(seed):
-    sample = flat().sample(seed)
+def test_a_sample_matches_a_full_solve_of_its_boundary_values(seed):
+    sample = deformation_2d().sample(seed)
     solved = solve_study(sample.study, backend="cpu")
     far = np.abs(solved.displacement - sample.displacement) / SPACING
     assert far.max() < 0.01
     assert np.abs(sample.displacement).max() > 0.5
 
 
-def test_in_a_volume_a_sum_is_what_a_full_solve_finds():
-    sample = deep().sample(1)
+def test_a_sample_of_a_volume_matches_a_full_solve():
+    sample = deformation_3d().sample(1)
     solved = solve_study(sample.study, backend="cpu")
     assert np.abs(solved.displacement - sample.displacement).max() < 0.01
     assert np.abs(sample.displacement).max() > 0.5
 
 
-@pytest.mark.parametrize("deformation", [flat, deep])
-def test_no_field_folds_and_none_is_squeezed_to_less_than_a_fifth(deformation):
+@pytest.mark.parametrize("deformation", [deformation_2d, deformation_3d])
+def test_no_field_folds_or_compresses_tissue_below_a_fifth_of_its_size(deformation):
     random, scales = deformation(), []
     for seed in range(40):
         sample = random.sample(seed)
@@ -92,19 +92,19 @@ def test_no_field_folds_and_none_is_squeezed_to_less_than_a_fifth(deformation):
         assert not fold_mask(field, spacing=sample.spacing, tissue=tissue).any()
         assert smallest_determinant(field, sample.spacing, tissue)[tissue].min() > 0.199
         scales.append(sample.scale)
-    assert min(scales) < 1, "so much was asked for that something would have been squeezed"
+    assert min(scales) < 1, "some samples should have been scaled down"
 
 
-def test_what_is_scaled_down_is_as_far_as_it_may_be():
+def test_a_scaled_sample_has_the_least_allowed_jacobian():
     for seed in range(20):
-        sample = flat().sample(seed)
+        sample = deformation_2d().sample(seed)
         if sample.scale < 1:
             least = smallest_determinant(sample.displacement, SPACING, sample.tissue)
             assert np.nanmin(least) == pytest.approx(0.2, abs=0.01)
 
 
-def test_a_half_turn_is_no_way_to_unfold():
-    """At all of it each determinant is above 0; half way there tissue has been turned over."""
+def test_a_half_turn_does_not_count_as_unfolded():
+    """At full scale every determinant is positive, but tissue collapses at scale 0.4."""
     at = np.moveaxis(np.indices((8, 8)), 0, -1)
     turned = -2.5 * (at - 3.5)
     everywhere = np.ones((8, 8), bool)
@@ -112,7 +112,7 @@ def test_a_half_turn_is_no_way_to_unfold():
     assert largest_scale(turned, (1, 1), everywhere, 0.2) == pytest.approx(0.2211, abs=5e-4)
 
 
-def test_differences_are_never_taken_across_what_is_no_tissue():
+def test_the_fold_limit_ignores_differences_across_air():
     moved = np.zeros((6, 9, 2))
     moved[:, 5:, 1] = -4
     tissue = np.ones((6, 9), bool)
@@ -121,12 +121,12 @@ def test_differences_are_never_taken_across_what_is_no_tissue():
     assert largest_scale(moved, (1, 1), tissue, 0.2) == 1
 
 
-@pytest.mark.parametrize("deformation", [flat, deep])
+@pytest.mark.parametrize("deformation", [deformation_2d, deformation_3d])
 def test_bone_does_not_bend(deformation):
     random = deformation()
     grid = labels() if random.tissue.ndim == 2 else labels(20, axes=3)
     bone = grid == BONE
-    # A site without a neighbour along an axis knows no turn.
+    # The rotation is undefined at a site without a neighbour along an axis.
     inside = binary_erosion(bone)[bone]
     assert inside.any()
     for seed in range(3):
@@ -135,12 +135,14 @@ def test_bone_does_not_bend(deformation):
             bone
         ]
         turn = (gradient - np.eye(grid.ndim))[inside]
-        assert np.abs(turn + turn.swapaxes(-1, -2)).max() < 2e-3, "it moves and turns, no more"
+        assert np.abs(turn + turn.swapaxes(-1, -2)).max() < 2e-3, (
+            "bone should only translate and rotate"
+        )
         assert np.abs(sample.displacement[bone]).max() > 0.05
 
 
-def test_air_stays_empty_and_the_edge_stays_where_it_is():
-    sample, image = flat().sample(3), labels()
+def test_air_stays_empty_and_the_outer_edge_does_not_move():
+    sample, image = deformation_2d().sample(3), labels()
     air = image == AIR
     assert not sample.displacement[air].any()
     assert not sample.tissue[air].any()
@@ -149,7 +151,7 @@ def test_air_stays_empty_and_the_edge_stays_where_it_is():
     hole = air & (np.hypot(*np.indices(image.shape) - np.array([32, 49])[:, None, None]) < 6)
     beside = np.abs(np.stack(np.nonzero(edge)) - np.array([[32], [49]])).max(axis=0).min() > 10
     assert hole.any()
-    assert beside, "a hole's own edge is free"
+    assert beside, "the rim of the hole should not be part of the outer edge"
     moved = sample.labels(image)
     assert (moved == AIR).sum() == pytest.approx(air.sum(), rel=0.05)
 
@@ -162,7 +164,7 @@ def test_a_free_edge_moves():
     assert np.abs(sample.displacement[outer_rim(sample.tissue)]).max() > 0.2
 
 
-def test_what_may_grow_grows_by_a_part_of_what_its_material_says():
+def test_growing_tissue_grows_by_a_random_share_of_its_table_value():
     random = RandomDeformation(labels(), MATERIALS, amplitude=1e-3, patches=1, spacing=1)
     grown = []
     for seed in range(4):
@@ -177,25 +179,30 @@ def test_what_may_grow_grows_by_a_part_of_what_its_material_says():
     assert (areas > 0).all()
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_one_another_field():
-    once, again = flat().sample(7), flat().sample(7)
+def test_a_seed_reproduces_a_field_bit_for_bit_and_other_seeds_differ():
+    once, again = deformation_2d().sample(7), deformation_2d().sample(7)
     assert once.displacement.tobytes() == again.displacement.tobytes()
     assert once.displacement.dtype == np.float32
-    assert np.abs(once.displacement - flat().sample(8).displacement).max() > 0.1
+    assert np.abs(once.displacement - deformation_2d().sample(8).displacement).max() > 0.1
     ours, theirs = np.random.default_rng(5), np.random.default_rng(5)
     for _ in range(2):
-        first, second = flat().sample(ours), flat().sample(theirs)
+        first, second = deformation_2d().sample(ours), deformation_2d().sample(theirs)
         assert first.displacement.tobytes() == second.displacement.tobytes()
-    assert flat().sample().displacement.tobytes() != flat().sample().displacement.tobytes()
+    assert (
+        deformation_2d().sample().displacement.tobytes()
+        != deformation_2d().sample().displacement.tobytes()
+    )
 
 
-def test_another_process_gets_the_same_bits_from_a_pickle():
-    copy = pickle.loads(pickle.dumps(flat()))
-    assert copy.sample(2).displacement.tobytes() == flat().sample(2).displacement.tobytes()
+def test_a_pickled_deformation_draws_the_same_bits():
+    copy = pickle.loads(pickle.dumps(deformation_2d()))
+    assert (
+        copy.sample(2).displacement.tobytes() == deformation_2d().sample(2).displacement.tobytes()
+    )
 
 
-def test_image_labels_and_points_move_by_the_field_that_comes_with_them():
-    sample, tissue_labels = flat().sample(4), labels()
+def test_image_labels_and_points_move_by_the_field_of_the_sample():
+    sample, tissue_labels = deformation_2d().sample(4), labels()
     image = np.random.default_rng(0).random((64, 64), dtype=np.float32) - 3
     d, there = sample.displacement, sample.tissue
     moved = sample.image(image)
@@ -213,7 +220,7 @@ def test_image_labels_and_points_move_by_the_field_that_comes_with_them():
     assert (seen == TUMOUR).mean() > 0.9
 
 
-def test_a_sample_pulled_less_than_was_asked_for_is_reported_once(caplog):
+def test_a_sample_below_the_requested_amplitude_is_reported_once(caplog):
     random = RandomDeformation(labels(), MATERIALS, amplitude=(9, 12), patches=4, spacing=1)
     sample = random.sample(1)
     assert sample.scale < 1
@@ -230,7 +237,7 @@ def test_a_sample_pulled_less_than_was_asked_for_is_reported_once(caplog):
     assert not caplog.records
 
 
-def test_the_amplitude_is_how_far_the_farthest_patch_is_pulled():
+def test_the_amplitude_is_the_largest_pull_of_a_patch():
     small = RandomDeformation(
         labels(), MATERIALS[:2] + MATERIALS[3:] + (Material(2, "", 3.0),), spacing=1
     )
@@ -243,21 +250,21 @@ def test_the_amplitude_is_how_far_the_farthest_patch_is_pulled():
         assert np.linalg.norm(sample.causes.pulls, axis=1).max() == pytest.approx(0.5)
     between = [
         np.linalg.norm(s.causes.pulls / s.scale, axis=1).max()
-        for s in map(flat().sample, range(20))
+        for s in map(deformation_2d().sample, range(20))
     ]
     assert 1 <= min(between) < 3
     assert 6 < max(between) <= 8
 
 
 def test_weight_pulls_in_all_directions():
-    weights = np.array([flat().sample(seed).causes.weight for seed in range(20)])
+    weights = np.array([deformation_2d().sample(seed).causes.weight for seed in range(20)])
     assert (np.linalg.norm(weights, axis=1) <= 0.03 + 1e-9).all()
     assert (weights.min(axis=0) < 0).all()
     assert (weights.max(axis=0) > 0).all()
 
 
-def test_a_sample_is_saved_and_opened_as_any_study(tmp_path):
-    sample = flat().sample(1)
+def test_a_sample_is_written_and_read_like_any_study(tmp_path):
+    sample = deformation_2d().sample(1)
     path = write_study(tmp_path / "sample", sample.study, sample.solution)
     study, solution = read_study(path)
     np.testing.assert_array_equal(solution.displacement, sample.displacement)
@@ -266,10 +273,8 @@ def test_a_sample_is_saved_and_opened_as_any_study(tmp_path):
     assert np.abs((again - sample.displacement) / SPACING).max() < 0.01
 
 
-@pytest.mark.parametrize("deformation", [flat, deep])
-def test_a_deformation_is_saved_and_another_process_draws_the_same_bits_from_it(
-    deformation, tmp_path, monkeypatch
-):
+@pytest.mark.parametrize("deformation", [deformation_2d, deformation_3d])
+def test_a_deformation_read_from_its_file_draws_the_same_bits(deformation, tmp_path, monkeypatch):
     random = deformation()
     path = random.write(tmp_path / "case")
     assert path.name == "case.npz"
@@ -283,11 +288,11 @@ def test_a_deformation_is_saved_and_another_process_draws_the_same_bits_from_it(
         assert before.study.motion.rules == after.study.motion.rules
 
 
-def test_a_file_that_is_none_or_disagrees_with_itself_is_refused(tmp_path):
-    path = write_study(tmp_path / "case.npz", flat().sample(0).study)
+def test_a_file_of_another_kind_or_with_inconsistent_arrays_is_rejected(tmp_path):
+    path = write_study(tmp_path / "case.npz", deformation_2d().sample(0).study)
     with pytest.raises(FileFormatError, match="another kind of file"):
         RandomDeformation.read(path)
-    whole = dict(np.load(flat().write(path)))
+    whole = dict(np.load(deformation_2d().write(path)))
     for name, value, said in (
         ("displacements", whole["displacements"][1:], "its solutions have shape"),
         ("displacements", whole["displacements"] * np.float32(np.nan), "NaN or infinite"),
@@ -305,15 +310,15 @@ def _header(whole, **changes):
     return np.array(json.dumps({**json.loads(whole["header"].item()), **changes}))
 
 
-def test_labels_that_change_later_change_nothing():
+def test_later_changes_of_the_label_array_have_no_effect():
     image = labels().copy()
     random = RandomDeformation(image, MATERIALS, amplitude=1, patches=1, spacing=1)
     image[...] = AIR
     assert (random.sample(0).study.tissue.labels == labels()).all()
 
 
-def test_unit_solutions_are_kept_in_single_precision_and_refused_where_memory_ends():
-    random = flat()
+def test_unit_solutions_use_single_precision_and_respect_the_memory_limit():
+    random = deformation_2d()
     causes = 2 * len(random.sample(0).causes.pulls) + 1 + 2
     tissue = random.tissue.sum()
     assert random.nbytes == causes * tissue * 2 * 4
@@ -321,8 +326,8 @@ def test_unit_solutions_are_kept_in_single_precision_and_refused_where_memory_en
         RandomDeformation(labels(), MATERIALS, memory=3.5 * tissue * 8, spacing=1)
 
 
-def test_patches_lie_in_soft_tissue_apart_from_each_other():
-    study = flat().sample(0).study
+def test_patches_are_distinct_regions_of_soft_tissue():
+    study = deformation_2d().sample(0).study
     patches, image = study.motion.labels, labels()
     assert set(image[patches > 0]) <= {MUSCLE, TUMOUR}
     assert 6 <= patches.max() <= 12
@@ -344,26 +349,26 @@ def test_patches_lie_in_soft_tissue_apart_from_each_other():
         ({"spacing": (1, 1, 1)}, "spacing"),
     ],
 )
-def test_what_makes_no_sense_is_refused_before_any_work(wrong, said):
+def test_invalid_arguments_are_rejected_before_any_solve(wrong, said):
     with pytest.raises((ArgumentError, ProblemError), match=said):
         RandomDeformation(labels(), MATERIALS, **{"spacing": 1, **wrong})
 
 
-def test_a_label_without_a_material_and_a_seed_that_is_none_are_refused():
+def test_a_label_without_a_material_and_an_invalid_seed_are_rejected():
     with pytest.raises(ProblemError, match="without a stiffness: 3"):
         RandomDeformation(labels(), MATERIALS[:3], spacing=1)
     with pytest.raises(ArgumentError, match="seed must be"):
-        flat().sample("yes")
+        deformation_2d().sample("yes")
 
 
 def test_landmarks_are_spread_over_tissue():
-    tissue = flat().tissue
+    tissue = deformation_2d().tissue
     found = landmarks(tissue)
     assert 150 < len(found) < 300
     assert tissue[tuple(found.T)].all()
 
 
-def test_pictures_are_those_of_warp_wherever_the_tissue_lies():
+def test_deformed_pictures_match_warp_for_tissue_anywhere_in_the_image():
     image = np.zeros((50, 60), int)
     image[10:30, 25:50] = MUSCLE
     random = RandomDeformation(image, MATERIALS, amplitude=4, patches=3, hold_edge=False, spacing=1)
@@ -387,7 +392,7 @@ def test_the_benchmark_runs_and_finds_no_fold(capsys):
     assert "CPU time a sample" in said
 
 
-def test_a_line_says_what_it_is():
-    assert "64 x 64 sites" in repr(flat())
-    assert "scale" in repr(flat().sample(0))
-    assert replace(flat().sample(0), scale=0.5).scale == 0.5
+def test_the_repr_states_the_size_and_the_scale():
+    assert "64 x 64 sites" in repr(deformation_2d())
+    assert "scale" in repr(deformation_2d().sample(0))
+    assert replace(deformation_2d().sample(0), scale=0.5).scale == 0.5

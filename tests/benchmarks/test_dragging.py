@@ -1,4 +1,4 @@
-"""What is measured of a drag: against another checkout by turns, and what is counted meanwhile."""
+"""Tests of the benchmark of dragging: counters and the comparison of two checkouts."""
 
 import threading
 from pathlib import Path
@@ -9,7 +9,7 @@ from counting import Counts, counted
 from napari.layers import Image
 
 
-def test_arrays_of_the_size_of_an_image_are_counted_however_short_they_live():
+def test_short_lived_arrays_of_the_size_of_an_image_are_counted():
     image = np.zeros((40, 50), np.float32)
     counts = Counts()
     with counted(image.size, counts):
@@ -19,14 +19,14 @@ def test_arrays_of_the_size_of_an_image_are_counted_however_short_they_live():
         other = threading.Thread(target=image.copy)
         other.start()
         other.join()
-    assert counts.arrays == {"napari": 2}, "a copy, and the roots of it"
+    assert counts.arrays == {"napari": 2}, "the copy or its square root was not counted"
     assert counts.megabytes == 2 * image.nbytes / 1e6
     image.copy()
-    assert counts.arrays.total() == 2, "and no longer"
+    assert counts.arrays.total() == 2, "an array was counted after the context"
     np.testing.assert_array_equal(kept, image)
 
 
-def test_looks_at_layers_are_counted_by_who_looks():
+def test_reads_of_layers_are_counted_only_if_the_package_reads():
     from napari_hmrf.layers.metadata import role_of
 
     layer, counts = Image(np.zeros((4, 5)), name="MR"), Counts()
@@ -34,13 +34,13 @@ def test_looks_at_layers_are_counted_by_who_looks():
         assert role_of(layer) is None
         assert layer.metadata == {}
         assert layer.data.shape == (4, 5)
-    assert counts.metadata == {"MR": 1}, "what others than the package look at is not its own"
+    assert counts.metadata == {"MR": 1}, "a read by the test was counted"
     assert not counts.data
     role_of(layer)
     assert counts.metadata.total() == 1
 
 
-def test_two_checkouts_take_turns_and_their_ratios_are_of_pairs(monkeypatch):
+def test_two_checkouts_alternate_and_ratios_are_computed_in_pairs(monkeypatch):
     order = []
 
     class Worker:
@@ -59,7 +59,7 @@ def test_two_checkouts_take_turns_and_their_ratios_are_of_pairs(monkeypatch):
     said = dragging.compare("solver", 64, "grey", [Path("mine"), Path("other")], 3, 1.0)
     assert order == ["mine", "other", "other", "mine", "mine", "other", "end", "end"]
     (median,) = (line for line in said.splitlines() if line.split()[0] == "median")
-    # 1 against 2 x 2, 4 against 2 x 3, 5 against 2 x 6
+    # The pairs are 1 and 2 x 2, 4 and 2 x 3, 5 and 2 x 6.
     assert median.split()[1] == "0.42"
-    assert "; 0.25 to 0.67)" in median, "least to most"
+    assert "; 0.25 to 0.67)" in median, "the range of ratios is wrong"
     assert "of a picture: 33.3 ms" in said

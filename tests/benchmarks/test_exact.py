@@ -1,4 +1,4 @@
-"""The oracle of the random problems is right: by hand, by fractions, by other oracles."""
+"""Tests of the exact solver of the random problems: closed forms, fractions and other solvers."""
 
 from fractions import Fraction
 
@@ -14,7 +14,7 @@ from tests.support.elastic_oracle import direct_solution
 
 
 def patterned(shape, contrast, seed=0, spacing=(1.0, 1.0)):
-    """Tissue of two kinds and a hole, held above and pushed below."""
+    """Return a problem with two tissues and a hole, fixed at the top and pushed at the bottom."""
     dice = np.random.default_rng(seed)
     m = np.where(dice.random(shape) < 0.5, 1.0, contrast)
     m[shape[0] // 2, shape[1] // 2] = 0
@@ -34,7 +34,7 @@ PRIORS = [
 
 @pytest.mark.parametrize("prior", PRIORS, ids=repr)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.3, 2.0)])
-def test_the_matrix_pulls_as_the_definitions_say(prior, spacing):
+def test_the_matrix_gives_the_forces_of_the_definitions(prior, spacing):
     problem = patterned((6, 7), 30.0, spacing=spacing)
     d = np.random.default_rng(1).normal(size=(6, 7, 2)) * problem.unit
     pull = matrix_of(problem, prior).times(d.ravel() / problem.unit)[0]
@@ -47,7 +47,7 @@ def test_the_matrix_pulls_as_the_definitions_say(prior, spacing):
 
 
 @pytest.mark.parametrize("prior", PRIORS, ids=repr)
-def test_a_direct_solution_is_that_in_fractions(prior):
+def test_a_direct_solution_equals_the_solution_in_fractions(prior):
     problem = patterned((4, 4), 1e6)
     matrix = matrix_of(problem, prior)
     unknowns = np.flatnonzero((matrix.diagonal > 0) & ~problem.known.ravel())
@@ -74,7 +74,7 @@ def test_a_direct_solution_is_that_in_fractions(prior):
 
 
 @pytest.mark.parametrize("plane", ["stress", "strain"])
-def test_elastic_tissue_moves_as_the_other_oracle_says(plane):
+def test_the_exact_elastic_field_equals_that_of_the_other_solver(plane):
     nu = np.random.default_rng(3).uniform(0, 0.49, (9, 8)).astype(np.float32)
     problem = patterned((9, 8), 100.0, spacing=(2.0, 0.7))
     prior = ElasticPrior(nu, plane=plane)
@@ -86,7 +86,7 @@ def test_elastic_tissue_moves_as_the_other_oracle_says(plane):
     assert found.motions == 0
 
 
-def test_the_centred_field_is_that_of_the_other_oracle():
+def test_the_exact_centred_field_equals_that_of_the_other_solver():
     problem = patterned((9, 8), 100.0)
     found = exact_field(problem, SeilerPrior())
     np.testing.assert_allclose(
@@ -95,7 +95,7 @@ def test_the_centred_field_is_that_of_the_other_oracle():
 
 
 def slippery(seed, shape=(6, 5)):
-    """Tissue observed all over, at random."""
+    """Return a problem with random observations at many sites."""
     dice = np.random.default_rng(seed)
     observed = dice.random((*shape, 2)) < 0.6
     c = np.where(observed, dice.choice([0.5, 1.0], observed.shape), 0)
@@ -104,7 +104,7 @@ def slippery(seed, shape=(6, 5)):
 
 @pytest.mark.parametrize("penalty", [0.03, 1.0, 30.0, 1000.0])
 @pytest.mark.parametrize("seed", range(4))
-def test_each_site_of_a_centred_field_is_where_its_own_energy_is_least(penalty, seed):
+def test_each_site_of_a_centred_field_minimises_its_own_energy(penalty, seed):
     problem = slippery(seed)
     prior = SeilerPrior(penalty=penalty)
     found = exact_field(problem, prior)
@@ -121,7 +121,7 @@ def test_each_site_of_a_centred_field_is_where_its_own_energy_is_least(penalty, 
 @pytest.mark.parametrize("penalty", [0.003, 0.1, 3.0, 100.0])
 @pytest.mark.parametrize("prior", [PRIORS[0], PRIORS[1], PRIORS[3]], ids=repr)
 @pytest.mark.parametrize("seed", range(4))
-def test_no_field_has_less_energy_than_the_exact_one(penalty, prior, seed):
+def test_no_perturbed_field_has_less_energy_than_the_exact_field(penalty, prior, seed):
     problem = slippery(seed)
     elastic = isinstance(prior, ElasticPrior)
     prior = (
@@ -145,13 +145,13 @@ def test_no_field_has_less_energy_than_the_exact_one(penalty, prior, seed):
             assert energy(found.displacement + size * way) >= least - 1e-12 * abs(least)
 
 
-def test_a_bar_of_two_halves_stretches_as_springs_in_a_row():
+def test_a_bar_of_two_halves_is_stretched_like_springs_in_series():
     m = np.ones((9, 3))
     m[:4] = 10
     c, y = np.zeros((9, 3, 2)), np.zeros((9, 3, 2))
     c[0] = c[-1] = 1
     y[-1, :, 0] = 2
-    # Elements are as stiff as the mean of their sites; nothing else resists, as nu is 0.
+    # The stiffness of an element is the mean over its sites. With nu = 0 there is no lateral force.
     softness = 1 / ((m[:-1, 0] + m[1:, 0]) / 2)
     expected = 2 * np.concatenate([[0], np.cumsum(softness)]) / softness.sum()
     found = exact_field(Problem(y, c, m), ElasticPrior(0.0)).displacement
@@ -159,13 +159,13 @@ def test_a_bar_of_two_halves_stretches_as_springs_in_a_row():
     np.testing.assert_allclose(found[..., 1], 0, atol=1e-14)
 
 
-def test_a_bar_that_slips_is_stretched_by_all_the_force_there_is():
+def test_a_slipping_bar_is_stretched_by_the_holding_force():
     c, y = np.zeros((9, 3, 2)), np.zeros((9, 3, 2))
     c[0] = 1
     c[-1, :, 0] = (0.5, 1.0, 0.5)
     y[-1, :, 0] = 7
     found = exact_field(Problem(y, c, np.ones((9, 3))), ElasticPrior(0.0, penalty=0.25))
-    # 0.25 (0.5 + 1 + 0.5) over a width of 2, along a length of 8, of stiffness 1.
+    # Force 0.25 (0.5 + 1 + 0.5) on a width of 2, a length of 8 and a stiffness of 1.
     np.testing.assert_allclose(found.displacement[-1, :, 0], 0.25 * 8, atol=1e-14)
     assert found.motions == 0
 
@@ -179,9 +179,9 @@ def test_a_bar_that_slips_is_stretched_by_all_the_force_there_is():
         ((1.0, 2.0, 9.0), 2.0, 0),
     ],
 )
-def test_between_marks_that_pull_alike_tissue_moves_least(marks, where, motions):
+def test_tissue_between_marks_of_equal_force_has_the_smallest_displacement(marks, where, motions):
     y, c = np.zeros((4, 4, 2)), np.zeros((4, 4, 2))
-    # Held against turning and along columns; whole rows are seen elsewhere, weakly.
+    # Prescribe columns, which prevents rotation, and observe whole rows with weak forces.
     c[:, :2, 1] = 1
     for j, mark in enumerate(marks):
         y[j, :, 0], c[j, :, 0] = mark, 1
@@ -193,7 +193,7 @@ def test_between_marks_that_pull_alike_tissue_moves_least(marks, where, motions)
 
 
 @pytest.mark.parametrize("prior", [ElasticPrior(0.3), ElasticPrior(0.3, penalty=5.0)], ids=repr)
-def test_tissue_that_may_turn_is_free_and_moves_least(prior):
+def test_tissue_that_may_rotate_is_free_and_has_the_smallest_displacement(prior):
     c, y = np.zeros((5, 5, 2)), np.zeros((5, 5, 2))
     c[2, 2], y[2, 2] = 1, (1, 2)
     found = exact_field(Problem(y, c, np.ones((5, 5))), prior)
@@ -202,7 +202,7 @@ def test_tissue_that_may_turn_is_free_and_moves_least(prior):
     np.testing.assert_allclose(found.displacement, np.broadcast_to([1, 2], (5, 5, 2)), atol=1e-12)
 
 
-def test_what_nothing_pulls_at_stays_or_is_where_it_was_seen():
+def test_tissue_without_elastic_forces_remains_at_rest_or_at_its_observation():
     m = np.zeros((5, 7))
     m[:, :4] = m[0, 5] = m[4, 6] = 1
     c, y = np.zeros((5, 7, 2)), np.zeros((5, 7, 2))
@@ -216,7 +216,7 @@ def test_what_nothing_pulls_at_stays_or_is_where_it_was_seen():
 
 
 @pytest.mark.parametrize("prior", [PRIORS[0], PRIORS[1], PRIORS[3]], ids=repr)
-def test_the_least_eigenvalue_is_that_of_a_dense_matrix(prior):
+def test_the_smallest_eigenvalue_equals_that_of_a_dense_matrix(prior):
     problem = patterned((7, 6), 300.0)
     matrix = matrix_of(problem, prior)
     unknowns = np.flatnonzero((matrix.diagonal > 0) & ~problem.known.ravel())
@@ -227,7 +227,7 @@ def test_the_least_eigenvalue_is_that_of_a_dense_matrix(prior):
     assert exact_field(problem, prior).least == pytest.approx(expected, rel=0.01)
 
 
-def test_a_zigzag_of_three_rows_costs_no_clique_anything():
+def test_a_zigzag_of_three_rows_has_zero_clique_energy():
     zigzag = np.zeros((3, 6, 2))
     zigzag[0, :, 0] = [1, -1, 1, -1, 1, -1]
     zigzag[2] = -zigzag[0]
@@ -243,7 +243,7 @@ def test_a_zigzag_of_three_rows_costs_no_clique_anything():
     np.testing.assert_allclose(found.displacement, 0, atol=1e-15)
 
 
-def test_a_stiff_lump_that_swims_in_soft_tissue_is_held():
+def test_a_stiff_inclusion_in_soft_tissue_is_not_free():
     m = np.ones((32, 32))
     m[4:28, 4:28] = 1e6
     c, y = np.zeros((32, 32, 2)), np.zeros((32, 32, 2))
@@ -252,13 +252,13 @@ def test_a_stiff_lump_that_swims_in_soft_tissue_is_held():
     found = exact_field(Problem(y, c, m), ElasticPrior(0.3))
     assert 1e-12 < found.least < 1e-6
     assert not found.free
-    # By symmetry it goes half of the way, whatever its stiffness.
+    # By symmetry, the inclusion moves by half of the distance for any stiffness.
     middle = found.displacement[15:17, 15:17].mean(axis=(0, 1))
     np.testing.assert_allclose(middle, [0.5, 1.0], rtol=0, atol=1e-12)
 
 
-def test_the_exact_field_meets_its_own_conditions_at_any_contrast():
-    """Not what the search believes: the forces, evaluated anew, and the distances."""
+def test_the_exact_field_satisfies_the_optimality_conditions_at_any_contrast():
+    """Evaluate forces and distances again, independently of the solver."""
     for seed in range(6):
         dice = np.random.default_rng(seed)
         problem = slippery(seed)
@@ -272,7 +272,7 @@ def test_the_exact_field_meets_its_own_conditions_at_any_contrast():
             assert found.sure
             force = -matrix_of(problem, prior).times(found.displacement.ravel())[0]
             limit = prior.penalty * problem.confidence.ravel().astype(float)
-            # A displacement rounded to float64 pulls with as much as rounding is worth.
+            # Rounding a displacement to float64 changes the forces by this amount.
             rounding = 1e-15 * matrix_of(problem, prior).diagonal.max()
             assert (np.abs(force) <= limit * (1 + 1e-9) + rounding).all()
             off = (found.displacement - problem.observed).ravel()

@@ -1,4 +1,4 @@
-"""The finite-element reference is right: patch test, bar, annulus, pieces, units."""
+"""Tests of the finite-element reference: patch test, bar, annulus, free pieces and units."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ def edge_of(shape):
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0)])
-def test_a_uniform_strain_on_the_edge_fills_the_inside(spacing):
-    """The patch test."""
+def test_a_uniform_strain_of_the_edge_extends_into_the_inside(spacing):
+    """Patch test."""
     strain = np.array([[0.02, -0.01], [0.03, 0.015]])
     places = np.moveaxis(np.indices((9, 12)), 0, -1) * np.array(spacing)
     exact = places @ strain.T
@@ -27,7 +27,7 @@ def test_a_uniform_strain_on_the_edge_fills_the_inside(spacing):
     np.testing.assert_allclose(plane_stress_displacement(problem, NU), exact, atol=1e-6)
 
 
-def test_a_free_bar_gets_thinner_by_poissons_ratio():
+def test_a_free_bar_contracts_by_poissons_ratio():
     h, w, pull = 5, 21, 0.1
     y, c = np.zeros((h, w, 2)), np.zeros((h, w, 2))
     c[:, [0, -1], 1] = 1
@@ -40,7 +40,7 @@ def test_a_free_bar_gets_thinner_by_poissons_ratio():
     np.testing.assert_allclose(d[..., 0], -NU * strain * (rows - h // 2), atol=1e-7)
 
 
-def test_strain_divides_between_two_tissues_by_their_stiffness():
+def test_strain_is_inversely_proportional_to_stiffness():
     h, w = 3, 41
     y, c = np.zeros((h, w, 2)), np.zeros((h, w, 2))
     c[:, [0, -1], 1] = 1
@@ -54,25 +54,25 @@ def test_strain_divides_between_two_tissues_by_their_stiffness():
 
 
 def annulus_error(n):
-    """Rms error of u(r) = r + b^2/r on a ring whose inner and outer edges are prescribed."""
+    """Return the RMS error of u(r) = r + b^2/r on a ring with prescribed edges."""
     row, col = (np.indices((n, n)) - (n - 1) / 2) / (n / 2)
     r = np.hypot(row, col)
     radial = 0.05 * (r + 0.16 / np.maximum(r, 0.1))
     exact = np.stack([radial * row / np.maximum(r, 0.1), radial * col / np.maximum(r, 0.1)], -1)
     tissue = (r > 0.3) & (r < 0.97)
-    edge = tissue & ((r < 0.4) | (r > 0.87))  # as wide on every grid
+    edge = tissue & ((r < 0.4) | (r > 0.87))  # The edge has the same width on every grid.
     c = np.repeat(edge[..., None], 2, axis=-1).astype(float)
     d = plane_stress_displacement(Problem(exact, c, tissue.astype(float)), NU)
     return rmsd(d, exact, tissue & ~edge)
 
 
-def test_lames_annulus_is_approached_with_the_square_of_the_pixel():
+def test_the_error_of_lames_annulus_is_quadratic_in_the_pixel_size():
     coarse, fine = annulus_error(40), annulus_error(160)
     order = np.log(coarse / fine) / np.log(4)
     assert 1.7 < order < 2.6
 
 
-def test_the_scale_of_the_stiffness_does_not_matter():
+def test_the_scale_of_the_stiffness_does_not_change_the_field():
     problem = phantom("mass-effect", 32).problem
     stiffer = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
     np.testing.assert_allclose(
@@ -80,7 +80,7 @@ def test_the_scale_of_the_stiffness_does_not_matter():
     )
 
 
-def test_tissue_in_no_element_keeps_what_was_prescribed_or_stays():
+def test_tissue_without_an_element_has_its_prescribed_displacement_or_zero():
     y, c, m = np.zeros((8, 8, 2)), np.zeros((8, 8, 2)), np.zeros((8, 8))
     m[:4, :4] = 1
     c[0, :4] = 1
@@ -91,7 +91,7 @@ def test_tissue_in_no_element_keeps_what_was_prescribed_or_stays():
     np.testing.assert_array_equal(d[6, 6], (0, 0))
 
 
-def test_tissue_that_could_float_away_or_turn_is_refused():
+def test_tissue_that_could_translate_or_rotate_is_refused():
     y, c, m = np.zeros((8, 8, 2)), np.zeros((8, 8, 2)), np.zeros((8, 8))
     m[:3], m[5:] = 1, 1
     c[0] = 1
@@ -109,13 +109,13 @@ def test_poissons_ratio_must_be_physical():
         plane_stress_displacement(phantom("bar", 16).problem, poisson=0.5)
 
 
-def test_the_stored_reference_is_todays_finite_element_solution():
+def test_the_stored_reference_equals_the_computed_solution():
     stored = reference_displacement("bar")
     computed = plane_stress_displacement(phantom("bar").problem)
     assert np.abs(stored - computed).max() < 6e-4
 
 
-def test_rmsd_counts_the_body_alone_and_in_pixels():
+def test_rmsd_covers_only_the_body_and_is_in_pixels():
     a = np.zeros((4, 4, 2))
     b = a + np.array([3.0, 4.0])
     b[0] = 1e9

@@ -1,4 +1,4 @@
-"""The validation report runs, and what it measures with is right."""
+"""Tests of the validation report and of its reference solutions."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from napari_hmrf.data import phantom
 
 
 def random_problem(spacing=(1.0, 1.0)):
-    """Random tissue with a hole; its upper edge is held, its lower edge in one component."""
+    """Return random tissue with a hole; the top edge is fixed, the bottom edge in one component."""
     rng = np.random.default_rng(3)
     shape = (12, 9)
     m = rng.random(shape) + 0.2
@@ -26,7 +26,7 @@ def random_problem(spacing=(1.0, 1.0)):
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
 @pytest.mark.parametrize("plane", ["stress", "strain"])
-def test_the_assembled_matrix_is_the_priors_energy(plane, spacing):
+def test_the_assembled_matrix_gives_the_energy_of_the_prior(plane, spacing):
     problem, prior = random_problem(spacing), ElasticPrior(0.4, plane=plane)
     system = assemble(problem, prior)
     assert abs(system.matrix - system.matrix.T).max() < 1e-12
@@ -43,7 +43,7 @@ def test_a_patch_of_uniform_strain_is_exact():
     assert case.error(solve_directly(case.problem, ElasticPrior(0.3))) < 1e-6
 
 
-def test_the_annulus_is_second_order_and_a_staircase_interface_is_not():
+def test_the_annulus_converges_with_second_order_and_a_staircase_interface_does_not():
     def order(make):
         return analytic.observed_order([analytic.errors(make(n), n) for n in (24, 96)])
 
@@ -51,7 +51,7 @@ def test_the_annulus_is_second_order_and_a_staircase_interface_is_not():
     assert 0.5 < order(analytic.inclusion) < 1.8
 
 
-def test_an_inclusion_that_is_none_strains_as_the_rest():
+def test_an_inclusion_of_equal_stiffness_has_the_strain_of_its_surroundings():
     case = analytic.inclusion(64, ratio=1.0)
     row = case.exact[32, 32:, 1]
     np.testing.assert_allclose(np.diff(row), np.diff(row)[0], rtol=1e-4)
@@ -64,7 +64,7 @@ def test_a_bar_of_elements_is_solved_exactly():
 
 
 def cards(deck):
-    """The keywords of a deck with the lines of numbers under each, in order."""
+    """Return the keywords of a deck with the lines of numbers below each, in order."""
     found = []
     for line in deck.splitlines():
         if line.startswith("*"):
@@ -75,7 +75,7 @@ def cards(deck):
 
 
 @pytest.mark.parametrize("element", ["CPE4", "CPS3"])
-def test_a_deck_is_well_formed(element):
+def test_an_input_deck_is_well_formed(element):
     problem = random_problem()
     deck = cards(calculix.deck(problem, element, 0.3))
     keywords = [keyword.split(",")[0] for keyword, _ in deck]
@@ -89,14 +89,16 @@ def test_a_deck_is_well_formed(element):
     assert len(set(around[:, 0])) == len(around) == (11 * 8 - 4) * (2 if triangles else 1)
     x, y = np.divmod(around[:, 1:] - 1, 9)
     areas = 0.5 * (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)
-    assert (areas == (0.5 if triangles else 1.0)).all(), "anticlockwise, and a pixel together"
+    assert (areas == (0.5 if triangles else 1.0)).all(), (
+        "the elements are not anticlockwise or do not cover one pixel"
+    )
     assert keywords.count("*ELEMENT") == keywords.count("*SOLID SECTION")
     held = deck[keywords.index("*BOUNDARY")][1]
     assert len(held) == int((problem.confidence > 0).sum())
 
 
 @pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
-def test_calculix_agrees_on_textbook_plane_stress():
+def test_calculix_and_the_reference_agree_in_textbook_plane_stress():
     problem = phantom("mass-effect", 32).problem
     found = calculix.textbook_plane_stress(problem, 0.3)
     assert rmsd(found, plane_stress_displacement(problem, 0.3), problem.tissue) < 1e-5
@@ -113,7 +115,7 @@ def test_a_displacement_table_is_read(tmp_path):
     assert values[0].tolist() == [1.5, -0.2, 0]
 
 
-def test_more_levels_take_fewer_iterations():
+def test_more_levels_need_fewer_iterations():
     problem = phantom("mass-effect", 64).problem
     one, deepest = levels.multigrid_cycles(problem, 1)
     assert levels.multigrid_cycles(problem, deepest)[0] < one
@@ -121,7 +123,7 @@ def test_more_levels_take_fewer_iterations():
     assert sum(levels.icm_sweeps(problem, truth, 4)) < sum(levels.icm_sweeps(problem, truth, 1))
 
 
-def test_pyamg_is_stopped_where_it_is_close_enough():
+def test_pyamg_is_stopped_at_the_required_accuracy():
     pytest.importorskip("pyamg")
     problem = phantom("mass-effect", 48).problem
     reference = solve_directly(problem, contenders.PRIOR)
@@ -139,7 +141,7 @@ def test_an_edit_moves_one_patch_of_the_boundary_by_a_pixel():
     assert np.abs(change).max() == pytest.approx(1)
 
 
-def test_a_solver_in_a_process_of_its_own_is_measured(tmp_path):
+def test_a_solver_in_a_separate_process_is_measured(tmp_path):
     problem = phantom(contenders.PHANTOM, 48).problem
     file = tmp_path / "reference.npy"
     np.save(file, solve_directly(problem, contenders.PRIOR))
@@ -151,7 +153,7 @@ def test_a_solver_in_a_process_of_its_own_is_measured(tmp_path):
 
 
 @pytest.mark.campaign
-def test_the_quick_report_is_a_page_with_its_pictures(tmp_path):
+def test_the_quick_report_is_a_page_with_pictures(tmp_path):
     sections = ["levels", "analytic", "finite-elements", "metropolis"]
     assert validation.main(["--quick", "--out", str(tmp_path), "--only", *sections]) == 0
     page = (tmp_path / "README.md").read_text(encoding="utf-8")
@@ -163,7 +165,7 @@ def test_the_quick_report_is_a_page_with_its_pictures(tmp_path):
         assert f"\n## {title}" in page
 
 
-def test_a_page_counts_the_targets_that_were_met(tmp_path):
+def test_a_page_counts_the_targets_that_are_met(tmp_path):
     section = Section("Something")
     section.targets += [Target("low", 1.0, 2.0), Target("high", 1.0, 2.0, at_least=True)]
     section.table(["a", "b"], [[1.23456, None], ["x", 12345.6]])

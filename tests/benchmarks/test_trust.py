@@ -1,4 +1,4 @@
-"""A short campaign of random problems; ``make trust`` runs the long one."""
+"""Tests of the campaign of random problems, with a short run; ``make trust`` runs a long one."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ campaign = pytest.mark.campaign
 
 
 def drawn(y=None, c=None, m=None, prior=None, **more):
-    """A small block, its upper edge held and its lower edge pushed, unless something else is."""
+    """Return a small block, by default fixed at the top and pushed at the bottom."""
     shape = (6, 5)
     if c is None:
         c, y = np.zeros((*shape, 2)), np.zeros((*shape, 2))
@@ -34,8 +34,8 @@ def drawn(y=None, c=None, m=None, prior=None, **more):
 
 
 @pytest.fixture
-def answer(monkeypatch):
-    """Put something in the place of the solver: what is done to its solution, or an error."""
+def fake_solver(monkeypatch):
+    """Return a function that replaces the solver: it shifts the solution or raises an error."""
 
     def put(error=None, shift=0.0, reported=None):
         def instead(*args, **kwargs):
@@ -56,8 +56,8 @@ def answer(monkeypatch):
     return put
 
 
-def test_a_good_answer_is_one(answer):
-    answer()
+def test_a_correct_solution_passes(fake_solver):
+    fake_solver()
     verdict = trust.judge(drawn(), "cpu")
     assert verdict.outcome == "answered"
     assert not verdict.violation
@@ -73,8 +73,8 @@ def test_a_good_answer_is_one(answer):
         (np.nan, None, "crashed"),
     ],
 )
-def test_an_answer_is_judged_by_its_true_error(answer, shift, reported, outcome):
-    answer(shift=shift, reported=reported)
+def test_a_solution_is_judged_by_its_true_error(fake_solver, shift, reported, outcome):
+    fake_solver(shift=shift, reported=reported)
     assert trust.judge(drawn(), "cpu").outcome == outcome
 
 
@@ -86,29 +86,29 @@ def test_an_answer_is_judged_by_its_true_error(answer, shift, reported, outcome)
         (ZeroDivisionError("no"), "crashed"),
     ],
 )
-def test_a_problem_that_has_an_answer_may_not_be_refused(answer, error, outcome):
-    answer(error)
+def test_a_refusal_of_a_solvable_problem_is_a_failure(fake_solver, error, outcome):
+    fake_solver(error)
     verdict = trust.judge(drawn(), "cpu")
     assert verdict.outcome == outcome
     assert "no" in verdict.saying
 
 
-def turning():
-    """A block that is held at one site."""
+def rotating_block():
+    """Return a block that is fixed at one site."""
     c = np.zeros((6, 5, 2))
     c[2, 2] = 1
     return drawn(y=np.zeros_like(c), c=c)
 
 
-def test_a_problem_that_has_none_may_be(answer):
-    answer(ConvergenceError("no"))
-    assert trust.judge(turning(), "cpu").outcome == "refused, free"
-    answer(RuntimeError("no"))
-    assert trust.judge(turning(), "cpu").outcome == "crashed"
+def test_a_refusal_of_a_problem_with_free_tissue_passes(fake_solver):
+    fake_solver(ConvergenceError("no"))
+    assert trust.judge(rotating_block(), "cpu").outcome == "refused, free"
+    fake_solver(RuntimeError("no"))
+    assert trust.judge(rotating_block(), "cpu").outcome == "crashed"
 
 
-def test_or_else_its_answer_must_be_the_least_motion(monkeypatch):
-    firm, free = drawn(), turning()
+def test_a_solution_with_free_tissue_must_have_the_smallest_motion(monkeypatch):
+    firm, free = drawn(), rotating_block()
     solution = solve(firm.problem, firm.prior, backend="cpu")
     still = replace(solution, displacement=np.zeros_like(solution.displacement))
     monkeypatch.setattr(trust, "solve", lambda *args, **kwargs: still)
@@ -117,26 +117,26 @@ def test_or_else_its_answer_must_be_the_least_motion(monkeypatch):
     assert trust.judge(free, "cpu").outcome == "free"
 
 
-def test_tissue_that_is_nowhere_two_pixels_wide_may_be_refused():
+def test_a_refusal_of_tissue_one_pixel_wide_passes():
     m = np.zeros((6, 5))
     m[:, 2] = 1
     assert trust.judge(drawn(m=m), "cpu").outcome == "refused, free"
 
 
-def test_a_solve_that_does_not_end_is_late(monkeypatch):
+def test_a_solve_beyond_the_time_limit_is_late(monkeypatch):
     monkeypatch.setattr(trust, "_SECONDS", 0.0)
     assert trust.judge(drawn(), "cpu").outcome == "late"
 
 
-def test_a_field_that_is_not_sure_judges_nothing(answer, monkeypatch):
-    answer(shift=1.0)
+def test_a_solution_is_not_judged_by_an_uncertain_exact_field(fake_solver, monkeypatch):
+    fake_solver(shift=1.0)
     monkeypatch.setattr(
         trust, "exact_field", lambda *given: replace(exact_field(*given), sure=False)
     )
     assert trust.judge(drawn(), "cpu").outcome == "unsure"
 
 
-def test_a_problem_can_be_made_alone():
+def test_a_random_problem_is_reproducible_by_seed_and_number():
     first, again, other = (random_problem(*which) for which in ((3, 7), (3, 7), (3, 8)))
     for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(first, field), getattr(again, field))
@@ -144,7 +144,7 @@ def test_a_problem_can_be_made_alone():
     assert first.prior == again.prior
 
 
-def test_every_kind_of_problem_comes_up():
+def test_random_problems_cover_all_kinds():
     made = [random_problem(0, number) for number in range(400)]
     assert len({each.reading for each in made}) == 8
     assert max(each.contrast for each in made) > 3e6
@@ -154,8 +154,8 @@ def test_every_kind_of_problem_comes_up():
     assert {each.tolerance for each in made} == {1e-2, 1e-3, 1e-4}
 
 
-def test_a_report_counts_and_says_how_to_see_each_again(answer, capsys, tmp_path):
-    answer(ConvergenceError("not within 0.001 px"))
+def test_a_report_counts_failures_and_gives_the_command_for_each(fake_solver, capsys, tmp_path):
+    fake_solver(ConvergenceError("not within 0.001 px"))
     page = tmp_path / "trust.md"
     some = ["--loops", "3", "--shaders", "0", "--volumes", "2", "--seed", "5"]
     assert trust.main([*some, "--page", str(page)]) == 1
@@ -168,13 +168,13 @@ def test_a_report_counts_and_says_how_to_see_each_again(answer, capsys, tmp_path
     assert written.startswith("# Random problems against exact solutions\n")
 
 
-def test_a_problem_is_run_again_by_its_number(answer, capsys):
-    answer(ConvergenceError("no"))
+def test_a_problem_is_run_again_by_its_number(fake_solver, capsys):
+    fake_solver(ConvergenceError("no"))
     assert trust.main(["--only", "2", "--seed", "5"]) == 1
     assert capsys.readouterr().out.startswith("refused: `--seed 5 --only 2 --backend cpu`")
 
 
-def test_random_problems_are_answered_as_they_should_be():
+def test_random_problems_are_solved_on_the_cpu():
     run = trust.campaign([(number, "cpu") for number in range(30)])
     assert run.sound, trust.report(run)
 
@@ -182,38 +182,36 @@ def test_random_problems_are_answered_as_they_should_be():
 @pytest.mark.parametrize(
     "number",
     [
-        pytest.param(3423, id="fibres whose softest motion costs 4e-14 of their stiffest"),
-        pytest.param(4280, id="blobs, slipping, of a softest motion of 9e-12", marks=campaign),
+        pytest.param(3423, id="fibres with an eigenvalue ratio of 4e-14"),
+        pytest.param(4280, id="slipping blobs with an eigenvalue ratio of 9e-12", marks=campaign),
         pytest.param(
             1195,
-            id="stiff fibres that one observation holds, and in one direction none",
+            id="stiff fibres with one observation, and none in one direction",
             marks=campaign,
         ),
-        pytest.param(
-            1079, id="soft blobs that slip at a force that rounding of stiff ones exceeds"
-        ),
-        pytest.param(3527, id="tissue that reaches 190,000 pixels"),
-        pytest.param(1510, id="centred: one that slips or not moves the rest by half a pixel"),
-        pytest.param(4194, id="centred: so do two rows of fibres"),
+        pytest.param(1079, id="soft blobs that slip at a force below the rounding of stiff blobs"),
+        pytest.param(3527, id="tissue with displacements of 190,000 pixels"),
+        pytest.param(1510, id="centred: slipping of one site moves the rest by half a pixel"),
+        pytest.param(4194, id="centred: slipping of two rows of fibres"),
         pytest.param(2015, id="a checkerboard of four pixels by thirteen"),
         pytest.param(
-            2797, id="nearly incompressible layers that swing by 26 pixels", marks=campaign
+            2797, id="nearly incompressible layers with displacements of 26 pixels", marks=campaign
         ),
-        pytest.param(3249, id="a strip three pixels wide that slips"),
+        pytest.param(3249, id="a slipping strip three pixels wide"),
     ],
 )
-def test_what_is_hardest_is_answered_too(number):
+def test_the_most_difficult_known_problems_are_solved(number):
     verdict = trust.judge(random_problem(0, number), "cpu")
     assert verdict.outcome == "answered", verdict
 
 
 @campaign
-def test_an_interior_point_that_went_in_circles_arrives():
+def test_an_interior_point_method_does_not_cycle():
     verdict = trust.judge(random_problem(7001, 2400), "cpu")
     assert verdict.outcome == "answered", verdict
 
 
-def test_what_rounding_leaves_is_not_solved_for_again_and_again():
+def test_residuals_of_rounding_size_do_not_cause_repeated_solves():
     drawn = random_problem(0, 3527)
     said = []
     solve(
@@ -227,19 +225,19 @@ def test_what_rounding_leaves_is_not_solved_for_again_and_again():
     assert 0 < len(solutions) < 30
 
 
-def test_so_they_are_by_shaders():
+def test_random_problems_are_solved_by_shaders():
     require_opengl()
     run = trust.campaign([(number, "opengl") for number in range(6)])
     assert run.sound, trust.report(run)
 
 
-def test_states_that_let_go_of_too_much_are_passed_through():
-    """On the way some states move tissue by 367,727 px, where no residual reaches the tolerance."""
+def test_intermediate_states_with_too_few_constraints_are_passed():
+    """Some intermediate states move tissue by 367,727 px, where no residual meets the tolerance."""
     assert trust.judge(random_problem(301, 1482), "cpu").outcome == "answered"
 
 
-def test_slipping_tissue_is_answered_at_any_tolerance():
-    # Interior points that start where exchanges ended arrive at some tolerances only.
+def test_slipping_tissue_is_solved_at_any_tolerance():
+    # Interior points that start at the end of the exchanges converge at some tolerances only.
     drawn = random_problem(7, 546)
     fields = [
         solve(drawn.problem, drawn.prior, optimizer=Multigrid(tolerance), backend="cpu")
@@ -248,5 +246,5 @@ def test_slipping_tissue_is_answered_at_any_tolerance():
     np.testing.assert_allclose(fields[0].displacement, fields[1].displacement, atol=1e-6)
 
 
-def test_the_start_of_an_interior_point_keeps_what_no_clique_pulls_at():
+def test_an_interior_point_starts_with_sites_that_have_no_clique():
     assert trust.judge(random_problem(403, 464), "cpu").outcome == "answered"

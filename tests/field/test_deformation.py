@@ -1,4 +1,4 @@
-"""What a displacement says: growth, folds, and the pictures drawn of them."""
+"""Local size change, folds, grids and arrows of a displacement field."""
 
 import numpy as np
 import pytest
@@ -15,21 +15,21 @@ from napari_hmrf.fields import (
 )
 
 
-def places(shape):
+def site_indices(shape):
     return np.moveaxis(np.indices(shape), 0, -1).astype(float)
 
 
-def test_a_uniform_strain_changes_every_area_alike_borders_included():
+def test_a_uniform_strain_changes_all_areas_equally_including_the_borders():
     gradient = np.array([[0.2, 0.1], [-0.3, 0.05]])
     spacing = np.array([2.0, 0.5])
-    displacement = (places((7, 9)) * spacing) @ gradient.T
+    displacement = (site_indices((7, 9)) * spacing) @ gradient.T
     expected = np.linalg.det(np.eye(2) + gradient)
     np.testing.assert_allclose(
         jacobian_determinant(displacement, spacing=spacing), expected, rtol=1e-6
     )
 
 
-def test_differences_are_central_inside():
+def test_interior_differences_are_central():
     displacement = np.zeros((5, 9, 2))
     displacement[..., 1] = 0.01 * np.arange(9.0) ** 2
     jacobian = jacobian_determinant(displacement, spacing=1)
@@ -37,24 +37,24 @@ def test_differences_are_central_inside():
     assert jacobian.dtype == np.float32
 
 
-def test_nothing_is_known_outside_tissue_and_nothing_taken_from_there():
+def test_the_determinant_is_nan_outside_tissue_and_ignores_values_there():
     tissue = np.zeros((8, 8), dtype=bool)
     tissue[2:6, 1:7] = True
-    displacement = np.where(tissue[..., None], 0.1 * places((8, 8)), np.nan)
+    displacement = np.where(tissue[..., None], 0.1 * site_indices((8, 8)), np.nan)
     jacobian = jacobian_determinant(displacement, spacing=1, tissue=tissue)
     assert np.isnan(jacobian[~tissue]).all()
     np.testing.assert_allclose(jacobian[tissue], 1.21, rtol=1e-6)
 
 
-def test_a_line_of_tissue_is_unstrained_across_and_a_lone_site_altogether():
+def test_a_line_of_tissue_has_no_transverse_strain_and_a_lone_site_has_none():
     tissue = np.zeros((5, 9), dtype=bool)
     tissue[2, :6], tissue[4, 8] = True, True
-    jacobian = jacobian_determinant(0.1 * places((5, 9)), spacing=1, tissue=tissue)
+    jacobian = jacobian_determinant(0.1 * site_indices((5, 9)), spacing=1, tissue=tissue)
     np.testing.assert_allclose(jacobian[2, :6], 1.1, rtol=1e-6)
     assert jacobian[4, 8] == 1
 
 
-def test_tissue_that_stays_or_moves_as_one_has_no_folds():
+def test_resting_translated_and_solved_tissue_has_no_folds():
     assert count_folds(np.zeros((6, 7, 2)), spacing=1) == 0
     assert count_folds(np.full((6, 7, 2), 1e3), spacing=1) == 0
     for name in ("expansion", "mass-effect", "bar"):
@@ -70,7 +70,7 @@ def test_a_mirrored_body_is_folded_everywhere():
 
 
 @pytest.mark.parametrize("shape", [(6, 7), (1, 5), (9, 3), (4, 5, 6), (1, 4, 4)])
-def test_folds_are_those_at_corners_of_elements_that_are_all_tissue(shape):
+def test_folds_are_counted_at_corners_of_elements_made_of_tissue(shape):
     random = np.random.default_rng(len(shape))
     tissue = random.random(shape) < 0.8
     d = 0.4 * random.normal(size=(*shape, len(shape))) * tissue[..., None]
@@ -91,26 +91,26 @@ def test_folds_are_those_at_corners_of_elements_that_are_all_tissue(shape):
     assert expected.any() == (min(shape) > 1)
 
 
-def test_what_turns_around_a_hole_folds_nothing():
+def test_a_negative_determinant_beside_a_hole_is_not_a_fold():
     tissue = np.ones((3, 3), dtype=bool)
     tissue[0, 0] = False
     d = np.zeros((3, 3, 2))
-    d[0, 1] = (1.5, -0.4)  # beside the hole, across the row below: no element has this corner
+    d[0, 1] = (1.5, -0.4)  # next to the hole and past the row below, but no element has this corner
     tissue[0, 2] = False
     assert count_folds(d, spacing=1, tissue=tissue) == 0
     assert (jacobian_determinant(d, spacing=1, tissue=tissue)[tissue] <= 0).any()
 
 
-def test_a_site_that_jumps_over_its_neighbour_is_a_fold_though_central_differences_miss_it():
+def test_a_site_that_passes_its_neighbour_is_a_fold_despite_central_differences():
     displacement = np.zeros((5, 9, 2))
     displacement[2, 4, 1] = -1.5
     assert (jacobian_determinant(displacement, spacing=1) > 0).all()
     assert count_folds(displacement, spacing=1) > 0
 
 
-def test_a_fold_is_where_the_overlap_is():
+def test_folds_are_located_at_the_overlap():
     displacement = np.zeros((8, 20, 2))
-    displacement[:, :10, 1] = 2.5  # the left half is pushed over the right
+    displacement[:, :10, 1] = 2.5  # the left half overlaps the right
     folded = jacobian_determinant(displacement, spacing=1) <= 0
     assert folded[:, 9:11].all()
     assert folded.sum() == 16
@@ -128,7 +128,7 @@ def test_a_grid_at_rest_is_square_and_spans_the_image():
     ends = segments.sum(axis=1)
     assert segments.shape[1:] == (2, 2)
     assert segments.dtype == np.float32
-    rows = segments[segments[:, 1, 0] == 0]  # those that run along a row
+    rows = segments[segments[:, 1, 0] == 0]  # lines along a row
     cols = segments[segments[:, 1, 1] == 0]
     assert len(rows) + len(cols) == len(segments)
     assert set(rows[:, 0, 0]) == {0, 10, 20}
@@ -166,8 +166,8 @@ def test_grid_lines_are_drawn_in_tissue_only():
     assert len(segments) == 2 * 24 * 25 - 4
 
 
-def test_arrows_start_at_sites_and_show_where_they_go_in_pixels():
-    displacement = places((50, 60)) * 0.1
+def test_arrows_start_at_sites_and_have_lengths_in_pixels():
+    displacement = site_indices((50, 60)) * 0.1
     vectors = arrows(displacement, spacing=(2.0, 0.5), about=100)
     assert vectors.shape[1:] == (2, 2)
     assert vectors.dtype == np.float32
@@ -177,7 +177,7 @@ def test_arrows_start_at_sites_and_show_where_they_go_in_pixels():
 
 
 @pytest.mark.parametrize("about", [1, 10, 1000, 10**6])
-def test_about_as_many_arrows_as_asked_for_and_all_in_tissue(about):
+def test_about_the_requested_number_of_arrows_starts_in_tissue(about):
     problem = phantom("expansion").problem
     vectors = arrows(
         reference_displacement("expansion"), spacing=1, tissue=problem.tissue, about=about
@@ -188,14 +188,14 @@ def test_about_as_many_arrows_as_asked_for_and_all_in_tissue(about):
 
 
 @pytest.mark.parametrize("shape", [(1, 2), (2, 1), (2, 2), (1, 300)])
-def test_few_arrows_are_still_a_list_of_arrows(shape):
+def test_arrows_of_tiny_images_have_the_usual_shape(shape):
     vectors = arrows(np.ones((*shape, 2)), spacing=1)
     assert vectors.shape == (np.prod(shape), 2, 2)
     assert arrows(np.ones((*shape, 2)), spacing=1, tissue=np.zeros(shape)).shape == (0, 2, 2)
     assert deformation_grid(np.ones((*shape, 2)), spacing=1, every=1).shape[1:] == (2, 2)
 
 
-def test_thin_tissue_between_the_arrows_still_gets_some():
+def test_thin_tissue_between_the_sampled_sites_gets_arrows():
     tissue = np.zeros((100, 100), dtype=bool)
     tissue[::10, ::10] = True
     tissue[:, 5] = False
@@ -236,12 +236,12 @@ def test_thin_tissue_between_the_arrows_still_gets_some():
         ),
     ],
 )
-def test_what_does_not_fit_is_named(call, complaint):
+def test_errors_name_the_invalid_argument(call, complaint):
     with pytest.raises(ProblemError, match=complaint):
         call()
 
 
-def test_lines_farther_apart_than_the_image_is_large_are_one_each_way():
+def test_a_grid_wider_than_the_image_has_one_line_along_each_axis():
     displacement = np.zeros((5, 7, 2))
     far = deformation_grid(displacement, spacing=1, every=10**30, pieces=1)
     np.testing.assert_array_equal(

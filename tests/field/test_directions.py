@@ -1,4 +1,4 @@
-"""Words for directions and slices say what is seen, whichever way the pixels are stored."""
+"""Names of directions and slices as displayed, for any orientation of the pixels."""
 
 import numpy as np
 import pytest
@@ -35,11 +35,11 @@ TURNED = {"affine": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}  # rows to the left, col
         ({"affine": [[1, 1, 0], [0, 0.4, 0], [0, 0, 1]]}, ("", "")),
     ],
 )
-def test_rows_and_columns_run_as_they_are_seen(place, seen):
+def test_directions_of_rows_and_columns_match_the_screen(place, seen):
     image = Image(np.zeros((20, 30)), **place)
     ways = Directions.of(frame_of(image))
     assert ways[:2] == seen
-    # Whatever the angle: a step along the way named is seen to go there, and nowhere else.
+    # At any angle, a step along a named direction goes exactly there on the screen.
     pixels = np.divide(ways.from_display((3.0, 0.0)), frame_of(image).spacing)
     goes = np.subtract(image.data_to_world(pixels), image.data_to_world((0, 0)))
     if all(seen):
@@ -48,20 +48,22 @@ def test_rows_and_columns_run_as_they_are_seen(place, seen):
         np.testing.assert_allclose(ways.to_display(ways.from_display((3.0, -2.0))), (3, -2))
 
 
-def test_a_view_with_its_axes_exchanged_or_turned_over_counts_too():
+def test_directions_follow_a_transposed_or_flipped_view():
     viewer = ViewerModel()
     image = viewer.add_image(np.zeros((20, 30)), scale=(1, -1))
     viewer.dims.order = (1, 0)
     frame = frame_of(image, View.of(viewer.dims))
     assert directions_of(frame, viewer)[:2] == ("up", "right"), (
-        "the image's columns are the rows now"
+        "the columns of the image should be displayed as rows"
     )
     camera = getattr(viewer, "scene", viewer).camera
     camera.orientation2d = ("up", "right")
-    assert directions_of(frame, viewer) == Directions("down", "right"), "and nothing is turned"
+    assert directions_of(frame, viewer) == Directions("down", "right"), (
+        "the flipped camera should cancel the flipped columns"
+    )
 
 
-def test_words_name_the_opposite_way_below_zero_and_none_at_an_angle():
+def test_labels_name_the_opposite_direction_and_no_direction_at_an_angle():
     flipped = Directions("up", "left")
     assert (flipped.label(0), flipped.label(1)) == ("up", "left")
     assert flipped.about(1).endswith("below 0: to the right")
@@ -74,7 +76,7 @@ def test_words_name_the_opposite_way_below_zero_and_none_at_an_angle():
     assert not {"up", "down", "left", "right"} & set(words.split())
 
 
-def test_the_table_says_which_way_its_arrows_will_point(widget, run):
+def test_the_table_header_names_the_direction_of_its_arrows(widget, run):
     viewer = widget._viewer
     place = {"scale": (-1, -1)}
     viewer.add_image(np.zeros((20, 30)), name="t1", **place)
@@ -91,13 +93,13 @@ def test_the_table_says_which_way_its_arrows_will_point(widget, run):
     arrows = viewer.layers["t1 arrows, paper"]
     start, step = arrows.data[np.abs(arrows.data[:, 1]).max(axis=1).argmax()]
     seen = np.subtract(arrows.data_to_world(start + step), arrows.data_to_world(start))
-    assert seen[1] < -0.5, "to the left on the screen"
+    assert seen[1] < -0.5, "the arrow should point to the left on the screen"
     assert layer.metadata == {**layer.metadata, **layer_metadata(BOUNDARY, (rule,))}, (
-        "saved as it was"
+        "the stored rule should not change"
     )
 
 
-def test_the_brush_that_moves_tissue_says_which_way_that_is_seen(open_beside, settle):
+def test_the_fields_of_the_move_brush_name_the_direction_on_the_screen(open_beside, settle):
     _, widget = open_beside(scale=(-1, -1))
     widget.tool = "move"
     widget.start()
@@ -109,7 +111,7 @@ def test_the_brush_that_moves_tissue_says_which_way_that_is_seen(open_beside, se
 
 
 @pytest.mark.parametrize("place", [{"rotate": 30}, {"rotate": 30, "scale": (-1, -1)}])
-def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_beside, settle, place):
+def test_tissue_of_a_rotated_layer_moves_in_the_direction_of_the_labels(open_beside, settle, place):
     _, widget = open_beside(**place)
     widget.tool = "move"
     widget.start()
@@ -117,7 +119,7 @@ def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_beside
     fields, layer = widget.fields, widget.image
     down = fields.by_row.label.split(" ")[0]
     fields.by_row.value = 5.0 if down == "up" else -5.0
-    assert "as it is seen" in fields.by_row.tooltip
+    assert "as displayed" in fields.by_row.tooltip
     assert fields.words == "Push 5 up"
 
     def goes(by):
@@ -134,12 +136,12 @@ def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_beside
         assert head(widget._form.motion.boundary.table, column)
         assert table.model().setData(table.model().index(0, column), text)
     shown = [table.item(0, column).text() for column in (3, 4)]
-    assert shown == ["7", "-2"], "as it was typed"
+    assert shown == ["7", "-2"], "the table should show the values as typed"
     to = {"down": (7, -2), "up": (-7, 2)}[down]
     np.testing.assert_allclose(goes(table.rows[0].vector), to, atol=1e-6)
 
 
-def test_what_is_said_of_one_direction_of_a_turned_layer_is_of_the_image_s(open_beside, settle):
+def test_a_single_direction_of_a_rotated_layer_refers_to_the_image_rows(open_beside, settle):
     _, widget = open_beside(rotate=30)
     widget.tool = "move"
     widget.start()
@@ -151,17 +153,19 @@ def test_what_is_said_of_one_direction_of_a_turned_layer_is_of_the_image_s(open_
     widget.image.rotate = 0
     settle(widget)
     assert fields.words.endswith("up and down only")
-    assert fields.by_row.value == pytest.approx(4 * np.cos(np.pi / 6), abs=0.01), "the same motion"
+    assert fields.by_row.value == pytest.approx(4 * np.cos(np.pi / 6), abs=0.01), (
+        "the motion should not change"
+    )
 
 
-def test_slices_are_called_as_the_slider_does():
+def test_slice_numbers_match_the_slider():
     viewer = ViewerModel()
     image = viewer.add_image(np.zeros((9, 20, 30)), scale=(-1, -1, -1))
     viewer.dims.set_current_step(0, 2)
     frame = frame_of(image, View.of(viewer.dims))
     assert frame.index[0] == 6
     assert frame.slice_seen == "slice 2"
-    assert frame.slice_name == "slice 6", "what tells results apart"
+    assert frame.slice_name == "slice 6", "the stored name should use the data index"
     assert Frame.from_dict(frame.as_dict()) == frame
     spaced = viewer.add_image(np.zeros((9, 20, 30)), scale=(2, 1, 1))
     viewer.layers.remove(image)
@@ -169,7 +173,7 @@ def test_slices_are_called_as_the_slider_does():
     assert frame_of(spaced, View.of(viewer.dims)).slice_seen == "slice 3"
 
 
-def test_a_boundary_without_paint_here_names_the_slice_by_the_slider(qtbot):
+def test_the_message_about_a_slice_without_paint_uses_the_slider_number(qtbot):
     viewer = ViewerModel()
     place = {"scale": (-1, -1, -1)}
     viewer.add_image(np.random.default_rng(0).random((9, 20, 30)), name="t1", **place)
@@ -181,7 +185,7 @@ def test_a_boundary_without_paint_here_names_the_slice_by_the_slider(qtbot):
     assert "no paint in slice 4" in widget.status
 
 
-def test_without_an_image_nobody_is_sent_to_a_button_that_is_greyed_out(qtbot):
+def test_the_status_without_an_image_does_not_mention_a_disabled_button(qtbot):
     viewer = ViewerModel()
     viewer.add_vectors(np.ones((3, 2, 2)))
     widget = SoftTissue(viewer)

@@ -1,4 +1,4 @@
-"""A field that leads back is kept as it was stored, and inverted only where it is asked for."""
+"""Backward displacement fields: stored as read, and inverted only where needed."""
 
 from dataclasses import replace
 
@@ -22,8 +22,8 @@ pytest.importorskip("SimpleITK")
 
 
 @pytest.fixture
-def inverted(monkeypatch):
-    """How many points were inverted, each time that some were."""
+def inversion_counts(monkeypatch):
+    """Return a list of the number of points of each inversion."""
     counts, by_newton = [], inverse_field._by_newton
 
     def counted(pixels, targets, near=None):
@@ -36,34 +36,34 @@ def inverted(monkeypatch):
 
 @pytest.fixture
 def volume(tmp_path):
-    """A file of a volume that leads back, and what it was made of."""
+    """Return a backward volume field and the path of its file."""
     case = FieldCase("3-D")
-    case.direction = np.eye(3)  # napari slices no layer at an angle
+    case.direction = np.eye(3)  # napari does not slice rotated layers
     case.write(tmp_path / "warp.mha")
     return case, tmp_path / "warp.mha"
 
 
-def test_to_open_a_volume_inverts_no_more_than_the_arrows_that_are_drawn(volume, inverted):
+def test_opening_a_volume_inverts_only_the_sites_of_the_drawn_arrows(volume, inversion_counts):
     case, path = volume
-    inverted.clear()
+    inversion_counts.clear()
     ((data, attributes, kind),) = open_scan(str(path))(str(path))
-    assert sum(inverted) == len(data) < np.prod(case.shape) / 4
+    assert sum(inversion_counts) == len(data) < np.prod(case.shape) / 4
     starts = data[:, 0].astype(int)
     pixels = read_field(path).displacement / case.spacing
     np.testing.assert_allclose(data[:, 1], pixels[tuple(starts.T)], atol=1e-4)
-    # On a slice, the sites of that slice.
+    # A slice inverts only its own sites.
     field = field_of(Layer.create(data, attributes, kind))
-    inverted.clear()
+    inversion_counts.clear()
     there = replace(field.frame, index=(9, 0, 0))
     seen = field.on(there, case.shape[1:])
-    assert sum(inverted) == np.prod(case.shape[1:])
+    assert sum(inversion_counts) == np.prod(case.shape[1:])
     assert seen.known.all()
     np.testing.assert_allclose(
         seen.displacement / there.spacing, pixels[9][..., list(there.plane)], atol=1e-4
     )
 
 
-def test_between_its_sites_a_field_that_leads_back_is_inverted_exactly(volume):
+def test_a_backward_field_is_inverted_exactly_between_its_sites(volume):
     case, path = volume
     points = np.random.default_rng(2).uniform(0, np.array(case.shape) - 1, (300, 3))
     back = read_field(path).field
@@ -76,43 +76,43 @@ def test_between_its_sites_a_field_that_leads_back_is_inverted_exactly(volume):
     assert np.abs(steps - forth.at(points) / case.spacing)[inside].max() < 0.05
 
 
-def test_images_of_a_volume_are_moved_by_a_field_that_leads_back_without_an_inverse(
-    volume, inverted, tmp_path
+def test_a_backward_field_warps_the_images_of_a_volume_without_an_inverse(
+    volume, inversion_counts, tmp_path
 ):
     case, path = volume
     write_image(tmp_path / "scan.tif", ImageFile(np.ones(case.shape, np.uint8)))
-    inverted.clear()
+    inversion_counts.clear()
     assert main(["apply", str(path), str(tmp_path / "scan.tif"), "-o", str(tmp_path / "out")]) == 0
-    assert inverted == []
+    assert inversion_counts == []
 
 
-def test_a_volume_is_no_field_of_a_slice_which_is_said_before_it_is_inverted(
-    volume, inverted, tmp_path, capsys
+def test_a_volume_field_for_a_slice_is_rejected_before_it_is_inverted(
+    volume, inversion_counts, tmp_path, capsys
 ):
     case, path = volume
     labels = tmp_path / "labels.tif"
     write_image(labels, ImageFile(np.ones(case.shape, np.uint8)))
-    inverted.clear()
+    inversion_counts.clear()
     options = ["--labels", str(labels), "--boundary", str(path), "--slice", "3"]
     assert main(["solve", str(labels), *options, "-o", str(tmp_path / "out")]) != 0
     said = f"warp.mha: is {grid_in_words(case.shape)} in millimeter, but the image"
     assert said in capsys.readouterr().err
-    assert inverted == []
+    assert inversion_counts == []
 
 
-def test_the_inverse_of_a_volume_is_that_of_its_points_some_at_once(inverted, monkeypatch):
+def test_a_volume_is_inverted_in_batches_of_points(inversion_counts, monkeypatch):
     case = FieldCase("3-D")
     monkeypatch.setattr(inverse_field, "_AT_ONCE", 5000)
     back, residual = inverse_displacement(case.displacement, spacing=case.spacing)
-    assert sum(inverted) == np.prod(case.shape)
-    assert max(inverted) <= 5000
+    assert sum(inversion_counts) == np.prod(case.shape)
+    assert max(inversion_counts) <= 5000
     pixels, sites = case.displacement / case.spacing, case.sites.reshape(-1, 3)
     expected = (origins_at(pixels, sites) - sites).reshape(back.shape)
     np.testing.assert_allclose(back / case.spacing, expected, atol=1e-12)
     assert residual < 1e-6
 
 
-def test_slopes_are_those_between_the_corners_of_a_cell_and_none_beyond_the_edge():
+def test_slopes_are_those_of_the_cell_and_zero_beyond_the_edge():
     dice = np.random.default_rng(0)
     field, points = dice.normal(size=(5, 1, 7, 3)), dice.uniform(-2, 9, (500, 3))
     values, slopes = interpolate_with_slopes(field, points)

@@ -1,4 +1,4 @@
-"""Elastic strain: true in each model, without growth, and with the third direction."""
+"""Elastic strain of each model, without growth and with the out-of-plane component."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ TIGHT = Multigrid(1e-4)
 
 
 def bar(prior, far=0.1, *, shape=(10, 40), loads=None, optimizer=TIGHT):
-    """A bar that is stretched along its columns, and free to become thinner."""
+    """Return a solved bar that is stretched along its columns and free to contract."""
     y, c = np.zeros((2, *shape, len(shape)))
     y[..., -1, -1] = far * (shape[-1] - 1)
     c[..., [0, -1], -1] = 1
@@ -45,13 +45,13 @@ def bar(prior, far=0.1, *, shape=(10, 40), loads=None, optimizer=TIGHT):
 
 
 def free_disc(prior, amount=0.15, shape=(24, 24), tensor=None):
-    """A disc, or a ball, that grows without anything in its way."""
+    """Return a solved disc or ball that grows without resistance."""
     sites = np.stack(np.indices(shape), axis=-1) - (np.array(shape) - 1) / 2
     disc = (sites**2).sum(axis=-1) < (shape[0] / 2 - 2) ** 2
     c = np.zeros((*shape, len(shape)))
     at = [size // 2 for size in shape]
     c[tuple(at)] = 1
-    for axis in range(len(shape) - 1):  # which may move along its own axis, but not turn
+    for axis in range(len(shape) - 1):  # free along its own axis, but unable to rotate
         there = [*at]
         there[axis] += 2
         c[(*there, slice(axis + 1, None))] = 1
@@ -62,27 +62,27 @@ def free_disc(prior, amount=0.15, shape=(24, 24), tensor=None):
     return solve(problem, prior, optimizer=TIGHT, backend="cpu")
 
 
-def measured(solution):
+def measured_row(solution):
     (row,) = solution.measure(np.ones(solution.tissue.shape, int))
     return row
 
 
 def test_a_stretched_bar_has_the_strain_of_linear_plane_stress():
-    row = measured(bar(ElasticPrior(NU)))
-    # Small strain of (1, -nu, -nu) times 0.1: von Mises's is 2/3 (1 + nu) of it.
+    row = measured_row(bar(ElasticPrior(NU)))
+    # The von Mises equivalent of the small strain 0.1 (1, -nu, -nu) is 2/3 (1 + nu) 0.1.
     assert row.mean_strain == pytest.approx(9.667, abs=0.01)
     assert row.largest_strain == pytest.approx(9.667, abs=0.03)
     assert row.strain == "elastic"
 
 
 def test_a_stretched_bar_has_the_strain_of_plane_strain():
-    row = measured(bar(ElasticPrior(NU, plane="strain")))
+    row = measured_row(bar(ElasticPrior(NU, plane="strain")))
     other = -NU / (1 - NU) * 0.1
     expected = equivalent_strain(np.diag([other, 0.1]), 0.0)
     assert row.mean_strain == pytest.approx(100 * float(expected), abs=0.02)
 
 
-def test_poisson_s_ratio_is_that_of_each_site():
+def test_strain_uses_the_poisson_ratio_of_each_site():
     nu = np.full((10, 40), 0.2, np.float32)
     nu[:, 20:] = 0.45
     solution = bar(ElasticPrior(nu))
@@ -93,23 +93,23 @@ def test_poisson_s_ratio_is_that_of_each_site():
         assert inside[0, 0] == pytest.approx(-ratio / (1 - ratio) * within, rel=1e-4)
 
 
-def test_a_stretched_bar_of_a_volume_has_all_three_directions():
-    row = measured(bar(ElasticPrior(NU), shape=(5, 5, 12)))
+def test_a_stretched_bar_in_a_volume_is_strained_in_all_three_directions():
+    row = measured_row(bar(ElasticPrior(NU), shape=(5, 5, 12)))
     assert row.mean_strain == pytest.approx(9.667, abs=0.02)
     assert row.strain == "elastic"
 
 
-def test_a_bar_that_moves_far_has_the_thickness_without_stress_across_it():
+def test_a_bar_in_large_motion_has_no_stress_through_its_thickness():
     solution = bar(NeoHookeanPrior(NU), 0.5)
     strain = solution.strain()[5, 20].astype(float)
     stretches = np.sqrt(1 + 2 * np.diag(strain))
     mu, lame = 1.0, 2 * NU / (1 - 2 * NU)
     volume = stretches.prod()
-    # Of the energy mu/2 (I - 3) - mu ln J + lambda/4 (J^2 - 1 - 2 ln J): stress across, and along.
+    # Stress of the energy mu/2 (I - 3) - mu ln J + lambda/4 (J^2 - 1 - 2 ln J).
     pressure = lame / 2 * (volume**2 - 1)
     stress = mu * (stretches**2 - 1) + pressure
     assert stress[0] == pytest.approx(0, abs=1e-3)
-    assert stress[1] == pytest.approx(0, abs=1e-3), "the side of the bar is free, too"
+    assert stress[1] == pytest.approx(0, abs=1e-3), "the free side of the bar should have no stress"
     assert stress[2] > 0.5
     assert stretches[2] == pytest.approx(1.5, abs=1e-3)
     flat = bar(NeoHookeanPrior(NU, plane="strain"), 0.3).strain()[5, 20]
@@ -124,28 +124,28 @@ def test_a_bar_that_moves_far_has_the_thickness_without_stress_across_it():
         (NeoHookeanPrior(NU), (24, 24)),
     ],
 )
-def test_what_grows_freely_is_not_strained(prior, shape):
+def test_freely_growing_tissue_has_no_elastic_strain(prior, shape):
     solution = free_disc(prior, shape=shape)
-    row = measured(solution)
+    row = measured_row(solution)
     assert row.largest_strain == pytest.approx(0, abs=0.05)
     assert row.size_change == pytest.approx(100 * (1.15 ** len(shape) - 1), rel=0.1)
     assert np.nanmax(np.abs(solution.strain("total"))) > 0.1
 
 
 @pytest.mark.parametrize("prior", [ElasticPrior(NU), NeoHookeanPrior(NU)])
-def test_growth_along_one_direction_is_taken_out(prior):
+def test_growth_along_one_direction_is_removed_from_the_strain(prior):
     along = np.zeros((2, 2))
     along[1, 1] = 0.2
-    assert measured(free_disc(prior, tensor=along)).largest_strain == pytest.approx(0, abs=0.05)
+    assert measured_row(free_disc(prior, tensor=along)).largest_strain == pytest.approx(0, abs=0.05)
 
 
 @pytest.mark.parametrize("prior", [ElasticPrior, NeoHookeanPrior])
-def test_a_slice_that_cannot_thicken_is_pressed_across_by_its_growth(prior):
+def test_growth_in_plane_strain_compresses_tissue_through_the_thickness(prior):
     solution = free_disc(prior(NU, plane="strain"), 0.1)
     strain = solution.strain()[12, 12].astype(float)
     if prior is ElasticPrior:
         assert strain[0, 0] == pytest.approx(-0.1, abs=1e-6)
-        # Nothing presses within the slice: lambda tr(e) + 2 mu e is 0 there.
+        # The in-plane stress lambda tr(e) + 2 mu e is 0.
         inside = NU / (1 - 2 * NU) * np.trace(strain) + strain[1, 1]
     else:
         stretches = np.sqrt(1 + 2 * np.diag(strain))
@@ -153,16 +153,18 @@ def test_a_slice_that_cannot_thicken_is_pressed_across_by_its_growth(prior):
         lame = 2 * NU / (1 - 2 * NU)
         inside = stretches[1] ** 2 - 1 + lame / 2 * (stretches.prod() ** 2 - 1)
     assert inside == pytest.approx(0, abs=2e-3)
-    assert measured(solution).mean_strain > 5
+    assert measured_row(solution).mean_strain > 5
 
 
-def test_growth_that_differs_within_tissue_is_that_of_the_elements():
+def test_growth_that_varies_within_tissue_is_removed_element_by_element():
     shape = (12, 30)
     amount = np.broadcast_to(0.2 * (np.arange(30) >= 15), shape)
     along = np.zeros((*shape, 2, 2))
     along[..., 1, 1] = amount
-    row = measured(bar_that_grows(along))
-    assert row.largest_strain == pytest.approx(0, abs=0.05), "it may grow along its own length"
+    row = measured_row(bar_that_grows(along))
+    assert row.largest_strain == pytest.approx(0, abs=0.05), (
+        "a bar that is free to grow should have no strain"
+    )
 
 
 def bar_that_grows(tensor):
@@ -173,9 +175,9 @@ def bar_that_grows(tensor):
     return solve(problem, ElasticPrior(NU), optimizer=TIGHT, backend="cpu")
 
 
-def test_the_paper_s_model_says_that_its_strain_is_within_the_image(tmp_path):
+def test_the_strain_of_the_paper_model_is_reported_as_in_plane(tmp_path):
     solution = bar(SeilerPrior(), optimizer=Multigrid())
-    row = measured(solution)
+    row = measured_row(solution)
     assert row.strain == "in-plane"
     assert "no third direction" in strain_note(solution)
     with pytest.raises(ProblemError, match="no elastic strain: the paper's model has no Poisson"):
@@ -195,7 +197,7 @@ def test_the_paper_s_model_says_that_its_strain_is_within_the_image(tmp_path):
     "prior",
     [ElasticPrior(NU), ElasticPrior(np.full((24, 24), 0.3, np.float32)), NeoHookeanPrior(0.3)],
 )
-def test_a_file_keeps_what_elastic_strain_needs(prior, tmp_path):
+def test_a_solution_file_stores_the_data_for_elastic_strain(prior, tmp_path):
     solution = free_disc(prior)
     again = Solution.read(solution.write(tmp_path / "grown"))
     assert np.array_equal(again.strain(), solution.strain(), equal_nan=True)
@@ -215,26 +217,26 @@ def test_rigid_tissue_has_no_strain(tmp_path):
     assert again.measure(np.isinf(stiffness)) == (soft, bone)
 
 
-def test_an_earlier_file_says_that_it_cannot_tell_elastic_strain(tmp_path):
+def test_a_file_of_an_earlier_version_reports_missing_elastic_strain(tmp_path):
     grown = free_disc(ElasticPrior(NU))
     old = replace(grown, elasticity=None)
     again = Solution.read(old.write(tmp_path / "old"))
     assert again.elasticity is None
     assert "saved by an earlier version" in strain_note(again)
-    row = measured(again)
+    row = measured_row(again)
     assert row.strain == "in-plane"
-    assert row.mean_strain > 5, "growth included, as the note says"
-    # One that did not grow, of one Poisson's ratio, can tell.
+    assert row.mean_strain > 5, "the strain should include growth, as the note states"
+    # Without growth and with a single Poisson's ratio the strain is known.
     plain = bar(ElasticPrior(NU, plane="strain"))
     read = Solution.read(replace(plain, elasticity=None).write(tmp_path / "plain"))
     assert np.array_equal(read.strain(), plain.strain(), equal_nan=True)
 
 
-def test_colours_points_and_a_film_show_the_same_strain():
+def test_colours_points_and_a_movie_show_the_same_strain():
     solution = free_disc(ElasticPrior(NU))
     strained = bar(ElasticPrior(NU))
     shown = values_of(strained, "equivalent")
-    assert float(shown.mean()) == pytest.approx(measured(strained).mean_strain, rel=1e-5)
+    assert float(shown.mean()) == pytest.approx(measured_row(strained).mean_strain, rel=1e-5)
     assert np.allclose(shown / 100, equivalent_strain(strained.strain()), atol=1e-6)
     assert Points(strained).at((5, 20), 1.0).strain == pytest.approx(float(shown[5, 20]), rel=1e-3)
     assert np.nanmax(values_of(solution, "equivalent", 0.5)) == pytest.approx(0, abs=0.05)
@@ -245,7 +247,7 @@ def test_colours_points_and_a_film_show_the_same_strain():
     assert title_and_unit("equivalent", strained) == ("equivalent elastic strain", "%")
 
 
-def test_a_random_sample_has_the_strain_of_a_full_solve():
+def test_a_random_sample_has_the_same_strain_as_a_full_solve():
     labels = np.ones((24, 24), int)
     labels[8:16, 8:16] = 2
     rows = [Material(1, "soft", 1.0, 0.4), Material(2, "tumour", 2.0, 0.45, growth=0.1)]

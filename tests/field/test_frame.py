@@ -1,4 +1,4 @@
-"""A frame puts what belongs to a slice back into its layer."""
+"""Conversion between slice and layer coordinates."""
 
 import numpy as np
 

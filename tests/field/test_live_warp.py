@@ -1,4 +1,4 @@
-"""A picture that moves again and again looks as if it was moved once."""
+"""Repeated warps of the same pictures, compared with `warp`."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ SHAPE = (37, 45)
 
 
 def rough_field(seed, amplitude, shape=SHAPE):
-    """Waves, a shift, and noise that folds the tissue here and there."""
+    """Return waves, a shift and noise that folds some tissue."""
     random = np.random.default_rng(seed)
     row, col = np.indices(shape) / max(shape) * 6
     waves = np.stack([np.sin(row + 1.3 * col), np.cos(1.1 * row - col)], axis=-1)
@@ -25,7 +25,7 @@ def rough_field(seed, amplitude, shape=SHAPE):
 
 
 def some_tissue(seed, shape=SHAPE):
-    """Bodies with ragged borders, thin lines and single pixels."""
+    """Return bodies with ragged borders, thin lines and single pixels."""
     random = np.random.default_rng(seed)
     row, col = np.indices(shape)
     tissue = np.hypot(row - 18, col - 15) < 13
@@ -58,7 +58,7 @@ KINDS = ["uint8", "colour", "float32", "gaps", "bool", "uint16", "float16", "flo
 
 @pytest.mark.parametrize("kind", [*KINDS, ">u2"])
 @pytest.mark.parametrize("order", [0, 1, 3])
-def test_every_kind_of_picture_is_moved_as_by_warp(kind, order):
+def test_the_live_warp_matches_warp_for_every_type_of_image(kind, order):
     image, d, tissue = image_of(kind), rough_field(1, 2.5), some_tissue(1)
     fill = 1
     (found,) = moved(Warper([Picture(image, order=order, fill=fill)], spacing=(1, 1)), d, tissue)
@@ -75,14 +75,16 @@ def test_every_kind_of_picture_is_moved_as_by_warp(kind, order):
     st.sampled_from([(1, 1), (2.0, 0.5), (0.31, 0.77)]),
     st.sampled_from([0.0, 0.25, 0.9, 1.0, -1.0]),
 )
-def test_whatever_the_motion_folds_included(seed, amplitude, spacing, fraction):
+def test_the_live_warp_matches_warp_for_random_motion_with_folds(
+    seed, amplitude, spacing, fraction
+):
     d = rough_field(seed, amplitude) * np.float32(spacing)
     tissue = some_tissue(seed) if seed % 2 else None
     image = image_of("colour" if seed % 3 else "uint8")
     (found,) = moved(Warper(image, spacing=spacing), d, tissue, fraction)
     part = fraction * d.astype(float)
     expected = warp(image, part, spacing=spacing, tissue=tissue)
-    # Whole numbers may be rounded either way where what they are rounded from is half of one.
+    # A value halfway between two integers may be rounded either way.
     exact = warp(image.astype(float), part, spacing=spacing, tissue=tissue)
     half = np.abs(exact - np.floor(exact) - 0.5) < 1e-9
     np.testing.assert_array_equal(found[~half], expected[~half])
@@ -90,9 +92,9 @@ def test_whatever_the_motion_folds_included(seed, amplitude, spacing, fraction):
 
 
 @pytest.mark.parametrize("bands", [1, 2, 3, 5, 37])
-def test_bands_change_nothing(bands):
+def test_the_number_of_bands_does_not_change_the_result(bands):
     d, tissue = rough_field(5, 4.0), some_tissue(5)
-    d[:, 36:42, 1] += 2 * (38.5 - np.arange(36, 42)) + 3  # a body turned over
+    d[:, 36:42, 1] += 2 * (38.5 - np.arange(36, 42)) + 3  # turn a body over
     source, state = rasterise(*moved_sites(d, (1, 1), tissue))
     ours = np.empty((*SHAPE, 2)), np.empty((SHAPE[0], 2)), np.zeros_like(source), state.copy()
 
@@ -105,7 +107,7 @@ def test_bands_change_nothing(bands):
     assert {0, 1, 2, 3} == set(np.unique(state)), "the field should have folded"
 
 
-def test_one_motion_after_another_leaves_nothing_behind():
+def test_a_warp_does_not_depend_on_earlier_warps():
     image = image_of("uint8")
     warper = Warper(image, spacing=(1, 1))
     for seed, amplitude in ((1, 5.0), (2, 0.0), (3, 50.0), (4, 1.0)):
@@ -115,7 +117,7 @@ def test_one_motion_after_another_leaves_nothing_behind():
         )
 
 
-def test_what_was_shown_is_not_drawn_over():
+def test_a_delivered_image_is_not_overwritten():
     warper = Warper(image_of("uint8"), spacing=(1, 1))
     (first,) = moved(warper, rough_field(1, 3.0))
     before = first.copy()
@@ -123,7 +125,7 @@ def test_what_was_shown_is_not_drawn_over():
     np.testing.assert_array_equal(first, before)
 
 
-def test_pictures_move_together():
+def test_several_pictures_are_warped_together():
     image, labels, d = image_of("uint8"), image_of("int64") % 7, rough_field(1, 3.0)
     one, two = moved(Warper([Picture(image), Picture(labels, order=0)], spacing=(1, 1)), d)
     np.testing.assert_array_equal(one, warp(image, d, spacing=1))
@@ -131,16 +133,16 @@ def test_pictures_move_together():
 
 
 @pytest.mark.parametrize("kind", ["int64", "uint64"])
-def test_labels_of_any_number_keep_it_to_the_last_bit(kind):
+def test_large_labels_keep_every_bit(kind):
     numbers = np.random.default_rng(3).integers(0, 256, (*SHAPE, 8), np.uint8)
     labels, d = numbers.view(kind)[..., 0], rough_field(1, 3.0)
-    labels[:, ::2] = np.iinfo(kind).max  # as a real number, none
+    labels[:, ::2] = np.iinfo(kind).max  # not exact as a float
     labels[::2] |= labels.dtype.type(0x7FF0 << 48)
     (found,) = moved(Warper([Picture(labels, order=0)], spacing=(1, 1)), d)
     np.testing.assert_array_equal(found, warp(labels, d, spacing=1, order=0))
 
 
-def test_no_kind_of_image_has_anything_compiled_that_another_process_has_not():
+def test_no_image_type_compiles_a_loop_for_another_signature():
     def there():
         return [set(loop.signatures) for loop in (look_up, rasterise_displaced)]
 
@@ -161,20 +163,20 @@ def test_no_kind_of_image_has_anything_compiled_that_another_process_has_not():
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 2), (7, 13)])
-def test_any_shape_moves(shape):
+def test_images_of_any_shape_are_warped(shape):
     image, d = image_of("uint8", shape), rough_field(0, 1.0, shape)
     np.testing.assert_array_equal(
         moved(Warper(image, spacing=(1, 1)), d)[0], warp(image, d, spacing=1)
     )
 
 
-def test_void_is_not_dragged_along_whatever_its_displacement_says():
+def test_the_displacement_of_void_is_ignored():
     image, tissue = image_of("uint8"), some_tissue(1)
     d = np.where(tissue[..., None], np.float32([0, 0]), np.float32(np.nan))
     np.testing.assert_array_equal(moved(Warper(image, spacing=(1, 1)), d, tissue)[0], image)
 
 
-def test_any_thread_may_warp_pictures():
+def test_any_thread_can_warp_pictures():
     image, d = image_of("uint8"), rough_field(0, 1.0)
     (found,) = Warper(image, spacing=(1, 1))(d)
     np.testing.assert_array_equal(found, warp(image, d, spacing=1))
@@ -229,6 +231,6 @@ def test_any_thread_may_warp_pictures():
         ),
     ],
 )
-def test_what_does_not_fit_is_named(make, displacement, tissue, complaint):
+def test_errors_name_the_invalid_argument(make, displacement, tissue, complaint):
     with pytest.raises(ProblemError, match=complaint):
         moved(make(), displacement, tissue)

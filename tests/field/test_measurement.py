@@ -1,4 +1,4 @@
-"""What happened to each tissue is told in numbers, and seen as a picture that moves."""
+"""Measurements of each tissue, and animations of a solution."""
 
 import numpy as np
 import pytest
@@ -31,24 +31,24 @@ from napari_hmrf.solver.solution import Provenance, Solution
 SHAPE = (40, 40)
 
 
-def stretched():
-    """Tissue that is stretched by a tenth along its columns: a patch test."""
+def stretched_tissue():
+    """Return tissue stretched by 10 % along its columns: a patch test."""
     y, c = np.zeros((2, *SHAPE, 2))
     y[..., 1] = 0.1 * 0.5 * np.arange(40)
     c[[0, -1]] = c[:, [0, -1]] = 1
     return solve(Problem(y, c, np.ones(SHAPE), spacing=(0.5, 0.5)), backend="cpu")
 
 
-def test_tissue_that_is_stretched_by_a_tenth_has_a_tenth_more_area():
+def test_stretching_tissue_by_a_tenth_increases_its_area_by_a_tenth():
     labels = np.ones(SHAPE, int)
     labels[:, 30:] = 7
-    one, other = measure(stretched(), labels, names={7: "liver"})
+    one, other = measure(stretched_tissue(), labels, names={7: "liver"})
     assert (one.label, one.name, other.label, other.name) == (1, "", 7, "liver")
     assert (one.pixels, one.size) == (1200, 300)
     assert one.size_change == pytest.approx(10, abs=0.01)
     assert other.largest_displacement == pytest.approx(0.05 * 39, abs=1e-3)
     assert other.mean_displacement == pytest.approx(0.05 * 34.5, abs=1e-3)
-    # As its edge keeps it as wide as it was, all of it becomes thinner by nu / (1 - nu) of 0.1.
+    # The edge keeps the width, so the thickness shrinks by 0.1 nu / (1 - nu).
     across = -0.45 / 0.55 * 0.1
     expected = equivalent_strain(np.diag([0, 0.1]), across)
     assert one.mean_strain == pytest.approx(100 * float(expected), abs=0.02)
@@ -56,11 +56,11 @@ def test_tissue_that_is_stretched_by_a_tenth_has_a_tenth_more_area():
 
 
 @pytest.mark.parametrize("shape", [(24, 24), (12, 16, 16)])
-def test_a_change_of_area_or_volume_is_the_true_one_where_tissue_folds(shape):
+def test_the_change_of_area_or_volume_is_exact_where_tissue_folds(shape):
     sites = np.stack(np.indices(shape), axis=-1).astype(float)
     away = sites - np.divide(shape, 2)
     bump = np.exp(-(away**2).sum(axis=-1) / 8)
-    # Nothing moves at the border: all that is within stays as large as it was, folds or not.
+    # The border does not move, so the total size is unchanged, with or without folds.
     displacement = bump[..., None] * np.array([2.0, 7.0, 4.0])[-len(shape) :]
     inner = (slice(1, -1),) * len(shape)
     held = np.zeros_like(displacement)
@@ -76,7 +76,7 @@ def test_a_change_of_area_or_volume_is_the_true_one_where_tissue_folds(shape):
     assert abs(one.size_change) > 0.5
 
 
-def test_tissue_too_thin_for_cells_changes_as_its_pixels_do():
+def test_tissue_too_thin_for_cells_uses_the_size_change_of_its_pixels():
     held = np.zeros((1, 10, 2), np.float32)
     held[0, :, 1] = 0.2 * np.arange(10)
     tissue = np.ones((1, 10), bool)
@@ -85,20 +85,20 @@ def test_tissue_too_thin_for_cells_changes_as_its_pixels_do():
     assert found.size_change == pytest.approx(20, abs=1e-3)
 
 
-def test_a_displacement_alone_is_refused_by_name():
-    solution = stretched()
+def test_a_displacement_instead_of_a_solution_is_rejected():
+    solution = stretched_tissue()
     with pytest.raises(ArgumentError, match="solution must be a Solution, such as the result of"):
         measure(solution.displacement, np.ones(SHAPE, int))
 
 
-def test_labels_of_another_size_are_refused():
+def test_labels_of_another_size_are_rejected():
     with pytest.raises(ProblemError, match=r"labels: are 4 x 5 of type int64\. Give whole numbers"):
-        measure(stretched(), np.ones((4, 5), int))
+        measure(stretched_tissue(), np.ones((4, 5), int))
 
 
 @pytest.fixture
 def solved(tmp_path):
-    """A pulled study with its labels and its image, in a file."""
+    """Write a solved study with labels and an image; return the path."""
     photo = np.random.default_rng(2).integers(1, 255, (*SHAPE, 3), dtype=np.uint8)
     labels = np.ones(SHAPE, np.uint8)
     labels[10:30, 10:30] = 2
@@ -113,7 +113,7 @@ def solved(tmp_path):
     return write_study(tmp_path / "case", study, solve_study(study, backend="cpu"))
 
 
-def test_without_labels_all_tissue_is_measured_as_in_the_window(tmp_path, capsys):
+def test_all_tissue_is_measured_if_there_are_no_labels(tmp_path, capsys):
     pull = Drawing((Arrow((8, 8), (0, 2), 3),))
     study = Study(Grid((16, 16), (1.0, 1.0)), motion=Motion(hold_edge=True, drawing=pull))
     path = write_study(tmp_path / "plain", study, solve_study(study, backend="cpu"))
@@ -121,7 +121,7 @@ def test_without_labels_all_tissue_is_measured_as_in_the_window(tmp_path, capsys
     assert "tissue" in capsys.readouterr().out
 
 
-def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
+def test_the_measure_command_prints_and_writes_the_table(solved, tmp_path, capsys):
     assert main(["measure", str(solved), "-o", str(tmp_path / "table.csv")]) == 0
     said = capsys.readouterr().out
     assert "lump" in said
@@ -142,11 +142,11 @@ def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("grey.png", "grey.png: looks like a picture: it has "),
-        ("photo.png", "photo.png: is in colours"),
+        ("grey.png", "grey.png: is probably not a label image: it has "),
+        ("photo.png", "photo.png: has colours"),
     ],
 )
-def test_a_picture_is_refused_as_labels(solved, tmp_path, capsys, name, said):
+def test_a_photograph_is_rejected_as_labels(solved, tmp_path, capsys, name, said):
     photo = read_study(solved).study.pictures.image
     Image.fromarray(photo[..., 0] if name == "grey.png" else photo).save(tmp_path / name)
     assert main(["measure", str(solved), "--labels", str(tmp_path / name)]) == 1
@@ -155,19 +155,19 @@ def test_a_picture_is_refused_as_labels(solved, tmp_path, capsys, name, said):
     assert told.out == ""
 
 
-def test_an_atlas_of_many_regions_is_no_picture(solved, tmp_path, capsys):
+def test_an_atlas_of_many_regions_is_accepted_as_labels(solved, tmp_path, capsys):
     atlas = np.kron(np.arange(100, dtype=np.uint8).reshape(10, 10), np.ones((4, 4), np.uint8))
     Image.fromarray(atlas[: SHAPE[0], : SHAPE[1]]).save(tmp_path / "atlas.png")
     assert main(["measure", str(solved), "--labels", str(tmp_path / "atlas.png")]) == 0
 
 
-def test_a_picture_moves_from_rest_to_the_end_and_back(solved, tmp_path):
+def test_an_animation_runs_from_rest_to_the_full_motion_and_back(solved, tmp_path):
     study, solution = read_study(solved)
     photo = study.pictures.image
     path = write_movie(tmp_path / "photo.gif", solution, photo, frames=5)
     with Image.open(path) as moving:
         assert moving.n_frames == 8
-        assert moving.info["loop"] == 0, "again and again"
+        assert moving.info["loop"] == 0, "the animation should repeat forever"
         frames = []
         for number in range(8):
             moving.seek(number)
@@ -175,13 +175,13 @@ def test_a_picture_moves_from_rest_to_the_end_and_back(solved, tmp_path):
     still, moved = (
         each.astype(float) for each in (photo, warp(photo, solution.displacement, spacing=1))
     )
-    # A .gif has 256 colours.
+    # The colours are inexact because a .gif has only 256.
     assert abs(frames[0] - still).mean() < 20 < abs(frames[4] - still).mean()
     assert abs(frames[4] - moved).mean() < 20
-    assert np.array_equal(frames[3], frames[5]), "and back"
+    assert np.array_equal(frames[3], frames[5]), "the way back should mirror the way there"
 
 
-def test_a_moving_picture_of_oblong_pixels_has_the_image_s_proportions(tmp_path):
+def test_an_animation_of_oblong_pixels_has_the_proportions_of_the_image(tmp_path):
     pull = Drawing((Arrow((16, 8), (0, 2), 3),))
     study = Study(Grid((16, 24), (2.0, 1.0)), motion=Motion(hold_edge=True, drawing=pull))
     solution = solve_study(study, backend="cpu")
@@ -190,11 +190,11 @@ def test_a_moving_picture_of_oblong_pixels_has_the_image_s_proportions(tmp_path)
         assert moving.size == (24, 32)
 
 
-def test_what_is_no_moving_picture_is_refused(solved, tmp_path):
+def test_an_animation_of_another_format_or_of_one_frame_is_rejected(solved, tmp_path):
     study, solution = read_study(solved)
     photo = study.pictures.image
     with pytest.raises(
-        FileFormatError, match=r"a\.png: animations are not written .* \.gif or \.mp4"
+        FileFormatError, match=r"a\.png: animations cannot be written .* \.gif or \.mp4"
     ):
         write_movie(tmp_path / "a.png", solution, photo)
     with pytest.raises(ArgumentError, match=r"frames must be at least 2, not 1"):
@@ -203,16 +203,18 @@ def test_what_is_no_moving_picture_is_refused(solved, tmp_path):
     assert (tmp_path / "case.gif").exists()
 
 
-def test_a_film_is_one_for_all_that_play_films(solved, tmp_path):
+def test_a_movie_is_a_standard_mp4_file(solved, tmp_path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     study, solution = read_study(solved)
     path = write_movie(tmp_path / "a.mp4", solution, study.pictures.image, frames=4)
     assert b"ftyp" in path.read_bytes()[:12]
-    assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 6, "there and back"
+    assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 6, (
+        "the movie should have 4 frames there and 2 back"
+    )
 
 
-def test_labels_may_be_whole_numbers_stored_as_floats():
-    solution, labels = stretched(), np.ones(SHAPE)
+def test_labels_can_be_integers_stored_as_floats():
+    solution, labels = stretched_tissue(), np.ones(SHAPE)
     (found,) = measure(solution, labels, names={1.0: "muscle"})
     assert (found.label, found.name) == (1, "muscle")
     with pytest.raises(ProblemError, match=r"labels: have the value 1\.5 at \(0, 7\)"):
@@ -226,6 +228,6 @@ def test_labels_may_be_whole_numbers_stored_as_floats():
         (1, None, "labels must be an array of the labels of all pixels, not 1"),
     ],
 )
-def test_names_by_other_keys_and_labels_that_are_no_image_are_refused(labels, names, said):
+def test_names_with_invalid_keys_and_scalar_labels_are_rejected(labels, names, said):
     with pytest.raises(ArgumentError, match=said):
-        measure(stretched(), labels, names=names)
+        measure(stretched_tissue(), labels, names=names)

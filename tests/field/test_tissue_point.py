@@ -1,4 +1,4 @@
-"""The tissue at a point: found where it is seen, told where it came from."""
+"""Tissue at a point of the deformed image, and cached frames of an animation."""
 
 from functools import partial
 
@@ -15,7 +15,7 @@ from napari_hmrf.solver.optimizers import ICM
 
 @pytest.fixture(scope="module")
 def solution():
-    """A block of tissue in void, held at the left, pushed 6 mm right (3 px) and 1 px down."""
+    """Return a block in void, fixed at its left side and pushed 3 px right and 1 px down."""
     m = np.zeros((30, 40))
     m[4:26, 5:33] = 1
     y, c = np.zeros((30, 40, 2)), np.zeros((30, 40, 2))
@@ -27,7 +27,7 @@ def solution():
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.4, 1.0])
-def test_every_pixel_of_the_moved_image_finds_its_tissue(solution, fraction):
+def test_each_pixel_of_the_warped_image_maps_to_its_original_site(solution, fraction):
     points = Points(solution)
     moved = solution.displacement * fraction
     origin, covered = inverse_map(moved, spacing=solution.spacing, tissue=solution.tissue)
@@ -40,23 +40,23 @@ def test_every_pixel_of_the_moved_image_finds_its_tissue(solution, fraction):
             asked += here
             expected = None if not here else at
             answer = None if found is None else found.site
-            if answer != expected:  # halfway between two pixels either is right
+            if answer != expected:  # either site is correct halfway between two pixels
                 apart = (
                     np.inf if None in (answer, expected) else np.abs(np.subtract(answer, at)).max()
                 )
                 wrong += apart > 1
     assert asked > 500
-    assert wrong <= 0.03 * asked, "but for the border of the tissue"
+    assert wrong <= 0.03 * asked, "sites may differ only at the border of the tissue"
 
 
-def test_a_point_tells_lengths_in_the_unit_of_the_image(solution):
+def test_the_displacement_of_a_point_is_in_the_unit_of_the_image(solution):
     found = Points(solution).at((10, 32))
     assert found.displacement == pytest.approx((1, 6), abs=0.05)
     assert found.length == pytest.approx(np.hypot(1, 6), abs=0.05)
     assert 1 < Points(solution).at((10, 20)).jacobian < 1.3
 
 
-def test_beside_the_tissue_there_is_nothing(solution):
+def test_a_point_outside_the_tissue_has_no_site(solution):
     points = Points(solution)
     assert points.at((0, 0)) is None
     assert points.at((10, 33.6), 0.0) is None
@@ -64,7 +64,7 @@ def test_beside_the_tissue_there_is_nothing(solution):
     assert points.at((200, -50), 1.0) is None
 
 
-def test_at_rest_a_motion_is_the_image_itself(solution):
+def test_the_animation_at_rest_equals_the_image(solution):
     image = np.random.default_rng(0).random((30, 40)).astype(np.float32)
     labels = (image > 0.5).astype(np.uint8)
     colours = np.where(solution.tissue, image, np.float32(np.nan))
@@ -79,18 +79,18 @@ def test_at_rest_a_motion_is_the_image_itself(solution):
     assert len(only.grid)
 
 
-def test_moments_are_kept_as_far_as_there_is_room_for_them(solution, monkeypatch):
+def test_the_animation_caches_frames_within_a_memory_limit(solution, monkeypatch):
     motion = Motion(solution, np.zeros((30, 40), np.float32))
     assert motion.cached(0.5) is None
     assert motion.finest == 0
 
-    def moment(fraction):
+    def frame_at(fraction):
         return compute_thread.submit(partial(motion.at, fraction)).result()
 
-    half = moment(0.5)
+    half = frame_at(0.5)
     assert motion.cached(0.5) is half
     monkeypatch.setattr("napari_hmrf.field.animation._KEPT", 2 * half.nbytes)
-    assert motion.finest == 0.5, "there is room for two"
-    moment(0.6)
-    moment(0.7)
+    assert motion.finest == 0.5, "two frames should fit into the cache"
+    frame_at(0.6)
+    frame_at(0.7)
     assert [motion.cached(part) is None for part in (0.5, 0.6, 0.7)] == [True, False, False]

@@ -1,4 +1,4 @@
-"""What a displacement does to a volume is what it does to a slice, along three axes."""
+"""Warps, strain and arrows of displacement fields of volumes."""
 
 import os
 import subprocess
@@ -31,7 +31,7 @@ def places(shape=SHAPE, spacing=(1.0, 1.0, 1.0)):
 
 
 def bent(shape=SHAPE, amount=0.8):
-    """A smooth motion that stays within the volume."""
+    """Return a smooth motion that stays within the volume."""
     part = np.pi * places(shape) / (np.array(shape) - 1)
     hill = np.sin(part).prod(axis=-1)
     return amount * np.stack([hill, -hill, 0.5 * hill * np.cos(part[..., 0])], axis=-1)
@@ -52,11 +52,11 @@ def turned_by(degrees, axis=0):
 
 
 def linear(matrix, spacing=SIZE):
-    """The motion that has this for its deformation gradient."""
+    """Return the motion with a constant deformation gradient."""
     return places(spacing=spacing) @ (matrix - np.eye(3)).T
 
 
-def test_a_dot_goes_where_the_displacement_points():
+def test_a_dot_moves_along_the_displacement():
     image = np.zeros(SHAPE, np.uint8)
     image[4, 5, 6] = 200
     moved = warp(image, np.full((*SHAPE, 3), (2.0, -1.7, 1.8)), spacing=SIZE)
@@ -72,7 +72,7 @@ def test_linear_motion_is_inverted_exactly():
     assert inner.sum() > 300
 
 
-def test_what_is_seen_came_from_where_the_inverse_says():
+def test_the_warped_image_samples_the_inverse_map():
     d, image = bent(), places()[..., 2] * places()[..., 1]
     origin, covered = inverse_map(d, spacing=1)
     assert covered.all()
@@ -82,7 +82,7 @@ def test_what_is_seen_came_from_where_the_inverse_says():
     np.testing.assert_allclose(warp(image, d, spacing=1), values)
 
 
-def test_slices_that_move_alike_and_within_themselves_move_as_one_slice_does():
+def test_equal_in_plane_motion_of_all_slices_matches_the_motion_of_one_slice():
     d = np.zeros((*SHAPE, 3))
     d[..., 1:] = bent()[4, ..., 1:] + 0.3
     d[..., 1:] += 0.4 * np.sin(places()[0, ..., 1:] / 3)
@@ -93,13 +93,13 @@ def test_slices_that_move_alike_and_within_themselves_move_as_one_slice_does():
         both = covered[plane] & slice_covered
         near = np.abs(origin[plane][..., 1:] - slice_origin)[both]
         assert (covered[plane] == slice_covered).mean() > 0.99
-        # Slices move linearly on triangles, and volumes trilinearly.
-        assert (near < 0.02).mean() > 0.8, "all but the outline"
+        # Slices are interpolated linearly on triangles, and volumes trilinearly.
+        assert (near < 0.02).mean() > 0.8, "differences are allowed only at the outline"
         assert near.max() < 1.0
 
 
 @pytest.mark.parametrize("order", list(permutations(range(3)))[1:])
-def test_the_axes_have_no_order(order):
+def test_the_warp_does_not_depend_on_the_order_of_the_axes(order):
     image = np.random.default_rng(2).normal(size=SHAPE)
     d, tissue = bent(amount=1.3), ball()
     moved = warp(image, d, tissue=tissue, spacing=SIZE)
@@ -111,10 +111,10 @@ def test_the_axes_have_no_order(order):
         spacing=sizes,
     )
     inside = np.isclose(moved.transpose(order), other)
-    assert inside.mean() > 0.97, "all but the outline, of which the last that is drawn counts"
+    assert inside.mean() > 0.97, "differences are allowed only at the outline"
 
 
-def test_labels_stay_labels_and_what_does_not_move_stays():
+def test_labels_stay_labels_and_unmoved_labels_do_not_change():
     labels = np.random.default_rng(0).choice([0, 3, 250], SHAPE).astype(np.uint8)
     tissue = ball()
     moved = warp(labels, bent(), spacing=1, tissue=tissue, order=0)
@@ -138,7 +138,7 @@ def test_tissue_one_voxel_thin_survives():
         np.testing.assert_allclose(moved, there)
 
 
-def test_what_folds_shows_the_part_that_is_not_turned_over():
+def test_folded_tissue_leaves_no_gap_in_the_inverse_map():
     d = np.zeros((*SHAPE, 3))
     d[5, 3:8, 3:8, 0] = -2.5
     assert fold_mask(d, spacing=1).any()
@@ -146,7 +146,7 @@ def test_what_folds_shows_the_part_that_is_not_turned_over():
     assert covered.all()
 
 
-def test_the_volume_changes_as_the_determinant_says():
+def test_the_volume_ratio_is_the_determinant_of_the_gradient():
     matrix = np.diag([1.1, 0.9, 1.3])
     ratio = jacobian_determinant(linear(matrix), spacing=SIZE)
     np.testing.assert_allclose(ratio, np.linalg.det(matrix), rtol=1e-6)
@@ -155,7 +155,7 @@ def test_the_volume_changes_as_the_determinant_says():
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_what_turns_is_not_strained(axis):
+def test_a_rotation_has_no_strain(axis):
     matrix = turned_by(25, axis)
     d = linear(matrix)
     tissue = np.ones(SHAPE, bool)
@@ -167,7 +167,7 @@ def test_what_turns_is_not_strained(axis):
     np.testing.assert_allclose(gradient[tissue], np.tile(matrix, (tissue.sum(), 1, 1)), atol=2e-6)
 
 
-def test_a_bar_of_incompressible_tissue_has_the_strain_of_its_axis():
+def test_the_equivalent_strain_of_an_incompressible_bar_is_its_axial_strain():
     strain = np.diag([0.02, -0.01, -0.01])
     assert equivalent_strain(strain) == pytest.approx(0.02)
     shear = np.zeros((3, 3))
@@ -193,7 +193,7 @@ def test_a_slice_of_a_volume_has_the_strain_of_the_slice():
     )
 
 
-def test_lengths_and_arrows_have_three_parts():
+def test_lengths_and_arrows_use_three_components():
     d = np.full((*SHAPE, 3), (1.0, 2.0, 2.0))
     np.testing.assert_allclose(magnitude(d), 3.0)
     found = arrows(d, spacing=SIZE, about=30)
@@ -202,7 +202,7 @@ def test_lengths_and_arrows_have_three_parts():
                                rtol=1e-5)  # fmt: skip
 
 
-def test_what_does_not_fit_a_volume_is_refused():
+def test_arguments_that_do_not_fit_a_volume_are_rejected():
     with pytest.raises(ProblemError, match="spacing"):
         jacobian_determinant(bent(), spacing=(1.0, 1.0))
     with pytest.raises(ProblemError, match=r"\(D, H, W\)"):
@@ -213,7 +213,7 @@ def test_what_does_not_fit_a_volume_is_refused():
         warp(np.zeros(SHAPE), np.zeros((*SHAPE, 2)), spacing=1)
 
 
-def test_volumes_may_be_warped_on_any_thread_even_two_at_once():
+def test_volumes_can_be_warped_on_several_threads_at_once():
     script = """
 from concurrent.futures import ThreadPoolExecutor
 import numpy as np
@@ -224,6 +224,6 @@ with ThreadPoolExecutor(4) as threads:
     for warped in threads.map(lambda _: warp(image, motion, spacing=1), range(60)):
         np.testing.assert_array_equal(warped, alone)
 """
-    # Of numba's threading layers this one ends a process that enters it from two threads.
+    # This threading layer of Numba aborts a process that enters it from two threads.
     surroundings = {**os.environ, "NUMBA_THREADING_LAYER": "workqueue"}
     subprocess.run([sys.executable, "-c", script], env=surroundings, check=True)

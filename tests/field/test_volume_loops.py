@@ -1,4 +1,4 @@
-"""The loops that move volumes, beside their twins in NumPy and SciPy."""
+"""Compiled loops for volumes, compared with NumPy and SciPy."""
 
 from itertools import permutations
 
@@ -24,14 +24,14 @@ from napari_hmrf.field.warp import inverse_raster, moved_sites
 from napari_hmrf.solver.backends.compile_cache import loops
 
 SIZE = (1.5, 1.0, 0.7)
-#: From the first corner of a cell to its last along edges, as `tetrahedron_raster` takes them.
+#: Edge paths from the first corner of a cell to its last, as in `tetrahedron_raster`.
 WAYS = list(permutations(range(3)))
-#: How rough a motion is, and by how much it shifts.
+#: Roughness and shift of each kind of motion.
 MOTIONS = {"smooth": (0.1, 0), "shifted": (0.0, 2.3), "rough": (1.5, 1), "torn": (0.2, 0)}
 
 
-def moving(kind, seed=0, shape=(6, 7, 8)):
-    """A displacement in the unit of SIZE, and tissue with void in it."""
+def random_motion(kind, seed=0, shape=(6, 7, 8)):
+    """Return a displacement in the unit of SIZE and tissue with void."""
     random = np.random.default_rng([seed, *map(ord, kind)])
     rough, shift = MOTIONS[kind]
     d = rough * random.normal(size=(*shape, 3)) + shift * random.uniform(-1, 1, 3)
@@ -45,8 +45,8 @@ def corners(way):
     return np.concatenate([np.zeros((1, 3), int), np.cumsum(steps, axis=0)])
 
 
-def drawn_one_by_one(moved, tissue):
-    """Which voxels tetrahedra cover, and where the tissue there came from; the first has it."""
+def rasterise_one_by_one(moved, tissue):
+    """Return the source and the state of each voxel; the first tetrahedron to cover it wins."""
     places = np.argwhere(np.ones(tissue.shape, bool))
     source, state = np.zeros(moved.shape), np.zeros(tissue.shape, int)
     for value in (2, 1):
@@ -73,22 +73,22 @@ def drawn_one_by_one(moved, tissue):
 
 @pytest.mark.parametrize("kind", MOTIONS)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_cells_are_drawn_as_their_tetrahedra_one_by_one(kind, seed, monkeypatch):
+def test_the_rasteriser_draws_each_cell_as_its_tetrahedra(kind, seed, monkeypatch):
     monkeypatch.setattr(tetrahedron_raster, "refine", lambda *_: None)
     moved, tissue = moved_sites(*moved_by(kind, seed))
     source, state = inverse_raster(moved, tissue)
-    expected, states = drawn_one_by_one(moved, tissue)
+    expected, states = rasterise_one_by_one(moved, tissue)
     covered = states > 0
     assert covered.sum() > 20
     np.testing.assert_array_equal(state[covered], states[covered])
     np.testing.assert_allclose(source[covered], expected[covered], atol=1e-8)
-    assert set(np.unique(state[~covered])) <= {0, 2}  # these are outlines
+    assert set(np.unique(state[~covered])) <= {0, 2}  # outlines
     still = ~tissue & (state == 0)
     np.testing.assert_array_equal(source[still], np.argwhere(still))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_tissue_came_from_where_points_go_on_from(seed):
+def test_the_inverse_map_inverts_the_motion_of_points(seed):
     d, size, _ = moved_by("smooth", seed)
     tissue = np.ones(d.shape[:3], bool)
     tissue[0, 0, 0] = False
@@ -105,14 +105,14 @@ def test_tissue_came_from_where_points_go_on_from(seed):
 
 
 def moved_by(kind, seed):
-    d, tissue = moving(kind, seed)
+    d, tissue = random_motion(kind, seed)
     return d, SIZE, tissue
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
 @pytest.mark.parametrize("shape", [(11, 9, 10), (1, 7, 8), (2, 1, 3)])
-def test_determinants_are_those_of_numpy(kind, shape, monkeypatch):
-    d, tissue = moving(kind, shape=shape)
+def test_compiled_determinants_match_numpy(kind, shape, monkeypatch):
+    d, tissue = random_motion(kind, shape=shape)
     asked = [
         lambda: smallest_determinant(d, SIZE, tissue),
         lambda: jacobian_determinant(d, spacing=SIZE, tissue=tissue),
@@ -128,8 +128,8 @@ def test_determinants_are_those_of_numpy(kind, shape, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
-def test_strains_are_those_of_numpy(kind, monkeypatch):
-    d, tissue = moving(kind, shape=(10, 4, 5))
+def test_compiled_strains_match_numpy(kind, monkeypatch):
+    d, tissue = random_motion(kind, shape=(10, 4, 5))
     asked = deformation_gradient, small_strain, green_lagrange_strain
     found = [each(d, spacing=SIZE, tissue=tissue) for each in asked]
     monkeypatch.setattr(loops, "ready_for_volumes", lambda: False)
@@ -142,7 +142,7 @@ KINDS = ["u1", "i2", "u2", "i4", "i8", "u8", "f2", "f4", "f8", ">f4", ">i8", "bo
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("order", [0, 1, 2])
-def test_a_volume_is_looked_up_as_by_scipy(kind, order, monkeypatch):
+def test_compiled_resampling_matches_scipy(kind, order, monkeypatch):
     random, shape = np.random.default_rng(4), (7, 6, 5)
     source = random.uniform(-2, 8, (*shape, 3))
     covered = random.random(shape) < 0.8
@@ -161,28 +161,28 @@ def test_a_volume_is_looked_up_as_by_scipy(kind, order, monkeypatch):
         np.testing.assert_allclose(found.astype(float), expected.astype(float), rtol=1e-3)
 
 
-def test_a_place_that_is_no_number_is_told():
+def test_an_infinite_source_position_is_reported():
     source = np.zeros((3, 3, 3, 3))
     source[1, 1, 1, 2] = np.inf
     with pytest.raises(ProblemError, match="are NaN or infinite at 1 covered pixels"):
         resample(np.zeros((3, 3, 3)), source, np.ones((3, 3, 3)))
 
 
-class Hard(Multigrid):
-    """An iteration that takes a loop nobody has compiled, as a volume in double precision does."""
+class CompilingMultigrid(Multigrid):
+    """Iteration that compiles a further loop, like volumes in double precision."""
 
     def run(self, *arguments):
         numba.njit(lambda number: number + 1)(1.0)
         return super().run(*arguments)
 
 
-def test_loops_that_are_compiled_in_the_middle_of_a_solve_are_said():
+def test_compilation_during_a_solve_is_reported():
     c = np.zeros((6, 6, 6, 3))
     c[0] = c[-1] = 1
     problem, told = Problem(c, c, np.ones(c.shape[:3])), []
     solve(problem, ElasticPrior(), optimizer=Multigrid(), backend="cpu")
     how = {"backend": "cpu", "progress": lambda monitor: told.append(monitor.message)}
-    solve(problem, ElasticPrior(), optimizer=Hard(), **how)
+    solve(problem, ElasticPrior(), optimizer=CompilingMultigrid(), **how)
     said = [number for number, words in enumerate(told) if words.startswith("compiling loops")]
     assert said
     assert said[-1] < len(told) - 1

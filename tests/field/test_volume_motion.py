@@ -1,4 +1,4 @@
-"""What follows a volume's motion: pictures, one of their slices, points, other grids, numbers."""
+"""Motion of volumes applied to pictures, slices, points, other grids and measurements."""
 
 from dataclasses import replace
 from functools import partial
@@ -40,7 +40,7 @@ def places(shape=SHAPE):
 
 
 def rough_field(seed, amplitude=1.5, shape=SHAPE):
-    """Waves and a shift, and noise that folds the tissue here and there."""
+    """Return waves, a shift and noise that folds some tissue."""
     random = np.random.default_rng(seed)
     deep, row, col = np.moveaxis(places(shape) / 3, -1, 0)
     waves = np.stack([np.sin(row + col), np.cos(deep - row), np.sin(deep + 1.3 * col)], axis=-1)
@@ -49,7 +49,7 @@ def rough_field(seed, amplitude=1.5, shape=SHAPE):
 
 
 def some_tissue(seed, shape=SHAPE):
-    """A ball with a ragged border, sheets and lines one voxel thin."""
+    """Return a ball with a ragged border, and sheets and lines one voxel thin."""
     random = np.random.default_rng(seed)
     away = (places(shape) - np.array(shape) / 2) / np.array(shape) * 2
     tissue = (away**2).sum(axis=-1) < 0.7
@@ -58,7 +58,7 @@ def some_tissue(seed, shape=SHAPE):
 
 
 def hill(amount=0.8, shape=SHAPE):
-    """A smooth motion that stays within the volume and folds nowhere."""
+    """Return a smooth motion without folds that stays within the volume."""
     part = np.pi * places(shape) / (np.array(shape) - 1)
     height = np.sin(part).prod(axis=-1)
     return amount * np.stack([height, -height, 0.5 * height], axis=-1).astype(np.float32)
@@ -91,7 +91,7 @@ KINDS = {"float32": 1, "int16": 1, "gaps": 1, "colours": 1, "labels": 0, "smooth
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_slice_is_that_of_the_volume_moved_whole(kind, seed):
+def test_a_warped_slice_matches_the_slice_of_the_warped_volume(kind, seed):
     image, order = image_of(kind), KINDS[kind]
     d, tissue = rough_field(seed), some_tissue(seed)
     warper = Warper(Picture(image, order=order, fill=7), spacing=SIZE)
@@ -106,18 +106,18 @@ def test_a_slice_is_that_of_the_volume_moved_whole(kind, seed):
 
 
 @pytest.mark.parametrize("shift", [(9.1, 0.4, -3.3), (-40.0, 0.0, 0.0), (0.3, 11.3, 0.0)])
-def test_of_tissue_that_goes_far_a_slice_shows_what_has_come(shift):
+def test_a_slice_shows_tissue_that_moved_in_from_distant_slices(shift):
     image, tissue = image_of("float32"), some_tissue(2)
     d = np.zeros((*SHAPE, 3), np.float32)
     d[:7] = shift
     whole = warp(image, d, spacing=SIZE, tissue=tissue)
     warper = Warper(image, spacing=SIZE)
-    for number in range(SHAPE[0]):  # between the planes that stay and those that go it is torn
+    for number in range(SHAPE[0]):  # tissue is torn between the resting and the moving planes
         (slice_,) = on_thread(warper.slice, number, d, tissue)
         np.testing.assert_allclose(slice_, whole[number], atol=1e-5, err_msg=str(number))
 
 
-def test_several_pictures_go_with_one_motion_and_one_can_be_another():
+def test_several_pictures_share_one_motion_and_one_can_be_replaced():
     image, labels = image_of("float32"), image_of("labels")
     warper = Warper([Picture(image), Picture(labels, order=0)], spacing=SIZE)
     d = hill()
@@ -128,7 +128,7 @@ def test_several_pictures_go_with_one_motion_and_one_can_be_another():
 
 
 @pytest.mark.parametrize("every", [2, (3, 2, 1)])
-def test_a_motion_known_at_some_voxels_is_linear_between_them(every):
+def test_a_coarse_motion_is_interpolated_linearly(every):
     matrix = np.array([[0.05, 0.02, 0], [0, -0.04, 0.03], [0.02, 0, 0.05]])
     d = (places() @ matrix.T + (0.7, -0.3, 0.2)).astype(np.float32) * SIZE
     image, tissue = image_of("float32"), np.ones(SHAPE, bool)
@@ -138,7 +138,7 @@ def test_a_motion_known_at_some_voxels_is_linear_between_them(every):
     coarse = np.where(tissue[..., None], d, 0)[sites]
     expected = warp(image, d, spacing=SIZE, tissue=tissue)
     (slice_,) = on_thread(Warper(image, spacing=SIZE).slice, 7, coarse, tissue, every=every)
-    # Beyond the last site, and beside sites that are no tissue, it is as at the nearest.
+    # Values beyond the last site or next to void are those of the nearest site.
     inner = (slice(8, 11), slice(5, 13))
     np.testing.assert_allclose(slice_[inner], expected[7][inner], atol=1e-3)
     assert np.isclose(slice_, expected[7], atol=0.3).mean() > 0.8
@@ -153,17 +153,17 @@ def test_a_motion_known_at_some_voxels_is_linear_between_them(every):
         ((3, np.full((*SHAPE, 3), np.nan)), "displacement: is NaN"),
     ],
 )
-def test_what_is_wrong_with_a_slice_is_said(arguments, sentence):
+def test_errors_name_the_invalid_argument_of_a_slice(arguments, sentence):
     with pytest.raises(ProblemError, match=sentence):
         on_thread(Warper(np.zeros(SHAPE), spacing=SIZE).slice, *arguments)
 
 
-def test_slices_have_no_slices():
+def test_a_slice_of_a_slice_is_rejected():
     with pytest.raises(ProblemError, match="number: is 0"):
         on_thread(Warper(np.zeros((5, 6)), spacing=(1, 1)).slice, 0, np.zeros((5, 6, 2)))
 
 
-def test_a_volume_goes_part_of_its_way():
+def test_an_animation_moves_a_volume_by_part_of_its_motion():
     image, labels = image_of("float32"), image_of("labels")
     found = solution(hill(), some_tissue(0))
     motion = Motion(found, image, labels)
@@ -177,17 +177,17 @@ def test_a_volume_goes_part_of_its_way():
     assert on_thread(strained.at, 0.5).overlay.shape == SHAPE
 
 
-def test_what_is_seen_of_a_grey_volume_where_tissue_has_left_is_the_darkest():
+def test_vacated_voxels_get_the_darkest_value_of_a_grey_volume():
     assert emptiness(np.full(SHAPE, -1000), 3) == -1000
     assert emptiness(np.full((*SHAPE, 3), 5), 3) == 0
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_point_came_from_where_the_inverse_map_says(seed):
+def test_the_inverse_of_a_point_matches_the_inverse_map(seed):
     d, tissue = rough_field(seed), np.ones(SHAPE, bool)
     tissue[:5] = tissue[:, 8:, :4] = False
     origin, covered = inverse_map(d, spacing=SIZE, tissue=tissue)
-    outline = (np.abs(origin - np.rint(origin)) < 1e-9).any(axis=-1)  # and what stays
+    outline = (np.abs(origin - np.rint(origin)) < 1e-9).any(axis=-1)  # also excludes resting tissue
     asked = np.argwhere(covered & ~outline)[::11]
     assert len(asked) > 30
     for at in map(tuple, asked.tolist()):
@@ -195,7 +195,7 @@ def test_a_point_came_from_where_the_inverse_map_says(seed):
         np.testing.assert_allclose(found, origin[at], atol=1e-6, err_msg=str(at))
 
 
-def test_a_point_just_outside_the_outermost_sites_lies_on_their_voxels():
+def test_a_point_just_beyond_the_outermost_sites_belongs_to_their_voxels():
     tissue, shift = np.zeros(SHAPE, bool), np.array([2.3, -1.4, 0.6])
     tissue[4, 5, 2:10] = tissue[8:11, 5:9, 4:9] = True
     d = np.zeros((*SHAPE, 3))
@@ -205,7 +205,7 @@ def test_a_point_just_outside_the_outermost_sites_lies_on_their_voxels():
         assert found == pytest.approx(place)
 
 
-def test_points_between_voxels_come_back_from_where_they_went():
+def test_points_between_voxels_are_inverted_exactly():
     d = hill(2.0)
     points = np.random.default_rng(0).uniform(3, 11, (40, 3))
     for point in moved_points(points, d, spacing=SIZE):
@@ -216,7 +216,7 @@ def test_points_between_voxels_come_back_from_where_they_went():
     assert inverse_point((5.0, 5.0, 5.0), d, SIZE, np.zeros(SHAPE, bool)) is None
 
 
-def test_what_happens_at_a_voxel_is_told():
+def test_a_point_reports_the_values_of_its_voxel():
     found = solution(rough_field(1), some_tissue(1))
     points = Points(found)
     jacobian, strain = area_change(found), values_of(found, "equivalent")
@@ -233,7 +233,7 @@ def test_what_happens_at_a_voxel_is_told():
     assert moved.site == (6, 4, 5)
 
 
-def test_of_a_volume_strains_are_those_of_its_sites_however_many_planes_there_are():
+def test_quantities_of_a_volume_match_the_strain_of_its_sites():
     shape = (19, 5, 6)
     d = 0.1 * np.random.default_rng(0).normal(size=(*shape, 3))
     tissue = np.random.default_rng(1).random(shape) < 0.9
@@ -259,7 +259,7 @@ def test_of_a_volume_strains_are_those_of_its_sites_however_many_planes_there_ar
     assert np.isclose(values_of(found, "jacobian"), ratio)[inner].mean() > 0.9
 
 
-def test_tissue_that_grows_by_a_tenth_each_way_is_measured():
+def test_tissue_stretched_by_a_tenth_along_each_axis_is_measured():
     labels = np.ones(SHAPE, int)
     labels[9:] = 4
     one, other = measure(solution(0.1 * places() * SIZE), labels, names={4: "liver"})
@@ -270,7 +270,7 @@ def test_tissue_that_grows_by_a_tenth_each_way_is_measured():
     assert one.folds == 0
 
 
-def test_marks_of_a_volume_are_one_in_each_cell():
+def test_marks_of_a_volume_are_spread_one_per_cell():
     where = some_tissue(0)
     found = spread(where, 4)
     assert where[tuple(found.T)].all()
@@ -278,7 +278,7 @@ def test_marks_of_a_volume_are_one_in_each_cell():
     assert len(found) == len({tuple(cell) for cell in (np.argwhere(where) // 4).tolist()})
 
 
-def turned(degrees=20.0, offset=(3.0, -2.0, 1.0)):
+def rotation(degrees=20.0, offset=(3.0, -2.0, 1.0)):
     angle = np.deg2rad(degrees)
     affine = np.eye(4)
     affine[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
@@ -286,11 +286,11 @@ def turned(degrees=20.0, offset=(3.0, -2.0, 1.0)):
     return affine
 
 
-def test_a_field_elsewhere_is_known_with_all_its_components_on_the_voxels_of_a_volume():
+def test_a_field_on_another_grid_is_resampled_with_all_components():
     matrix, shift = np.array([[0.02, 0.01, 0], [0, -0.03, 0.02], [0.01, 0, 0.04]]), (1, -2, 0.5)
-    # It is linear in the world, and so on all grids.
-    own = Frame.at((2.0, 2.5, 3.0), ("mm",) * 3, affine=turned(-10.0, (-20, -20, -20)))
-    shape, here = (24, 22, 20), Frame.at(SIZE, ("mm",) * 3, affine=turned(), volume=True)
+    # The field is linear in world coordinates, and therefore on every grid.
+    own = Frame.at((2.0, 2.5, 3.0), ("mm",) * 3, affine=rotation(-10.0, (-20, -20, -20)))
+    shape, here = (24, 22, 20), Frame.at(SIZE, ("mm",) * 3, affine=rotation(), volume=True)
 
     def world(frame, sites):
         return sites @ np.array(frame.matrix)[:3, :3].T + np.array(frame.matrix)[:3, 3]
@@ -301,9 +301,9 @@ def test_a_field_elsewhere_is_known_with_all_its_components_on_the_voxels_of_a_v
     found = known.on(here, SHAPE)
     assert found.known.all()
     assert found.out == 0
-    expected = (world(here, places()) @ matrix.T + shift) @ np.array(turned())[:3, :3]
+    expected = (world(here, places()) @ matrix.T + shift) @ np.array(rotation())[:3, :3]
     np.testing.assert_allclose(found.displacement, expected, atol=1e-4)
-    # The same for whom the axes are in another order.
+    # The result does not depend on the order of the axes.
     order = (2, 0, 1)
     other = known.on(replace(here, plane=order), tuple(SHAPE[axis] for axis in order))
     np.testing.assert_allclose(
@@ -312,12 +312,12 @@ def test_a_field_elsewhere_is_known_with_all_its_components_on_the_voxels_of_a_v
     compared = compare(solution(expected), here, known, "truth")
     assert compared.rmsd == pytest.approx(0, abs=1e-4)
     assert compared.difference.shape == SHAPE
-    far = replace(here, matrix=tuple(map(tuple, turned(0.0, (500, 0, 0)))))
+    far = replace(here, matrix=tuple(map(tuple, rotation(0.0, (500, 0, 0)))))
     with pytest.raises(ProblemError, match="lies elsewhere"):
         known.on(far, SHAPE)
 
 
-def test_a_field_without_a_unit_is_taken_on_its_voxels_in_the_order_of_the_axes():
+def test_a_field_without_a_unit_is_matched_voxel_by_voxel():
     steps = np.random.default_rng(0).normal(size=(*SHAPE, 3))
     known = PixelField(DisplacementField.in_pixels(steps), Frame.at((1.0,) * 3, ("pixel",) * 3))
     order = (1, 2, 0)
@@ -333,7 +333,7 @@ def test_a_field_without_a_unit_is_taken_on_its_voxels_in_the_order_of_the_axes(
         PixelField(slice_, Frame.at((1.0,) * 2, ("mm",) * 2)).on(here, SHAPE)
 
 
-def test_arrows_of_a_volume_count_with_all_components_for_the_voxel_they_start_in():
+def test_arrows_in_a_volume_prescribe_all_components_of_their_first_voxel():
     here = replace(Frame.at(SIZE, ("mm",) * 3, volume=True), plane=(0, 2, 1))
     shape, size = (14, 16, 15), (1.5, 0.7, 1.0)
     vectors = np.array([[[1.2, 2, 3], [1, 0.5, -1]], [[4, 4.4, 4], [3, 0, 0]]])
@@ -342,7 +342,7 @@ def test_arrows_of_a_volume_count_with_all_components_for_the_voxel_they_start_i
     y, known, out, _ = arrow_observation(vectors, here, size, shape)
     assert np.argwhere(known).tolist() == [[1, 3, 2], [4, 4, 4]]
     np.testing.assert_allclose(y[1, 3, 2], np.multiply((1, -1, 0.5), size))
-    assert out == 0, "nothing leads out of a volume"
+    assert out == 0, "no arrow should leave the volume"
     with pytest.raises(ProblemError, match="outside the image of 14 x 16 x 15 pixels, the first"):
         arrow_observation(beyond, here, size, shape)
     film = Frame.at((1.0, *SIZE), ("s", "mm", "mm", "mm"), index=(2, 0, 0, 0), volume=True)
@@ -351,10 +351,10 @@ def test_arrows_of_a_volume_count_with_all_components_for_the_voxel_they_start_i
     assert known.sum() == 1
 
 
-def test_points_and_images_on_other_grids_go_with_a_volume():
+def test_points_and_images_on_other_grids_move_with_a_volume():
     here = Frame.at(SIZE, ("mm",) * 3, volume=True)
     found = solution(np.full((*SHAPE, 3), (3.0, -2.0, 0.7)))
-    # Pixels twice as large, and a moment more.
+    # Pixels twice as large, and an additional time axis.
     own = Frame.at((1.0, 3.0, 2.0, 1.4), ("s", "mm", "mm", "mm"))
     grid = OtherGrid.of(found, here, own)
     moved = grid.moved_points(np.array([[5.0, 2, 3, 4], [5, 90, 3, 4]]))
@@ -373,7 +373,7 @@ def test_points_and_images_on_other_grids_go_with_a_volume():
         OtherGrid.of(found, here, Frame.at((1.0, 1.0), ("mm", "mm")))
 
 
-def test_the_way_back_of_a_volume_leads_to_where_tissue_was():
+def test_inverting_the_inverse_of_a_volume_restores_the_displacement():
     d = hill(2.0)
     back, residual = inverse_displacement(d, spacing=SIZE)
     assert residual < 1e-3

@@ -1,4 +1,4 @@
-"""Where a volume lies: all axes of a layer, in whichever order, or three of four."""
+"""Frames of volumes: any order of the axes, and volumes of a time series."""
 
 import json
 from dataclasses import replace
@@ -19,8 +19,8 @@ def place(plane=(0, 1, 2), **options):
     return replace(Frame.at(SIZE, ("mm",) * 3, volume=True, **options), plane=plane)
 
 
-def film(moment=2):
-    """A volume of each moment."""
+def time_series(moment=2):
+    """Return the frame of one volume of a time series."""
     units = ("s", "mm", "mm", "mm")
     return Frame.at((2.0, *SIZE), units, index=(moment, 0, 0, 0), volume=True)
 
@@ -38,7 +38,7 @@ def solution(shape=SHAPE, frame=None):
 
 
 @pytest.mark.parametrize("plane", ORDERS)
-def test_a_volume_is_taken_in_the_order_of_its_plane_and_put_back(plane):
+def test_a_volume_is_reordered_to_the_axes_of_its_frame_and_back(plane):
     data = np.arange(np.prod(SHAPE)).reshape(SHAPE)
     colours = np.stack([data, -data, 2 * data], axis=-1)
     frame = place(plane)
@@ -56,7 +56,7 @@ def test_a_volume_is_taken_in_the_order_of_its_plane_and_put_back(plane):
 
 
 @pytest.mark.parametrize("plane", ORDERS)
-def test_fields_and_arrows_of_a_volume_lead_along_the_axes_of_its_layer(plane):
+def test_components_of_fields_and_arrows_follow_the_axes_of_the_layer(plane):
     frame = place(plane)
     steps = np.random.default_rng(0).normal(size=(*(SHAPE[axis] for axis in plane), 3))
     placed = frame.put_field(steps)
@@ -71,7 +71,7 @@ def test_fields_and_arrows_of_a_volume_lead_along_the_axes_of_its_layer(plane):
 
 
 @pytest.mark.parametrize("plane", ORDERS)
-def test_a_volume_knows_its_sizes_and_that_it_is_no_slice(plane):
+def test_the_frame_of_a_volume_has_a_spacing_but_no_slice(plane):
     frame = place(plane)
     assert frame.spacing == pytest.approx([SIZE[axis] for axis in plane])
     assert (frame.unit, frame.others, frame.slice_name, frame.slice_seen) == ("mm", (), "", "")
@@ -80,15 +80,15 @@ def test_a_volume_knows_its_sizes_and_that_it_is_no_slice(plane):
     assert slanted.skew == pytest.approx(np.degrees(np.arctan(0.1)))
 
 
-def test_sizes_in_several_units_are_in_that_of_the_rows():
+def test_voxel_sizes_in_mixed_units_are_converted_to_the_unit_of_the_rows():
     frame = Frame.at((0.1, 2.0, 3000.0), ("cm", "mm", "um"), volume=True)
     assert frame.unit == "mm"
     assert frame.spacing == pytest.approx((1, 2, 3))
 
 
-def test_of_a_film_of_volumes_one_is_taken():
+def test_one_volume_of_a_time_series_is_selected():
     data = np.random.default_rng(0).normal(size=(3, *SHAPE))
-    frame = film(2)
+    frame = time_series(2)
     np.testing.assert_array_equal(frame.take(data), data[2])
     assert frame.put_image(data[2]).shape == (1, *SHAPE)
     field = frame.put_field(np.ones((*SHAPE, 3)))
@@ -100,33 +100,35 @@ def test_of_a_film_of_volumes_one_is_taken():
     assert frame.spacing == SIZE
 
 
-def test_a_volume_a_hair_beside_another_lies_elsewhere():
+def test_a_slightly_shifted_volume_is_at_another_place():
     away = place(affine=np.eye(4) + np.diag([0.1] * 3, k=1) * [0, 0, 0, 1])
     assert place().same_place(place(), SHAPE)
     assert not place().same_place(away, SHAPE)
     assert not place().same_place(place((0, 2, 1)), SHAPE)
     first = Frame.at(SIZE, ("mm",) * 3)
-    assert not place().same_place(first, SHAPE), "a slice is no volume"
+    assert not place().same_place(first, SHAPE), "a slice should not be at the place of a volume"
     assert not first.same_place(place(), SHAPE[1:])
-    assert film(0).same_place(film(0), SHAPE)
-    assert not film(0).same_place(film(1), SHAPE)
-    assert place().same_place(film(1), SHAPE), "a volume without time lies at every moment"
+    assert time_series(0).same_place(time_series(0), SHAPE)
+    assert not time_series(0).same_place(time_series(1), SHAPE)
+    assert place().same_place(time_series(1), SHAPE), (
+        "a volume without a time axis should match every time"
+    )
 
 
 @pytest.mark.parametrize("plane", ORDERS)
-def test_a_volume_s_place_comes_back_from_a_file(plane):
+def test_the_frame_of_a_volume_survives_a_file_round_trip(plane):
     frame = place(plane)
     assert Frame.from_dict(json.loads(json.dumps(frame.as_dict()))) == frame
     assert Frame.of_solution(solution(frame=frame.as_dict())) == frame
 
 
 @pytest.mark.parametrize("plane", [(0, 1, 1), (0, 1, 3), (0, 1, 2, 3), (0,)])
-def test_a_place_of_other_axes_than_there_are_is_refused(plane):
+def test_a_frame_with_invalid_axes_is_rejected(plane):
     with pytest.raises(ValueError, match="its plane is"):
         Frame.from_dict({**place().as_dict(), "plane": plane})
 
 
-def test_a_solution_without_a_place_lies_at_the_origin():
+def test_a_solution_without_a_frame_is_at_the_origin():
     frame = Frame.of_solution(solution())
     assert (frame.plane, frame.spacing, frame.unit) == ((0, 1, 2), SIZE, "pixel")
     assert Frame.of_solution(solution(SHAPE[1:])).plane == (0, 1)

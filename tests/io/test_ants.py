@@ -1,4 +1,4 @@
-"""ANTs moves images by our files as tissue moves, and we read its. Only where antspyx is."""
+"""Tests of exchanged fields with ANTs, run if antspyx is installed."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ ants = pytest.importorskip("ants")
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd", ".h5"])
 @pytest.mark.parametrize("name", PLACES)
-def test_ants_moves_an_image_as_the_tissue_moves(name, suffix, tmp_path):
+def test_ants_moves_an_image_like_the_tissue(name, suffix, tmp_path):
     case, path = FieldCase(name), tmp_path / f"field{suffix}"
     case.write(path)
     back = inverse_displacement(case.displacement, spacing=tuple(case.size)).displacement
@@ -32,7 +32,7 @@ def test_ants_moves_an_image_as_the_tissue_moves(name, suffix, tmp_path):
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd"])
 @pytest.mark.parametrize("name", PLACES)
-def test_a_field_that_ants_wrote_is_read(name, suffix, tmp_path):
+def test_a_field_written_by_ants_is_read(name, suffix, tmp_path):
     case, path = FieldCase(name), tmp_path / f"field{suffix}"
     vectors = case.whole[..., ::-1] @ case.direction.T
     image = ants.from_numpy(
@@ -46,7 +46,7 @@ def test_a_field_that_ants_wrote_is_read(name, suffix, tmp_path):
     check_field_file(case, path)
 
 
-def test_a_registration_s_warp_brings_what_ants_brings():
+def test_a_warp_of_an_ants_registration_moves_an_image_as_ants_does():
     case = FieldCase("2-D")
     rows, cols = np.moveaxis(case.sites, -1, 0)
     pictures = [

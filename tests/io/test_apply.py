@@ -1,4 +1,4 @@
-"""What lies on the tissue moves with it: from files to files, as in Python and in other tools."""
+"""Tests of `apply`, which moves images, labels and landmarks with the tissue."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ SHAPE = (40, 48)
 
 @pytest.fixture
 def solved(tmp_path):
-    """A study of a pulled photograph, saved with its field."""
+    """Write a study of a pulled photograph with its solution; return its path and the solution."""
     pull = Drawing((Arrow(at=(20, 22), by=(3.0, 5.0), radius=5),))
     photo = np.random.default_rng(2).integers(1, 255, (*SHAPE, 3), dtype=np.uint8)
     study = Study(
@@ -44,12 +44,12 @@ def solved(tmp_path):
     return write_study(tmp_path / "case", study, solution), solution
 
 
-def by(solution):
+def field_arguments(solution):
     field = {"displacement": solution.displacement, "tissue": solution.tissue}
     return {**field, "spacing": solution.spacing}
 
 
-def test_what_is_read_is_never_written_over(solved, tmp_path):
+def test_an_input_file_is_never_overwritten(solved, tmp_path):
     path, _ = solved
     write_image(tmp_path / "photo.png", ImageFile(np.full(SHAPE, 9, np.uint8)))
     before = (tmp_path / "photo.png").read_bytes()
@@ -60,7 +60,7 @@ def test_what_is_read_is_never_written_over(solved, tmp_path):
     assert (tmp_path / "photo.png").read_bytes() == before
 
 
-def test_images_labels_and_films_move_as_by_warp(solved, tmp_path, capsys):
+def test_images_labels_and_films_are_warped(solved, tmp_path, capsys):
     path, solution = solved
     dice = np.random.default_rng(1)
     photo = dice.integers(0, 255, (*SHAPE, 3), dtype=np.uint8)
@@ -75,25 +75,27 @@ def test_images_labels_and_films_move_as_by_warp(solved, tmp_path, capsys):
     assert main(["apply", str(path), str(tmp_path / "labels.png"), "--labels", "-o", out]) == 0
     assert "blended" not in capsys.readouterr().out
     read = {name: read_image(tmp_path / "out" / name).pixels for name in ("photo.png", "film.tif")}
-    np.testing.assert_array_equal(read["photo.png"], warp(photo, **by(solution)))
+    np.testing.assert_array_equal(read["photo.png"], warp(photo, **field_arguments(solution)))
     for frame, before in zip(read["film.tif"], film, strict=True):
-        np.testing.assert_array_equal(frame, warp(before, **by(solution)))
+        np.testing.assert_array_equal(frame, warp(before, **field_arguments(solution)))
     moved = read_image(tmp_path / "out" / "labels.png").pixels
-    np.testing.assert_array_equal(moved, warp(labels, order=0, **by(solution)))
-    assert set(np.unique(moved)) <= set(np.unique(labels)) | {0}, "no new label"
+    np.testing.assert_array_equal(moved, warp(labels, order=0, **field_arguments(solution)))
+    assert set(np.unique(moved)) <= set(np.unique(labels)) | {0}, "a new label appeared"
 
 
-def test_labels_that_are_moved_as_an_image_are_doubted(solved, tmp_path, capsys):
+def test_labels_moved_as_an_image_cause_a_note(solved, tmp_path, capsys):
     path, _ = solved
     labels = np.random.default_rng(1).integers(0, 9, SHAPE, dtype=np.uint8)
     write_image(tmp_path / "labels.png", ImageFile(labels))
     files = str(tmp_path / "labels.png"), "-o", str(tmp_path / "out")
     assert main(["apply", str(path), *files]) == 0
-    said = "note: labels.png holds few whole numbers, up to 8, which were blended; if these are"
+    said = (
+        "note: labels.png contains only a few whole numbers, up to 8, and was interpolated; if the"
+    )
     assert said in capsys.readouterr().out
 
 
-def test_pixels_that_are_no_numbers_are_counted(solved, tmp_path, capsys):
+def test_a_note_counts_pixels_that_are_nan_or_infinite(solved, tmp_path, capsys):
     path, _ = solved
     photo = np.ones(SHAPE, np.float32)
     photo[3, 4:7] = np.nan
@@ -105,7 +107,7 @@ def test_pixels_that_are_no_numbers_are_counted(solved, tmp_path, capsys):
     assert np.isnan(read_image(tmp_path / "out" / "mr.tif").pixels).any()
 
 
-def test_landmarks_go_where_the_tissue_goes(solved, tmp_path):
+def test_landmarks_move_with_the_tissue(solved, tmp_path):
     path, solution = solved
     at = np.array([[20.0, 22.0], [10.5, 30.25]])
     write_points(tmp_path / "nose.csv", at)
@@ -117,16 +119,16 @@ def test_landmarks_go_where_the_tissue_goes(solved, tmp_path):
     )
 
 
-def test_landmarks_outside_the_image_are_counted(solved, tmp_path, capsys):
+def test_a_note_counts_landmarks_outside_the_image(solved, tmp_path, capsys):
     path, _ = solved
     rows, cols = SHAPE
     corners = np.array([[-0.5, -0.5], [rows - 0.5, cols - 0.5], [rows, 3.0], [3.0, -1.0]])
     write_points(tmp_path / "nose.csv", corners)
     assert main(["apply", str(path), str(tmp_path / "nose.csv"), "-o", str(tmp_path / "o")]) == 0
-    assert "note: 2 of 4 points lie outside the image" in capsys.readouterr().out
+    assert "note: 2 of 4 points are outside the image" in capsys.readouterr().out
 
 
-def test_landmarks_in_other_slices_stay_and_it_is_said(tmp_path, capsys):
+def test_a_note_counts_landmarks_in_other_slices_which_do_not_move(tmp_path, capsys):
     case = FieldCase("slice")
     case.write(tmp_path / "back.mha")
     at = np.full((3, case.axes), 8.0)
@@ -140,11 +142,11 @@ def test_landmarks_in_other_slices_stay_and_it_is_said(tmp_path, capsys):
     steps = np.linalg.norm(read_points(out / "there.fcsv").points - before, axis=1)
     assert steps[1] < 1e-9
     assert (steps[[0, 2]] > 0.1).all()
-    assert "1 of 3 points lie in other slices" in capsys.readouterr().out
+    assert "1 of 3 points are in other slices" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["slice", "3-D"])
-def test_points_move_as_simpleitk_moves_them(name, tmp_path):
+def test_points_move_as_in_simpleitk(name, tmp_path):
     case = FieldCase(name)
     case.write(tmp_path / "forth.mha", forward=True)
     case.write(tmp_path / "back.mha")
@@ -169,7 +171,7 @@ def test_points_move_as_simpleitk_moves_them(name, tmp_path):
     np.testing.assert_allclose(moved, expected, atol=0.02 * min(case.spacing))
 
 
-def test_of_a_volume_the_slice_moves_in_which_the_field_lies(tmp_path):
+def test_a_field_of_one_slice_moves_only_that_slice_of_a_volume(tmp_path):
     case = FieldCase("slice")
     case.write(tmp_path / "field.nrrd")
     values = np.random.default_rng(3).random((5, *case.shape)).astype(np.float32)
@@ -184,7 +186,9 @@ def test_of_a_volume_the_slice_moves_in_which_the_field_lies(tmp_path):
         moved[2], warp(values[2], field.displacement, spacing=field.spacing), atol=1e-6
     )
     write_image(tmp_path / "other.nii.gz", ImageFile(values, place._replace(origin=(0, 0, 0))))
-    with pytest.raises(ProblemError, match=r"other\.nii\.gz: lies elsewhere than the field"):
+    with pytest.raises(
+        ProblemError, match=r"other\.nii\.gz: has no slice at the place of the field"
+    ):
         apply_field(field, tmp_path / "other.nii.gz", tmp_path / "moved.nii.gz", labels=False)
 
 
@@ -203,14 +207,14 @@ def test_a_volume_moves_as_in_simpleitk(tmp_path):
     apply_field(field, tmp_path / "scan.mha", tmp_path / "moved.mha", labels=False)
     moved = read_image(tmp_path / "moved.mha").pixels
     inside = (slice(4, -4),) * 3
-    assert np.abs(moved - theirs)[inside].max() < 0.02  # of noise, whose slope is 1 a voxel
+    assert np.abs(moved - theirs)[inside].max() < 0.02  # The noise has a slope of 1 per voxel.
     labels = np.random.default_rng(3).integers(0, 5, case.shape).astype(np.uint8)
     write_image(tmp_path / "labels.mha", ImageFile(labels, place))
     apply_field(field, tmp_path / "labels.mha", tmp_path / "moved.mha", labels=True)
     assert set(np.unique(read_image(tmp_path / "moved.mha").pixels)) <= set(range(5))
 
 
-def test_one_file_that_fails_stops_no_other_and_is_said(solved, tmp_path, capsys):
+def test_a_failed_file_is_reported_and_the_other_files_are_moved(solved, tmp_path, capsys):
     path, _ = solved
     write_image(tmp_path / "small.png", ImageFile(np.zeros((4, 5), np.uint8)))
     write_image(tmp_path / "right.png", ImageFile(np.zeros(SHAPE, np.uint8)))
@@ -220,7 +224,7 @@ def test_one_file_that_fails_stops_no_other_and_is_said(solved, tmp_path, capsys
     assert "small.png: is 4 x 5, but the field is 40 x 48" in capsys.readouterr().err
 
 
-def test_two_files_of_one_name_and_a_field_for_an_image_are_refused(solved, tmp_path, capsys):
+def test_two_files_with_the_same_name_and_a_field_as_image_are_refused(solved, tmp_path, capsys):
     path, _ = solved
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
@@ -234,7 +238,7 @@ def test_two_files_of_one_name_and_a_field_for_an_image_are_refused(solved, tmp_
         write_field(field, np.zeros((*(6, 7, 8)[:n], n)), spacing=(1,) * n)
         assert main(["solve", field, "--hold-edge", "-o", str(tmp_path / "out")]) == 1
         assert (
-            f"{n}.nrrd: the file holds a displacement field. Give the image"
+            f"{n}.nrrd: the file contains a displacement field. Give an image"
             in capsys.readouterr().err
         )
 
@@ -244,15 +248,15 @@ def test_a_study_is_exported_replayed_and_read_again_in_the_shell(solved, tmp_pa
     assert main(["export", str(path), str(tmp_path / "field.mha")]) == 0
     said = capsys.readouterr().out
     assert "the backward field, which moves images" in said
-    assert "In the middle of each pixel that tissue moved to" in said
-    assert "at the rim of the tissue it may be larger" in said
+    assert "at the centres of the pixels that tissue moved to" in said
+    assert "at the edge of the tissue, the error may be larger" in said
     again = read_field_file(tmp_path / "field.mha").displacement
-    # Inverted twice, and a pulled patch has an edge.
+    # The field is inverted twice, and the edge of a pulled patch limits the accuracy.
     assert np.abs(again - solution.displacement).max() < 0.2
     assert main(["replay", str(path)]) == 0
-    assert "bit by bit the same field" in capsys.readouterr().out
+    assert "the fields are identical, bit by bit" in capsys.readouterr().out
 
 
-def test_fields_of_pixels_without_a_unit_are_written_in_pixels(tmp_path):
+def test_fields_without_a_unit_are_written_in_pixels(tmp_path):
     write_field(tmp_path / "a.mha", np.ones((6, 7, 2)), spacing=(1, 1), forward=True)
     assert sitk.ReadImage(str(tmp_path / "a.mha")).GetSpacing() == (1.0, 1.0)

@@ -1,4 +1,4 @@
-"""Many cases are solved from a table; what fails or ends stops no other, and nothing is half."""
+"""Tests of batches: cases from a table, sweeps, failures, interruption and resuming."""
 
 import csv
 import json
@@ -38,7 +38,7 @@ RULES = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 2.0), na
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """A film of three images, with one set of labels, tables and a boundary."""
+    """Write a film of three images, labels, tables and a boundary; return the folder."""
     monkeypatch.chdir(tmp_path)
     labels = np.ones(SHAPE, np.uint8)
     labels[10:14, 12:18] = 2
@@ -54,7 +54,7 @@ def files(tmp_path, monkeypatch):
 
 
 def write_table(folder, *lines, more=""):
-    """A table whose lines say a name, an image and what else there are columns for."""
+    """Write a table of cases; each line gives a name, an image and the extra columns."""
     titles = f"name,image,labels,materials,boundary,rules{more}"
     parts = [line.split(",", 2) for line in lines]
     rows = [
@@ -76,7 +76,7 @@ def moved(folder, name):
     return float(np.abs(solution.displacement).max())
 
 
-def test_values_that_a_cell_has_several_of_are_a_case_each(files):
+def test_a_cell_with_several_values_makes_one_case_per_value(files):
     table = write_table(
         files,
         "film,film.tif,all,0.1;0.2,",
@@ -110,15 +110,15 @@ def test_values_that_a_cell_has_several_of_are_a_case_each(files):
     ("text", "sentence"),
     [
         ("", r"t\.csv: line 1 lacks the column 'image'"),
-        ("image\n", r"t\.csv has no line below the column titles"),
+        ("image\n", r"t\.csv has no lines below the column titles"),
         ("image,growth\na.tif,1\n", r"line 1: there is no column 'growth'\. Did you mean 'growth:"),
         ("image,lables\na.tif,b\n", r"there is no column 'lables'\. Did you mean 'labels'\? The"),
         ("image,image\na.tif,b\n", r"t\.csv has two columns 'image'"),
         ("image\na.tif\na.png\n", r"line 3: there is already a case 'a'\. Give each case a"),
         ("name,image\na/b,a.tif\n", r"line 2: 'a/b' is not a valid folder name"),
         ("name,image\n..,a.tif\n", r"line 2: '\.\.' is not a valid folder name"),
-        ("image,labels\n,b\n", r"line 2: give either an image or a study"),
-        ("image,study\na.tif,b\n", r"line 2: give either an image or a study"),
+        ("image,labels\n,b\n", r"line 2: the line must have either an image or a study"),
+        ("image,study\na.tif,b\n", r"line 2: the line must have either an image or a study"),
         ("image,slice\na.tif,x\n", r"line 2: slice is 'x'\. Give a whole number, 3-7, or all"),
         ("image,model\na.tif,soft\n", r"line 2: model is 'soft'\. Give elastic, large-motion"),
         ("image,poisson\na.tif,0.7\n", r"line 2: poisson is '0\.7'\. Give a number from 0 to"),
@@ -134,7 +134,7 @@ def test_values_that_a_cell_has_several_of_are_a_case_each(files):
         ("image\na.tif,b\n", r"line 2 has more cells than there are columns"),
     ],
 )
-def test_what_is_wrong_with_a_table_of_cases_is_said_by_its_line(tmp_path, text, sentence):
+def test_an_error_in_a_table_of_cases_names_its_line(tmp_path, text, sentence):
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(FileFormatError, match=sentence):
         read_cases(tmp_path / "t.csv")
@@ -158,14 +158,14 @@ def study(**more):
     ],
     ids=lambda value: ":".join(map(str, value)) if isinstance(value, Change) else "",
 )
-def test_a_sweep_changes_the_tissue_of_a_label_of_a_name_or_of_a_kind(change, rows):
+def test_a_sweep_changes_the_tissue_of_a_label_a_name_or_a_kind(change, rows):
     found = changed(study(), [change]).tissue.materials
     now = {row.label: (row.stiffness, row.poisson, row.growth) for row in found}
     was = {row.label: (row.stiffness, row.poisson, row.growth) for row in MATERIALS}
     assert now == {**was, **rows}
 
 
-def test_a_sweep_changes_how_far_what_moves_does_and_the_model():
+def test_a_sweep_changes_the_amount_of_a_rule_and_the_model():
     both = [Change("amount", 5.0, "rim"), Change("model", "paper")]
     found = changed(study(), both)
     assert found.motion.rules == (RULES[0], BoundaryRule(2, "move", vector=(0, 5.0), name="rim"))
@@ -182,21 +182,24 @@ def test_a_sweep_changes_how_far_what_moves_does_and_the_model():
     [
         (
             Change("growth", 0.1, "bowel"),
-            "growth:bowel: there is no such tissue. Give one of: 1",
+            "growth:bowel: there is no such tissue. Give one of these: 1",
         ),
-        (Change("amount", 3.0, "brain"), "amount:brain: there is no such boundary. Give one of:"),
+        (
+            Change("amount", 3.0, "brain"),
+            "amount:brain: there is no such boundary. Give one of these:",
+        ),
         (Change("amount", 3.0, "1"), "amount:1: the boundary does not move"),
     ],
 )
-def test_a_sweep_over_what_is_not_there_is_refused(change, sentence):
+def test_a_sweep_over_a_missing_tissue_or_boundary_is_refused(change, sentence):
     with pytest.raises(HmrfError) as error:
         changed(study(), [change])
     assert sentence in str(error.value)
-    with pytest.raises(HmrfError, match="poisson is for elastic tissue"):
+    with pytest.raises(HmrfError, match="poisson requires elastic tissue"):
         changed(study(model="paper"), [Change("poisson", 0.3)])
 
 
-def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
+def test_a_failed_case_is_reported_and_the_other_cases_are_solved(files, capsys):
     own = study()
     labels = own.motion.labels.copy()
     labels[-1] = 2
@@ -229,10 +232,10 @@ def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
     assert rows["study"]["folds"] == "0"
     for number in ("largest_displacement", "error_bound"):
         for value in filter(None, (row[number] for row in rows.values())):
-            assert float(value) == float(f"{float(value):.6g}"), "no digits of rounding"
+            assert float(value) == float(f"{float(value):.6g}"), "a value has digits of rounding"
     assert moved(out, "a_amount-rim-4") == pytest.approx(4)
     assert read_study(out / "study" / "own.study").solution is not None
-    # What is there is not written over, nor done again, but for what the table says otherwise.
+    # An existing result is neither overwritten nor solved again, unless its row changed.
     assert main(["batch", str(table), "out"]) == 1
     assert "'a_amount-rim-4' already exists. Resume the batch" in capsys.readouterr().err
     before = (out / "study").stat().st_ino
@@ -242,8 +245,8 @@ def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
     capsys.readouterr()
     assert main(["batch", str(table), "out", "--jobs", "1", "--resume"]) == 0
     said = capsys.readouterr().out
-    assert "note: not counted, as no case of the table has this name: a_amount-rim-4\n" in said
-    assert "note: solved again, as the line in the table has changed: a_amount-rim-5\n" in said
+    assert "note: ignored, because no case in the table has this name: a_amount-rim-4\n" in said
+    assert "note: solved again, because the line in the table has changed: a_amount-rim-5\n" in said
     assert "3 of 3 cases are solved" in said
     assert (out / "study").stat().st_ino == before
     assert moved(out, "a_amount-rim-5") == pytest.approx(4)
@@ -259,7 +262,7 @@ def test_names_of_folders_need_no_quotation_marks(tmp_path):
     assert names == ["Ann_3_x_growth-a_b--0.1", "Ann_3_x_growth-a_b-0.2_0", "a_b"]
 
 
-def test_a_case_whose_files_changed_is_solved_again(files, caplog):
+def test_a_case_with_changed_files_is_solved_again(files, caplog):
     for name in ("b.tif", "c.tif"):
         write_image(name, read_image("image.tif"))
     table = write_table(
@@ -268,17 +271,17 @@ def test_a_case_whose_files_changed_is_solved_again(files, caplog):
     cases = read_cases(table)
     first = solve_cases(cases, files / "out", jobs=1)
     assert {each.state for each in first} == {"done"}
-    os.utime(files / "image.tif")  # touched, and still the same
+    os.utime(files / "image.tif")  # Only the time stamp changes.
     assert solve_cases(cases, files / "out", jobs=1, resume=True) == first
     assert not caplog.messages
     write_image("b.tif", ImageFile(np.full(SHAPE, 7, np.uint8)))
     (files / "c.tif").unlink()
     told = []
     again = solve_cases(cases, files / "out", jobs=1, resume=True, report=told.append)
-    assert told == ["solved again, as input files have changed: b, c"]
+    assert told == ["solved again, because input files have changed: b, c"]
     assert again[0] == first[0]
     assert [each.state for each in again] == ["done", "done", "failed"]
-    assert "(the folder c still has an earlier result, which is not counted)" in again[2].error
+    assert "(the folder c still contains an earlier result, which is ignored)" in again[2].error
 
 
 def test_a_finished_case_with_a_damaged_result_is_solved_again(files, caplog):
@@ -289,11 +292,11 @@ def test_a_finished_case_with_a_damaged_result_is_solved_again(files, caplog):
     record = files / "out" / "a" / "case.json"
     told = []
     for is_old in (False, True):
-        if is_old:  # an earlier version recorded no digests of the result
+        if is_old:  # An earlier version stored no digests of the result.
             record.write_text(json.dumps(json.loads(record.read_text()) | {"outputs": {}}))
         saved.write_bytes(saved.read_bytes()[:-100])
         again = solve_cases(cases, files / "out", jobs=1, resume=True, report=told.append)
-        assert told.pop() == "solved again, as files of the result are damaged or missing: a"
+        assert told.pop() == "solved again, because files of the result are damaged or missing: a"
         assert not told
         assert again[1] == first[1]
         read_study(saved)
@@ -309,7 +312,7 @@ with exclusive(Path(sys.argv[1])):
 """
 
 
-def test_a_second_batch_on_a_folder_is_refused_and_a_dead_one_is_taken_over(files, capsys):
+def test_a_folder_in_use_is_refused_and_the_folder_of_a_dead_batch_is_taken_over(files, capsys):
     out = files / "out"
     out.mkdir()
     (out / batch.UNFINISHED).mkdir()
@@ -321,8 +324,10 @@ def test_a_second_batch_on_a_folder_is_refused_and_a_dead_one_is_taken_over(file
     for more in ([], ["--resume"]):
         assert main(["batch", str(table), "out", "--jobs", "1", *more]) == 1
         said = capsys.readouterr().err
-        assert f"another batch, process {held.pid}, writes into this folder" in said
-    assert marks_in(out) == (mark,), "its mark and its work are left alone"
+        assert f"another batch (process {held.pid}) is using this folder" in said
+    assert marks_in(out) == (mark,), (
+        "the lock or the unfinished work of the running batch was removed"
+    )
     assert (out / batch.UNFINISHED).exists()
     held.kill()
     held.wait()
@@ -332,26 +337,26 @@ def test_a_second_batch_on_a_folder_is_refused_and_a_dead_one_is_taken_over(file
     assert mark.path.exists()
     assert main(["batch", str(table), "out", "--jobs", "1"]) == 0
     assert marks_in(out) == ()
-    # On another machine nobody can see whether it has ended.
+    # A process on another machine cannot be checked.
     there = out / mark.path.name.replace(f"@{mark.machine}.", "@elsewhere.")
     there.touch()
     assert main(["batch", str(table), "out", "--jobs", "1", "--resume"]) == 1
     said = capsys.readouterr().err
-    assert "on elsewhere, writes into this folder" in said
+    assert "on elsewhere) is using this folder" in said
     assert f"delete {there.name} in the" in said
     assert there.exists()
 
 
-def test_a_batch_of_a_process_is_refused_beside_another_of_it(tmp_path):
+def test_two_batches_of_one_process_on_a_folder_are_refused(tmp_path):
     with exclusive(tmp_path):
         again = exclusive(tmp_path)
-        with pytest.raises(HmrfError, match=r"another batch, process \d+, writes"), again:
+        with pytest.raises(HmrfError, match=r"another batch \(process \d+\) is using"), again:
             pass
         assert len(marks_in(tmp_path)) == 1
     assert marks_in(tmp_path) == ()
 
 
-def test_a_summary_has_no_formula_and_says_what_was_guessed(files):
+def test_a_summary_contains_no_formula_and_lists_guessed_values(files):
     (files / "=m.csv").write_text("label,name\n1,brain\n2,colon\n")
     table = write_table(files, "x,image.tif", "y,image.tif,-4", more=",amount:rim")
     table.write_text(table.read_text().replace("m.csv", "=m.csv"))
@@ -360,7 +365,7 @@ def test_a_summary_has_no_formula_and_says_what_was_guessed(files):
     assert rows["x"]["state"] == "done"
     assert rows["x"]["notes"].startswith("'=m.csv: the table only names its labels, so published")
     assert "no stiffness is known for 2 (colon)" in rows["x"]["notes"]
-    assert rows["y"]["amount:rim"] == "-4", "a number stays a number"
+    assert rows["y"]["amount:rim"] == "-4", "a number was written as text"
 
 
 ENDLESS = """
@@ -372,8 +377,8 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
-def test_a_batch_that_is_killed_is_resumed_where_it_was(files):
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+def test_a_killed_batch_is_resumed_without_solving_finished_cases_again(files):
     write_table(files, f"a,image.tif,{';'.join(map(str, range(1, 13)))}", more=",poisson")
     table = (files / "cases.csv").read_text().replace(";", ";0.0")
     (files / "cases.csv").write_text(table.replace(",1;", ",0.01;"))
@@ -394,8 +399,8 @@ def test_a_batch_that_is_killed_is_resumed_where_it_was(files):
     assert all(moved(files / "out", name) == pytest.approx(2) for name in rows)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
-def test_a_process_that_ends_takes_one_case_with_it(files):
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+def test_a_killed_worker_process_fails_only_its_case(files):
     table = write_table(files, "a,image.tif,1;2;3;4", more=",amount:rim")
     killed = []
 
@@ -411,7 +416,7 @@ def test_a_process_that_ends_takes_one_case_with_it(files):
     assert f"was ended by {signal.Signals.SIGKILL.name}" in failed.error
 
 
-def test_a_batch_that_is_interrupted_says_so_and_what_is_not_done(files, monkeypatch, capsys):
+def test_an_interrupted_batch_lists_unsolved_cases(files, monkeypatch, capsys):
     def interrupt(_):
         raise KeyboardInterrupt
 
@@ -425,7 +430,7 @@ def test_a_batch_that_is_interrupted_says_so_and_what_is_not_done(files, monkeyp
     assert not (files / "out" / batch.UNFINISHED).exists()
 
 
-def test_how_far_a_batch_is_is_said_in_words():
+def test_the_progress_of_a_batch_is_a_readable_text():
     assert batch.BatchProgress(0, 0, 9).words == "0 of 9 cases"
     assert batch.BatchProgress(1, 0, 1).words == "1 of 1 case"
     assert batch.BatchProgress(5, 1, 9, 42.0).words == "6 of 9 cases, 1 failed, about 42 s left"
@@ -433,7 +438,7 @@ def test_how_far_a_batch_is_is_said_in_words():
     assert batch.BatchProgress(5, 0, 9, 36000.0).words == "5 of 9 cases, about 10 h left"
 
 
-def test_without_dask_a_scheduler_is_refused(files, monkeypatch):
+def test_a_scheduler_without_dask_is_refused(files, monkeypatch):
     table = write_table(files, "a,image.tif")
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(

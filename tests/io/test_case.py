@@ -1,4 +1,4 @@
-"""A case is solved from files in the shell, as it would be from arrays."""
+"""Tests of cases, which are solved from files in the shell."""
 
 import os
 import re
@@ -47,7 +47,10 @@ PLACE = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), TURN)
 
 @pytest.fixture
 def files(tmp_path):
-    """A scan of three slices with labels, tables and a painted boundary."""
+    """Write a scan of three slices with labels, tables and a painted boundary.
+
+    Return the folder and the arrays of scan, labels and rim.
+    """
     scan = np.random.default_rng(1).integers(1, 200, (3, *SHAPE), dtype=np.int16)
     labels = np.ones(SHAPE, np.uint8)
     labels[10:20, 12:24] = 2
@@ -67,7 +70,7 @@ def case(folder, **more):
     return Case(image=folder / "scan.nii.gz", slice=1, **more)
 
 
-def test_tables_are_read_as_spreadsheets_write_them(files):
+def test_tables_saved_by_a_spreadsheet_are_read(files):
     folder, *_ = files
     assert read_materials(folder / "m.csv") == (
         Material(1, "brain", 3.0, 0.49),
@@ -91,7 +94,7 @@ def test_tables_are_read_as_spreadsheets_write_them(files):
         ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label is 'x'\. Give a whole"),
         ("label,stiffness\n1,\n", r"t\.csv: line 2 has no value in 'stiffness'"),
         ("label,stiffness\n1,0\n", r"t\.csv has no stiffness above 0"),
-        ("label,stiffness\n", r"t\.csv has no line below the column titles"),
+        ("label,stiffness\n", r"t\.csv has no lines below the column titles"),
         ("label,stiffness\n\n1,3\n\n1,4\n", r"t\.csv: line 5: label 1 occurs twice"),
         ("label,stiffness\n1,3,4\n", r"t\.csv: line 2 has more cells than there are columns"),
         ("label;stiffness\n1;3\n", r"t\.csv: line 1: the cells are separated by semicolons"),
@@ -105,13 +108,13 @@ def test_tables_are_read_as_spreadsheets_write_them(files):
         ),
     ],
 )
-def test_what_is_wrong_with_a_table_is_said_by_its_line(tmp_path, text, sentence):
+def test_an_error_in_a_table_of_materials_names_its_line(tmp_path, text, sentence):
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(FileFormatError, match=sentence):
         read_materials(tmp_path / "t.csv")
 
 
-def test_the_shell_takes_growth_pressure_and_large_motion(tmp_path, capsys):
+def test_the_shell_solves_growth_pressure_and_large_motion(tmp_path, capsys):
     labels, paint = np.ones((24, 24), np.uint8), np.zeros((24, 24), np.uint8)
     labels[8:16, 8:16], paint[-1], paint[0, 6:18] = 2, 1, 2
     write_image(tmp_path / "labels.png", ImageFile(labels))
@@ -128,11 +131,11 @@ def test_the_shell_takes_growth_pressure_and_large_motion(tmp_path, capsys):
     study, solution = read_study(tmp_path / "out" / "labels.study")
     assert study.model_name == "large motion"
     assert study.tissue.materials[1].growth == (0.0, 0.4)
-    assert solution.displacement[0, 12, 0] > 1  # pressed downwards
+    assert solution.displacement[0, 12, 0] > 1  # The pressure pushes the tissue down.
     assert solution.reach.least_jacobian > 0
 
 
-def test_a_pressed_label_without_a_surface_is_named(files, capsys, monkeypatch):
+def test_a_pressed_label_without_a_surface_is_refused_by_name(files, capsys, monkeypatch):
     folder, *_ = files
     monkeypatch.chdir(folder)
     paint = np.zeros(SHAPE, np.uint8)
@@ -147,7 +150,7 @@ def test_a_pressed_label_without_a_surface_is_named(files, capsys, monkeypatch):
     )
 
 
-def test_the_shell_solves_what_python_would(files, capsys):
+def test_the_shell_and_python_give_the_same_field(files, capsys):
     folder, scan, labels, rim = files
     out = folder / "out"
     command = ["solve", folder / "scan.nii.gz", "--slice", 1, "--labels", folder / "labels.png"]
@@ -170,13 +173,13 @@ def test_the_shell_solves_what_python_would(files, capsys):
     assert main(["replay", str(out / "scan.study")]) == 0
 
 
-def test_a_slice_knows_its_number_and_is_exported_where_it_lies_in_the_volume(files):
+def test_a_slice_stores_its_number_and_is_exported_at_its_place_in_the_volume(files):
     folder, *_ = files
     before = read_case(case(folder, hold_edge=True))
     assert before.grid.place.index == (1, 0, 0)
     pull = Drawing((Arrow((12, 14), (1.0, 2.0), 2.0),))
     before = replace(before, motion=replace(before.motion, drawing=pull))
-    # Saved without a field: what is solved afterwards lies in the same place.
+    # Saved without a field: a later solution lies in the same place.
     study = read_study(write_study(folder / "a.study", before)).study
     assert study.grid.place.index == (1, 0, 0)
     path = write_study(folder / "b.study", study, solve_study(study, backend="cpu"))
@@ -189,7 +192,7 @@ def test_a_slice_knows_its_number_and_is_exported_where_it_lies_in_the_volume(fi
     assert field.GetSpacing() == pytest.approx(volume.GetSpacing())
 
 
-def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
+def test_a_slice_of_a_stack_without_a_place_stores_its_number(tmp_path):
     stack = np.random.default_rng(0).integers(1, 200, (4, *SHAPE), dtype=np.uint8)
     write_image(tmp_path / "stack.tif", ImageFile(stack))
     write_image(tmp_path / "pulled.tif", ImageFile((np.indices(SHAPE)[0] == 9).astype(np.uint8)))
@@ -199,7 +202,9 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
     assert read_case(given).grid.place.index == (2, 0, 0)
     saved = solve_case(given, tmp_path / "out", backend="cpu")
     assert place_of(saved.solution).origin == (0, 0, 2)
-    assert (tmp_path / "out" / "stack deformed.tif").exists(), "which takes no SimpleITK"
+    assert (tmp_path / "out" / "stack deformed.tif").exists(), (
+        "the deformed stack was not written; it requires no SimpleITK"
+    )
 
 
 @pytest.mark.parametrize(
@@ -226,11 +231,11 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
         ),
         (
             "label,action,row,col\n1,move,3,\n",
-            r"line 2: move has no value in 'col'\. Give 0 for no motion",
+            r"line 2: move has no value in 'col'\. Give 0 if it has no",
         ),
         (
             "label,action,amount\n1,fixed,3\n",
-            r"line 2: amount has no effect on fixed, which uses no length\. Leave the cell empty",
+            r"line 2: amount has no effect on fixed, which does not use a length\.",
         ),
         (
             "label,action,row,col,amount\n1,move,1,0,3\n",
@@ -248,13 +253,13 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
         ("label,action,dx\n1,move,1\n", r"there is no column 'dx'\. Did you mean 'col'\?"),
     ],
 )
-def test_what_is_wrong_with_rules_is_said_by_their_line(tmp_path, text, sentence):
+def test_an_error_in_a_table_of_rules_names_its_line(tmp_path, text, sentence):
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(FileFormatError, match=sentence):
         read_rules(tmp_path / "t.csv")
 
 
-def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(tmp_path):
+def test_unused_columns_of_a_rule_may_contain_their_defaults(tmp_path):
     (tmp_path / "t.csv").write_text("label,action,row,col,amount,confidence\n1,press,0,0,3,1\n")
     assert read_rules(tmp_path / "t.csv") == (BoundaryRule(1, "press", amount=3.0),)
 
@@ -263,30 +268,36 @@ def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(t
     ("options", "sentence"),
     [
         ("", "no motion of the tissue is given. Give a --boundary that moves"),
-        ("--hold-edge --materials m.csv", "--materials is for the tissues of --labels or --maps"),
+        ("--hold-edge --materials m.csv", "--materials requires --labels or --maps"),
         ("--hold-edge --labels labels.png --maps rim.png", "--labels cannot be used with --maps"),
-        ("--hold-edge --rules r.csv", "--rules is for a --boundary that is an image of labels"),
-        ("--boundary pairs.csv --rules r.csv", "--rules is for a --boundary that is an image of"),
-        ("--hold-edge --confidence edges", "--confidence is for a --boundary that is a field"),
-        ("--hold-edge --slice 1", "--slice is for volumes, and rim.png is not"),
-        ("--boundary labels.png", "If it is an image of labels, give --rules, too."),
+        ("--hold-edge --rules r.csv", "--rules requires a --boundary that is a label image"),
+        (
+            "--boundary pairs.csv --rules r.csv",
+            "--rules requires a --boundary that is a label image",
+        ),
+        ("--hold-edge --confidence edges", "--confidence requires a --boundary that is a field"),
+        ("--hold-edge --slice 1", "--slice requires a volume, but rim.png is not"),
+        ("--boundary labels.png", "If it is a label image, also give --rules."),
         ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing determines how"),
         ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but the"),
-        ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image with one"),
-        ("--boundary none.csv", "none.csv: holds no active landmarks. Give at least one"),
-        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Keep one per"),
-        ("--hold-edge --labels complex.tif", "complex.tif: an image of complex64 values. Give an"),
-        ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Give them in"),
+        ("--hold-edge --labels colours.png", "colours.png: has colours. Give an image with one"),
+        ("--boundary none.csv", "none.csv: contains no active landmarks. Give at least one"),
+        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Remove one"),
+        (
+            "--hold-edge --labels complex.tif",
+            "complex.tif: the image has complex64 values. Give an",
+        ),
+        ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Check that"),
         ("--hold-edge --labels gone.png", "gone.png: there is no such file or folder. Check its"),
         (
             "--hold-edge --labels .",
-            "the folder holds no DICOM file. Give a folder with one series.",
+            "the folder contains no DICOM file. Give a folder with one series.",
         ),
         ("--hold-edge --labels labels.png --materials .", "it is a folder. Name a file in it."),
-        ("--hold-edge --labels empty.png", "it is empty. Images end in .png"),
+        ("--hold-edge --labels empty.png", "it is empty. Supported suffixes are .png"),
     ],
 )
-def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
+def test_options_without_effect_and_unsuitable_files_are_refused_in_the_shell(
     files, capsys, monkeypatch, options, sentence
 ):
     folder, *_ = files
@@ -306,7 +317,7 @@ def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
     assert not (folder / "out").exists() or "0 everywhere" in sentence
 
 
-def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files, capsys):
+def test_options_that_a_study_contains_are_refused_and_guesses_cause_a_note(files, capsys):
     folder, *_ = files
     command = ["solve", folder / "rim.png", "--labels", folder / "rim.png", "--hold-edge"]
     (folder / "part.csv").write_text("label,stiffness\n0,3\n1,3\n")
@@ -317,7 +328,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     assert "note: label 2 of 'rim.png' is not in the table and got stiffness 3" in said
     study = str(folder / "out" / "rim.study")
     assert main(["solve", study, "-o", str(folder / "out"), "--hold-edge", "--model", "paper"]) == 1
-    assert "Leave out --hold-edge, --model, or give the image" in capsys.readouterr().err
+    assert "Leave out --hold-edge, --model, or give an image" in capsys.readouterr().err
     assert main(["replay", study, "--image", str(folder / "rim.png")]) == 1
     assert "rim.study contains its own image. Leave out --image." in capsys.readouterr().err
     assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
@@ -347,7 +358,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
         (("replay", "gone.study"), "gone.study: there is no such file or folder. Check its name."),
     ],
 )
-def test_what_the_system_says_of_files_is_said_plainly(
+def test_file_system_errors_are_reported_in_plain_sentences(
     files, capsys, monkeypatch, command, sentence
 ):
     folder, *_ = files
@@ -360,7 +371,7 @@ def test_what_the_system_says_of_files_is_said_plainly(
     assert "Errno" not in said
 
 
-def test_a_mask_is_labels_and_of_what_folds_the_shell_says_so(files, capsys):
+def test_a_mask_is_read_as_labels_and_folds_cause_a_note(files, capsys):
     folder, _, labels, _ = files
     write_image(folder / "mask.tif", ImageFile(labels > 1))
     (folder / "m01.csv").write_text("label,stiffness\n0,3\n1,9\n")
@@ -369,29 +380,29 @@ def test_a_mask_is_labels_and_of_what_folds_the_shell_says_so(files, capsys):
     here = [str(folder / each) if "." in each else each for each in command.split()[:-1]]
     assert main([*here, str(folder / "out"), "--hold-edge", "--backend", "cpu"]) == 0
     said = capsys.readouterr().out
-    assert re.search("note: the tissue folds over itself at [1-9][0-9]* pixels, which no", said)
+    assert re.search("note: the tissue folds over itself at [1-9][0-9]* pixels, which is", said)
     study, _ = read_study(folder / "out" / "rim.study")
     np.testing.assert_array_equal(study.tissue.labels, labels > 1)
 
 
-def test_maps_of_how_likely_tissues_are_say_where_they_are(files):
+def test_probability_maps_determine_the_labels(files):
     folder, *_ = files
     maps = np.zeros((2, 3, *SHAPE), np.uint8)
     maps[0, :, :20], maps[1, :, 15:] = 200, 255
-    maps[0, :, :, :5] = 90  # less likely than none of them
-    maps[:, :, 10:, -5:] = np.reshape((100, 110), (2, 1, 1, 1))  # where tissues meet
+    maps[0, :, :, :5] = 90  # Less likely than no tissue.
+    maps[:, :, 10:, -5:] = np.reshape((100, 110), (2, 1, 1, 1))  # Two tissues meet here.
     paths = [folder / "gm.nii.gz", folder / "wm.nii.gz"]
     for path, values in zip(paths, maps, strict=True):
         write_image(path, ImageFile(values, PLACE))
     labels = read_case(case(folder, maps=paths, hold_edge=True)).tissue.labels
     assert set(np.unique(labels[:10, 5:])) == {1}
     assert set(np.unique(labels[15:])) == {2}
-    assert set(np.unique(labels[10:, -5:])) == {2}, "no hole where tissues meet"
+    assert set(np.unique(labels[10:, -5:])) == {2}, "there is a hole where two tissues meet"
     assert set(np.unique(labels[:10, :5])) == {0}
 
 
-def test_a_tumour_grows_in_a_head_by_the_shell_alone_as_simpleitk_sees_it(tmp_path, capsys):
-    """A stand-in for the MRI of `python benchmarks/mri.py`, with its rows from back to front."""
+def test_a_tumour_in_a_head_grows_in_the_shell_as_in_simpleitk(tmp_path, capsys):
+    """Test the steps of `python benchmarks/mri.py` on a small stand-in for the MRI."""
     rows, cols = np.indices((90, 80))
     share = np.hypot((rows - 45) / 36, (cols - 40) / 30)
     planes = [share < 1, (share < 0.75) & (abs(cols - 40) > 3)]
@@ -405,14 +416,14 @@ def test_a_tumour_grows_in_a_head_by_the_shell_alone_as_simpleitk_sees_it(tmp_pa
     assert mri.main([str(tmp_path), "--slice", "1", "--size", "8", "-o", str(out)]) == 0
     said = capsys.readouterr().out
     assert "other slices change by at most 0\n" in said
-    assert "bit by bit the same field" in said
+    assert "the fields are identical, bit by bit" in said
     assert "moved by up to 3.00 mm" in said
     assert {"t1.study", "field.mha", "measured.csv", "tumour.png"} <= set(os.listdir(out))
 
 
-def test_landmarks_lead_tissue_where_the_patient_has_them(files):
+def test_landmarks_in_physical_units_move_the_tissue(files):
     folder, *_ = files
-    # BigWarp's points are in the images' units, from the first pixel on.
+    # BigWarp's points are in the unit of the image, relative to the first pixel.
     local = [np.array(each) * PLACE.spacing for each in ([[1.0, 10, 12]], [[1.0, 11, 13]])]
     write_points(folder / "pairs.csv", *local)
     study = read_case(case(folder, boundary=folder / "pairs.csv", hold_edge=True))
@@ -422,7 +433,7 @@ def test_landmarks_lead_tissue_where_the_patient_has_them(files):
     assert mark == Drawing((Landmark(mark.source, mark.target, radius),)).marks[0]
 
 
-def test_a_registration_s_field_is_observed_where_the_image_has_edges(files):
+def test_a_registration_field_is_observed_at_the_edges_of_the_image(files):
     folder, scan, *_ = files
     d = np.zeros((*SHAPE, 2))
     d[..., 1] = np.sin(np.linspace(0, np.pi, SHAPE[0]))[:, None]
@@ -436,9 +447,9 @@ def test_a_registration_s_field_is_observed_where_the_image_has_edges(files):
     assert 0.05 < counts.mean() < 0.15
 
 
-def test_a_volume_s_field_is_observed_on_the_slice_that_is_solved(files):
+def test_a_field_of_a_volume_is_observed_on_the_solved_slice(files):
     folder, *_ = files
-    # A field on other voxels of the same place: it grows from slice to slice.
+    # The field has other voxels at the same place and grows from slice to slice.
     other = Place((2.0, 1.0, 1.0), PLACE.origin, PLACE.direction)
     d = np.zeros((3, 18, 30, 3))
     d[..., 1] = 0.5 * np.arange(3)[:, None, None]
@@ -457,7 +468,7 @@ def test_a_volume_s_field_is_observed_on_the_slice_that_is_solved(files):
         read_case(case(folder, boundary=folder / "far" / "Warp.mha"))
 
 
-def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
+def test_a_field_in_millimetres_moves_an_image_without_unit_in_pixels(tmp_path):
     d = np.zeros((*SHAPE, 2))
     d[..., 0], d[..., 1] = 1.0, -0.5
     for name, size in (("photo.png", 1.0), ("scan.mha", 0.5)):
@@ -466,7 +477,7 @@ def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
     write_field(tmp_path / "mm.mha", d, spacing=(0.5, 0.25), forward=True)
     study = read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "mm.mha"))
     np.testing.assert_allclose(study.motion.observed, np.broadcast_to((2.0, -2.0), d.shape))
-    # Where both have millimetres it counts where they lie: the field has half of the columns.
+    # If both have millimetres, their places count: the field covers half of the columns.
     study = read_case(Case(tmp_path / "scan.mha", boundary=tmp_path / "mm.mha"))
     known = study.motion.confidence > 0
     assert known[:, :18].all()
@@ -479,7 +490,7 @@ def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
         read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "small.mha"))
 
 
-def test_a_field_of_a_picture_moves_a_scan_of_its_pixels(tmp_path):
+def test_a_field_of_a_picture_moves_a_scan_with_the_same_pixels(tmp_path):
     pull = Drawing((Arrow((12, 14), (1.0, 2.0), 2.0),))
     grid, motion = Grid(SHAPE, (1.0, 1.0)), Motion(hold_edge=True, drawing=pull)
     study = Study(grid, Tissue(stiffness=np.ones(SHAPE)), motion)
@@ -491,15 +502,15 @@ def test_a_field_of_a_picture_moves_a_scan_of_its_pixels(tmp_path):
     np.testing.assert_allclose(observed, 0.5 * solution.displacement, atol=1e-5)
 
 
-def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsys):
+def test_an_image_of_the_same_size_at_another_place_is_refused(files, capsys):
     folder, scan, *_ = files
     far = PLACE._replace(origin=(0.0, 0.0, 0.0))
     write_image(folder / "far.nii.gz", ImageFile(np.ones(scan.shape, np.uint8), far))
-    with pytest.raises(ProblemError, match=r"far\.nii\.gz: lies elsewhere than the image"):
+    with pytest.raises(ProblemError, match=r"far\.nii\.gz: is not in the same place as the image"):
         read_case(case(folder, labels=folder / "far.nii.gz"))
     write_field(folder / "f.mha", np.zeros((*scan.shape, 3)), **PLACE._asdict())
     assert main(["apply", *(str(folder / each) for each in ("f.mha", "far.nii.gz"))]) == 1
-    assert "far.nii.gz: lies elsewhere than the field" in capsys.readouterr().err
+    assert "far.nii.gz: is not in the same place as the field" in capsys.readouterr().err
     how = {"boundary": folder / "rim.png", "rules": folder / "r.csv"}
     saved = solve_case(case(folder, hold_edge=True, **how), folder / "out", backend="cpu")
     assert saved.study.grid.unit == "millimeter"
@@ -507,11 +518,13 @@ def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsy
     write_image(folder / "flat.nrrd", labels)
     study = folder / "out" / "scan.study"
     assert main(["measure", str(study), "--labels", str(folder / "flat.nrrd")]) == 1
-    assert "flat.nrrd: lies elsewhere than the field" in capsys.readouterr().err
+    assert "flat.nrrd: is not in the same place as the field" in capsys.readouterr().err
 
 
-def test_a_field_moves_a_slice_of_a_volume_that_was_cut_from_the_side(tmp_path):
-    side = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # as sagittal scans lie
+def test_a_field_moves_a_sagittal_slice_of_a_volume(tmp_path):
+    side = np.array(
+        [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    )  # The directions of a sagittal scan.
     place = Place((2.0, 0.5, 0.7), (3.0, 4.0, 5.0), side)
     write_image(tmp_path / "side.mha", ImageFile(np.ones((4, *SHAPE), np.uint8), place))
     d = np.zeros((4, *SHAPE, 3))
@@ -523,7 +536,7 @@ def test_a_field_moves_a_slice_of_a_volume_that_was_cut_from_the_side(tmp_path):
     np.testing.assert_allclose(study.motion.observed, d[2, ..., 1:], atol=1e-6)
 
 
-def test_an_edge_is_where_the_image_is_steep():
+def test_edge_confidence_is_set_at_steps_of_the_image():
     image = np.zeros((40, 40), np.uint8)
     image[:, 20:] = 100
     assert set(np.flatnonzero(edge_confidence(image).any(axis=0))) == {18, 19, 20, 21}
@@ -534,10 +547,10 @@ def test_an_edge_is_where_the_image_is_steep():
     [
         ({"slice": 3}, r"scan\.nii\.gz: is a volume of 3 slices\. Give --slice 0 to 2"),
         ({"labels": "small.png"}, r"small\.png: is 4 x 5, but the image is 30 x 36"),
-        ({"boundary": "one.csv"}, r"one\.csv: holds landmarks without target positions"),
+        ({"boundary": "one.csv"}, r"one\.csv: contains landmarks without target positions"),
     ],
 )
-def test_what_does_not_fit_is_said_by_the_file_s_name(files, more, sentence):
+def test_an_unsuitable_file_is_refused_by_name(files, more, sentence):
     folder, *_ = files
     write_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
     write_points(folder / "one.csv", np.ones((2, 2)))

@@ -1,4 +1,4 @@
-"""Comma-separated tables: formulas are written as text, and unknown columns are named."""
+"""Tests of comma-separated tables: formulas, titles and unknown columns."""
 
 import csv
 
@@ -16,7 +16,9 @@ def test_text_that_looks_like_a_formula_is_written_as_text_and_read_back(tmp_pat
         titles, written = csv.reader(file)
     assert titles[0] == "'=title"
     assert written[:4] == ["'=1+2", "'+x", "'-brain", "'@SUM(A1)"]
-    assert written[5:] == ["'quoted", "plain", "-0.5", "-0.5", "3", ""], "numbers stay numbers"
+    assert written[5:] == ["'quoted", "plain", "-0.5", "-0.5", "3", ""], (
+        "a number was written as text"
+    )
     (_, titles), (_, cells) = read_cells(path, 1000)
     assert titles[0] == "=title"
     assert cells == ["" if cell is None else str(cell) for cell in CELLS]
@@ -36,5 +38,5 @@ def test_the_first_line_with_text_names_the_columns(tmp_path):
     ("word", "near"),
     [("stiffnes", "stiffness"), ("Young's_modulus", "stiffness"), ("xyz", None)],
 )
-def test_the_nearest_known_word_is_found_by_its_letters_or_its_meaning(word, near):
+def test_a_misspelt_word_is_matched_by_its_letters_or_its_meaning(word, near):
     assert nearest_word(word, ["label", "stiffness"], {"young's modulus": "stiffness"}) == near

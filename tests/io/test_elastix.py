@@ -1,4 +1,4 @@
-"""elastix' transformix moves images by our files, and we read its. Only where itk-elastix is."""
+"""Tests of exchanged fields with transformix, run if itk-elastix is installed."""
 
 import numpy as np
 import pytest
@@ -8,11 +8,11 @@ from tests.support.exchanged_fields import PLACES, FieldCase, check_field_file, 
 
 itk = pytest.importorskip("itk")
 if not hasattr(itk, "TransformixFilter"):
-    pytest.skip("itk is there without elastix", allow_module_level=True)
+    pytest.skip("itk is installed without elastix", allow_module_level=True)
 
 
 def transformix(case, field, image, folder, suffix="mha"):
-    """Move an image by a file of vectors, and write the field of that motion."""
+    """Move an image by a file of vectors, write the field of that motion and return the image."""
     size = [str(count) for count in (*case.shape[::-1], 1)[: case.axes]]
     parameters = itk.ParameterObject.New()
     parameters.AddParameterMap(
@@ -50,7 +50,7 @@ def transformix(case, field, image, folder, suffix="mha"):
 
 
 def picture(case, axis, folder):
-    """A file of where each pixel lies along an axis."""
+    """Write an image of the position of each pixel along an axis, and return its path."""
     path = folder / f"picture-{axis}.mha"
     sitk.WriteImage(case.image(case.sites[..., axis].astype(np.float32)), str(path))
     return path
@@ -58,7 +58,7 @@ def picture(case, axis, folder):
 
 @pytest.mark.parametrize("suffix", ["nii", "nii.gz", "mha", "nrrd"])
 @pytest.mark.parametrize("name", PLACES)
-def test_a_deformation_field_that_transformix_wrote_is_read(name, suffix, tmp_path):
+def test_a_deformation_field_written_by_transformix_is_read(name, suffix, tmp_path):
     case, field = FieldCase(name), tmp_path / "given.mha"
     sitk.WriteImage(case.vectors(np.float32), str(field))
     transformix(case, field, picture(case, 0, tmp_path), tmp_path, suffix)
@@ -67,7 +67,7 @@ def test_a_deformation_field_that_transformix_wrote_is_read(name, suffix, tmp_pa
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".mha", ".nrrd"])
 @pytest.mark.parametrize("name", PLACES)
-def test_transformix_moves_an_image_as_the_tissue_moves(name, suffix, tmp_path):
+def test_transformix_moves_an_image_like_the_tissue(name, suffix, tmp_path):
     case, path = FieldCase(name), tmp_path / f"field{suffix}"
     case.write(path)
     back = inverse_displacement(case.displacement, spacing=tuple(case.size)).displacement

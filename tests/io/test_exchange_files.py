@@ -1,4 +1,4 @@
-"""Damaged exchange files are refused, whatever they do to the libraries that decode them."""
+"""Tests of damaged exchange files and of the process that decodes them."""
 
 import gzip
 import os
@@ -26,7 +26,7 @@ sitk = pytest.importorskip("SimpleITK")
 
 
 def heap_objects(content):
-    """Offsets of the objects in an HDF5 file's global heap, which holds its texts."""
+    """Yield the offset of each object in the global heap of an HDF5 file."""
     start = content.index(b"GCOL")
     at, end = start + 16, start + struct.unpack_from("<Q", content, start + 8)[0]
     while at < end and struct.unpack_from("<H", content, at)[0]:
@@ -34,8 +34,8 @@ def heap_objects(content):
         at += 16 + -(-struct.unpack_from("<Q", content, at + 8)[0] // 8) * 8
 
 
-def endless(path):
-    """A transform whose texts have no end: HDF5 reads them for ever."""
+def make_endless_transform(path):
+    """Write a transform whose text objects have length 0, so that HDF5 reads without end."""
     make_foreign(path)
     content = bytearray(path.read_bytes())
     at = next(heap_objects(content))
@@ -43,8 +43,8 @@ def endless(path):
     path.write_bytes(content)
 
 
-def crashing(path):
-    """A transform whose name is longer than any file."""
+def make_crashing_transform(path):
+    """Write a transform whose name claims to be longer than any file."""
     make_foreign(path)
     content = bytearray(path.read_bytes())
     at = list(heap_objects(content))[-1]
@@ -55,11 +55,11 @@ def crashing(path):
 @pytest.fixture
 def hanging(tmp_path):
     path = tmp_path / "hanging.h5"
-    endless(path)
+    make_endless_transform(path)
     return path
 
 
-def test_a_file_that_is_read_for_ever_is_refused_and_the_next_is_read(hanging, tmp_path):
+def test_a_file_that_is_read_without_end_is_refused_and_the_next_file_is_read(hanging, tmp_path):
     make_foreign(tmp_path / "good.h5")
     good, me = read_all(tmp_path / "good.h5"), psutil.Process()
     before = me.memory_info().rss
@@ -69,23 +69,23 @@ def test_a_file_that_is_read_for_ever_is_refused_and_the_next_is_read(hanging, t
     assert me.memory_info().rss - before < 20e6
 
 
-def test_a_file_that_is_read_for_ever_is_tried_once(hanging, monkeypatch):
+def test_a_file_that_is_read_without_end_is_tried_only_once(hanging, monkeypatch):
     with pytest.raises(FileFormatError):
         read_field(hanging)
     monkeypatch.setattr(decoder, "_send_request", None)
     for _ in range(2):
-        assert is_field_file(hanging), "reading it says what is wrong"
+        assert is_field_file(hanging), "the file is not recognised, so no reader reports the damage"
         with pytest.raises(FileFormatError, match="did not finish"):
             read_field(hanging)
 
 
 def test_a_file_that_crashes_its_decoder_is_refused(tmp_path):
-    crashing(tmp_path / "a.h5")
+    make_crashing_transform(tmp_path / "a.h5")
     with pytest.raises(FileFormatError, match=r"a\.h5: not a displacement field that can be read"):
         read_field(tmp_path / "a.h5")
 
 
-def test_the_shell_says_which_file_is_damaged(hanging, tmp_path, capsys):
+def test_the_shell_names_a_damaged_file(hanging, tmp_path, capsys):
     write_image(tmp_path / "image.png", ImageFile(np.ones((20, 24), np.uint8)))
     image, out = str(tmp_path / "image.png"), str(tmp_path / "out")
     for words in (
@@ -96,16 +96,16 @@ def test_the_shell_says_which_file_is_damaged(hanging, tmp_path, capsys):
         assert "hanging.h5: not a displacement field" in capsys.readouterr().err
 
 
-def test_the_window_s_reader_says_that_a_file_is_damaged(hanging):
+def test_the_reader_of_the_window_reports_a_damaged_file(hanging):
     read = open_scan(str(hanging))
     assert read is not None
     with pytest.raises(FileFormatError, match=r"hanging\.h5: not a displacement field"):
         read(str(hanging))
 
 
-def test_a_device_or_a_pipe_is_no_field_or_image(tmp_path):
+def test_a_device_or_a_pipe_is_refused_as_a_field_or_an_image(tmp_path):
     if os.name != "posix":
-        pytest.skip("POSIX alone has FIFOs with names")
+        pytest.skip("needs named pipes (POSIX)")
     os.mkfifo(tmp_path / "a.mha")
     os.symlink("/dev/zero", tmp_path / "b.h5")
     for name in ("a.mha", "b.h5"):
@@ -115,7 +115,7 @@ def test_a_device_or_a_pipe_is_no_field_or_image(tmp_path):
         assert not is_field_file(tmp_path / name)
 
 
-#: Decoders that behave in one way, after they have said that they are ready.
+#: First lines of a decoder that reports that it is ready.
 READY = """
 import json, os, sys, time
 sys.stdin.buffer.readline()
@@ -135,8 +135,8 @@ ANSWER = 'sys.stdin.buffer.readline(); print("{\\"refused\\": \\"fine\\"}", flus
         ("sys.stdin.buffer.readline(); os.abort()", "crashes"),
         ("sys.stdin.buffer.readline(); os._exit(0)", "crashes"),
         ("while True: pass", "did not finish"),
-        ("sys.stdin.buffer.readline(); kept = b'a' * 2**28; time.sleep(99)", "more memory"),
-        ("time.sleep(99)", "does not answer"),
+        ("sys.stdin.buffer.readline(); kept = b'a' * 2**28; time.sleep(99)", "too much memory"),
+        ("time.sleep(99)", "does not respond"),
         (CLAIM, "claims more pixels"),
         (ANSWER, "fine"),
     ],
@@ -157,7 +157,7 @@ def test_a_decoder_that_fails_gives_a_reason(program, reason, tmp_path, monkeypa
     process.kill()
 
 
-def test_a_request_that_meets_an_idle_decoder_s_exit_is_sent_again(tmp_path, monkeypatch):
+def test_a_request_to_an_exiting_idle_decoder_is_sent_again(tmp_path, monkeypatch):
     script, file, other = tmp_path / "decoder.py", tmp_path / "file", tmp_path / "other"
     script.write_text(READY + ANSWER + "sys.stdin.buffer.readline()")
     file.write_bytes(b"some")
@@ -187,8 +187,8 @@ assert "SimpleITK" not in sys.modules, "100 MB of memory, and no protection"
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
-def test_a_fork_has_a_decoder_of_its_own_and_neither_loads_simpleitk(tmp_path):
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
+def test_a_forked_process_starts_its_own_decoder_and_loads_no_simpleitk(tmp_path):
     folders = [os.path.dirname(sys.modules["damaged_fields"].__file__), *sys.path]
     subprocess.run(
         [sys.executable, "-W", "ignore", "-c", FORKED, str(tmp_path / "a.h5")],
@@ -207,7 +207,7 @@ def packed(path, content):
 
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
-def test_a_flipped_bit_anywhere_is_told(suffix, tmp_path):
+def test_a_flipped_bit_anywhere_in_a_field_file_is_detected(suffix, tmp_path):
     path = tmp_path / f"a{suffix}"
     make_field(path)
     content = unpacked(path)
@@ -221,7 +221,7 @@ def test_a_flipped_bit_anywhere_is_told(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
-def test_damaged_seals_are_no_missing_seals(suffix, tmp_path):
+def test_a_damaged_seal_differs_from_a_missing_seal(suffix, tmp_path):
     path = tmp_path / f"a{suffix}"
     make_field(path)
     content = unpacked(path)
@@ -233,12 +233,12 @@ def test_damaged_seals_are_no_missing_seals(suffix, tmp_path):
         assert changed != content
         other = tmp_path / f"{number}{suffix}"
         packed(other, changed)
-        with pytest.raises(FileFormatError, match="damaged, or was edited after it was written"):
+        with pytest.raises(FileFormatError, match="damaged, or was edited after the export"):
             read_field(other)
 
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
-def test_a_field_that_another_tool_changed_and_saved_is_read(suffix, tmp_path):
+def test_a_field_changed_and_saved_by_another_tool_is_read(suffix, tmp_path):
     path, other = tmp_path / f"a{suffix}", tmp_path / f"other{suffix}"
     case = FieldCase("3-D")
     case.write(path)
@@ -249,7 +249,7 @@ def test_a_field_that_another_tool_changed_and_saved_is_read(suffix, tmp_path):
         image = sitk.ReadImage(str(path), sitk.sitkVectorFloat32)
     halved = sitk.GetImageFromArray(sitk.GetArrayFromImage(image) / 2, isVector=True)
     halved.CopyInformation(image)
-    for key in image.GetMetaDataKeys():  # all that SimpleITK knows of the file
+    for key in image.GetMetaDataKeys():  # All metadata that SimpleITK read from the file.
         if "UNKNOWN" not in image.GetMetaData(key):
             halved.SetMetaData(key, image.GetMetaData(key))
     if suffix == ".h5":
@@ -260,7 +260,7 @@ def test_a_field_that_another_tool_changed_and_saved_is_read(suffix, tmp_path):
     np.testing.assert_allclose(after, before / 2, atol=1e-6)
 
 
-def test_what_the_disk_did_not_keep_replaces_no_field(tmp_path, monkeypatch):
+def test_a_field_that_was_stored_incompletely_replaces_no_file(tmp_path, monkeypatch):
     path = tmp_path / "a.nii.gz"
     make_field(path)
     before, write = path.read_bytes(), decoder.write
@@ -277,10 +277,12 @@ def test_what_the_disk_did_not_keep_replaces_no_field(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_program_without_a_python_says_so(tmp_path, monkeypatch):
+def test_an_application_without_a_python_interpreter_reports_the_missing_interpreter(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(sys, "frozen", True, raising=False)
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     monkeypatch.setattr(sys, "exec_prefix", str(tmp_path))
     (tmp_path / "file").write_bytes(b"some")
-    with pytest.raises(itk_files.HmrfError, match="no Python was found"):
+    with pytest.raises(itk_files.HmrfError, match="no Python interpreter was found"):
         DecoderProcess().decode(tmp_path / "file", "pixels")

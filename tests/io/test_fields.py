@@ -1,4 +1,4 @@
-"""Fields leave for other tools and come from them: what they do there is what tissue does here."""
+"""Tests of field files: other tools and this package interpret them alike."""
 
 import sys
 from dataclasses import replace
@@ -24,17 +24,17 @@ def case(request):
 
 
 def smooth(points):
-    """A picture without an edge, anywhere between its pixels."""
+    """Return a smooth picture, sampled at any points."""
     waves = (np.sin(0.21 * points[..., k] + k) for k in range(points.shape[-1]))
     return 100 * sum(waves)
 
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
-def test_simpleitk_moves_an_image_as_the_tissue_moves(case, suffix, tmp_path):
+def test_simpleitk_moves_an_image_like_the_tissue(case, suffix, tmp_path):
     path = tmp_path / f"field{suffix}"
     assert case.write(path) < 0.02
     back = inverse_displacement(case.displacement, spacing=tuple(case.size)).displacement
-    # Where each point that is seen came from is looked at through a picture of the places.
+    # An image of positions shows the origin of each resampled point.
     for axis in range(case.n):
         there = case.image(case.sites[..., axis])
         moved = sitk.Resample(there, there, transform_in(path), sitk.sitkLinear, np.nan)
@@ -43,7 +43,7 @@ def test_simpleitk_moves_an_image_as_the_tissue_moves(case, suffix, tmp_path):
         np.testing.assert_allclose(seen[inside(case)], expected[inside(case)], atol=2e-3)
 
 
-def test_what_simpleitk_brings_to_a_place_is_what_was_where_the_tissue_came_from(case, tmp_path):
+def test_simpleitk_maps_each_point_to_the_origin_of_its_tissue(case, tmp_path):
     path = tmp_path / "field.mha"
     case.write(path)
     transform, here = transform_in(path), case.image(np.zeros(case.shape))
@@ -57,7 +57,9 @@ def test_what_simpleitk_brings_to_a_place_is_what_was_where_the_tissue_came_from
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
 @pytest.mark.parametrize("forward", [False, True])
-def test_what_was_written_either_way_is_read_as_it_was_meant(case, suffix, forward, tmp_path):
+def test_a_forward_or_backward_field_is_read_in_the_direction_it_was_written(
+    case, suffix, forward, tmp_path
+):
     path = tmp_path / f"field{suffix}"
     if forward and suffix == ".h5":
         with pytest.raises(FileFormatError, match=r"field\.h5: this format does not store"):
@@ -65,10 +67,12 @@ def test_what_was_written_either_way_is_read_as_it_was_meant(case, suffix, forwa
         assert not path.exists()
         return
     case.write(path, forward=forward)
-    for told in (False, True) if suffix != ".h5" else (False,):  # what the file says is believed
+    for told in (
+        (False, True) if suffix != ".h5" else (False,)
+    ):  # The direction stored in the file takes precedence.
         field = read_field(path, forward=told)
         read = field.displacement
-        if case.axes > case.n:  # a slice of a volume; as NIfTI, three of them
+        if case.axes > case.n:  # A slice of a volume; three slices in NIfTI.
             read = read[len(read) // 2, ..., 1:]
         away = np.abs(read - case.displacement) / case.size
         assert away[inside(case)].max() < (1e-4 if forward else 0.02)
@@ -76,12 +80,12 @@ def test_what_was_written_either_way_is_read_as_it_was_meant(case, suffix, forwa
 
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES[:-1])
-def test_what_was_written_is_read_back(case, suffix, tmp_path):
+def test_a_forward_field_is_read_back_unchanged(case, suffix, tmp_path):
     path = tmp_path / f"field{suffix}"
     case.write(path, forward=True)
     field = read_field(path)
     read, size = field.displacement, case.size
-    if case.axes > case.n:  # a slice of a volume; as NIfTI, three of them
+    if case.axes > case.n:  # A slice of a volume; three slices in NIfTI.
         np.testing.assert_allclose(read[..., 0], 0, atol=1e-6)
         read = read[len(read) // 2, ..., 1:]
     np.testing.assert_allclose(read / size, case.displacement / size, atol=1e-4)
@@ -90,7 +94,7 @@ def test_what_was_written_is_read_back(case, suffix, tmp_path):
     assert field.residual == 0
 
 
-def test_a_field_that_leads_back_is_inverted_when_it_is_read(case, tmp_path):
+def test_a_backward_field_is_inverted_on_reading(case, tmp_path):
     path = tmp_path / "field.nrrd"
     case.write(path)
     field = read_field(path)
@@ -100,13 +104,13 @@ def test_a_field_that_leads_back_is_inverted_when_it_is_read(case, tmp_path):
     assert field.residual < 0.02
 
 
-def test_slicer_s_key_says_which_way_a_field_leads(tmp_path):
+def test_the_key_of_slicer_stores_the_direction_of_a_field(tmp_path):
     case = FieldCase("3-D")
     for forward, word in ((False, "resampling"), (True, "modeling")):
         path = tmp_path / f"{word}.nrrd"
         case.write(path, forward=forward)
         assert f"displacement field type:={word}".encode() in path.read_bytes()[:2000]
-        read = read_field(path).displacement  # believed, without being told
+        read = read_field(path).displacement  # The stored direction applies without an argument.
         assert np.abs((read - case.displacement) / case.size)[inside(case)].max() < 0.02
 
 
@@ -118,7 +122,7 @@ def test_forward_after_inverse_is_the_identity(case):
     assert away[inside(case)].max() < 0.01
 
 
-def test_a_gap_beside_what_stays_is_closed_by_its_rim():
+def test_a_gap_beside_static_tissue_is_interpolated_from_its_rim():
     shape, tissue = (12, 16), np.zeros((12, 16), bool)
     tissue[:, 4:12] = True
     d = np.zeros((*shape, 2))
@@ -126,8 +130,8 @@ def test_a_gap_beside_what_stays_is_closed_by_its_rim():
     back, residual = inverse_displacement(d, spacing=(1.0, 1.0), tissue=tissue)
     assert np.isfinite(back).all()
     assert residual < 1e-6
-    np.testing.assert_allclose(back[6, 7:13, 1], -2)  # tissue, where it is now
-    assert (back[6, :4] == 0).all()  # and what never moved
+    np.testing.assert_allclose(back[6, 7:13, 1], -2)  # The current position of the tissue.
+    assert (back[6, :4] == 0).all()  # This part never moved.
     assert ((back[6, 4:6, 1] > -2) & (back[6, 4:6, 1] < 0)).all()
 
 
@@ -138,7 +142,7 @@ def test_a_gap_beside_what_stays_is_closed_by_its_rim():
             "field.txt",
             {},
             FileFormatError,
-            r"field\.txt: fields are not written in such a format\. End",
+            r"field\.txt: fields cannot be written in this format\. Use",
         ),
         ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\)\. Give"),
         ("f.mha", {"displacement": np.zeros((4, 5, 3))}, ProblemError, r"has shape \(4, 5, 3\)"),
@@ -151,10 +155,10 @@ def test_a_gap_beside_what_stays_is_closed_by_its_rim():
         ),
         ("f.mha", {"spacing": (1, 1, 1, 1)}, ProblemError, r"Give 2 or 3 lengths"),
         ("f.mha", {"origin": (1, 2, 3)}, ProblemError, r"origin: is \(1, 2, 3\)\. Give 2 lengths"),
-        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "at right angles"),
+        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "Give an orthogonal"),
     ],
 )
-def test_what_is_wrong_is_one_sentence_and_nothing_is_written(
+def test_an_invalid_field_is_refused_in_one_sentence_and_no_file_is_written(
     tmp_path, name, changes, error, sentence
 ):
     given = {"displacement": np.zeros((4, 5, 2)), "spacing": (1, 1), **changes}
@@ -163,14 +167,14 @@ def test_what_is_wrong_is_one_sentence_and_nothing_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_two_names_that_itk_takes_for_one_are_not_given(tmp_path):
+def test_two_names_that_itk_confuses_are_refused_in_one_folder(tmp_path):
     d = np.zeros((4, 5, 2))
     write_field(tmp_path / "field.nii.gz", d, spacing=(1, 1))
     with pytest.raises(FileFormatError, match=r"field\.nii: field\.nii\.gz is in the same folder"):
         write_field(tmp_path / "field.nii", d, spacing=(1, 1))
 
 
-def test_a_result_of_a_slice_lies_where_its_image_lies_in_the_volume(tmp_path):
+def test_the_field_of_a_slice_lies_at_the_place_of_its_image_in_the_volume(tmp_path):
     turn = np.array([[1, 0, 0], [0, np.cos(0.5), -np.sin(0.5)], [0, np.sin(0.5), np.cos(0.5)]])
     image = Image(
         np.zeros((6, 20, 24), np.uint8),
@@ -200,27 +204,27 @@ def test_a_result_of_a_slice_lies_where_its_image_lies_in_the_volume(tmp_path):
         np.testing.assert_allclose(at[::-1] + goes, 10 * np.array(to), atol=1e-5)
 
 
-def test_where_a_field_folds_it_is_said_that_it_has_no_inverse(tmp_path, capsys):
+def test_the_export_of_a_folded_field_reports_pixels_without_an_inverse(tmp_path, capsys):
     shape = (20, 24)
     d = np.zeros((*shape, 2))
-    d[8:12, 8:12, 1] = 6.0  # a patch that is pushed through what lies beside it
+    d[8:12, 8:12, 1] = 6.0  # A patch that is pushed through its neighbourhood.
     write_field(tmp_path / "folded.mha", d, spacing=(1, 1), forward=True)
     files = [str(tmp_path / name) for name in ("folded.mha", "back.mha")]
     assert main(["export", *files]) == 0
     folds = count_folds(d, spacing=1)
     assert folds > 5
     said = capsys.readouterr().out
-    assert f"But tissue folds over itself at {folds} pixels, and has no inverse there" in said
+    assert f"However, the tissue folds over itself at {folds} pixels, where no inverse" in said
     write_field(tmp_path / "folded.mha", d / 20, spacing=(1, 1), forward=True)
     assert main(["export", *files, "--force"]) == 0
     assert "folds" not in capsys.readouterr().out
 
 
-def test_what_is_no_field_is_refused(tmp_path):
+def test_a_file_without_a_field_is_refused(tmp_path):
     path = tmp_path / "image.mha"
     sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 5))), str(path))
     with pytest.raises(
-        FileFormatError, match=r"image\.mha: not a displacement field: 2 axes need 2"
+        FileFormatError, match=r"image\.mha: not a displacement field: 2 axes require 2"
     ):
         read_field(path)
     path.write_bytes(b"nothing of the kind")
@@ -230,7 +234,7 @@ def test_what_is_no_field_is_refused(tmp_path):
         read_field(tmp_path / "gone.mha")
 
 
-def test_without_simpleitk_it_is_said_what_to_install(monkeypatch, tmp_path):
+def test_an_error_without_simpleitk_names_the_package_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
     with pytest.raises(HmrfError, match=r'pip install "\.\[medical\]"'):
         write_field(tmp_path / "field.mha", np.zeros((4, 5, 2)), spacing=(1, 1))

@@ -1,4 +1,4 @@
-"""Pictures of a result, for a talk or a paper."""
+"""Tests of the figures of a result."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ def axes_of(*model, **how):
     return energy_picture(solution).axes[0], solution
 
 
-def test_the_energy_of_each_sweep_is_drawn_and_where_each_level_begins():
+def test_a_figure_shows_the_energy_per_sweep_and_the_start_of_each_level():
     axes, solution = axes_of(SeilerPrior())
     drawn = max((line.get_ydata() for line in axes.lines), key=len)
     np.testing.assert_array_equal(drawn, solution.energy[solution.energy > 0])
@@ -20,7 +20,7 @@ def test_the_energy_of_each_sweep_is_drawn_and_where_each_level_begins():
     assert axes.get_xlabel().startswith("sweep")
 
 
-def test_of_cycles_the_energy_of_each_is_drawn_and_how_near_they_led():
+def test_a_figure_shows_the_energy_per_cycle_and_the_estimated_error():
     axes, solution = axes_of(ElasticPrior())
     (curve,) = axes.lines
     np.testing.assert_array_equal(curve.get_ydata(), solution.energy)
@@ -28,7 +28,7 @@ def test_of_cycles_the_energy_of_each_is_drawn_and_how_near_they_led():
     assert axes.get_title().endswith("px of the converged field")
 
 
-def test_of_the_papers_model_computed_to_the_end_only_the_last_energy_is_known():
+def test_a_figure_of_the_converged_paper_model_shows_only_the_last_energy():
     axes, solution = axes_of(SeilerPrior(), optimizer=Multigrid())
     (curve,) = axes.lines
     assert list(curve.get_xdata()) == [solution.iterations]

@@ -1,7 +1,7 @@
-"""Fields that other tools wrote are read as they meant them, to 1e-4 of a pixel.
+"""Tests of fields written by other tools, which are read to 1e-4 of a pixel.
 
-What ANTs and elastix write is read back where they are installed (test_ants, test_elastix); here
-are files as they make them.
+The files here have the layout that these tools write. `test_ants` and `test_elastix` test the tools
+themselves if they are installed.
 """
 
 import gzip
@@ -25,7 +25,7 @@ def case(request):
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr"])
-def test_an_image_of_vectors_by_simpleitk_is_read(case, suffix, kind, tmp_path):
+def test_a_vector_image_written_by_simpleitk_is_read(case, suffix, kind, tmp_path):
     path = tmp_path / f"field{suffix}"
     sitk.WriteImage(case.vectors(kind), str(path))
     check_field_file(case, path)
@@ -33,7 +33,7 @@ def test_an_image_of_vectors_by_simpleitk_is_read(case, suffix, kind, tmp_path):
 
 @pytest.mark.parametrize("suffix", [".h5", ".tfm"])
 @pytest.mark.parametrize("composite", [False, True])
-def test_a_transform_by_simpleitk_is_read(case, suffix, composite, tmp_path):
+def test_a_transform_written_by_simpleitk_is_read(case, suffix, composite, tmp_path):
     path, transform = tmp_path / f"field{suffix}", sitk.DisplacementFieldTransform(case.vectors())
     if composite:
         transform = sitk.CompositeTransform([transform])
@@ -41,7 +41,7 @@ def test_a_transform_by_simpleitk_is_read(case, suffix, composite, tmp_path):
     check_field_file(case, path)
 
 
-def test_a_warp_after_an_affine_map_is_read_as_both(case, tmp_path):
+def test_a_warp_after_an_affine_map_is_read_as_their_composition(case, tmp_path):
     path, n = tmp_path / "Composite.h5", case.axes
     shift = sitk.TranslationTransform(n, [0.3, -0.2, 0.1][:n])
     whole = sitk.CompositeTransform([shift, sitk.DisplacementFieldTransform(case.vectors())])
@@ -59,7 +59,7 @@ def test_a_transform_without_a_field_is_refused(kind, tmp_path):
         read_field(path)
 
 
-#: What transformix writes before the numbers of a deformationField.mha.
+#: Header that transformix writes before the numbers of a deformationField.mha.
 METAIMAGE = """ObjectType = Image
 NDims = {n}
 BinaryData = True
@@ -84,7 +84,7 @@ def test_a_deformation_field_of_transformix_is_read(case, tmp_path):
     path, vectors = tmp_path / "deformationField.mha", case.vectors(np.float32)
     header = METAIMAGE.format(
         n=case.axes,
-        matrix=words(case.direction.T),  # axis by axis
+        matrix=words(case.direction.T),  # In the order of the axes.
         offset=words(case.origin),
         zeros=words(np.zeros(case.axes)),
         spacing=words(case.spacing[::-1]),
@@ -95,14 +95,14 @@ def test_a_deformation_field_of_transformix_is_read(case, tmp_path):
 
 
 def rotation_as_quaternion(turn):
-    """The last three parts of the quaternion of a rotation, whose first is positive."""
+    """Return the vector part of the quaternion of a rotation, whose real part is positive."""
     real = np.sqrt(1 + np.trace(turn)) / 2
     skew = turn - turn.T
     return np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / (4 * real)
 
 
 def nifti(case, *, by_matrix, order="<"):
-    """The bytes of a field as ITK's own writer lays them out, of intent 1007."""
+    """Return the bytes of a field with intent 1007 in the layout of ITK's writer."""
     vectors = sitk.GetArrayFromImage(case.vectors(np.float32))
     steps = np.diag([-1.0, -1, 1]) @ case.direction * case.spacing[::-1]
     turn, side = steps / case.spacing[::-1], 1.0
@@ -127,7 +127,7 @@ def nifti(case, *, by_matrix, order="<"):
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("by_matrix", [True, False])
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
-def test_one_slice_in_nifti_keeps_its_place_in_the_volume(suffix, by_matrix, order, tmp_path):
+def test_one_slice_in_nifti_retains_its_place_in_the_volume(suffix, by_matrix, order, tmp_path):
     case, path = FieldCase("slice"), tmp_path / f"deformationField{suffix}"
     content = nifti(case, by_matrix=by_matrix, order=order)
     path.write_bytes(gzip.compress(content) if suffix == ".nii.gz" else content)
@@ -135,18 +135,18 @@ def test_one_slice_in_nifti_keeps_its_place_in_the_volume(suffix, by_matrix, ord
     check_field_file(case, path)
 
 
-def test_vectors_that_no_tool_would_take_for_a_field_are_refused(tmp_path):
+def test_a_nifti_file_without_vectors_is_refused_as_a_field(tmp_path):
     path, case = tmp_path / "field.nii", FieldCase("slice")
     content = bytearray(nifti(case, by_matrix=True))
-    struct.pack_into("<h", content, 68, 0)  # numbers on a fifth axis, not vectors
+    struct.pack_into("<h", content, 68, 0)  # A fifth axis of scalars instead of vectors.
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=r"field\.nii: not a displacement field"):
         read_field(path)
 
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd", ".h5", ".tfm"])
-def test_a_file_that_is_cut_short_is_no_field(suffix, tmp_path):
-    """All kinds of damage, 2,000 of each format: `python benchmarks/damaged_fields.py`."""
+def test_a_truncated_file_is_refused_as_a_field(suffix, tmp_path):
+    """Test truncation; `python benchmarks/damaged_fields.py` tests 2,000 files of each format."""
     whole, cut = tmp_path / f"a{suffix}", tmp_path / f"cut{suffix}"
     make_field(whole)
     content = whole.read_bytes()
@@ -157,19 +157,19 @@ def test_a_file_that_is_cut_short_is_no_field(suffix, tmp_path):
             read_field(cut)
 
 
-def test_a_packed_file_with_a_flipped_bit_is_not_said_to_be_cut_short(tmp_path):
+def test_the_error_for_a_flipped_bit_in_a_compressed_file_mentions_damage(tmp_path):
     path = tmp_path / "field.nii.gz"
     content = bytearray(gzip.compress(nifti(FieldCase("slice"), by_matrix=True)))
-    content[-8] ^= 1  # of the checksum of all bytes, which are there
+    content[-8] ^= 1  # A bit of the checksum; all bytes of the data are present.
     path.write_bytes(content)
-    with pytest.raises(FileFormatError, match=r"it is damaged or cut short"):
+    with pytest.raises(FileFormatError, match=r"it is damaged or truncated"):
         read_field(path)
 
 
-def test_a_size_that_a_file_cannot_hold_costs_no_memory(tmp_path):
+def test_an_impossible_size_in_a_header_allocates_no_memory(tmp_path):
     path = tmp_path / "field.nii"
     content = bytearray(nifti(FieldCase("slice"), by_matrix=True))
-    struct.pack_into("<h", content, 46, 32_000)  # slices, of what would be 1 GB
+    struct.pack_into("<h", content, 46, 32_000)  # The number of slices, which would need 1 GB.
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=r"field\.nii: not a displacement field that can"):
         read_field(path)

@@ -1,4 +1,4 @@
-"""Whatever writes files leaves earlier ones as they are where there is no room."""
+"""Tests of a full disk, on which no function that writes may change earlier files."""
 
 import ast
 import os
@@ -12,15 +12,15 @@ import napari_hmrf
 pytest.importorskip("SimpleITK")
 
 PACKAGE = Path(napari_hmrf.__file__).parent
-#: Verbs by which functions that write files are named, beside methods called `save`.
+#: Prefixes of functions that write files; methods with the name `save` write as well.
 _VERBS = ("save_", "write_", "export_")
-#: Functions of these names that write no file of their own: through another one of the list.
+#: Functions with these prefixes that write only through other tested functions.
 _THROUGH_OTHERS = {
     "atomic_write.write_whole",
     "samples.demo.write_results",
     "samples.volume_demo.write_volume_results",
 }
-#: Modules that may write to a disk themselves: all others write by `write_whole`.
+#: Modules that may write to a disk directly; all others use `write_whole`.
 _BY_THEMSELVES = ("atomic_write.py", "io/itk_decoder.py", "solver/backends/", "compiling.py")
 _WAYS = (
     *("write_text", "write_bytes", "savez", "savez_compressed", "tofile", "savefig", "imsave"),
@@ -28,10 +28,10 @@ _WAYS = (
 )
 
 
-@pytest.mark.skipif(os.name != "posix", reason="the limit of a file's size is of POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="needs the POSIX limit of file sizes")
 @pytest.mark.parametrize("writer", full_disks.writers(), ids=lambda each: each.name)
-def test_a_file_that_may_not_grow_leaves_all_as_it_was(writer, tmp_path):
-    """Full disks, and commands: `python benchmarks/full_disks.py --commands`."""
+def test_a_full_disk_changes_no_earlier_file(writer, tmp_path):
+    """Limit the size of a file; `python benchmarks/full_disks.py --commands` fills real disks."""
     writer.write(tmp_path)
     before = full_disks.contents(tmp_path)
     smallest = min(map(len, before.values()))
@@ -53,17 +53,17 @@ def functions_that_write():
                 )
 
 
-def test_every_function_that_writes_is_tried():
+def test_every_function_that_writes_is_tested_on_a_full_disk():
     tried = {writer.name.split()[0] for writer in full_disks.writers()}
     assert set(functions_that_write()) - _THROUGH_OTHERS <= tried
 
 
 def writes(module):
-    """Lines of a module that write to a disk, or to the folder for temporary files."""
+    """Yield the lines of a module that write to a disk or use the folder for temporary files."""
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import | ast.ImportFrom):
             names = [alias.name for alias in node.names] + [getattr(node, "module", "") or ""]
-            if "tempfile" in names:  # its folder may be full
+            if "tempfile" in names:  # The folder for temporary files may be full.
                 yield node.lineno
         if not isinstance(node, ast.Call):
             continue
@@ -73,11 +73,13 @@ def writes(module):
             mode = given[1] if len(given) > 1 else "'r'"
             if set(mode) & set("wax+"):
                 yield node.lineno
-        elif called in _WAYS and not {"buffer", "file"} & set(given):  # names of what is in memory
+        elif called in _WAYS and not {"buffer", "file"} & set(
+            given
+        ):  # These names denote buffers in memory.
             yield node.lineno
 
 
-def test_all_is_written_in_the_one_way_that_keeps_what_is_there():
+def test_all_modules_write_through_write_whole():
     found = {
         f"{where}:{line}"
         for module in sorted(PACKAGE.rglob("*.py"))

@@ -1,4 +1,4 @@
-"""Images come from files with their place in the patient, and go back there."""
+"""Tests of image files and of the place that they store."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def pixels(shape, kind=np.uint8):
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".mha", ".nrrd"])
 @pytest.mark.parametrize(("shape", "kind"), [((5, 12, 9), np.int16), ((12, 9), np.float32)])
-def test_a_scan_comes_back_with_its_place(tmp_path, suffix, shape, kind):
+def test_a_scan_is_read_back_with_its_place(tmp_path, suffix, shape, kind):
     before = ImageFile(pixels(shape, kind), VOLUME)
     after = read_image(write_image(tmp_path / f"scan{suffix}", before))
     assert after.pixels.dtype == kind
@@ -30,14 +30,14 @@ def test_a_scan_comes_back_with_its_place(tmp_path, suffix, shape, kind):
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 @pytest.mark.parametrize("shape", [(12, 9), (12, 9, 3)])
-def test_a_picture_comes_back(tmp_path, suffix, shape):
+def test_a_picture_is_read_back_unchanged(tmp_path, suffix, shape):
     before = ImageFile(pixels(shape), colours=len(shape) > 2)
     after = read_image(write_image(tmp_path / f"photo{suffix}", before))
     np.testing.assert_array_equal(after.pixels, before.pixels)
     assert (after.colours, after.place) == (before.colours, None)
 
 
-def test_a_folder_of_dicom_is_a_volume(tmp_path):
+def test_a_dicom_folder_is_read_as_a_volume(tmp_path):
     volume = pixels((4, 12, 9), np.int16)
     for number, plane in enumerate(volume):
         image = sitk.GetImageFromArray(plane[np.newaxis])
@@ -60,22 +60,22 @@ def test_a_folder_of_dicom_is_a_volume(tmp_path):
     np.testing.assert_allclose(found.place.origin, (-10, 20, 5))
 
 
-def test_what_is_no_image_is_refused_in_a_sentence(tmp_path):
+def test_a_file_without_an_image_is_refused_in_one_sentence(tmp_path):
     for name in ("broken.nii.gz", "broken.png"):
         (tmp_path / name).write_bytes(b"nothing of the kind")
-        with pytest.raises(FileFormatError, match=rf"{name}: not an image that can be read"):
+        with pytest.raises(FileFormatError, match=rf"{name}: cannot be read as an image"):
             read_image(tmp_path / name)
     empty = tmp_path / "series"
     empty.mkdir()
-    with pytest.raises(FileFormatError, match=r"series: the folder holds no DICOM file"):
+    with pytest.raises(FileFormatError, match=r"series: the folder contains no DICOM file"):
         read_image(empty)
     with pytest.raises(FileNotFoundError, match=r"gone\.png"):
         read_image(tmp_path / "gone.png")
 
 
-def test_pixels_that_a_format_does_not_hold_are_not_written(tmp_path):
+def test_pixels_that_a_format_does_not_support_are_refused(tmp_path):
     with pytest.raises(FileFormatError, match=r"a\.png: float64 pixels .* Use \.tif or \.nrrd"):
         write_image(tmp_path / "a.png", ImageFile(np.zeros((4, 5))))
-    with pytest.raises(FileFormatError, match=r"a\.txt: images are not written in such"):
+    with pytest.raises(FileFormatError, match=r"a\.txt: images cannot be written in this"):
         write_image(tmp_path / "a.txt", ImageFile(np.zeros((4, 5))))
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""Studies made in Python lie where their images do, and so do their fields in files."""
+"""Tests of the place of grids, studies and exported fields."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -33,14 +33,14 @@ from napari_hmrf.io.images import read_image
 sitk = pytest.importorskip("SimpleITK")
 
 SHAPE = 9, 12, 10
-SPACING = 2.0, 1.0, 1.5  # z, y, x
-#: How much the image changes from one pixel to the next, at most.
+SPACING = 2.0, 1.0, 1.5  # In the order z, y, x.
+#: Largest difference of the image between neighbouring pixels.
 STEEPEST = 20.0
-ORIGIN = -20.0, 35.0, 12.0  # x, y, z
+ORIGIN = -20.0, 35.0, 12.0  # In the order x, y, z.
 
 
 def oblique():
-    """Directions as of a volume that was tilted twice, and whose first axis runs backwards."""
+    """Return the directions of a volume that was tilted twice and has a reversed first axis."""
     one, two = np.radians(25), np.radians(-15)
     first = [[np.cos(one), -np.sin(one), 0], [np.sin(one), np.cos(one), 0], [0, 0, 1]]
     second = [[1, 0, 0], [0, np.cos(two), -np.sin(two)], [0, np.sin(two), np.cos(two)]]
@@ -57,9 +57,9 @@ def scan():
 
 
 def nibabel_of(image, unit="mm"):
-    """The same image as nibabel has it: x, y, z, in millimetres towards right, anterior, superior.
+    """Return the image as nibabel stores it: axes x, y, z, in millimetres in RAS+ coordinates.
 
-    nibabel is not installed for tests, so this has what of its images is used.
+    nibabel is not installed for tests, so this object has only the attributes that are read.
     """
     n = 3
     affine = np.eye(4)
@@ -73,7 +73,7 @@ def nibabel_of(image, unit="mm"):
 
 
 def solved(grid, far=0.8):
-    """The middle moves by some of a pixel along each axis, smoothly, and the edge stays."""
+    """Solve a smooth motion of the middle by a fraction of a pixel along each axis."""
     n = len(grid.shape)
     bumps = [np.sin(np.pi * np.linspace(0, 1, size)) ** 2 for size in grid.shape]
     bump = np.prod(np.meshgrid(*bumps, indexing="ij"), axis=0)
@@ -84,15 +84,15 @@ def solved(grid, far=0.8):
 
 
 def resampled(image, path):
-    """What SimpleITK makes of an image by the field of a file."""
+    """Return the image that SimpleITK resamples with the field of a file."""
     field = sitk.ReadImage(str(path), sitk.sitkVectorFloat64)
     transform = sitk.DisplacementFieldTransform(field)
     moved = sitk.Resample(image, image, transform, sitk.sitkLinear, 0.0)
     return sitk.GetArrayFromImage(moved)
 
 
-def made(kind, image, tmp_path):
-    """The image as each of the kinds that `Grid.from_image` takes, and its array."""
+def image_and_array(kind, image, tmp_path):
+    """Return the image in a form that `Grid.from_image` accepts, and its array."""
     if kind == "nibabel":
         given = nibabel_of(image)
         return given, np.asarray(given.dataobj)
@@ -104,9 +104,9 @@ def made(kind, image, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["simpleitk", "nibabel", ".mha", ".nrrd", ".nii.gz"])
-def test_simpleitk_moves_a_volume_as_warp_does(kind, tmp_path):
+def test_simpleitk_and_warp_move_a_volume_alike(kind, tmp_path):
     image = scan()
-    given, pixels = made(kind, image, tmp_path)
+    given, pixels = image_and_array(kind, image, tmp_path)
     grid = Grid.from_image(given)
     assert (grid.shape, grid.unit) == (pixels.shape, "millimeter")
     np.testing.assert_allclose(sorted(grid.spacing), sorted(SPACING), rtol=1e-6)
@@ -117,7 +117,7 @@ def test_simpleitk_moves_a_volume_as_warp_does(kind, tmp_path):
     if kind == "nibabel":
         by_us = by_us.transpose(2, 1, 0)
     by_them = resampled(image, path)
-    inner = (slice(1, -1),) * 3  # outside of its grid ITK moves nothing
+    inner = (slice(1, -1),) * 3  # ITK moves nothing outside its grid.
     np.testing.assert_allclose(by_them[inner], by_us[inner], atol=0.015 * STEEPEST)
     assert residual < 0.01
     still = sitk.GetArrayFromImage(image)
@@ -126,9 +126,9 @@ def test_simpleitk_moves_a_volume_as_warp_does(kind, tmp_path):
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("kind", ["simpleitk", "nibabel"])
-def test_the_field_of_a_slice_moves_that_slice_alone(kind, axis, tmp_path, capsys):
+def test_the_field_of_a_slice_moves_only_that_slice(kind, axis, tmp_path, capsys):
     image = scan()
-    given, pixels = made(kind, image, tmp_path)
+    given, pixels = image_and_array(kind, image, tmp_path)
     grid, seen = Grid.from_image(given, slice=3, axis=axis), pixels.take(3, axis)
     assert grid.shape == seen.shape
     solution = solved(grid)
@@ -154,7 +154,7 @@ def test_the_field_of_a_slice_moves_that_slice_alone(kind, axis, tmp_path, capsy
     np.testing.assert_array_equal(np.delete(moved, 3, axis), np.delete(pixels, 3, axis))
 
 
-def test_a_slice_of_unknown_place_moves_no_volume(tmp_path, capsys):
+def test_a_slice_with_unknown_place_is_refused_for_a_volume(tmp_path, capsys):
     sitk.WriteImage(scan(), str(tmp_path / "scan.nii.gz"))
     grid = Grid(SHAPE[1:], SPACING[1:])
     study = Study(grid, Tissue(stiffness=np.ones(grid.shape)))
@@ -163,12 +163,12 @@ def test_a_slice_of_unknown_place_moves_no_volume(tmp_path, capsys):
     assert main([*told, "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
     assert "is a volume of 9 slices" in said
-    assert "does not say which" in said
+    assert "does not state which" in said
     assert "--slice" in said
     assert not (tmp_path / "out" / "scan.nii.gz").exists()
 
 
-def test_a_field_without_a_place_is_not_exported_unless_that_is_asked_for(tmp_path):
+def test_a_field_without_a_place_is_exported_only_on_request(tmp_path):
     grid, path = Grid(SHAPE, SPACING), tmp_path / "field.mha"
     solution = solved(grid)
     with pytest.raises(ProblemError, match=r"has no place.*Grid\.from_image.*placed=False"):
@@ -176,7 +176,7 @@ def test_a_field_without_a_place_is_not_exported_unless_that_is_asked_for(tmp_pa
     assert not path.exists()
     export_field(path, solution, placed=False)
     assert sitk.ReadImage(str(path)).GetOrigin() == (0, 0, 0)
-    # Of a Problem, the grid of its image says where.
+    # A solution of a Problem has the place of the given grid.
     problem = Problem(np.zeros((*SHAPE, 3)), np.ones((*SHAPE, 3)), np.ones(SHAPE), spacing=SPACING)
     of_problem = solve(problem, backend="cpu")
     export_field(path, of_problem, grid=Grid.from_image(scan()))
@@ -188,7 +188,7 @@ def test_a_field_without_a_place_is_not_exported_unless_that_is_asked_for(tmp_pa
         export_field(path, solution, grid=Grid.from_image(scan(), slice=2))
 
 
-def test_pictures_have_pixels_and_no_place(tmp_path):
+def test_pictures_have_pixels_without_a_place(tmp_path):
     from skimage.io import imsave
 
     imsave(tmp_path / "photo.png", np.zeros((5, 6, 3), np.uint8), check_contrast=False)
@@ -197,22 +197,22 @@ def test_pictures_have_pixels_and_no_place(tmp_path):
     pull = Motion(hold_edge=True, drawing=Drawing((Arrow((2, 3), (0, 1), 1),)))
     solution = solve_study(Study(grid, Tissue(stiffness=np.ones((5, 6))), pull), backend="cpu")
     with pytest.raises(
-        ProblemError, match=r"For a picture \(.png, .tif\), which has no place, give"
+        ProblemError, match=r"For pictures \(.png, .tif\), which have no place, use"
     ):
         export_field(tmp_path / "a.mha", solution)
-    with pytest.raises(ProblemError, match="grid: has no place, because a picture"):
+    with pytest.raises(ProblemError, match="grid: has no place, as is the case for pictures"):
         export_field(tmp_path / "a.mha", solution, grid=grid)
 
 
-def test_what_is_no_image_or_has_no_such_slice_is_refused():
+def test_an_array_a_sheared_image_or_a_missing_slice_is_refused():
     image = scan()
     for wrong, said in (
-        (np.zeros((3, 4)), r"For an array, whose place is unknown"),
+        (np.zeros((3, 4)), r"For an array, which has no place"),
         (SimpleNamespace(affine=np.eye(4), dataobj=np.zeros((2, 3, 4, 5))), "has shape"),
     ):
         with pytest.raises(ArgumentError, match=said):
             Grid.from_image(wrong)
-    with pytest.raises(ArgumentError, match=r"has 12 slices across axis 1. Give 0 to 11"):
+    with pytest.raises(ArgumentError, match=r"has 12 slices along axis 1. Give 0 to 11"):
         Grid.from_image(image, slice=12, axis=1)
     with pytest.raises(ArgumentError, match="axis is 3"):
         Grid.from_image(image, slice=0, axis=3)
@@ -220,13 +220,13 @@ def test_what_is_no_image_or_has_no_such_slice_is_refused():
         Grid.from_image(sitk.Image([5, 6], sitk.sitkFloat32), slice=0)
     sheared = nibabel_of(image)
     sheared.affine[0, 1] += 0.5
-    with pytest.raises(ProblemError, match="right angles"):
+    with pytest.raises(ProblemError, match="Give an orthogonal"):
         Grid.from_image(sheared)
     with pytest.raises((OSError, HmrfError)):
         Grid.from_image("no such file.nii")
 
 
-def test_a_place_is_one_of_its_grid():
+def test_a_place_must_fit_its_grid():
     flat = Frame.at((1.0, 1.0), ("mm", "mm"))
     with pytest.raises(ProblemError, match="has 3 axes, but its place has 2"):
         Grid((3, 4, 5), (1.0, 1.0, 1.0), place=flat)
@@ -253,7 +253,7 @@ def test_an_unknown_unit_of_a_nibabel_header_is_refused():
 
 
 def placed_field(place=None, unit="", spacing=SPACING):
-    """A field without motion, at a place or without one."""
+    """Return a solution without motion, with or without a place."""
     shape = SHAPE
     return Solution(
         displacement=np.zeros((*shape, 3), np.float32),
@@ -273,11 +273,11 @@ def moved_scan():
     return image
 
 
-def test_a_field_keeps_its_own_place_when_it_is_exported(tmp_path):
+def test_a_field_is_not_exported_to_another_place_than_its_own(tmp_path):
     here, elsewhere = Grid.from_image(scan()), Grid.from_image(moved_scan())
     solution = placed_field(here.place, "mm")
     solution.export(tmp_path / "a.mha", grid=here)
-    with pytest.raises(ProblemError, match="lies elsewhere than the field"):
+    with pytest.raises(ProblemError, match="is not in the same place as the field"):
         solution.export(tmp_path / "b.mha", grid=elsewhere)
     assert not (tmp_path / "b.mha").exists()
 
@@ -306,8 +306,8 @@ def test_a_field_at_the_origin_is_written_in_millimetres(unit, factor, tmp_path)
     np.testing.assert_allclose(field.displacement[4, 5, 5], 0.5 * factor, rtol=1e-6)
 
 
-def test_a_field_in_no_unit_of_length_is_not_exported(tmp_path):
-    with pytest.raises(ProblemError, match="'second', which is no unit of length"):
+def test_a_field_without_a_unit_of_length_is_not_exported(tmp_path):
+    with pytest.raises(ProblemError, match="'second', which is not a unit of length"):
         placed_field(unit="second").export(tmp_path / "a.mha", placed=False)
 
 
@@ -326,7 +326,7 @@ def test_a_field_whose_place_contradicts_its_spacing_is_not_exported(change, sai
 
 
 @pytest.mark.parametrize("name", ["forward", "placed"])
-def test_words_are_no_flags_of_an_export(name, tmp_path):
+def test_a_text_is_refused_as_a_flag_of_an_export(name, tmp_path):
     solution = placed_field(Grid.from_image(scan()).place, "mm")
     with pytest.raises(ArgumentError, match=f"{name} must be True or False, not 'no'"):
         solution.export(tmp_path / "a.mha", **{name: "no"})

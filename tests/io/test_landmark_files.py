@@ -1,4 +1,4 @@
-"""Landmarks come from BigWarp, Slicer and napari, and go back there."""
+"""Tests of landmark files of BigWarp, 3D Slicer and napari."""
 
 import json
 
@@ -8,24 +8,24 @@ import pytest
 from napari_hmrf import FileFormatError, ProblemError
 from napari_hmrf.landmarks import read_points, write_points
 
-AT = np.array([[1.5, 2.25, -3.0], [40.0, 5.0, 6.125]])  # z, y, x
+AT = np.array([[1.5, 2.25, -3.0], [40.0, 5.0, 6.125]])  # In the order z, y, x.
 TO = AT + np.array([0.5, -1.0, 2.0])
 
 
-def test_bigwarp_pairs_are_moving_x_first_then_target(tmp_path):
+def test_a_bigwarp_line_has_moving_coordinates_before_target_coordinates(tmp_path):
     path = tmp_path / "landmarks.csv"
     path.write_text(
         '"Pt-0","true","-3.0","2.25","1.5","-1.0","1.25","2.0"\n"Pt-1","false","1","2","3","4","5","6"\n'
     )
     found = read_points(path)
-    assert found.names == ("Pt-0",), "what is switched off is left out"
+    assert found.names == ("Pt-0",), "an inactive pair was read"
     np.testing.assert_array_equal(found.points, AT[:1])
     np.testing.assert_array_equal(found.targets, TO[:1])
 
 
 @pytest.mark.parametrize("n", [2, 3])
 @pytest.mark.parametrize("pairs", [True, False])
-def test_a_csv_comes_back(tmp_path, n, pairs):
+def test_a_csv_file_of_landmarks_is_read_back_unchanged(tmp_path, n, pairs):
     path = tmp_path / "landmarks.csv"
     write_points(path, AT[:, -n:], TO[:, -n:] if pairs else None, names=["nose", "chin"])
     found = read_points(path)
@@ -39,7 +39,7 @@ def test_a_csv_comes_back(tmp_path, n, pairs):
 
 
 @pytest.mark.parametrize("suffix", [".mrk.json", ".fcsv"])
-def test_slicer_s_files_come_back_and_say_which_way_is_left(tmp_path, suffix):
+def test_a_slicer_file_is_read_back_unchanged_and_names_its_coordinate_system(tmp_path, suffix):
     path = tmp_path / f"points{suffix}"
     write_points(path, AT, names=["nose, tip", "chin"])
     assert "LPS" in path.read_text()
@@ -49,7 +49,7 @@ def test_slicer_s_files_come_back_and_say_which_way_is_left(tmp_path, suffix):
     assert found.unit == "mm"
 
 
-def test_what_slicer_keeps_in_ras_is_turned(tmp_path):
+def test_slicer_coordinates_in_ras_are_converted(tmp_path):
     markups = {
         "coordinateSystem": "RAS",
         "controlPoints": [{"label": "F", "position": [3, -2.25, 1.5]}],
@@ -67,37 +67,41 @@ def test_what_slicer_keeps_in_ras_is_turned(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "sentence"),
     [
-        ("a.csv", "", r"a\.csv: not a file of landmarks: it is empty"),
+        ("a.csv", "", r"a\.csv: not a landmark file: it is empty"),
         (
             "a.csv",
             "index,axis-0,axs-1\n0,1,2\n",
             r"line 1: there is no column 'axs-1'\. Did you mean 'axis-1'\? The columns are index",
         ),
-        ("a.csv", "index,axis-1,axis-0\n0,1,2\n", r"line 1: the columns are index, axis-0, axis-1"),
+        (
+            "a.csv",
+            "index,axis-1,axis-0\n0,1,2\n",
+            r"line 1: the columns must be index, axis-0, axis",
+        ),
         (
             "a.csv",
             "name,active,mx,my,fx,fy\na,true,1,2,3,4\n",
-            r"landmark 1: the second column is 'active', but should be true or false",
+            r"landmark 1: the second column is 'active', but must be true or false",
         ),
-        ("a.csv", "x,y\n1,2\n", r"neither the first line of napari's format nor the columns of"),
-        ("a.csv", "index,axis-0,axis-1\n0,one,2\n", r"it is damaged, or of another format"),
-        ("a.csv", "Pt-0,true,1,2,nan,4\n", r"it holds NaN or infinite values"),
-        ("a.mrk.json", "{", r"it is damaged, or of another format"),
-        ("a.mrk.json", '{"markups": [{}, {}]}', r"it holds 2 lists of points"),
+        ("a.csv", "x,y\n1,2\n", r"neither the column titles of napari's format nor the columns of"),
+        ("a.csv", "index,axis-0,axis-1\n0,one,2\n", r"it is damaged, or has another format"),
+        ("a.csv", "Pt-0,true,1,2,nan,4\n", r"it contains NaN or infinite values"),
+        ("a.mrk.json", "{", r"it is damaged, or has another format"),
+        ("a.mrk.json", '{"markups": [{}, {}]}', r"it contains 2 lists of points"),
         ("a.fcsv", "# CoordinateSystem = IJK\n1,2,3,4\n", r"its points are in 'IJK'"),
-        ("a.txt", "", r"a\.txt: not a file of landmarks\. End the name in one of \.csv"),
+        ("a.txt", "", r"a\.txt: not the name of a landmark file\. Use one of the suffixes \.csv"),
     ],
 )
-def test_what_is_no_file_of_landmarks_is_refused_in_a_sentence(tmp_path, name, text, sentence):
+def test_an_invalid_file_of_landmarks_is_refused_in_one_sentence(tmp_path, name, text, sentence):
     (tmp_path / name).write_text(text)
     with pytest.raises(FileFormatError, match=sentence):
         read_points(tmp_path / name)
 
 
-def test_what_cannot_be_saved_is_said_and_nothing_is_written(tmp_path):
+def test_landmarks_that_cannot_be_saved_are_refused_and_no_file_is_written(tmp_path):
     with pytest.raises(ProblemError, match=r"have shape \(1, 3\), but the points have shape"):
         write_points(tmp_path / "a.csv", AT, TO[:1])
-    with pytest.raises(FileFormatError, match=r"such a file holds one list of points"):
+    with pytest.raises(FileFormatError, match=r"this format stores only one list of points"):
         write_points(tmp_path / "a.fcsv", AT, TO)
     with pytest.raises(ProblemError, match=r"have shape \(2, 1\)"):
         write_points(tmp_path / "a.csv", AT[:, :1])

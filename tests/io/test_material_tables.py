@@ -1,4 +1,4 @@
-"""Claims about materials in files, and about presets in place of a table."""
+"""Tests of material files and of presets that replace a table."""
 
 import json
 from dataclasses import replace
@@ -32,11 +32,11 @@ LIVER = Preset(
 
 
 @pytest.mark.parametrize("preset", [*PRESETS, LIVER], ids=lambda preset: preset.name)
-def test_what_is_saved_comes_back_as_it_was(tmp_path, preset):
+def test_a_saved_preset_is_read_back_unchanged(tmp_path, preset):
     assert read_preset(write_preset(tmp_path / "table.json", preset)) == preset
 
 
-def test_a_file_is_for_people_to_read(tmp_path):
+def test_a_material_file_is_readable_text(tmp_path):
     path = write_preset(tmp_path / "mine", LIVER)
     assert path.name == "mine.json"
     text = path.read_text(encoding="utf-8")
@@ -44,7 +44,7 @@ def test_a_file_is_for_people_to_read(tmp_path):
     assert json.loads(text)["version"] == 1
 
 
-def test_what_a_person_leaves_out_is_filled_in(tmp_path):
+def test_missing_keys_of_a_material_file_have_defaults(tmp_path):
     path = tmp_path / "by hand.json"
     rows = [{"label": 1, "stiffness": 3}]
     path.write_text(
@@ -64,31 +64,31 @@ def spoilt(**changes):
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ([], "not a file of materials"),
-        ({"format": "something else"}, "not a file of materials"),
-        (spoilt(version=4), "newer napari-hmrf"),
-        (spoilt(version="1"), "version is '1'. It should be: integer"),
+        ([], "not a material file"),
+        ({"format": "something else"}, "not a material file"),
+        (spoilt(version=4), "later version of napari-hmrf"),
+        (spoilt(version="1"), "version is '1'. It must be: integer"),
         (spoilt(version=True), "version is 'True'"),
-        (spoilt(unit=3), "unit is '3'. It should be: string"),
-        (spoilt(materials=[]), "material is '[]'. It should be: List should have at least 1"),
+        (spoilt(unit=3), "unit is '3'. It must be: string"),
+        (spoilt(materials=[]), "material is '[]'. It must be: List should have at least 1"),
         (spoilt(materials=[5]), "material 1 is '5'"),
         (spoilt(materials=[{"label": 1}]), "lacks material 1 stiffness"),
-        (spoilt(label=-1), "material 1 label is '-1'. It should be: greater than or equal to 0"),
+        (spoilt(label=-1), "material 1 label is '-1'. It must be: greater than or equal to 0"),
         (spoilt(label=1.5), "label is '1.5'"),
         (spoilt(label=True), "label is 'True'"),
         (spoilt(stiffness="stiff"), "stiffness is 'stiff'"),
         (spoilt(stiffness=-2), "stiffness is '-2'"),
         (spoilt(stiffness=float("nan")), "stiffness is 'nan'"),
         (spoilt(stiffness=10**400), "stiffness is '1000"),
-        (spoilt(stiffness=float("inf")), "'inf'. It should be: a number, 0 or more, or \"rigid\""),
+        (spoilt(stiffness=float("inf")), "'inf'. It must be: a number, 0 or more, or \"rigid\""),
         (spoilt(stiffness="inf"), "stiffness is 'inf'"),
         (spoilt(stiffness=0), "above 0"),
-        (spoilt(poisson=0.5), "poisson is '0.5'. It should be: less than or equal to 0.499"),
+        (spoilt(poisson=0.5), "poisson is '0.5'. It must be: less than or equal to 0.499"),
         (spoilt(poisson=None), "poisson is 'None'"),
         (spoilt(materials=[{"label": 0, "stiffness": 1}] * 2), "two materials for label 0"),
     ],
 )
-def test_a_bad_file_is_refused_in_one_sentence_that_names_it(tmp_path, values, said):
+def test_an_invalid_material_file_is_refused_in_one_sentence_with_its_name(tmp_path, values, said):
     path = tmp_path / "table.json"
     path.write_text(json.dumps(values))
     with pytest.raises(FileFormatError, match=r"^table\.json ") as error:
@@ -99,21 +99,21 @@ def test_a_bad_file_is_refused_in_one_sentence_that_names_it(tmp_path, values, s
 SKULL = Preset("Head", "kPa", "", (Material(1, "brain", 3.0), Material(2, "skull", float("inf"))))
 
 
-def test_rigid_is_a_word_in_a_file_and_one_that_earlier_versions_do_not_misread(tmp_path):
+def test_rigid_tissue_is_saved_as_a_word_with_a_newer_version_number(tmp_path):
     path = write_preset(tmp_path / "head.json", SKULL)
     assert read_preset(path) == SKULL
     values = json.loads(path.read_text(), parse_constant=pytest.fail)
     assert values["materials"][1]["stiffness"] == "rigid"
-    assert values["version"] == 2, "they say that they are too old"
+    assert values["version"] == 2, "an earlier version would misread the file"
 
 
-def test_rigid_may_be_written_by_hand_in_a_file_of_any_version(tmp_path):
+def test_rigid_is_accepted_in_a_file_of_any_version(tmp_path):
     path = tmp_path / "by hand.json"
     path.write_text(json.dumps(spoilt(stiffness=" Rigid ")))
     assert read_preset(path).materials[0].is_rigid
 
 
-def test_what_a_layer_and_a_saved_result_keep_of_rigid_tissue_is_json():
+def test_metadata_and_records_of_rigid_tissue_are_valid_json():
     labels = Labels(np.zeros((4, 4), np.uint8), name="Tissue")
     labels.metadata.update(layer_metadata(TISSUE, SKULL.materials, "kPa"))
     record = tissue_record(labels, SKULL.materials)
@@ -127,21 +127,21 @@ def test_what_a_layer_and_a_saved_result_keep_of_rigid_tissue_is_json():
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[" * 200_000, b" " * 2**21])
-def test_what_is_no_json_is_refused(tmp_path, content):
+def test_a_file_without_json_is_refused(tmp_path, content):
     path = tmp_path / "table.json"
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=r"table\.json"):
         read_preset(path)
 
 
-def test_what_could_not_be_read_again_is_not_written(tmp_path):
+def test_a_preset_that_could_not_be_read_back_is_not_written(tmp_path):
     bad = replace(LIVER, materials=(Material(1, "gel", 1.0, growth=20.0),))
     with pytest.raises(FileFormatError, match=r"growth.* is '20\.0'"):
         write_preset(tmp_path / "table.json", bad)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have():
+def test_a_preset_matches_rows_by_name_then_by_label_and_reports_missing_rows():
     brain = Preset("", "kPa", "", (Material(1, "fluid", 0.1), Material(2, "Tumour ", 8.0)))
     table = (
         Material(0, "air", 0.0),
@@ -153,7 +153,7 @@ def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have()
     assert [(row.label, row.stiffness) for row in found] == [(0, 0), (1, 0.1), (2, 0.1), (3, 8)]
     assert words == "'normal tissue' is fluid now, 'soft tissue' is as stiff as fluid now."
     found, words = PRESETS[0].replace_materials(table)
-    assert (found[1:], words) == (PRESETS[0].materials, ""), "they are called the same"
+    assert (found[1:], words) == (PRESETS[0].materials, ""), "equal names are reported"
     liver = next(preset for preset in PRESETS if preset.name.startswith("Liver"))
     words = liver.replace_materials((Material(0, "unpainted", 20.0), *table[1:]))[1]
     assert words == (
@@ -162,7 +162,7 @@ def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have()
     )
 
 
-def test_a_preset_leaves_rigid_tissue_rigid_and_makes_nothing_else_so():
+def test_a_preset_preserves_rigid_tissue_and_makes_no_other_tissue_rigid():
     table = (Material(0, "air", 0.0), Material(1, "gel", 20.0), Material(9, "implant", RIGID))
     found, words = LIVER.replace_materials(table)
     assert found[-1].is_rigid
@@ -175,13 +175,13 @@ def test_a_preset_leaves_rigid_tissue_rigid_and_makes_nothing_else_so():
     assert only_bone.replace_materials((*table, Material(4, "fat", 2.0)))[0][2].stiffness == 2.0
 
 
-def test_a_new_label_is_never_rigid_by_itself():
+def test_a_new_label_is_not_rigid():
     known = (Material(0, "air", 0.0), Material(1, "bone", RIGID), Material(2, "gel", 5.0))
     assert default_material(3, known).stiffness == 5.0
     assert default_material(3, known[:2]).is_deformable
 
 
-def test_a_material_whose_number_is_taken_by_a_name_gets_another():
+def test_a_material_gets_a_new_label_if_a_name_matches_its_label():
     brain = Preset("", "kPa", "", (Material(1, "fluid", 0.1), Material(2, "tumour", 8.0)))
     found, words = brain.replace_materials((Material(1, "tumour", 40.0),))
     assert found == (Material(1, "tumour", 8.0), Material(3, "fluid", 0.1))

@@ -1,4 +1,4 @@
-"""Tissue comes from what a segmentation calls its labels, as other tools write it."""
+"""Tests of tissue tables derived from the label names of a segmentation."""
 
 import json
 from types import SimpleNamespace
@@ -79,9 +79,9 @@ def tissues(names):
         {"labels": {"background": 0, **{name: label for label, name in TOTAL.items()}}},
         {"labels": {"0": "background", **TOTAL}, "numTraining": 3, "name": "a data set"},
     ],
-    ids=["a class map", "one of several", "dataset.json", "an earlier dataset.json"],
+    ids=["a class map", "one of several maps", "dataset.json", "an earlier dataset.json"],
 )
-def test_a_class_map_of_totalsegmentator_is_tissue_without_an_edit(tmp_path, content):
+def test_a_class_map_of_totalsegmentator_is_read_as_tissue(tmp_path, content):
     path = tmp_path / "classes.json"
     path.write_text(json.dumps(content))
     names = read_label_names(path)
@@ -105,7 +105,7 @@ def test_a_class_map_of_totalsegmentator_is_tissue_without_an_edit(tmp_path, con
     assert found.unknown.items() >= {20: "colon"}.items()
 
 
-def test_freesurfer_s_table_is_tissue_without_an_edit(tmp_path):
+def test_a_colour_table_of_freesurfer_is_read_as_tissue(tmp_path):
     path = tmp_path / "FreeSurferColorLUT.txt"
     path.write_text(FREESURFER)
     names = read_label_names(path)
@@ -135,7 +135,7 @@ def test_freesurfer_s_table_is_tissue_without_an_edit(tmp_path):
         ("some.seg.nrrd", SEGMENTS, {1: "tibia", 3: "muscle"}),
     ],
 )
-def test_other_tools_tables_name_labels(tmp_path, file, content, expected):
+def test_label_names_are_read_from_tables_of_other_tools(tmp_path, file, content, expected):
     path = tmp_path / file
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     assert read_label_names(path) == expected
@@ -147,9 +147,9 @@ def test_other_tools_tables_name_labels(tmp_path, file, content, expected):
         (
             "a.txt",
             "a letter to a friend\n",
-            r"a\.txt holds no label names\. Give a file of materials",
+            r"a\.txt contains no label names\. Give a material file",
         ),
-        ("a.json", "{]", r"a\.json holds no label names"),
+        ("a.json", "{]", r"a\.json contains no label names"),
         (
             "a.ctbl",
             "1 bone 1 2 3 4\n1 fat 1 2 3 4\n",
@@ -162,7 +162,7 @@ def test_other_tools_tables_name_labels(tmp_path, file, content, expected):
         ),
     ],
 )
-def test_what_is_wrong_with_a_table_of_names_is_said(tmp_path, file, content, sentence):
+def test_an_invalid_table_of_names_is_refused_with_a_reason(tmp_path, file, content, sentence):
     path = tmp_path / file
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(FileFormatError, match=sentence):
@@ -196,7 +196,7 @@ def test_what_is_wrong_with_a_table_of_names_is_said(tmp_path, file, content, se
         ("a.txt", "1 bone 1 2 3 4\n2 fat 1 2\n", r"a\.txt: line 2 is '2 fat 1 2'\. Give a label"),
     ],
 )
-def test_a_misspelt_column_is_never_replaced_by_published_values(tmp_path, file, content, sentence):
+def test_a_misspelt_column_is_not_replaced_by_published_values(tmp_path, file, content, sentence):
     path = tmp_path / file
     path.write_text(content)
     for read in (read_label_names, tissue_table):
@@ -204,11 +204,13 @@ def test_a_misspelt_column_is_never_replaced_by_published_values(tmp_path, file,
             read(path)
 
 
-def test_a_table_of_materials_is_no_list_of_names(tmp_path):
+def test_a_table_of_materials_is_refused_as_a_list_of_names(tmp_path):
     path = tmp_path / "m.csv"
     path.write_text("label,name,stiffness\n1,brain,3\n")
     assert tissue_table(path).materials == (Material(1, "brain", 3.0),)
-    with pytest.raises(FileFormatError, match=r"m\.csv: line 1: a list of names has no column 'st"):
+    with pytest.raises(
+        FileFormatError, match=r"m\.csv: line 1: a table of label names has no column 'st"
+    ):
         read_label_names(path)
     path.write_text("label,name,poisson\n1,brain,0.4\n")
     with pytest.raises(FileFormatError, match=r"m\.csv: line 1 lacks the column 'stiffness'"):
@@ -226,7 +228,7 @@ def test_a_table_of_materials_is_no_list_of_names(tmp_path):
             tissue_table(tmp_path / "m.json")
 
 
-def test_columns_of_other_tools_beside_names_are_no_materials(tmp_path):
+def test_a_list_of_names_with_other_columns_is_not_a_table_of_materials(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("LabelValue,Name,Color_R,Color_A,Type_CodeMeaning\n1,liver,3,255,Organ\n")
     assert tissue_table(path).materials[0].stiffness == 5.4
@@ -248,7 +250,7 @@ def test_columns_of_other_tools_beside_names_are_no_materials(tmp_path):
         "",
     ],
 )
-def test_what_is_not_known_for_sure_is_not_guessed(name):
+def test_no_tissue_is_guessed_for_an_ambiguous_name(name):
     assert lookup_tissue(name) is None
 
 
@@ -264,11 +266,11 @@ def test_what_is_not_known_for_sure_is_not_guessed(name):
         ("Brain-Stem", "brain"),
     ],
 )
-def test_of_two_names_the_longer_counts(name, tissue):
+def test_a_longer_name_takes_precedence(name, tissue):
     assert lookup_tissue(name).name == tissue
 
 
-def test_every_tissue_has_a_source_a_stiffness_that_can_be_solved_and_names_of_its_own():
+def test_every_known_tissue_has_a_source_valid_values_and_unique_names():
     file = resource_folder("sample_data") / "tissue_names.json"
     content = json.loads(file.read_text(encoding="utf-8"))
     assert content["unit"] == "kPa"
@@ -283,7 +285,7 @@ def test_every_tissue_has_a_source_a_stiffness_that_can_be_solved_and_names_of_i
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """A picture with a skull, a brain, a tube of air, and something that nobody knows."""
+    """Write a picture with a skull, a brain, an air tube and a label of unknown stiffness."""
     monkeypatch.chdir(tmp_path)
     labels = np.full((24, 30), 91, np.uint8)
     labels[3:-3, 3:-3] = 90
@@ -296,12 +298,12 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_shell_writes_a_table_to_correct_and_says_what_is_unknown(files, capsys):
+def test_the_shell_writes_a_table_and_lists_labels_of_unknown_stiffness(files, capsys):
     assert main(["materials", "classes.json", "--labels", "labels.png", "-o", "m.csv"]) == 0
     said = capsys.readouterr().out
     assert "brain (1.642 kPa, nu 0.45): 90 brain\n" in said
     assert "air (0 kPa): 16 trachea\n" in said
-    assert "unknown, to be filled in or removed: 20 colon\n" in said
+    assert "unknown (fill in or remove): 20 colon\n" in said
     with pytest.raises(FileFormatError, match=r"m\.csv: line 3 has no value in 'stiffness'"):
         read_materials("m.csv")
     text = (files / "m.csv").read_text()
@@ -314,7 +316,7 @@ def test_the_shell_writes_a_table_to_correct_and_says_what_is_unknown(files, cap
     )
 
 
-def test_the_shell_solves_with_the_names_of_a_segmentation(files, capsys):
+def test_the_shell_solves_with_the_label_names_of_a_segmentation(files, capsys):
     command = "solve image.png --labels labels.png --materials classes.json --boundary rim.png "
     command += "--rules rules.csv -o out --backend cpu"
     assert main(command.split()) == 0
@@ -331,11 +333,11 @@ def test_the_shell_solves_with_the_names_of_a_segmentation(files, capsys):
     command = "solve image.png --labels labels.png --materials none.json --hold-edge -o out"
     assert main(command.split()) == 1
     said = capsys.readouterr().err
-    assert "none.json states no stiffness, and none of its names (a, b) is a tissue" in said
+    assert "none.json contains no stiffness, and none of its names (a, b) is a tissue" in said
     assert "Give a .csv with the columns label, name and stiffness." in said
 
 
-def test_the_dock_s_menu_takes_the_names_of_a_segmentation(files, qtbot):
+def test_the_menu_of_the_dock_reads_the_label_names_of_a_segmentation(files, qtbot):
     from napari_hmrf.ui.tissue_tables import MaterialMenu
 
     rows = (Material(0, "", 0.0), Material(20, "tissue 20", 5.0), Material(91, "tissue 91", 5.0))

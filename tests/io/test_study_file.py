@@ -1,4 +1,4 @@
-"""A saved study comes back, its field is made again bit by bit, and anything else is refused."""
+"""Tests of study files: reading back, replaying and refusing damaged files."""
 
 import dataclasses
 import io
@@ -128,7 +128,7 @@ def study(request):
     return request.param()
 
 
-def test_what_was_saved_comes_back(study, tmp_path):
+def test_a_saved_study_is_read_back_unchanged(study, tmp_path):
     solution = solve_study(study, backend="cpu")
     saved = read_study(write_study(tmp_path / "case", study, solution))
     assert plain(saved.study) == plain(study)
@@ -136,7 +136,7 @@ def test_what_was_saved_comes_back(study, tmp_path):
     assert saved.solution.provenance.model == study.model_name
 
 
-def test_stiffness_may_be_a_picture_of_whole_numbers(tmp_path):
+def test_the_stiffness_may_be_an_image_of_integers(tmp_path):
     shades = np.arange(1, 481, dtype=np.uint16).reshape(20, 24)
     for kind in (np.uint8, np.uint16, np.int32, np.float16):
         study = Study(
@@ -146,7 +146,7 @@ def test_stiffness_may_be_a_picture_of_whole_numbers(tmp_path):
         assert plain(saved.tissue.stiffness) == plain(study.tissue.stiffness)
 
 
-def test_a_study_needs_no_field(study, tmp_path):
+def test_a_study_is_saved_without_a_solution(study, tmp_path):
     path = write_study(tmp_path / "case.study", study)
     assert path.name == "case.study"
     assert is_study_file(path)
@@ -172,7 +172,7 @@ for path in sys.argv[1:]:
 """
 
 
-def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path):
+def test_a_study_is_replayed_bit_by_bit_in_a_new_process(tmp_path):
     paths, solutions = {"cpu": [], "opengl": []}, {}
     for backend in paths if has_opengl() else ["cpu"]:
         for make in STUDIES:
@@ -181,8 +181,8 @@ def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path):
             path = write_study(tmp_path / f"{make.__name__}-{backend}", study, solution)
             paths[backend].append(path)
             solutions[path] = solution
-    # Who compiles a loop, as this process may have, rounds otherwise than who finds it on disk; one
-    # thread and as many as there are do not.
+    # A process that compiles a loop rounds differently from a process that loads the loop from
+    # disk. The number of threads has no effect.
     alone = {**os.environ, "NUMBA_NUM_THREADS": "1"}
     subprocess.run([sys.executable, "-c", SOLVE, *paths["cpu"]], check=True, env=alone)
     for path in paths["cpu"]:
@@ -199,41 +199,45 @@ def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path):
 KILLED = Path(__file__).parents[2] / "benchmarks" / "killed.py"
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
-def test_a_study_killed_at_any_step_of_saving_leaves_a_whole_file():
-    """All steps of it, and kills of large files half written: `python benchmarks/killed.py`."""
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
+def test_a_process_killed_while_saving_leaves_a_complete_file():
+    """Test some steps; `python benchmarks/killed.py` kills at all steps and while writing large
+    files."""
     command = [sys.executable, KILLED, "--packing", "5", "--every", "5", "--half", "0"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     told = [" ".join(line.split()) for line in done.stdout.splitlines()]
     assert "killed while packing 5 times; the file: first" in told
-    for left in ("first", "second"):  # of each there are, as the name changes in one step
+    for left in (
+        "first",
+        "second",
+    ):  # The name of the file changes in one step, so both contents occur.
         assert any(re.match(rf"killed while writing \d+ times; the file: {left}", x) for x in told)
 
 
-def test_an_image_may_be_left_out_and_is_given_by_whom_it_is_known(tmp_path):
+def test_a_study_saved_without_its_image_accepts_only_that_image(tmp_path):
     study = by_curve()
     path = write_study(tmp_path / "case", study, solve_study(study, backend="cpu"), image=False)
     assert read_study(path).study.pictures.image is None
     assert plain(read_study(path, image=picture()).study) == plain(study)
     with pytest.raises(
-        FileFormatError, match=r"case.study: the study was made from another .*'t1'"
+        FileFormatError, match=r"case.study: the study was created from another .*'t1'"
     ):
         read_study(path, image=picture(4))
-    with pytest.raises(HmrfError, match=r"case.study: the tissue is derived from 't1'"):
+    with pytest.raises(HmrfError, match=r"case.study: the tissue is derived from the image 't1'"):
         replay(path)
     again = replay(path, image=picture())
     assert np.array_equal(again.displacement, read_study(path).solution.displacement)
 
 
-def test_another_file_is_no_study(tmp_path):
+def test_a_result_file_is_refused_as_a_study(tmp_path):
     solution = solve_study(by_arrays(), backend="cpu").write(tmp_path / "result.npz")
     assert not is_study_file(solution)
     with pytest.raises(FileFormatError, match=r"not a valid napari-hmrf study: it is another kind"):
         read_study(solution)
 
 
-def test_an_image_that_no_file_keeps_is_refused_and_the_old_file_stays(tmp_path):
+def test_an_image_of_an_unsupported_type_is_refused_and_the_old_file_remains(tmp_path):
     study = by_curve()
     path = write_study(tmp_path / "case", study)
     strange = Pictures(picture().astype(complex), name="t1")
@@ -242,7 +246,7 @@ def test_an_image_that_no_file_keeps_is_refused_and_the_old_file_stays(tmp_path)
     assert plain(read_study(path).study) == plain(study)
 
 
-def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_memory(tmp_path):
+def test_a_damaged_study_is_read_unchanged_or_refused_with_little_memory(tmp_path):
     study, path = by_labels(), tmp_path / "damaged.study"
     content = write_study(path, study, solve_study(study, backend="cpu")).read_bytes()
     original, outcomes = read_study(path), set()
@@ -259,7 +263,7 @@ def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_m
 
 
 def with_members(path, target, **changed):
-    """A copy of an archive in which some members are others."""
+    """Write a copy of an archive with some members replaced, and return its path."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     members |= {f"{name}.npy": data for name, data in changed.items()}
@@ -276,7 +280,7 @@ def as_npy(array):
 
 
 def spoiled_header(path, part, name, value):
-    """The header of a study with another value."""
+    """Return the header of a study with one value replaced."""
     with np.load(path) as archive:
         header = json.loads(archive["header"].item())
     header[part][name] = value
@@ -311,7 +315,7 @@ def test_arrays_are_expanded_only_if_header_and_shapes_allow(fault, tmp_path):
     assert most < 5e6
 
 
-def test_an_array_is_expanded_into_its_own_memory_alone(tmp_path):
+def test_an_array_is_expanded_without_a_second_copy(tmp_path):
     image = np.zeros((3000, 3000), np.uint8)
     path = write_study(tmp_path / "a", Study(Grid(image.shape, (1, 1)), pictures=Pictures(image)))
     tracemalloc.start()
@@ -321,8 +325,8 @@ def test_an_array_is_expanded_into_its_own_memory_alone(tmp_path):
     assert most < 1.5 * image.nbytes
 
 
-@pytest.mark.skipif(os.name != "posix", reason="devices and FIFOs are of POSIX")
-def test_devices_and_pipes_are_no_studies_and_no_tables(tmp_path):
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX devices and FIFOs")
+def test_devices_and_pipes_are_refused_as_studies_and_tables(tmp_path):
     fifo, device = tmp_path / "a.study", tmp_path / "b.study"
     os.mkfifo(fifo)
     device.symlink_to("/dev/zero")
@@ -345,7 +349,7 @@ def test_devices_and_pipes_are_no_studies_and_no_tables(tmp_path):
         ({"unit": "um"}, r"has pixels of 0\.5 x 0\.8 um, but the study has"),
         (
             {"frame": Frame.at((0.5, 0.8), ("mm",) * 2, affine=np.diag([1, -1, 1])).as_dict()},
-            "else",
+            "place",
         ),
         (
             {"tissue": np.ones((20, 25), bool), "displacement": np.zeros((20, 25, 2))},
@@ -353,7 +357,7 @@ def test_devices_and_pipes_are_no_studies_and_no_tables(tmp_path):
         ),
     ],
 )
-def test_the_field_of_another_grid_is_not_saved_with_a_study(change, said, tmp_path):
+def test_a_solution_on_another_grid_is_not_saved_with_a_study(change, said, tmp_path):
     study = by_labels()
     solution = solve_study(study, backend="cpu")
     with pytest.raises(ProblemError, match=said):
@@ -361,7 +365,7 @@ def test_the_field_of_another_grid_is_not_saved_with_a_study(change, said, tmp_p
     assert not (tmp_path / "case.study").exists()
 
 
-def test_a_saved_field_keeps_its_unit(tmp_path):
+def test_a_saved_field_retains_its_unit(tmp_path):
     study = by_labels()
     solution = solve_study(study, backend="cpu")
     in_micrometres = dataclasses.replace(
@@ -369,5 +373,5 @@ def test_a_saved_field_keeps_its_unit(tmp_path):
     )
     saved = read_study(write_study(tmp_path / "case", study, in_micrometres)).solution
     assert (saved.spacing, saved.unit) == ((500.0, 800.0), "um")
-    unknown = dataclasses.replace(solution, unit="")  # as of earlier versions
+    unknown = dataclasses.replace(solution, unit="")  # As written by earlier versions.
     assert read_study(write_study(tmp_path / "case", study, unknown)).solution.unit == "millimeter"

@@ -1,4 +1,4 @@
-"""A volume is solved whole from files in the shell, as it would be from arrays."""
+"""Tests of volumes that are solved from files in the shell."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ MATERIALS = (
     "label,name,stiffness,poisson\n0,outside,0,\n1,brain,1,\n2,ventricles,0.1,\n3,tumour,4,\n"
 )
 RULES = "label,action,amount,name\n1,fixed,,skull\n2,expand,6,tumour rim\n"
-#: As a scanner cuts it from the side: the first axis leads to the left, and rows to the feet.
+#: Directions of a sagittal scan: the first axis points left, and rows point to the feet.
 SIDEWAYS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
@@ -33,7 +33,7 @@ def head():
 
 @pytest.fixture(scope="module")
 def files(head, tmp_path_factory):
-    """A head and what is painted on it, as it lies and as cut from the side, with its tables."""
+    """Write a head with its labels in axial and in sagittal order, and its tables."""
     folder = tmp_path_factory.mktemp("head")
     place = Place(head.spacing, (-70.0, -90.0, -70.0), np.eye(3))
     turned = Place(head.spacing, (-70.0, -90.0, 66.0), SIDEWAYS)
@@ -60,7 +60,7 @@ def grown(files):
     return files / "out", solved(files, files / "out", *given, *rim)
 
 
-def test_the_shell_solves_a_volume_as_python_would(head, grown):
+def test_the_shell_and_python_give_the_same_field_of_a_volume(head, grown):
     out, (study, solution) = grown
     problem = build_problem(study).problem
     for name in ("observed", "confidence", "stiffness"):
@@ -77,11 +77,11 @@ def test_the_shell_solves_a_volume_as_python_would(head, grown):
     np.testing.assert_allclose(seen.place.origin, (-70, -90, -70))
 
 
-def test_what_comes_of_a_volume_is_replayed_exported_applied_and_measured(grown, files, capsys):
+def test_the_result_of_a_volume_is_replayed_exported_applied_and_measured(grown, files, capsys):
     out, (_, solution) = grown
     study = str(out / "t1.study")
     assert main(["replay", study]) == 0
-    assert "bit by bit the same field" in capsys.readouterr().out
+    assert "the fields are identical, bit by bit" in capsys.readouterr().out
     assert main(["export", study, str(out / "field.mha")]) == 0
     field = sitk.ReadImage(str(out / "field.mha"))
     volume = sitk.ReadImage(str(files / "t1.nii.gz"))
@@ -101,21 +101,21 @@ def test_what_comes_of_a_volume_is_replayed_exported_applied_and_measured(grown,
     assert solution.tissue.any()
 
 
-def test_a_volume_that_was_cut_from_the_side_is_turned_with_all_that_lies_on_it(grown, files):
+def test_a_sagittal_volume_is_reordered_together_with_its_labels(grown, files):
     _, (_, expected) = grown
     given = ("--labels", files / "labels-side.mha", "--materials", files / "m.csv")
     rim = ("--boundary", files / "rim-side.mha", "--rules", files / "r.csv")
     study, solution = solved(files, files / "side", *given, *rim, image="t1-side.mha")
     assert study.grid.place.axis_labels == tuple(PATIENT_AXES)
-    # Its first axis leads to the feet.
+    # Its first axis points to the feet.
     d = solution.displacement[::-1] * (-1, 1, 1)
     far = np.linalg.norm(d - expected.displacement, axis=-1)
-    assert far.max() < 0.5, "of normals some are as near to one voxel as to another"
+    assert far.max() < 0.5, "the fields differ by more than the choice between equally near normals"
     assert far.mean() < 0.005
     assert place_of(solution).origin == pytest.approx((-70, -90, 66))
 
 
-def test_maps_and_labels_without_a_place_are_of_the_same_voxels(files, head):
+def test_maps_and_labels_without_a_place_have_the_voxels_of_the_image(files, head):
     bare = head.tissue_labels[::-1].transpose(2, 0, 1)
     write_image(files / "bare.tif", ImageFile(bare))
     case = Case(files / "t1-side.mha", labels=files / "bare.tif", hold_edge=True)
@@ -131,13 +131,13 @@ def test_maps_and_labels_without_a_place_are_of_the_same_voxels(files, head):
 
 
 @pytest.mark.parametrize("image", ["t1.nii.gz", "t1-side.mha"])
-def test_landmarks_of_the_patient_lead_through_slices(files, image):
+def test_landmarks_in_physical_units_move_tissue_between_slices(files, image):
     where, should = [[0.0, 10.0, 20.0]], [[8.0, 10.0, 16.0]]
     write_points(files / "pairs.csv", where, should)
     volume = read_image(files / image)
     study = read_case(Case(files / image, boundary=files / "pairs.csv", hold_edge=True))
     (mark,) = study.motion.drawing.marks
-    # BigWarp's points are in the images' units, from the first voxel on, by the file's axes.
+    # BigWarp's points are in the unit of the image, relative to the first voxel, in file axes.
     first = volume.place.to_space(np.array(where) / volume.place.spacing)
     last = volume.place.to_space(np.array(should) / volume.place.spacing)
     upright = volume.upright.place
@@ -145,7 +145,7 @@ def test_landmarks_of_the_patient_lead_through_slices(files, image):
     np.testing.assert_allclose([mark.target], upright.to_pixels(last), atol=1e-6)
 
 
-def test_a_field_is_observed_in_all_of_a_volume_or_where_it_has_edges(files, head):
+def test_a_field_is_observed_in_a_whole_volume_or_at_its_edges(files, head):
     d = np.zeros((*head.image.shape, 3))
     d[..., 0] = 1.5
     place = read_image(files / "t1.nii.gz").place
@@ -163,7 +163,7 @@ def test_a_field_is_observed_in_all_of_a_volume_or_where_it_has_edges(files, hea
     assert not read_case(mask).motion.confidence[0].any()
 
 
-def test_a_rule_may_lead_across_the_planes_of_a_volume(tmp_path):
+def test_a_rule_may_move_tissue_between_the_planes_of_a_volume(tmp_path):
     (tmp_path / "r.csv").write_text("label,action,plane,row,col\n1,move,2,1,-1\n2,fixed,,,\n")
     assert read_rules(tmp_path / "r.csv") == (
         BoundaryRule(1, "move", vector=(2.0, 1.0, -1.0)),
@@ -171,7 +171,7 @@ def test_a_rule_may_lead_across_the_planes_of_a_volume(tmp_path):
     )
 
 
-def test_a_stack_that_lies_nowhere_is_a_volume_in_voxels(tmp_path):
+def test_a_stack_without_a_place_is_a_volume_in_voxels(tmp_path):
     stack = np.random.default_rng(0).integers(100, 200, (6, 8, 9), dtype=np.uint8)
     write_image(tmp_path / "stack.tif", ImageFile(stack))
     seen = np.zeros(stack.shape, np.uint8)
@@ -185,7 +185,7 @@ def test_a_stack_that_lies_nowhere_is_a_volume_in_voxels(tmp_path):
     assert read_image(tmp_path / "out" / "stack deformed.tif").pixels.shape == (6, 8, 9)
 
 
-def test_the_paper_s_model_of_a_volume_says_what_hangs_on_nothing(tmp_path, capsys):
+def test_the_paper_model_of_a_volume_reports_unconnected_tissue(tmp_path, capsys):
     labels, seen = np.zeros((5, 12, 14), np.uint8), np.zeros((5, 12, 14), np.uint8)
     labels[:, :, :6], labels[:, :, 8:] = 1, 1
     seen[:, :3, :6], seen[:, -3:, :6] = 1, 2
@@ -199,10 +199,10 @@ def test_the_paper_s_model_of_a_volume_says_what_hangs_on_nothing(tmp_path, caps
     assert "note: a piece of tissue touches no boundary (360 voxels)" in capsys.readouterr().out
 
 
-def test_what_lies_elsewhere_is_refused_by_its_name(files, head):
+def test_an_image_at_another_place_or_of_another_size_is_refused_by_name(files, head):
     place = read_image(files / "t1.nii.gz").place._replace(origin=(0.0, 0.0, 0.0))
     write_image(files / "far.mha", ImageFile(head.tissue_labels, place))
-    with pytest.raises(ProblemError, match=r"far\.mha: lies elsewhere than the image"):
+    with pytest.raises(ProblemError, match=r"far\.mha: is not in the same place as the image"):
         read_case(Case(files / "t1.nii.gz", labels=files / "far.mha"))
     write_image(files / "small.mha", ImageFile(head.tissue_labels[1:], place))
     with pytest.raises(ProblemError, match=r"small\.mha: is 29 x 38 x 30, but the image is 30 x"):

@@ -1,4 +1,4 @@
-"""Volumes and their fields in files: written, read, and what they move in other tools."""
+"""Tests of files of volumes and of their displacement fields."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -57,7 +57,7 @@ def smooth_image():
 
 
 def tissue_in_air():
-    """An ellipsoid of tissue, and no tissue around it."""
+    """Return the mask of an ellipsoid of tissue in air."""
     away = (np.indices(SHAPE) - (np.reshape(SHAPE, (3, 1, 1, 1)) - 1) / 2) / np.reshape(
         SHAPE, (3, 1, 1, 1)
     )
@@ -66,7 +66,7 @@ def tissue_in_air():
 
 @pytest.fixture(scope="module")
 def solution():
-    """Tissue that is held at one end and pulled into the air at the other, in oblique space."""
+    """Return a solution in oblique space: one end is fixed, the other is pulled into the air."""
     tissue = tissue_in_air()
     rows = np.indices(SHAPE)[1]
     y, c = np.zeros((2, *SHAPE, 3))
@@ -83,7 +83,7 @@ def moved(image, solution, **options):
 
 
 def inner(tissue):
-    """Where tissue is seen whose neighbours are all tissue, too."""
+    """Return the mask of sites whose 26 neighbours are all tissue."""
     padded = np.pad(tissue, 1)
     return np.all(
         [
@@ -95,7 +95,7 @@ def inner(tissue):
     )
 
 
-def test_a_volume_s_place_is_that_of_its_frame(solution):
+def test_the_place_of_a_volume_is_the_place_of_its_frame(solution):
     found = place_of(solution)
     np.testing.assert_allclose(found.spacing, SIZE)
     np.testing.assert_allclose(found.origin, ORIGIN)
@@ -105,7 +105,7 @@ def test_a_volume_s_place_is_that_of_its_frame(solution):
 
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
-def test_simpleitk_moves_a_volume_as_warp_does(solution, suffix, tmp_path):
+def test_simpleitk_and_warp_move_a_volume_alike(solution, suffix, tmp_path):
     sitk = pytest.importorskip("SimpleITK")
     path, image = tmp_path / f"field{suffix}", smooth_image()
     residual = export_field(path, solution)
@@ -124,14 +124,14 @@ def test_simpleitk_moves_a_volume_as_warp_does(solution, suffix, tmp_path):
     ours, ones = moved(image, solution), moved(solution.tissue.astype(float), solution)
     inside = inner(ones > 0.99)
     assert inside.sum() > 300
-    # The image changes by 15 a voxel at most; tissue that came into the air is seen there, too.
-    assert np.abs(seen - ours)[inside].max() < 0.01  # it changes by 15 a voxel at most
+    # The image changes by at most 15 per voxel; tissue that moved into the air is compared too.
+    assert np.abs(seen - ours)[inside].max() < 0.01
     assert (inside & ~solution.tissue).any()
     assert np.abs(ours - image)[inside].max() > 10
 
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES[:-1])
-def test_a_volume_s_field_comes_back_from_a_file(solution, suffix, tmp_path):
+def test_the_field_of_a_volume_is_read_back_unchanged(solution, suffix, tmp_path):
     pytest.importorskip("SimpleITK")
     path = tmp_path / f"field{suffix}"
     assert export_field(path, solution, forward=True) == 0
@@ -143,9 +143,7 @@ def test_a_volume_s_field_comes_back_from_a_file(solution, suffix, tmp_path):
 
 
 @pytest.mark.parametrize("plane", list(permutations(range(3)))[1:])
-def test_a_field_lies_in_one_place_in_whichever_order_its_axes_were_looked_at(
-    solution, plane, tmp_path
-):
+def test_the_place_of_a_field_does_not_depend_on_the_order_of_its_axes(solution, plane, tmp_path):
     sitk = pytest.importorskip("SimpleITK")
     turned = replace(
         solution,
@@ -168,7 +166,7 @@ def field_image(sitk, solution, path):
     return sitk.ReadImage(str(path), sitk.sitkVectorFloat64)
 
 
-def test_the_way_back_shows_tissue_that_has_come_where_nothing_moves(solution):
+def test_the_inverse_field_shows_tissue_that_moved_into_the_air(solution):
     tissue, size = solution.tissue, np.array(SIZE)
     back, residual = inverse_displacement(solution.displacement, spacing=SIZE, tissue=tissue)
     assert residual < 0.05
@@ -181,7 +179,7 @@ def test_the_way_back_shows_tissue_that_has_come_where_nothing_moves(solution):
     assert np.mean(np.abs(looked - expected) < 1.5) > 0.97
     far = ~came & ~tissue
     far[:, 3:] = False
-    assert not back[far].any(), "air stays"
+    assert not back[far].any(), "air moved"
 
 
 def warp_by(image, origins):
@@ -190,7 +188,7 @@ def warp_by(image, origins):
     return map_coordinates(image, np.moveaxis(origins, -1, 0), order=1, mode="nearest")
 
 
-def test_images_labels_and_landmarks_go_with_a_result_of_a_volume(solution, tmp_path):
+def test_images_labels_and_landmarks_move_with_the_result_of_a_volume(solution, tmp_path):
     pytest.importorskip("SimpleITK")
     solution.write(tmp_path / "result.npz")
     scan, labels = smooth_image(), (smooth_image() // 40).astype(np.uint8)
@@ -221,7 +219,7 @@ def test_images_labels_and_landmarks_go_with_a_result_of_a_volume(solution, tmp_
 
 
 @pytest.mark.parametrize("ready", [True, False])
-def test_the_shell_says_that_moving_volumes_waits_for_loops(
+def test_the_shell_reports_that_loops_for_volumes_are_compiled(
     solution, ready, tmp_path, capsys, monkeypatch
 ):
     pytest.importorskip("SimpleITK")
@@ -236,9 +234,9 @@ def test_the_shell_says_that_moving_volumes_waits_for_loops(
     )
 
 
-def test_an_image_in_another_order_of_axes_than_the_result_is_turned_to_it(solution, tmp_path):
+def test_an_image_with_another_order_of_axes_is_reordered_to_the_result(solution, tmp_path):
     pytest.importorskip("SimpleITK")
-    # As a scanner keeps it: columns first.
+    # The column axis is stored first, as by some scanners.
     turn = np.eye(3)[:, [1, 2, 0]]
     stored = ImageFile(smooth_image(), Place(SIZE, ORIGIN, turn))
     assert stored.upright.pixels.shape != SHAPE
@@ -265,7 +263,7 @@ def test_an_image_in_another_order_of_axes_than_the_result_is_turned_to_it(solut
     assert rows[1].pixels == there.sum()
 
 
-def test_measurements_of_a_volume_are_called_so(solution, tmp_path):
+def test_measurements_of_a_volume_are_named_for_voxels_and_volumes(solution, tmp_path):
     solution.write(tmp_path / "result.npz")
     write_image(tmp_path / "labels.tif", ImageFile(np.ones(SHAPE, np.uint8)))
     rows = measured(tmp_path / "result.npz", tmp_path / "labels.tif").rows
@@ -277,7 +275,7 @@ def test_measurements_of_a_volume_are_called_so(solution, tmp_path):
     assert line.endswith(",mm")
 
 
-def test_pictures_are_of_a_slice(solution, tmp_path):
+def test_pictures_and_movies_of_a_volume_are_refused(solution, tmp_path):
     with pytest.raises(ProblemError, match="displacement: belongs to a volume"):
         write_result_pictures(tmp_path, solution, smooth_image())
     assert not list(tmp_path.iterdir())
@@ -285,7 +283,7 @@ def test_pictures_are_of_a_slice(solution, tmp_path):
         write_movie(tmp_path / "a.gif", solution, smooth_image())
 
 
-def a_study(solution, **changes):
+def make_study(solution, **changes):
     tissue = Tissue(labels=solution.tissue.astype(np.uint8), materials=(Material(1, "brain", 3.0),))
     c = np.zeros((*SHAPE, 3), np.float32)
     c[0] = 1
@@ -299,8 +297,8 @@ def a_study(solution, **changes):
     )
 
 
-def test_a_study_of_a_volume_comes_back(solution, tmp_path):
-    study = a_study(solution)
+def test_a_study_of_a_volume_is_read_back_unchanged(solution, tmp_path):
+    study = make_study(solution)
     path = write_study(tmp_path / "case", study, solution)
     assert is_study_file(path)
     saved = read_study(path)
@@ -323,7 +321,7 @@ def test_a_study_of_a_volume_comes_back(solution, tmp_path):
     assert len(measured(path).rows) == 1
 
 
-def test_a_study_of_a_volume_that_lies_as_a_slice_is_refused(solution, tmp_path):
+def test_a_volume_with_the_place_of_a_slice_is_refused(solution, tmp_path):
     with pytest.raises(ProblemError, match=r"has 3 axes, but its place has 2"):
         Grid(SHAPE, SIZE, "millimeter", PLACE.frame(3))
     odd = replace(solution, frame=PLACE.frame(3).as_dict())

@@ -1,6 +1,6 @@
-"""What napari and vispy do not offer still works as we use it; the tests say when it can go.
+"""Tests of the private parts of napari and vispy that `compat` uses.
 
-A test that finds a public way fails: then the function of `compat` takes that way, or goes.
+A test fails if a public way exists; then `compat` should use that way.
 """
 
 import gc
@@ -18,29 +18,31 @@ from napari_hmrf.layers import compat
 PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 
 
-def public(thing, *words):
-    """What a thing offers whose name has one of these words in it."""
+def public_names_with(thing, *words):
+    """Return the public names of an object that contain one of some words."""
     names = [name for name in dir(thing) if not name.startswith("_")]
     return [name for name in names if any(word in name for word in words)]
 
 
-def test_plugins_still_get_a_proxy():
+def test_plugins_receive_a_proxy_of_the_viewer():
     viewer = ViewerModel()
     image = viewer.add_image(np.zeros((4, 4)))
     proxy = PublicOnlyProxy(viewer)
     assert compat.unwrapped(proxy) is compat.unwrapped(viewer) is viewer
-    assert proxy.layers[0] is not image, "if its layers are the viewer's, nobody need unwrap it"
+    assert proxy.layers[0] is not image, (
+        "the proxy returns the layers of the viewer, so unwrapping is unnecessary"
+    )
 
 
-@pytest.mark.skipif(not PROJECT.exists(), reason="looks at a checkout of the repository")
-def test_versions_before_napari_moved_its_camera_and_overlays_are_still_allowed():
+@pytest.mark.skipif(not PROJECT.exists(), reason="needs a checkout of the repository")
+def test_napari_versions_before_the_move_of_camera_and_overlays_are_allowed():
     listed = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]["dependencies"]
     (lowest,) = [each.partition(">=")[2] for each in listed if each.startswith("napari>=")]
     major, minor, *_ = map(int, lowest.split("."))
-    assert (major, minor) < (0, 9), "camera_of and text_of can go"
+    assert (major, minor) < (0, 9), "camera_of and text_of can be removed"
 
 
-def test_what_napari_has_moved_is_found():
+def test_the_camera_and_the_text_overlay_are_found_in_any_napari_version():
     viewer = ViewerModel()
     compat.camera_of(viewer).zoom = 3.0
     assert compat.camera_of(viewer).zoom == 3.0
@@ -50,20 +52,20 @@ def test_what_napari_has_moved_is_found():
         assert compat.text_of(viewer) is viewer.canvas.overlays.text
 
 
-def test_the_brush_s_circle_is_no_public_overlay():
+def test_the_brush_circle_has_no_public_overlay():
     viewer = ViewerModel()
     compat.clear_middle(viewer)
     if not hasattr(viewer, "canvas"):
         return
     circle = viewer.canvas.overlays._brush_circle
-    assert hasattr(circle, "box"), "if it has none, no square is left behind: clear_middle can go"
+    assert hasattr(circle, "box"), "the circle has no box, so clear_middle can be removed"
     circle.box = True
     compat.clear_middle(viewer)
     assert not circle.box
     assert not [name for name in viewer.canvas.overlays if name in ("brush_circle", "brush")]
 
 
-def test_napari_does_not_say_what_paint_can_be_taken_back():
+def test_napari_has_no_public_list_of_undoable_paint():
     layer = Labels(np.zeros((8, 8), np.uint8))
     for name in ("undo", "redo"):
         assert compat.paint_steps(layer, name) is not None
@@ -75,7 +77,9 @@ def test_napari_does_not_say_what_paint_can_be_taken_back():
     assert len(compat.paint_steps(layer, "redo")) == 1
     assert compat.paint_steps(Vectors(ndim=2), "undo") is None
     known = {"undo", "redo", "block_history"}
-    assert set(public(layer, "undo", "redo", "history")) <= known, "is there a public way?"
+    assert set(public_names_with(layer, "undo", "redo", "history")) <= known, (
+        "check for a public way"
+    )
 
 
 def test_a_thumbnail_of_vectors_has_no_public_limit(monkeypatch):
@@ -83,47 +87,53 @@ def test_a_thumbnail_of_vectors_has_no_public_limit(monkeypatch):
     drawn = []
     monkeypatch.setattr(np.random, "randint", lambda low, high, size: drawn.append(size) or [0])
     layer.refresh()
-    assert drawn == [], "so few lines are all drawn"
+    assert drawn == [], "few lines should all be drawn"
     compat.thin_thumbnail(layer, 8)
     layer.refresh()
-    assert drawn == [8], "if lines are chosen in another way, is it still slow to draw them all?"
-    assert public(layer, "thumbnail") == ["thumbnail"], "is there a public way?"
+    assert drawn == [8], (
+        "lines are selected in another way; check whether drawing all is still slow"
+    )
+    assert public_names_with(layer, "thumbnail") == ["thumbnail"], "check for a public way"
 
 
-def test_the_window_does_not_offer_what_draws_a_layer(make_napari_viewer):
+def test_the_window_has_no_public_access_to_the_node_of_a_layer(make_napari_viewer):
     viewer = make_napari_viewer()
     layer = viewer.add_vectors(np.array([[[0.0, 0.0], [4.0, 4.0]]]))
     mesh = compat.drawn_node(viewer, layer)
     assert compat.drawn_node(ViewerModel(), layer) is None
     assert compat.drawn_node(viewer, Vectors(ndim=2)) is None
-    # `qt_viewer` has been deprecated since before there was anything in its place.
-    assert set(public(viewer.window, "canvas", "viewer")) <= {"qt_viewer"}, "is there a public way?"
+    # `qt_viewer` was deprecated before a replacement existed.
+    assert set(public_names_with(viewer.window, "canvas", "viewer")) <= {"qt_viewer"}, (
+        "check for a public way"
+    )
 
     one, each = np.zeros(4, np.float32), np.zeros((3, 4), np.float32)
 
-    def kept(colours):
+    def reuses_program(colours):
         build = mesh._build_color_transform
         return build(colours) is build(colours + 1)
 
-    assert not kept(each), "if vispy's meshes keep their programs, compile_once can go"
+    assert not reuses_program(each), (
+        "vispy's meshes reuse their programs, so compile_once can be removed"
+    )
     assert compat.compile_once(mesh)
-    assert kept(one)
-    assert kept(each)
+    assert reuses_program(one)
+    assert reuses_program(each)
     values = np.zeros((3, 1), np.float32)
-    assert not kept(values), "its function holds the limits of the values"
+    assert not reuses_program(values), "the function contains the limits of the values"
     layer.data = np.array([[[1.0, 1.0], [4.0, 4.0]]])
     assert not compat.compile_once(None)
     assert not compat.compile_once(object())
 
 
-def test_textures_of_a_layer_that_goes_are_deleted_where_they_are_drawn(
+def test_textures_of_a_removed_layer_are_deleted_in_their_context(
     make_napari_viewer, monkeypatch, at_rest
 ):
     from napari._vispy import canvas as napari_canvas
     from qtpy.QtGui import QOpenGLContext
     from vispy.gloo.glir import GlirTexture2D
 
-    monkeypatch.setattr(napari_canvas, "gc", gc)  # all garbage, as for users
+    monkeypatch.setattr(napari_canvas, "gc", gc)  # Collect all garbage, as for users.
     viewer = make_napari_viewer(show=True)
     canvas = viewer.window._qt_viewer.canvas.native
     below, above = (viewer.add_image(np.eye(8) * number) for number in (1, 2))
@@ -138,12 +148,14 @@ def test_textures_of_a_layer_that_goes_are_deleted_where_they_are_drawn(
 
     def remove(layer):
         contexts.clear()
-        canvas.doneCurrent()  # as Qt leaves it, or with its own
+        canvas.doneCurrent()  # Qt leaves no context or another one current.
         viewer.layers.remove(layer)
         at_rest()
         return contexts
 
-    assert remove(above) != [canvas.context()] * 2, "if it is, CanvasContext can go"
+    assert remove(above) != [canvas.context()] * 2, (
+        "the context is current, so CanvasContext can be removed"
+    )
     viewer.add_image(np.eye(8))
     at_rest()
     context = compat.CanvasContext(viewer)

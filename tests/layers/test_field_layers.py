@@ -1,4 +1,4 @@
-"""Displacement fields of other tools are layers: a boundary, or what a result is compared with."""
+"""Tests of layers with displacement fields of other tools, as boundary or as reference."""
 
 from dataclasses import replace
 
@@ -26,20 +26,20 @@ TURN = np.array([[0.8, -0.6], [0.6, 0.8]])
 
 
 def swirl(shape, spacing):
-    """A smooth motion, in mm."""
+    """Return a smooth motion, in mm."""
     rows, cols = np.indices(shape) / np.array(shape).reshape(2, 1, 1) * np.pi
     return np.stack([np.sin(rows) * np.cos(cols), 1.5 * np.sin(cols)], axis=-1) * spacing
 
 
-def opened(path):
-    """What File > Open makes of a file."""
+def open_file(path):
+    """Return the layer that File > Open makes of a file."""
     ((data, attributes, kind),) = open_scan(str(path))(str(path))
     return Layer.create(data, attributes, kind)
 
 
 @pytest.fixture
 def dock_beside(qtbot, wait_for):
-    """A dock beside layers, and its viewer."""
+    """Return a function that makes a dock beside layers and returns the dock and its viewer."""
 
     def make(*layers):
         viewer = ViewerModel()
@@ -59,10 +59,10 @@ def photo(**place):
 
 
 @pytest.mark.parametrize("ending", [".mha", ".nrrd", ".nii.gz", ".h5"])
-def test_a_field_of_any_tool_is_a_layer_where_it_lies(tmp_path, ending):
+def test_a_field_file_is_opened_as_a_layer_at_its_place(tmp_path, ending):
     path, d = tmp_path / f"warp{ending}", swirl(SHAPE, 0.5)
     write_field(path, d, spacing=(0.5, 0.7), origin=(3.0, -4.0), direction=TURN)
-    layer = opened(path)
+    layer = open_file(path)
     assert layer.name == "warp"
     assert [str(unit) for unit in layer.units] == ["millimeter"] * 2
     x_first = [3.0, -4.0] + TURN @ [0.7 * 11, 0.5 * 20]
@@ -70,25 +70,25 @@ def test_a_field_of_any_tool_is_a_layer_where_it_lies(tmp_path, ending):
     inner = np.s_[8:-8, 8:-8]
     held = field_of(layer).field.displacement
     np.testing.assert_allclose(held[inner], (d / [0.5, 0.7])[inner], atol=0.02)
-    assert 100 < len(layer.data) < 500, "as many arrows as can be seen"
-    assert opened_arrows_are_of_the_field(layer, held)
+    assert 100 < len(layer.data) < 500, "too few or too many arrows"
+    assert arrows_match_field(layer, held)
 
 
-def opened_arrows_are_of_the_field(layer, held):
+def arrows_match_field(layer, held):
     starts = layer.data[:, 0].astype(int)
     return np.allclose(layer.data[:, 1], held[tuple(starts.T)], atol=1e-5)
 
 
-def test_what_is_no_field_is_left_to_other_readers(tmp_path):
+def test_a_file_without_a_field_is_left_to_other_readers(tmp_path):
     foreign = tmp_path / "cells.h5"
     foreign.write_bytes(b"\x89HDF\r\n\x1a\n of another program")
     assert open_scan(str(foreign)) is None
 
 
-def test_a_field_on_a_grid_of_its_own_is_the_boundary_of_a_slice_of_a_volume(
+def test_a_field_with_its_own_grid_is_the_boundary_of_a_slice_of_a_volume(
     tmp_path, dock_beside, wait_for
 ):
-    """A volume's field in millimetres, on coarser pixels, moves the slice in its own pixels."""
+    """Convert the field of a volume, in mm on coarser voxels, to the pixels of the slice."""
     z, y, x = (np.indices((5, 30, 40)) * np.reshape([4.0, 2.0, 2.0], (3, 1, 1, 1))).astype(float)
     d = np.stack([0.2 + 0 * z, 0.02 * y + 0.01 * z, -0.01 * x], axis=-1)
     path = tmp_path / "warp.mha"
@@ -98,11 +98,11 @@ def test_a_field_on_a_grid_of_its_own_is_the_boundary_of_a_slice_of_a_volume(
         "image",
     )
     write_field(path, d, spacing=(4.0, 2.0, 2.0), origin=(1.0, 2.0, 3.0))
-    dock, viewer = dock_beside(volume, opened(path))
+    dock, viewer = dock_beside(volume, open_file(path))
     viewer.dims.set_current_step(0, 3)
     dock.boundary = viewer.layers["warp"]
     wait_for(lambda: not dock.busy)
-    assert not dock.hold_edge, "the field says how the edge moves"
+    assert not dock.hold_edge, "the edge is prescribed, although the field sets its motion"
     motion = dock.study.motion
     rows, cols = np.indices(SHAPE)
     at_z, at_y, at_x = 3 + 2.0 * 3 - 3, 10 + 0.5 * rows - 2, 60 - 0.8 * cols - 1
@@ -110,10 +110,10 @@ def test_a_field_on_a_grid_of_its_own_is_the_boundary_of_a_slice_of_a_volume(
     assert inside[:, 5:40].all()
     expected = np.stack([0.02 * at_y + 0.01 * at_z, 0.01 * at_x], axis=-1)
     np.testing.assert_allclose(motion.observed[inside], expected[inside], atol=0.02)
-    assert any("leads out of the slice" in note for note in dock.study.notes)
+    assert any("displacements out of the slice" in note for note in dock.study.notes)
 
 
-def test_a_field_counts_where_a_mask_an_image_or_edges_say(tmp_path, dock_beside, wait_for):
+def test_a_field_is_weighted_by_a_mask_an_image_or_edges(tmp_path, dock_beside, wait_for):
     write_field(tmp_path / "warp.mha", swirl(SHAPE, 1.0), spacing=(1, 1))
     place = {"units": ("mm", "mm")}
     mask, sure = np.zeros(SHAPE, np.uint8), np.full(SHAPE, 0.25, np.float32)
@@ -124,7 +124,7 @@ def test_a_field_counts_where_a_mask_an_image_or_edges_say(tmp_path, dock_beside
         Layer.create(sure, {"name": "sure", **place}, "image"),
     )
     layers[0].metadata = layer_metadata("image")
-    dock, viewer = dock_beside(opened(tmp_path / "warp.mha"), *layers)
+    dock, viewer = dock_beside(open_file(tmp_path / "warp.mha"), *layers)
     dock.image, dock.boundary = viewer.layers["photo"], viewer.layers["warp"]
     held = field_of(viewer.layers["warp"]).field.displacement
     for chosen, counts in (
@@ -140,15 +140,15 @@ def test_a_field_counts_where_a_mask_an_image_or_edges_say(tmp_path, dock_beside
     wait_for(lambda: not dock.busy)
     known = edge_confidence(layers[0].data) > 0
     away = np.linalg.norm(dock.solution.displacement - held, axis=-1)
-    assert away[known & dock.solution.tissue].max() < 0.01, "what is sure is held"
+    assert away[known & dock.solution.tissue].max() < 0.01, (
+        "a site of full confidence does not follow the field"
+    )
 
 
-def test_a_confidence_that_is_nowhere_is_said_and_so_is_an_edge_that_is_let_go(
-    tmp_path, dock_beside, wait_for
-):
+def test_a_zero_confidence_and_a_released_edge_are_reported(tmp_path, dock_beside, wait_for):
     write_field(tmp_path / "warp.mha", swirl(SHAPE, 1.0), spacing=(1, 1))
     empty = Layer.create(np.zeros(SHAPE, np.uint8), {"name": "mask", "units": ("mm", "mm")})
-    dock, viewer = dock_beside(opened(tmp_path / "warp.mha"), photo(units=("mm", "mm")))
+    dock, viewer = dock_beside(open_file(tmp_path / "warp.mha"), photo(units=("mm", "mm")))
     viewer.add_layer(empty)
     dock.image = viewer.layers["photo"]
     Screen(dock).choose("warp")
@@ -158,16 +158,16 @@ def test_a_confidence_that_is_nowhere_is_said_and_so_is_an_edge_that_is_let_go(
     dock.confidence = empty
     wait_for(lambda: not dock.busy)
     assert (
-        "'mask' is 0 wherever 'warp' has a displacement, so no displacement counts" in dock.status
+        "'mask' is 0 wherever 'warp' has a displacement, so no displacement is used" in dock.status
     )
     empty.data = np.ones(SHAPE, np.uint8)
     wait_for(lambda: not dock.busy)
     assert "is 0 wherever" not in dock.status
 
 
-def test_pixels_are_taken_for_pixels_where_an_image_has_no_millimetres(tmp_path, dock_beside):
+def test_a_field_in_pixels_is_applied_to_an_image_without_millimetres(tmp_path, dock_beside):
     write_field(tmp_path / "warp.mha", swirl(SHAPE, 0.5), spacing=(0.5, 0.5))
-    dock, viewer = dock_beside(photo(), opened(tmp_path / "warp.mha"))
+    dock, viewer = dock_beside(photo(), open_file(tmp_path / "warp.mha"))
     dock.boundary = viewer.layers["warp"]
     held = field_of(dock.boundary).field.displacement
     study = dock.study
@@ -175,14 +175,14 @@ def test_pixels_are_taken_for_pixels_where_an_image_has_no_millimetres(tmp_path,
     assert study.notes[-1].startswith("'warp' is in millimeter and the image in pixel: the")
 
 
-def test_a_field_that_lies_elsewhere_is_refused_by_its_name(tmp_path, dock_beside):
+def test_a_field_at_another_place_is_refused_by_name(tmp_path, dock_beside):
     write_field(tmp_path / "far.mha", swirl(SHAPE, 0.5), spacing=(0.5, 0.5), origin=(900, 900))
     write_field(tmp_path / "small.mha", swirl((20, 20), 0.5), spacing=(0.5, 0.5))
-    in_mm, viewer = dock_beside(photo(units=("mm", "mm")), opened(tmp_path / "far.mha"))
+    in_mm, viewer = dock_beside(photo(units=("mm", "mm")), open_file(tmp_path / "far.mha"))
     in_mm.boundary = viewer.layers["far"]
     with pytest.raises(ProblemError, match="'far' lies elsewhere than the image"):
         _ = in_mm.study
-    in_pixels, viewer = dock_beside(photo(), opened(tmp_path / "small.mha"))
+    in_pixels, viewer = dock_beside(photo(), open_file(tmp_path / "small.mha"))
     in_pixels.boundary = viewer.layers["small"]
     with pytest.raises(ProblemError, match="'small' is 20 x 20 in millimeter, but the image is 40"):
         _ = in_pixels.study
@@ -192,7 +192,7 @@ def test_a_dense_field_of_a_study_is_drawn_as_a_few_arrows(tmp_path, dock_beside
     write_field(tmp_path / "warp.mha", swirl((60, 60), 1.0), spacing=(1, 1))
     pixels = np.full((60, 60), 100, np.uint8)
     image = Layer.create(pixels, {"name": "photo", "units": ("mm", "mm")}, "image")
-    dock, viewer = dock_beside(image, opened(tmp_path / "warp.mha"))
+    dock, viewer = dock_beside(image, open_file(tmp_path / "warp.mha"))
     dock.boundary = viewer.layers["warp"]
     wait_for(lambda: not dock.busy)
     path = dock.save_study(tmp_path / "case")
@@ -205,10 +205,10 @@ def test_a_dense_field_of_a_study_is_drawn_as_a_few_arrows(tmp_path, dock_beside
     np.testing.assert_array_equal(theirs.confidence, ours.confidence)
 
 
-def test_a_turned_field_on_its_own_pixels_is_what_it_was(tmp_path, dock_beside):
+def test_a_rotated_field_on_its_own_pixels_is_read_unchanged(tmp_path, dock_beside):
     d = swirl(SHAPE, 0.5)
     write_field(tmp_path / "warp.mha", d, spacing=(0.5, 0.7), origin=(3, -4), direction=TURN)
-    field = opened(tmp_path / "warp.mha")
+    field = open_file(tmp_path / "warp.mha")
     place = {name: getattr(field, name) for name in ("scale", "affine", "units")}
     dock, viewer = dock_beside(photo(**place), field)
     dock.boundary = viewer.layers["warp"]
@@ -218,7 +218,7 @@ def test_a_turned_field_on_its_own_pixels_is_what_it_was(tmp_path, dock_beside):
 
 @pytest.fixture
 def pulled(dock_beside, wait_for, small_sample, run):
-    """A painted example in millimetres with a result."""
+    """Return a function that solves a painted example in millimetres beside layers."""
 
     def make(*layers, **place):
         dock, viewer = dock_beside()
@@ -233,7 +233,7 @@ def pulled(dock_beside, wait_for, small_sample, run):
     return make
 
 
-def test_how_far_a_result_is_from_a_reference_is_said_and_shown(pulled, wait_for):
+def test_the_distance_of_a_result_from_a_reference_is_reported_and_shown(pulled, wait_for):
     dock, viewer = pulled()
     screen = Screen(dock)
     d = (dock.solution.displacement + np.array([0.3, -0.4])) / 0.5
@@ -251,14 +251,16 @@ def test_how_far_a_result_is_from_a_reference_is_said_and_shown(pulled, wait_for
     np.testing.assert_allclose(seen, 0.5, atol=1e-4)
     dock.percent = 50
     wait_for(lambda: not dock.busy)
-    assert shown in viewer.layers, "it moves with the tissue"
+    assert shown in viewer.layers, (
+        "the layer of differences is hidden, but should move with the tissue"
+    )
     dock.reference = None
     wait_for(lambda: not dock.busy)
     assert (dock.overlay, shown in viewer.layers) == ("nothing", False)
     assert "RMSD" not in screen.words
 
 
-def test_a_reference_that_reaches_a_part_is_compared_there(pulled, wait_for):
+def test_a_reference_that_covers_a_part_of_the_tissue_is_compared_there(pulled, wait_for):
     dock, viewer = pulled()
     d = dock.solution.displacement[:, :12] / 0.5
     place = {"scale": (0.5, 0.5), "units": ("mm", "mm")}
@@ -273,7 +275,7 @@ def test_a_reference_that_reaches_a_part_is_compared_there(pulled, wait_for):
     assert "'far' lies elsewhere" in dock.status
 
 
-def test_another_model_s_result_from_a_file_is_a_reference(tmp_path, pulled, run, wait_for):
+def test_a_saved_result_of_another_model_is_a_reference(tmp_path, pulled, run, wait_for):
     dock, viewer = pulled()
     first = dock.solution.displacement.copy()
     path = str(dock.solution.write(tmp_path / "elastic.npz"))
@@ -290,8 +292,8 @@ def test_another_model_s_result_from_a_file_is_a_reference(tmp_path, pulled, run
     assert dock.comparison.rmsd == pytest.approx(np.sqrt((apart**2).mean()), rel=1e-4) != 0
 
 
-def test_pixels_taken_for_pixels_are_those_of_the_axes_that_are_seen():
-    """Of a slice that is seen with its rows as columns, and of one in the middle of a volume."""
+def test_a_field_in_pixels_is_mapped_to_the_displayed_axes():
+    """Test a slice with swapped axes and a slice in the middle of a volume."""
     d = swirl((8, 8), 1.0)
     known = PixelField(in_pixels(d), Frame.at((1.0, 1.0), ("mm", "mm")))
     turned = replace(Frame.at((2.0, 3.0), ("pixel", "pixel")), plane=(1, 0))

@@ -1,4 +1,4 @@
-"""Landmarks from layers: points and lines say how tissue moves, alone or on top of paint."""
+"""Tests of landmarks from layers of points and lines, alone or on top of paint."""
 
 import numpy as np
 import pytest
@@ -23,17 +23,17 @@ RULES = (BoundaryRule(1, "fixed"),)
 
 
 def request(where, should, boundary=None, radius=None, confidence=1.0, points=None, **place):
-    """A block of gel in air, with points given in pixels of the image unless placed elsewhere."""
+    """Return a request for a block of gel in air with points, in pixels unless placed elsewhere."""
     points = place if points is None else points
     pair = (
         Points(np.array(where, dtype=float), name="is", size=1, **points),
         Points(np.array(should, dtype=float), name="ought", size=1, **points),
     )
-    return taken(*pair, boundary, radius=radius, confidence=confidence, **place)
+    return request_with_landmarks(*pair, boundary, radius=radius, confidence=confidence, **place)
 
 
-def taken(where, should, boundary=None, radius=None, confidence=1.0, **place):
-    """A block of gel in air, with landmarks of layers in its drawing."""
+def request_with_landmarks(where, should, boundary=None, radius=None, confidence=1.0, **place):
+    """Return a request for a block of gel in air with the landmarks of layers."""
     tissue = np.zeros(SHAPE, np.uint8)
     tissue[4:-4, 4:-4] = 1
     image = Image(np.zeros(SHAPE), name="MR", **place)
@@ -51,15 +51,15 @@ def moved(wanted):
     ).displacement
 
 
-def test_tissue_at_a_landmark_goes_where_the_landmark_should_be():
+def test_tissue_at_a_landmark_moves_to_its_target():
     inputs, d = moved(request([[12, 12], [30, 36]], [[15, 11], [30, 36]], scale=SIZE))
     np.testing.assert_allclose(d[12, 12], (3 * 0.5, -1 * 2.0), atol=1e-3)
     np.testing.assert_allclose(d[30, 36], 0, atol=1e-3)
-    assert 0.1 < d[20, 22, 0] < 1.4, "what lies between them goes part of the way"
+    assert 0.1 < d[20, 22, 0] < 1.4, "tissue between the landmarks does not move a part of the way"
     assert not any("ignored" in note for note in inputs.notes)
 
 
-def test_points_of_another_scale_and_place_count_where_they_are_seen():
+def test_points_with_another_scale_are_read_at_their_world_position():
     seen = {"scale": (0.25, 0.25), "translate": (1.0, 2.0)}
     at = [((12 * 0.5) - 1) / 0.25, ((12 * 2.0) - 2) / 0.25]
     inputs = read_layers(request([at], [[at[0] + 6, at[1] - 8]], points=seen, scale=SIZE))
@@ -67,7 +67,7 @@ def test_points_of_another_scale_and_place_count_where_they_are_seen():
     assert (inputs.problem.confidence[12, 12] == 1).all()
 
 
-def test_landmarks_count_on_top_of_paint_and_paint_around_them():
+def test_landmarks_replace_paint_only_in_their_patches():
     painted = np.zeros(SHAPE, np.uint8)
     painted[4:-4, 4:12] = 1
     boundary = Labels(painted, name="Boundary")
@@ -78,7 +78,7 @@ def test_landmarks_count_on_top_of_paint_and_paint_around_them():
     assert not problem.confidence[20, 30].any()
 
 
-def test_paint_may_be_missing_where_there_are_landmarks():
+def test_paint_is_optional_with_landmarks():
     blank = Labels(np.zeros(SHAPE, np.uint8), name="Boundary")
     with_blank = read_layers(request([[20, 8]], [[22, 8]], blank)).problem
     without = read_layers(request([[20, 8]], [[22, 8]])).problem
@@ -87,7 +87,7 @@ def test_paint_may_be_missing_where_there_are_landmarks():
     assert without.confidence.any()
 
 
-def test_a_doubted_landmark_has_that_confidence():
+def test_a_landmark_has_its_confidence():
     problem = read_layers(request([[20, 8]], [[22, 8]], confidence=0.25)).problem
     assert problem.confidence.max() == 0.25
 
@@ -100,28 +100,28 @@ def test_a_doubted_landmark_has_that_confidence():
         ([[20, 20], [20.2, 20]], [[22, 20], [30, 20]], "'is' has points 0 and 1 in one pixel"),
     ],
 )
-def test_points_that_say_nothing_clear_are_refused_by_layer_and_number(where, should, words):
+def test_unusable_points_are_refused_with_layer_and_number(where, should, words):
     with pytest.raises(ProblemError, match=words):
         read_layers(request(where, should, radius=2.0))
 
 
-def test_a_landmark_just_beside_the_tissue_takes_what_its_patch_reaches():
+def test_a_landmark_beside_the_tissue_moves_the_tissue_in_its_patch():
     problem = read_layers(request([[20, 3]], [[20, 1]], radius=3.0)).problem
     np.testing.assert_array_equal(problem.observed[20, 5], (0, -2))
 
 
-def test_a_place_beyond_the_image_is_not_refused():
+def test_a_target_outside_the_image_is_accepted():
     pair = (Points([[20, 20]], name="is"), Points([[20, 70]], name="ought"))
     (mark,) = read_landmarks(*pair, frame_of(Image(np.zeros(SHAPE))), SHAPE)
     assert mark.target == (20, 70)
 
 
-def test_a_confidence_of_zero_is_refused_by_the_layer():
+def test_a_confidence_of_zero_is_refused_with_the_name_of_the_layer():
     with pytest.raises(ProblemError, match="'is' has a mark with a confidence of 0"):
         read_layers(request([[20, 20]], [[22, 20]], confidence=0.0))
 
 
-def test_a_landmark_that_is_given_twice_leaves_its_neighbours_their_tissue():
+def test_a_duplicate_landmark_does_not_shrink_its_neighbours():
     where = [[12, 12], [12, 16], [12, 12]]
     should = [[14, 12], [12, 19], [14, 12]]
     marks = read_layers(request(where, should, radius=9.0)).problem
@@ -129,12 +129,12 @@ def test_a_landmark_that_is_given_twice_leaves_its_neighbours_their_tissue():
     np.testing.assert_array_equal(marks.observed[12, 12], (2, 0))
 
 
-# Before a window
+# In the dock
 
 
 @pytest.fixture
 def chosen(widget, small_sample):
-    """A dock beside a small sample and two layers of points."""
+    """Return a dock beside a small sample and two layers of points."""
     viewer = widget._viewer
     small_sample(viewer)
     where = viewer.add_points([[8.0, 8.0], [14.0, 15.0]], name="is", size=1)
@@ -146,27 +146,27 @@ def menus(widget):
     return widget._form.motion.boundary.landmarks
 
 
-def test_the_menus_appear_with_points_and_know_the_other_layer(chosen):
+def test_menus_for_landmarks_appear_and_select_the_other_layer_of_points(chosen):
     widget, where, should = chosen
     found = menus(widget)
     assert [layer.name for layer in found.sources.offered] == ["is", "ought"]
-    assert not widget.drawing.marks, "points may be of something else"
+    assert not widget.drawing.marks, "points became marks without a choice"
     found.sources.value = where
     assert found.targets.value is should
     widget._viewer.layers.remove(should)
     assert found.targets.value is None
     found.take_button.changed.emit(True)
-    assert "'is' holds positions without targets. Choose another Points layer" in widget.status
+    assert "'is' contains positions without targets. Choose another Points layer" in widget.status
 
 
-def test_without_points_there_are_no_menus_for_them(widget):
+def test_menus_for_landmarks_are_hidden_without_points(widget):
     assert not menus(widget).native.isVisibleTo(widget.native)
     widget._viewer.add_points([[1.0, 2.0]])
     assert menus(widget).native.isVisibleTo(widget.native)
-    assert not menus(widget).take_button.enabled, "nothing is chosen yet"
+    assert not menus(widget).take_button.enabled, "the button is enabled without a choice"
 
 
-def test_points_alone_are_boundary_enough(chosen, run):
+def test_points_replace_a_boundary_layer(chosen, run):
     widget, where, should = chosen
     widget.boundary = None
     widget.take_landmarks(where, should, radius=1.5)
@@ -175,7 +175,7 @@ def test_points_alone_are_boundary_enough(chosen, run):
     np.testing.assert_allclose(widget.solution.displacement[14, 15], (0, 0), atol=0.05)
 
 
-def test_landmarks_alone_need_neither_layers_nor_paint(widget, run):
+def test_landmarks_require_neither_layers_nor_paint(widget, run):
     viewer = widget._viewer
     widget.image = viewer.add_image(np.full((20, 24), 100, np.uint8), name="MR")
     where = viewer.add_points([[8.0, 8.0], [14.0, 15.0]], name="is", size=1)
@@ -185,7 +185,7 @@ def test_landmarks_alone_need_neither_layers_nor_paint(widget, run):
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.1)
 
 
-def test_landmarks_that_are_taken_are_undone_changed_and_taken_again(chosen, settle):
+def test_imported_landmarks_are_undone_changed_and_imported_again(chosen, settle):
     widget, where, should = chosen
     widget.live = True
     own = Arrow((4, 16), (1, 0), 1.0)
@@ -196,17 +196,17 @@ def test_landmarks_that_are_taken_are_undone_changed_and_taken_again(chosen, set
     assert len(widget.drawing.marks) == 3
     should.data = [[10.0, 9.0], [14.0, 15.0]]
     widget.take_landmarks(where, should, radius=1.5)
-    assert len(widget.drawing.marks) == 3, "in place of those that were taken before"
+    assert len(widget.drawing.marks) == 3, "the earlier landmarks were not replaced"
     settle(widget)
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 1), atol=0.05)
     widget.undo()
     widget.undo()
     assert widget.drawing.marks == (own,)
-    assert widget.status == "Took back: took landmarks from 'is'."
+    assert widget.status == "Undone: took landmarks from 'is'."
 
 
 @pytest.mark.usefixtures("unstyled", "without_controls")
-def test_landmarks_are_taken_in_a_window_and_dragged_there(
+def test_landmarks_are_imported_and_dragged_in_a_window(
     make_napari_viewer, small_sample, settle, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
@@ -241,15 +241,15 @@ def lines(*shapes, name="drawn", **place):
     return layer
 
 
-def of_lines(layer, radius=2.0, **place):
-    return taken(layer, None, radius=radius, **place)
+def request_with_lines(layer, radius=2.0, **place):
+    return request_with_landmarks(layer, None, radius=radius, **place)
 
 
-def test_a_line_leads_tissue_from_its_start_to_its_end_and_a_path_to_its_last_place():
+def test_a_line_or_path_moves_tissue_from_its_start_to_its_end():
     drawn = lines(
         ("line", [(12, 12), (15, 11)]), ("path", [(30, 36), (31, 30), (28, 36)]), scale=SIZE
     )
-    problem = read_layers(of_lines(drawn, scale=SIZE)).problem
+    problem = read_layers(request_with_lines(drawn, scale=SIZE)).problem
     np.testing.assert_allclose(problem.observed[12, 12], (1.5, -2), atol=1e-6)
     np.testing.assert_allclose(problem.observed[30, 36], (-1, 0), atol=1e-6)
 
@@ -266,12 +266,12 @@ def test_a_line_leads_tissue_from_its_start_to_its_end_and_a_path_to_its_last_pl
         ),
     ],
 )
-def test_shapes_that_lead_nowhere_are_refused_by_layer_and_number(shapes, words):
+def test_unusable_shapes_are_refused_with_layer_and_number(shapes, words):
     with pytest.raises(ProblemError, match=words):
-        read_layers(of_lines(lines(*shapes)))
+        read_layers(request_with_lines(lines(*shapes)))
 
 
-def test_lines_are_taken_alone(widget, small_sample, run):
+def test_lines_are_imported_without_a_second_layer(widget, small_sample, run):
     viewer = widget._viewer
     small_sample(viewer)
     drawn = viewer.add_layer(lines(("line", [(8, 8), (10, 8)])))

@@ -1,4 +1,4 @@
-"""Two Points layers become landmarks."""
+"""Tests of landmarks from two Points layers."""
 
 import numpy as np
 import pytest
@@ -26,14 +26,14 @@ def test_points_are_paired_by_their_order():
     )
 
 
-def test_points_count_where_they_lie_in_the_world():
+def test_points_are_read_at_their_world_position():
     image = Image(np.zeros((40, 50)), scale=(0.5, 2), translate=(10, 0), units=("mm", "mm"))
     (found,) = landmarks([[1.5, 1.0]], [[1.6, 1.0]], image, units=("cm", "cm"))
     assert found.source == pytest.approx((10, 5))
     assert found.target == pytest.approx((12, 5))
 
 
-def test_only_the_pairs_of_the_slice_that_is_shown_count():
+def test_only_pairs_on_the_displayed_slice_are_read():
     image = Image(np.zeros((5, 40, 50)), name="stack")
     view = View((1, 2), (3.0, 0.0, 0.0))
     where, should = [[3, 1, 2], [4, 5, 6]], [[3, 2, 2], [4, 6, 6]]
@@ -46,7 +46,9 @@ def test_only_the_pairs_of_the_slice_that_is_shown_count():
         landmarks([[2, 1, 2]], [[2, 2, 2]], image, view)
 
 
-@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")  # of napari's own thumbnail
+@pytest.mark.filterwarnings(
+    "ignore:invalid value:RuntimeWarning"
+)  # The warning is raised by napari's thumbnail.
 @pytest.mark.parametrize(
     ("where", "should", "words"),
     [
@@ -57,17 +59,17 @@ def test_only_the_pairs_of_the_slice_that_is_shown_count():
         ([[1, 2], [9, 9], [1.2, 2]], [[5, 2], [9, 9], [8, 2]], "'is' has points 0 and 2 in one"),
     ],
 )
-def test_points_that_make_no_pairs_are_refused_by_name(where, should, words):
+def test_points_without_a_valid_pair_are_refused_by_name(where, should, words):
     with pytest.raises(ProblemError, match=words):
         landmarks(where, should)
 
 
-def test_close_landmarks_leave_each_other_their_own_tissue():
+def test_close_landmarks_have_patches_that_do_not_overlap():
     near, also, far = landmarks([[10, 10], [10, 14], [30, 40]], [[11, 10], [9, 14], [30, 40]])
     assert (near.radius, also.radius, far.radius) == (2.0, 2.0, 3.0)
 
 
-def test_points_with_an_axis_more_than_the_image_count_on_the_slice_that_is_shown():
+def test_points_with_an_additional_axis_are_read_on_the_displayed_slice():
     image = Image(np.zeros((40, 50)))
     pair = (
         Points([[3, 1, 2], [4, 5, 6]], name="is"),

@@ -1,4 +1,4 @@
-"""Where layers lie: near enough is the same place, a hair more is not; and no file is believed."""
+"""Tests of the place of layers: tolerance, comparison and validation."""
 
 import json
 from dataclasses import replace
@@ -22,8 +22,8 @@ def frame(shape=SHAPE, **place):
     return frame_of(Image(np.zeros(shape), **place))
 
 
-def apart(first, second, shape=SHAPE):
-    """Whether two places are told apart, whichever is the reference."""
+def differ(first, second, shape=SHAPE):
+    """Return whether two places differ, by a comparison in both directions."""
     there, back = first.same_place(second, shape), second.same_place(first, shape)
     assert there == back
     return not there
@@ -31,12 +31,12 @@ def apart(first, second, shape=SHAPE):
 
 @pytest.mark.parametrize("pixels", [0.4, 0.01, -0.002])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_small_part_of_a_pixel_is_another_place(pixels, axis):
+def test_a_small_fraction_of_a_pixel_is_another_place(pixels, axis):
     offset = np.zeros(2)
     offset[axis] = pixels
-    assert apart(frame(), frame(translate=offset))
+    assert differ(frame(), frame(translate=offset))
     scale = np.array([0.5, 2.0])
-    assert apart(frame(scale=scale), frame(scale=scale, translate=offset * scale))
+    assert differ(frame(scale=scale), frame(scale=scale, translate=offset * scale))
 
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0), (1e-6, 1e-3), (1e4, 3.0)])
@@ -45,33 +45,33 @@ def test_rounding_in_a_header_is_not_another_place(scale):
     exact = frame((512, 512), scale=scale, translate=offset)
     rounded = frame((512, 512), scale=np.float32(scale), translate=np.float32(offset))
     assert exact != rounded
-    assert not apart(exact, rounded, (512, 512))
+    assert not differ(exact, rounded, (512, 512))
 
 
-def test_the_distance_from_the_origin_does_not_count():
-    """World coordinates of a million pixels, as of a stage: a pixel is still a pixel."""
+def test_the_tolerance_does_not_depend_on_the_distance_from_the_origin():
+    """Use world coordinates of a million pixels, as of a microscope stage."""
     far = np.array([1e6, -1e6])
-    assert apart(frame(translate=far), frame(translate=np.add(far, (0, 0.5))))
-    assert not apart(frame(translate=far), frame(translate=np.add(far, (0, 1e-5))))
+    assert differ(frame(translate=far), frame(translate=np.add(far, (0, 0.5))))
+    assert not differ(frame(translate=far), frame(translate=np.add(far, (0, 1e-5))))
 
 
-def test_long_steps_along_other_axes_do_not_count():
-    """Slices a metre apart, or frames an hour apart, do not make pixels larger."""
+def test_the_tolerance_does_not_depend_on_steps_along_other_axes():
+    """Use slices that are a metre apart, or frames that are an hour apart."""
     for place in ({"scale": (1e6, 1.0, 1.0)}, {"translate": (1e7, 0.0, 0.0)}):
         first = frame((3, *SHAPE), **place)
         shifted = {**place, "translate": np.add(place.get("translate", (0, 0, 0)), (0, 0, 1.0))}
-        assert apart(first, frame((3, *SHAPE), **shifted))
-        assert not apart(first, frame((3, *SHAPE), **place))
+        assert differ(first, frame((3, *SHAPE), **shifted))
+        assert not differ(first, frame((3, *SHAPE), **place))
 
 
-def test_a_turned_image_is_compared_along_its_own_pixels():
+def test_a_rotated_image_is_compared_along_its_own_pixels():
     place = {"rotate": 30.0, "scale": (100.0, 0.01)}
     along = np.array(
         [[np.cos(np.pi / 6), -np.sin(np.pi / 6)], [np.sin(np.pi / 6), np.cos(np.pi / 6)]]
     )
-    across = along @ (0, 0.005)  # half of a narrow pixel
-    assert apart(frame(**place), frame(**place, translate=across))
-    assert not apart(frame(**place), frame(**place, translate=along @ (0.005, 0)))
+    across = along @ (0, 0.005)  # Half of the narrow side of a pixel.
+    assert differ(frame(**place), frame(**place, translate=across))
+    assert not differ(frame(**place), frame(**place, translate=along @ (0.005, 0)))
 
 
 def test_another_slice_is_another_place():
@@ -82,7 +82,7 @@ def test_another_slice_is_another_place():
     for step in (1, 2):
         viewer.dims.set_current_step(0, step)
         seen.append(frame_of(stack, View.of(viewer.dims)))
-    assert apart(*seen)
+    assert differ(*seen)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -90,20 +90,20 @@ def test_another_slice_is_another_place():
     ("attribute", "value"),
     [("scale", (np.nan, 1.0)), ("translate", (np.nan, 1.0)), ("translate", (1.0, np.inf))],
 )
-def test_a_place_that_is_no_number_is_refused(attribute, value):
+def test_a_place_with_nan_or_infinity_is_refused(attribute, value):
     layer = Image(np.zeros(SHAPE), name="MR")
     setattr(layer, attribute, value)
     with pytest.raises(ProblemError, match=r"'MR'.*NaN or infinity"):
         frame_of(layer)
 
 
-def test_an_affine_that_flattens_the_image_is_refused():
+def test_a_singular_affine_is_refused():
     layer = Image(np.zeros(SHAPE), name="MR", affine=[[1, 1, 0], [1, 1, 0], [0, 0, 1]])
     with pytest.raises(ProblemError, match=r"'MR'.*singular"):
         frame_of(layer)
 
 
-def test_a_shear_that_napari_keeps_as_a_matrix_can_be_told():
+def test_a_shear_stored_as_a_matrix_is_converted_and_back():
     layer = Image(np.zeros(SHAPE), shear=np.array([[1.0, 0.0], [0.2, 1.0]]))
     found = frame_of(layer)
     again = Image(np.zeros(SHAPE), **found.placement())
@@ -178,14 +178,14 @@ BAD = {
 
 
 @pytest.mark.parametrize(("key", "value"), BAD.values(), ids=BAD)
-def test_a_file_with_an_impossible_place_is_refused_by_name(tmp_path, key, value):
+def test_a_file_with_an_invalid_place_is_refused_by_name(tmp_path, key, value):
     path = saved(tmp_path, {**good_frame(), key: value})
     with pytest.raises(FileFormatError, match=r"odd\.npz.*place of a slice"):
         open_solution(path)(path)
 
 
 @pytest.mark.parametrize("key", good_frame())
-def test_a_file_whose_place_lacks_a_part_is_refused_by_name(tmp_path, key):
+def test_a_file_whose_place_lacks_a_key_is_refused_by_name(tmp_path, key):
     stored = good_frame()
     del stored[key]
     path = saved(tmp_path, stored)
@@ -212,7 +212,7 @@ JUNK = [
 
 @pytest.mark.parametrize("key", good_frame())
 @pytest.mark.parametrize("value", JUNK, ids=repr)
-def test_whatever_a_file_says_it_is_refused_or_a_layer(tmp_path, key, value):
+def test_a_file_with_any_stored_place_is_refused_or_opened_as_a_layer(tmp_path, key, value):
     path = saved(tmp_path, {**good_frame(), key: value})
     try:
         (layer,) = open_solution(path)(path)
@@ -221,7 +221,7 @@ def test_whatever_a_file_says_it_is_refused_or_a_layer(tmp_path, key, value):
     assert np.isfinite(Layer.create(*layer).data_to_world((0, 0, 0))).all()
 
 
-def test_a_good_place_is_believed(tmp_path):
+def test_a_valid_stored_place_sets_the_units_of_the_layer(tmp_path):
     path = saved(tmp_path, good_frame())
     ((data, attributes, kind),) = open_solution(path)(path)
     assert [str(unit) for unit in Layer.create(data, attributes, kind).units] == [
@@ -231,7 +231,7 @@ def test_a_good_place_is_believed(tmp_path):
     ]
 
 
-def test_a_place_is_the_same_after_a_file_with_any_of_its_parts_changed():
+def test_a_stored_place_is_read_back_equal():
     found = frame_of(Image(np.zeros(SHAPE)))
     assert Frame.from_dict(json.loads(json.dumps(found.as_dict()))) == found
     moved = replace(found, translate=(3.0, 4.0))

@@ -1,4 +1,4 @@
-"""Layers and tables become one problem, or one error that names the layer."""
+"""Tests of reading layers and tables into a problem, or into an error that names the layer."""
 
 import json
 from dataclasses import replace
@@ -42,7 +42,7 @@ def picture(shape=SHAPE, dtype=np.float32):
 
 
 def request(shape=SHAPE, image=None, tissue=None, boundary=None, view=None, **place):
-    """Painted layers that make a solvable problem, with one of them exchanged."""
+    """Return a request with painted layers of a solvable problem; each layer can be replaced."""
     return Request(
         image=Image(picture(shape), name="MR", **place) if image is None else image,
         tissue=Labels(tissue_labels(shape), name="Tissue", **place) if tissue is None else tissue,
@@ -56,7 +56,7 @@ def request(shape=SHAPE, image=None, tissue=None, boundary=None, view=None, **pl
 
 
 def refusal(wanted: Request) -> ProblemError:
-    """The error, and that no layer was changed by it."""
+    """Return the error raised for a request, after a check that no layer was changed."""
     before = [(np.array(layer.data), layer.name) for layer in wanted.layers]
     with pytest.raises(ProblemError) as caught:
         read_layers(wanted)
@@ -77,7 +77,7 @@ def test_painted_layers_make_a_problem():
     assert inputs.notes == ()
 
 
-def test_nothing_that_is_painted_later_changes_what_was_read():
+def test_painting_after_the_reading_does_not_change_the_inputs():
     wanted = request()
     inputs = read_layers(wanted)
     before = inputs.pictures.image.copy()
@@ -87,7 +87,7 @@ def test_nothing_that_is_painted_later_changes_what_was_read():
     assert inputs.pictures.labels.any()
 
 
-def test_reading_again_tells_whether_anything_that_matters_changed():
+def test_reading_again_detects_changed_layers():
     wanted, copies = request(), LayerCopies()
     first = study_from_layers(wanted, copies=copies)
     assert first.same_as(study_from_layers(wanted, copies=copies))
@@ -95,13 +95,15 @@ def test_reading_again_tells_whether_anything_that_matters_changed():
     wanted.tissue.refresh()
     second = study_from_layers(wanted, copies=copies)
     assert not first.same_as(second)
-    assert second.motion.labels is first.motion.labels, "what did not change is not copied again"
+    assert second.motion.labels is first.motion.labels, "an unchanged layer was copied again"
     wanted.boundary.data[6, 6] = 2
     copies.invalidate()
-    assert not second.same_as(study_from_layers(wanted, copies=copies)), "nobody told of this one"
+    assert not second.same_as(study_from_layers(wanted, copies=copies)), (
+        "a change without an event was missed"
+    )
 
 
-def test_arrows_that_did_not_change_are_the_same_observation():
+def test_unchanged_arrows_give_an_equal_study():
     arrows = Vectors(np.array([[[5.0, 5.0], [1.0, 0.0]]]), name="Arrows")
     wanted, copies = request(boundary=arrows), LayerCopies()
     first = study_from_layers(wanted, copies=copies)
@@ -110,7 +112,7 @@ def test_arrows_that_did_not_change_are_the_same_observation():
     assert not first.same_as(study_from_layers(wanted, copies=copies))
 
 
-def test_a_label_without_a_row_can_be_given_one_and_it_is_said():
+def test_a_label_without_a_row_has_default_values_and_causes_a_note():
     wanted = request()
     wanted.tissue.data[5, 5] = 9
     wanted.boundary.data[6, 6] = 7
@@ -123,18 +125,20 @@ def test_a_label_without_a_row_can_be_given_one_and_it_is_said():
     )
 
 
-def test_anisotropic_pixels_give_the_spacing_and_lengths_keep_their_unit():
+def test_anisotropic_pixels_set_the_spacing_and_lengths_retain_their_unit():
     inputs = read_layers(request(scale=(0.5, 2.0), units=("mm", "mm")))
     assert inputs.problem.spacing == pytest.approx((0.5, 2.0))
     assert inputs.frame.unit == "millimeter"
-    np.testing.assert_array_equal(inputs.problem.observed[5, -3], [0, 3])  # 3 mm, not 3 pixels
+    np.testing.assert_array_equal(
+        inputs.problem.observed[5, -3], [0, 3]
+    )  # 3 mm instead of 3 pixels.
 
 
 def test_a_negative_scale_is_a_positive_spacing():
     assert read_layers(request(scale=(-1.0, 2.0))).problem.spacing == pytest.approx((1.0, 2.0))
 
 
-def test_lengths_of_an_affine_count():
+def test_the_scale_of_an_affine_sets_the_spacing():
     affine = np.diag([3.0, 4.0, 1.0])
     assert read_layers(request(affine=affine)).problem.spacing == pytest.approx((3.0, 4.0))
 
@@ -144,13 +148,13 @@ def test_columns_in_another_unit_of_length_are_converted():
     assert inputs.problem.spacing == pytest.approx((1.0, 1.0))
 
 
-def test_millimetres_beside_pixels_are_refused():
+def test_millimetres_mixed_with_pixels_are_refused():
     error = refusal(request(units=("mm", "pixel")))
     assert "'MR'" in str(error)
     assert "unit" in str(error)
 
 
-def test_sheared_pixels_are_taken_as_rectangles_and_it_is_said():
+def test_sheared_pixels_are_read_as_rectangles_with_a_note():
     inputs = read_layers(request(shear=[0.2]))
     assert any("sheared by 11.3 degrees" in note for note in inputs.notes)
 
@@ -158,7 +162,7 @@ def test_sheared_pixels_are_taken_as_rectangles_and_it_is_said():
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("attribute", ["scale", "translate"])
 @pytest.mark.parametrize("which", ["image", "tissue", "boundary"])
-def test_a_place_that_is_no_number_is_refused_by_layer(attribute, which):
+def test_a_place_with_nan_is_refused_with_the_name_of_the_layer(attribute, which):
     wanted = request()
     setattr(getattr(wanted, which), attribute, (np.nan, 1.0))
     error = refusal(wanted)
@@ -166,9 +170,9 @@ def test_a_place_that_is_no_number_is_refused_by_layer(attribute, which):
     assert "NaN" in error.message
 
 
-def test_layers_of_different_size_are_refused_with_both_sizes():
+def test_layers_of_different_sizes_are_refused_with_both_sizes():
     error = refusal(request(tissue=Labels(tissue_labels((12, 14)), name="Tissue")))
-    assert "it has 12 x 14 pixels, that has 12 x 15" in str(error)
+    assert "have 12 x 14 and 12 x 15 pixels" in str(error)
 
 
 @pytest.mark.parametrize(
@@ -183,20 +187,20 @@ def test_layers_of_different_size_are_refused_with_both_sizes():
     ],
     ids=lambda place: next(iter(place)),
 )
-def test_layers_that_lie_elsewhere_are_refused_with_both_names(place):
+def test_layers_at_different_places_are_refused_with_both_names(place):
     error = refusal(request(boundary=Labels(boundary_labels(), name="Boundary", **place)))
     assert error.field == "Boundary"
-    assert "lies elsewhere than 'MR'" in error.message
+    assert "is not on the grid of 'MR'" in error.message
 
 
-def test_the_same_place_said_differently_is_the_same_place():
+def test_equivalent_descriptions_of_a_place_are_the_same_place():
     tissue = Labels(tissue_labels(), name="Tissue", affine=np.diag([2.0, 1.0, 1.0]))
     boundary = Labels(boundary_labels(), scale=(2.0, 1.0), units=("pixel", "pixel"))
     image = Image(picture(), scale=(2.0, 1.0), translate=(1e-9, 0.0))
     assert read_layers(request(image=image, tissue=tissue, boundary=boundary)).notes == ()
 
 
-def test_micrometres_and_millimetres_of_the_same_length_are_the_same_place():
+def test_equal_lengths_in_micrometres_and_millimetres_are_the_same_place():
     image = Image(picture(), scale=(1.0, 1.0), units=("mm", "mm"))
     place = {"scale": (1000.0, 1000.0), "units": ("um", "um")}
     tissue = Labels(tissue_labels(), **place)
@@ -205,13 +209,13 @@ def test_micrometres_and_millimetres_of_the_same_length_are_the_same_place():
     assert inputs.problem.spacing == pytest.approx((1.0, 1.0))
 
 
-def test_a_colour_image_is_one_because_the_layer_says_so():
+def test_an_image_is_in_colour_if_its_layer_has_colours():
     small = np.zeros((*SHAPE, 3), np.uint8)
     inputs = read_layers(request(image=Image(small, rgb=True)))
     assert inputs.pictures.image.shape == (*SHAPE, 3)
 
 
-def test_a_colour_image_is_no_stiffness():
+def test_a_colour_image_is_refused_as_stiffness():
     tissue = Image(np.ones((*SHAPE, 3), np.uint8), rgb=True, name="photo")
     error = refusal(request(tissue=tissue))
     assert "'photo'" in str(error)
@@ -226,7 +230,7 @@ def test_an_image_can_be_the_stiffness():
 
 
 @pytest.mark.parametrize(("value", "said"), [(-1.0, "negative"), (np.nan, "NaN")])
-def test_an_impossible_stiffness_names_its_layer(value, said):
+def test_an_invalid_stiffness_is_refused_with_the_name_of_its_layer(value, said):
     m = np.ones(SHAPE)
     m[3, 4] = value
     error = refusal(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
@@ -239,7 +243,7 @@ BONE = (*MATERIALS, Material(3, "bone", np.inf))
 
 
 def with_bone(tissue=None):
-    """A request with rigid tissue: in an image of stiffness, or painted and in the table."""
+    """Return a request with rigid tissue, in an image of stiffness or in labels and table."""
     if tissue is None:
         painted = tissue_labels()
         painted[5:8, 4:7] = 3
@@ -254,7 +258,7 @@ def stiffness_with_bone():
 
 
 @pytest.mark.parametrize("made", [lambda: None, stiffness_with_bone], ids=["labels", "image"])
-def test_rigid_tissue_reaches_the_elastic_model(made):
+def test_rigid_tissue_is_infinitely_stiff_in_the_elastic_problem(made):
     m = read_layers(with_bone(made()), ElasticPrior()).problem.stiffness
     assert np.isinf(m[5:8, 4:7]).all()
     assert np.isinf(m).sum() == 9
@@ -268,7 +272,7 @@ def test_rigid_tissue_reaches_the_elastic_model(made):
     ],
     ids=["labels", "image"],
 )
-def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, said):
+def test_the_paper_model_refuses_rigid_tissue_with_a_hint(made, said):
     error = refusal(with_bone(made()))
     assert str(error) == (
         f"{said} the paper's model does not support, nor does a model with boundaries that may "
@@ -277,11 +281,11 @@ def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, said):
     )
 
 
-def test_a_rigid_row_that_is_painted_nowhere_does_not_stop_the_paper_s_model():
+def test_the_paper_model_accepts_an_unpainted_rigid_row():
     assert read_layers(replace(request(), materials=BONE)).problem.stiffness.max() == 20
 
 
-def test_beside_rigid_tissue_nothing_may_slip():
+def test_a_slipping_boundary_is_refused_with_rigid_tissue():
     with pytest.raises(ProblemError, match=r"that holds by confidence \(`penalty=None`\)"):
         read_layers(with_bone(), ElasticPrior(penalty=1.0))
 
@@ -298,14 +302,14 @@ def test_an_extreme_stiffness_ratio_is_refused():
     assert "million times" in str(refusal(request(tissue=Image(m, name="stiffness"))))
 
 
-def test_no_boundary_at_all_is_refused_by_layer():
+def test_an_unpainted_boundary_is_refused_with_the_name_of_its_layer():
     error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
     assert str(error) == (
-        "'Boundary' has no paint yet. Choose a row, then paint a region that is fixed or moves."
+        "'Boundary' has no paint yet. Choose a row, then paint a region that is fixed or moved."
     )
 
 
-def test_nothing_the_solver_calls_by_a_symbol_reaches_the_user():
+def test_errors_name_layers_instead_of_symbols_of_the_solver():
     void = request()
     airy = tuple(Material(label, "air", 0.0) for label in range(3))
     error = refusal(Request(void.tissue, void.boundary, void.image, airy, RULES))
@@ -315,7 +319,7 @@ def test_nothing_the_solver_calls_by_a_symbol_reaches_the_user():
     assert str(error).startswith("'Boundary' is 0 everywhere: nothing determines how tissue moves")
 
 
-def test_a_boundary_in_the_void_alone_is_refused():
+def test_a_boundary_only_in_void_is_refused():
     boundary = np.zeros(SHAPE, np.uint8)
     boundary[0] = 1
     error = refusal(request(boundary=Labels(boundary, name="Boundary")))
@@ -323,14 +327,14 @@ def test_a_boundary_in_the_void_alone_is_refused():
     assert "no tissue" in str(error)
 
 
-def test_a_boundary_painted_over_the_edge_is_ignored_there_and_counted():
+def test_a_note_counts_boundary_pixels_outside_tissue():
     boundary = boundary_labels()
     boundary[0, :4] = 1
     inputs = read_layers(request(boundary=Labels(boundary)))
     assert inputs.notes[0] == "4 boundary pixels outside tissue were ignored"
 
 
-def test_a_piece_of_tissue_that_hangs_on_nothing_is_mentioned():
+def test_a_note_reports_tissue_that_touches_no_boundary():
     tissue = tissue_labels((12, 30))
     tissue[:, 14:16] = 0
     boundary = np.zeros((12, 30), np.uint8)
@@ -339,7 +343,7 @@ def test_a_piece_of_tissue_that_hangs_on_nothing_is_mentioned():
     assert any("touches no boundary" in note for note in inputs.notes)
 
 
-def test_a_picture_with_holes_is_taken_and_a_picture_of_nothing_refused():
+def test_an_image_with_nan_causes_a_note_and_an_image_of_only_nan_is_refused():
     holes = picture()
     holes[0, :3] = np.nan
     (note,) = read_layers(request(image=Image(holes, name="MR"))).notes
@@ -348,7 +352,7 @@ def test_a_picture_with_holes_is_taken_and_a_picture_of_nothing_refused():
     assert "'MR'" in str(refusal(request(image=nothing)))
 
 
-def test_a_constant_picture_is_fine():
+def test_a_constant_image_is_accepted():
     assert read_layers(request(image=Image(np.full(SHAPE, 7)))).pictures.image.min() == 7
 
 
@@ -364,25 +368,25 @@ def test_a_constant_picture_is_fine():
     ],
     ids=["big-endian", "Fortran", "strides", "read-only", "float16", "dask"],
 )
-def test_however_the_stiffness_is_stored_it_reads_the_same(make):
+def test_the_memory_layout_of_a_stiffness_has_no_effect(make):
     m = tissue_labels().astype(np.float32)
     tissue = Image(make(m), name="stiffness", contrast_limits=(0, 2))
     np.testing.assert_array_equal(read_layers(request(tissue=tissue)).problem.stiffness, m)
 
 
-def test_a_mask_is_a_tissue():
+def test_a_boolean_mask_is_read_as_tissue():
     mask = tissue_labels() > 0
     assert read_layers(request(tissue=Labels(mask))).problem.stiffness.max() == 20
 
 
-def test_a_multiscale_image_is_solved_on_its_finest_level_and_it_is_said():
+def test_a_multiscale_image_is_read_at_its_finest_level_with_a_note():
     levels = [picture(), picture()[::2, ::2]]
     inputs = read_layers(request(image=Image(levels, multiscale=True)))
     assert inputs.problem.shape == SHAPE
     assert inputs.notes == ("computed on the finest level, 12 x 15",)
 
 
-def test_one_row_of_pixels_is_a_problem_and_one_pixel_is_not():
+def test_one_row_of_pixels_is_accepted_and_one_pixel_is_refused():
     row = np.ones((1, 9), np.uint8)
     ends = np.array([[1, 0, 0, 0, 0, 0, 0, 0, 2]], np.uint8)
     inputs = read_layers(Request(Labels(row), Labels(ends), None, MATERIALS, RULES))
@@ -393,7 +397,7 @@ def test_one_row_of_pixels_is_a_problem_and_one_pixel_is_not():
 
 @pytest.mark.parametrize("kind", ["numpy", "dask", "multiscale"])
 @pytest.mark.parametrize("which", ["image", "tissue", "confidence"])
-def test_a_mask_is_not_lost_but_refused_by_layer(which, kind):
+def test_masked_values_are_refused_with_the_name_of_the_layer(which, kind):
     data = np.ma.masked_array(np.ones(SHAPE), mask=np.zeros(SHAPE, bool))
     data.mask[3, 4:6] = True
     layer = Image(
@@ -412,7 +416,7 @@ def test_a_mask_is_not_lost_but_refused_by_layer(which, kind):
     assert caught.value.field == "holes"
 
 
-def test_a_mask_that_hides_nothing_is_no_reason_to_refuse():
+def test_an_empty_mask_is_accepted():
     m = np.ma.masked_array(np.ones(SHAPE), mask=np.zeros(SHAPE, bool))
     inputs = read_layers(request(image=Image(m), tissue=Image(m)))
     assert type(inputs.pictures.image) is np.ndarray
@@ -420,7 +424,7 @@ def test_a_mask_that_hides_nothing_is_no_reason_to_refuse():
 
 
 @pytest.mark.parametrize("which", ["image", "confidence"])
-def test_a_mask_elsewhere_in_the_stack_does_not_matter(which):
+def test_a_mask_on_another_slice_has_no_effect(which):
     data = np.ma.masked_array(np.ones((4, *SHAPE)), mask=np.zeros((4, *SHAPE), bool))
     data.mask[2] = True
     wanted = request((4, *SHAPE), boundary=Vectors([[(0, 5, 3), (0, 1, 1)]]))
@@ -428,14 +432,14 @@ def test_a_mask_elsewhere_in_the_stack_does_not_matter(which):
 
 
 @pytest.mark.parametrize("dtype", [np.int64, np.uint64])
-def test_the_largest_whole_numbers_are_a_stiffness(dtype):
+def test_the_largest_integers_are_a_valid_stiffness(dtype):
     m = np.full(SHAPE, np.iinfo(dtype).max)
     inputs = read_layers(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))
     assert (inputs.problem.stiffness == np.float32(np.iinfo(dtype).max)).all()
 
 
 class Unreadable:
-    """An array whose file is gone."""
+    """Array that raises an error on reading."""
 
     shape, dtype, ndim = SHAPE, np.dtype("float32"), 2
 
@@ -462,7 +466,7 @@ class Unreadable:
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_a_file_that_cannot_be_read_names_its_layer(gone, said):
+def test_an_unreadable_file_is_refused_with_the_name_of_its_layer(gone, said):
     data = Unreadable()
     image = Image(data, name="far away", contrast_limits=(0, 1))
     data.gone = gone
@@ -477,7 +481,7 @@ def arrow_layer(*arrows, **place):
     return Vectors(np.array(arrows, dtype=float).reshape(-1, 2, 2), ndim=2, name="arrows", **place)
 
 
-def test_arrows_are_observations_in_the_unit_of_the_image():
+def test_arrows_are_observed_in_the_unit_of_the_image():
     place = {"scale": (1.0, 2.0)}
     boundary = arrow_layer([(5, 3), (1, 1.5)], [(6, 4), (0, 0)], **place)
     inputs = read_layers(request(boundary=boundary, **place))
@@ -485,7 +489,7 @@ def test_arrows_are_observations_in_the_unit_of_the_image():
     assert (inputs.problem.confidence > 0).all(axis=-1).sum() == 2
 
 
-def test_confidence_can_come_from_an_image():
+def test_confidence_can_be_an_image():
     boundary = arrow_layer([(5, 3), (1, 1)], [(6, 4), (0, 1)])
     sure = np.full(SHAPE, 0.25)
     wanted = request(boundary=boundary)
@@ -508,26 +512,26 @@ def test_confidence_can_come_from_an_image():
     ],
     ids=["outside", "conflict", "none"],
 )
-def test_arrows_that_say_nothing_clear_are_refused_by_number(arrows, said):
+def test_unusable_arrows_are_refused_by_number(arrows, said):
     error = refusal(request(boundary=arrow_layer(*arrows)))
     assert "'arrows'" in str(error)
     assert said in str(error)
 
 
-def test_an_arrow_that_is_no_number_is_refused_by_number():
+def test_an_arrow_with_nan_is_refused_by_number():
     boundary = arrow_layer([(5, 3), (1, 1)])
-    boundary.data[0, 1, 0] = np.nan  # behind napari's back: it cannot draw such a thing
+    boundary.data[0, 1, 0] = np.nan  # Without an event: napari cannot draw NaN.
     assert "vector 0" in str(refusal(request(boundary=boundary)))
 
 
-def test_arrows_out_of_the_slice_do_not_hold_the_tissue_but_are_counted():
-    """Only what is said of the motion within the slice counts; nothing is said of it here."""
+def test_arrows_out_of_the_slice_are_counted_and_do_not_fix_the_tissue():
+    """Use only the component of an arrow within the slice, and nothing if there is none."""
     vectors = np.array(
         [
-            [(1, 5, 3), (2, 0, 0)],  # straight out
-            [(1, 6, 3), (2, 1, 0)],  # out and down
-            [(1, 7, 3), (0, 0, 0)],  # stays
-            [(0, 8, 3), (2, 0, 0)],  # of another slice
+            [(1, 5, 3), (2, 0, 0)],  # Perpendicular to the slice.
+            [(1, 6, 3), (2, 1, 0)],  # Out of the slice and down.
+            [(1, 7, 3), (0, 0, 0)],  # No motion.
+            [(0, 8, 3), (2, 0, 0)],  # On another slice.
         ],
         float,
     )
@@ -541,10 +545,10 @@ def test_arrows_out_of_the_slice_do_not_hold_the_tissue_but_are_counted():
     assert inputs.problem.confidence[6, 3].all()
     np.testing.assert_array_equal(inputs.problem.observed[6, 3], (1, 0))
     assert inputs.problem.confidence[7, 3].all()
-    assert inputs.notes == ("'arrows' also leads out of the slice, which is ignored",)
+    assert inputs.notes == ("'arrows' also has displacements out of the slice, which are ignored",)
 
 
-def test_arrows_that_agree_merge():
+def test_equal_arrows_in_one_pixel_are_merged():
     boundary = arrow_layer([(5, 3), (1, 1)], [(5, 3), (1, 1)])
     assert read_layers(request(boundary=boundary)).problem.observed[5, 3, 0] == 1
 
@@ -572,7 +576,7 @@ def seen(viewer, wanted):
     )
 
 
-def test_the_slice_that_is_shown_is_read():
+def test_the_displayed_slice_is_read():
     viewer, wanted = stack(scale=(5.0, 1.0, 1.0), translate=(7.0, 0.0, 0.0))
     viewer.dims.set_current_step(0, 2)
     inputs = read_layers(seen(viewer, wanted))
@@ -581,7 +585,7 @@ def test_the_slice_that_is_shown_is_read():
     np.testing.assert_array_equal(inputs.pictures.image, picture((4, *SHAPE))[2])
 
 
-def test_the_slice_is_found_though_viewer_and_layer_count_in_different_units():
+def test_the_slice_is_found_if_viewer_and_layer_have_different_units():
     viewer, wanted = stack(scale=(5.0, 1.0, 1.0), units=("mm", "mm", "mm"))
     viewer.add_image(
         np.zeros((4, *SHAPE)), scale=(5000.0, 1000.0, 1000.0), units=("um", "um", "um")
@@ -590,7 +594,7 @@ def test_the_slice_is_found_though_viewer_and_layer_count_in_different_units():
     assert read_layers(seen(viewer, wanted)).frame.index[0] == 3
 
 
-def test_rolled_axes_give_the_other_plane_and_swapped_axes_the_transpose():
+def test_rolled_axes_select_another_plane_and_swapped_axes_transpose_it():
     viewer, wanted = stack((12, *SHAPE))
     viewer.dims.set_current_step(0, 5)
     upright = read_layers(seen(viewer, wanted))
@@ -604,7 +608,7 @@ def test_rolled_axes_give_the_other_plane_and_swapped_axes_the_transpose():
     np.testing.assert_array_equal(other.pictures.image, wanted.image.data[:, 4])
 
 
-def test_a_slice_beyond_the_layer_is_refused():
+def test_a_slice_outside_the_layer_is_refused():
     viewer, wanted = stack()
     viewer.add_image(np.zeros((9, *SHAPE)))
     viewer.dims.set_current_step(0, 8)
@@ -613,14 +617,14 @@ def test_a_slice_beyond_the_layer_is_refused():
     assert "'MR'" in str(error)
 
 
-def test_an_axis_that_a_layer_lacks_is_named():
+def test_an_error_names_an_axis_that_a_layer_lacks():
     viewer, wanted = stack(SHAPE)
     viewer.add_image(np.zeros((4, *SHAPE)))
     viewer.dims.order = (1, 0, 2)
     assert "world axis 0" in str(refusal(seen(viewer, wanted)))
 
 
-def test_flat_labels_lie_on_every_slice():
+def test_two_dimensional_labels_apply_to_every_slice():
     viewer, wanted = stack()
     flat = Request(
         Labels(tissue_labels()),
@@ -634,7 +638,7 @@ def test_flat_labels_lie_on_every_slice():
     assert read_layers(flat).frame.ndim == 3
 
 
-def test_of_labels_with_more_axes_than_the_image_the_slice_shown_is_taken():
+def test_labels_with_an_additional_axis_are_read_at_the_displayed_slice():
     viewer = ViewerModel()
     labels = np.zeros((4, *SHAPE), np.uint8)
     labels[2] = tissue_labels()
@@ -648,15 +652,15 @@ def test_of_labels_with_more_axes_than_the_image_the_slice_shown_is_taken():
 
 
 @pytest.mark.filterwarnings("ignore:Non-orthogonal slicing")
-def test_a_slice_at_an_angle_is_refused():
+def test_an_oblique_slice_is_refused():
     tilted = Image(picture((4, *SHAPE)), rotate=(0.0, 20.0, 0.0), name="tilted")
     viewer = ViewerModel()
     viewer.add_layer(tilted)
     wanted = Request(tilted, tilted, None, view=View.of(viewer.dims))
-    assert "at an angle" in str(refusal(wanted))
+    assert "at an oblique angle" in str(refusal(wanted))
 
 
-def test_only_the_slice_of_a_lazy_stack_is_computed():
+def test_only_one_slice_of_a_lazy_stack_is_computed():
     touched = []
 
     def block(block_info=None):
@@ -681,7 +685,7 @@ def test_only_the_slice_of_a_lazy_stack_is_computed():
     assert set(touched) == {4}
 
 
-def test_a_frame_survives_a_file():
+def test_a_frame_is_restored_from_json():
     viewer, wanted = stack(scale=(5.0, 0.5, 1.0), units=("mm", "mm", "mm"))
     frame = frame_of(wanted.image, View.of(viewer.dims))
     assert Frame.from_dict(json.loads(json.dumps(frame.as_dict()))) == frame
@@ -690,7 +694,7 @@ def test_a_frame_survives_a_file():
 
 
 @pytest.mark.parametrize(("width", "thin"), [(1, True), (3, False), (6, False)])
-def test_a_boundary_that_slips_through_the_coarse_levels_is_told(width, thin):
+def test_a_note_reports_a_boundary_too_thin_for_coarse_levels(width, thin):
     rows, cols = np.mgrid[:160, :160]
     r = np.hypot(rows - 80, cols - 80)
     labels = ((r > 50) & (r <= 50 + width)).astype(np.uint8)

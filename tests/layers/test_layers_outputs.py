@@ -1,4 +1,4 @@
-"""A solution becomes layers that lie where the tissue does."""
+"""Tests of the layers made from a solution."""
 
 from functools import partial
 
@@ -19,7 +19,7 @@ from napari_hmrf.solver.optimizers.base import LevelRun
 from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (30, 40)
-#: What lies over the image, one thing at a time.
+#: Names of the overlays, of which one is shown at a time.
 OVER = (
     "grid",
     "labels",
@@ -34,7 +34,7 @@ OVER = (
 
 
 def solution(displacement=(2.0, 0.0), spacing=(1.0, 1.0), shape=SHAPE):
-    """All tissue moves alike."""
+    """Return a solution in which all tissue moves by the same vector."""
     field = np.broadcast_to(np.float32(displacement), (*shape, 2)).copy()
     return Solution(
         displacement=field,
@@ -53,7 +53,7 @@ def spot(shape=SHAPE, at=(10, 20)):
 
 
 def layers_of(outputs, over=()):
-    """The layers, as napari makes them, and what can lie over them of some names."""
+    """Return the layers of a result by kind, with the overlays of some names."""
     layers = {kind: Layer.create(*made) for kind, made in outputs.layers.items()}
     answer = result_of(layers["arrows"])
     for name in over:
@@ -62,7 +62,7 @@ def layers_of(outputs, over=()):
     return layers
 
 
-def test_arrows_and_picture_move_the_same_way():
+def test_arrows_and_image_move_in_the_same_direction():
     outputs = result_layers(solution((3.0, -2.0)), pictures=Pictures(image=spot(), name="MR"))
     layers = layers_of(outputs)
     assert list(layers) == ["image", "arrows"]
@@ -70,11 +70,11 @@ def test_arrows_and_picture_move_the_same_way():
     assert np.unravel_index(layers["image"].data.argmax(), SHAPE) == (13, 18)
 
 
-def test_every_layer_can_be_had_and_is_named_after_its_source():
+def test_every_layer_is_named_after_its_source():
     labels = (spot() > 0).astype(np.uint8)
     pictures = Pictures(spot(), labels, "MR", "Tissue")
     layers = layers_of(result_layers(solution(), pictures=pictures), OVER)
-    # What was given is of a problem, and there is none; nor are there folds.
+    # There is neither a problem nor a fold, so the layers of inputs and folds are missing.
     assert {kind: layer.name for kind, layer in layers.items()} == {
         "image": "MR deformed",
         "arrows": "MR arrows",
@@ -88,18 +88,18 @@ def test_every_layer_can_be_had_and_is_named_after_its_source():
     assert layers["grid"].vector_style == "line"
 
 
-def test_without_a_picture_there_is_none_to_deform():
+def test_a_result_without_an_image_has_no_deformed_image():
     made = layers_of(result_layers(solution()), ("grid", "labels"))
     assert list(made) == ["arrows", "grid"]
 
 
-def test_arrows_leave_room_to_see_the_image():
+def test_the_number_of_arrows_is_limited():
     outputs = result_layers(solution(shape=(300, 300)))
     assert ARROWS / 2 < len(outputs.layers["arrows"].data) < 2 * ARROWS
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (4.0, 1.0)])
-def test_long_arrows_stay_apart_at_true_length(spacing):
+def test_long_arrows_of_true_length_do_not_overlap(spacing):
     outputs = result_layers(solution((0.0, 50.0), spacing, (200, 300)))
     arrows = outputs.layers["arrows"].data
     np.testing.assert_allclose(arrows[:, 1], [[0, 50]] * len(arrows))
@@ -109,19 +109,19 @@ def test_long_arrows_stay_apart_at_true_length(spacing):
         assert (np.diff(starts) > 50).all()
 
 
-def test_arrows_are_as_far_apart_in_millimetres_down_as_across():
+def test_arrows_have_equal_distances_in_millimetres_along_both_axes():
     arrows = result_layers(solution((0.0, 0.1), (4.0, 1.0), (60, 240))).layers["arrows"].data
     rows, cols = (np.unique(arrows[:, 0, axis]) for axis in (0, 1))
     assert 0.6 < 4 * np.diff(rows).min() / np.diff(cols).min() < 1.6
 
 
-def test_what_tissue_leaves_behind_is_the_darkest_there_is():
+def test_pixels_vacated_by_tissue_have_the_darkest_intensity():
     air = spot() - 1000
     moved = result_layers(solution((5.0, 0.0)), pictures=Pictures(air)).layers["image"].data
     assert moved[0, 0] == -1000
 
 
-def test_a_colour_image_stays_one():
+def test_a_deformed_colour_image_is_in_colour():
     colours = np.zeros((*SHAPE, 3), np.uint8)
     colours[10, 20] = (255, 0, 9)
     image = layers_of(result_layers(solution(), pictures=Pictures(colours)))["image"]
@@ -141,7 +141,7 @@ def test_a_colour_image_stays_one():
     ],
     ids=lambda place: next(iter(place)),
 )
-def test_results_lie_where_the_source_does(place):
+def test_results_lie_at_the_place_of_their_source(place):
     source = Image(spot(), **place)
     frame = frame_of(source)
     spacing = frame.spacing
@@ -160,7 +160,7 @@ def test_results_lie_where_the_source_does(place):
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1), (1, 0, 2), (2, 1, 0)])
-def test_results_of_a_stack_lie_on_their_slice_however_it_is_turned(order):
+def test_results_of_a_stack_lie_on_their_slice_for_any_order_of_axes(order):
     viewer = ViewerModel()
     data = np.random.default_rng(0).random((30, 31, 32))
     affine = np.diag([1.0, 1.0, 1.0, 1.0])
@@ -179,7 +179,7 @@ def test_results_of_a_stack_lie_on_their_slice_however_it_is_turned(order):
         assert layer.ndim == 3, name
         assert layer.name.endswith(f"({'zyx'[order[0]]} = 5)"), name
         assert layer.metadata[METADATA]["slice"] == f"{'zyx'[order[0]]} = 5", name
-    # Where the picture lies it equals the source: look one pixel up through the world.
+    # The deformed image equals the source at its place: compare pixels through the world.
     at = [3, 4, 6]
     at[order[0]] = 5
     own = layers["image"].world_to_data(source.data_to_world(at))
@@ -188,12 +188,12 @@ def test_results_of_a_stack_lie_on_their_slice_however_it_is_turned(order):
     assert (starts[:, order[0]] == 5).all()
 
 
-def test_arrows_carry_the_whole_solution_with_its_frame():
+def test_arrows_store_the_solution_with_its_frame():
     frame = frame_of(Labels(np.ones(SHAPE, int), scale=(2.0, 2.0)))
     outputs = result_layers(solution(), frame)
     kept = outputs.layers["arrows"].attributes["metadata"][METADATA]["solution"]
     assert Frame.from_dict(kept.frame) == frame
-    # And from the solution alone the same layers come back.
+    # The stored solution gives the same layers.
     again = result_layers(kept)
     np.testing.assert_array_equal(again.layers["arrows"].data, outputs.layers["arrows"].data)
 
@@ -209,18 +209,18 @@ def test_folds_are_counted():
     assert unfolded.folds == 0
 
 
-def test_a_piece_that_covers_another_is_counted_though_nothing_folds():
+def test_overlapping_pieces_without_folds_are_counted():
     two = solution((0.0, 0.0))
     two.tissue[:, 14:16] = False
     two.displacement[:, :14] = (0, 6)
     outputs = result_layers(two, pictures=Pictures())
     assert outputs.folds == 0
-    assert outputs.overlaps == 30 * 4  # sites up to column 13 + 6 lie on those from column 16
+    assert outputs.overlaps == 30 * 4  # Sites up to column 13 + 6 cover sites from column 16.
     assert result_layers(solution(), pictures=Pictures()).overlaps == 0
 
 
 @pytest.mark.parametrize("dtype", [np.int64, np.uint64, np.int8, bool])
-def test_an_image_of_the_largest_numbers_of_its_type_is_deformed(dtype):
+def test_an_image_of_the_largest_integers_is_deformed_without_overflow(dtype):
     largest = 1 if dtype is bool else np.iinfo(dtype).max
     image = np.full(SHAPE, largest, dtype)
     moved = result_layers(solution((5.0, 0.0)), pictures=Pictures(image)).layers["image"].data
@@ -229,7 +229,7 @@ def test_an_image_of_the_largest_numbers_of_its_type_is_deformed(dtype):
     assert abs(int(moved[20, 20]) - largest) <= largest / 2**50
 
 
-def test_the_work_can_be_stopped_between_its_parts():
+def test_making_layers_can_be_stopped_between_steps():
     calls = []
 
     def stop():
@@ -241,7 +241,7 @@ def test_the_work_can_be_stopped_between_its_parts():
         result_layers(solution(), pictures=Pictures(spot()), checkpoint=stop)
 
 
-def test_what_was_given_can_be_seen_as_layers():
+def test_the_inputs_of_a_problem_are_shown_as_layers():
     y, c, m = np.zeros((20, 24, 2)), np.zeros((20, 24, 2)), np.full((20, 24), 5.0)
     c[0], c[-1] = 1, (0.5, 0.25)
     y[-1] = (0, 3)
@@ -252,9 +252,11 @@ def test_what_was_given_can_be_seen_as_layers():
     layers = layers_of(outputs, ("stiffness", "observed", "confidence"))
     for name, given in (("stiffness", m), ("confidence", c.max(axis=-1))):
         moved = warp(given, solved.displacement, spacing=(1.0, 2.0), order=0, fill=np.nan)
-        np.testing.assert_allclose(layers[name].data, moved, err_msg="it moves with the tissue")
+        np.testing.assert_allclose(
+            layers[name].data, moved, err_msg="an input does not move with the tissue"
+        )
     assert layers["confidence"].contrast_limits == [0.0, 1.0]
     starts, steps = layers["observed"].data[:, 0], layers["observed"].data[:, 1]
-    assert set(starts[:, 0]) == {0, 19}, "where something is known, and nowhere else"
+    assert set(starts[:, 0]) == {0, 19}, "observations are not shown, or are shown elsewhere"
     np.testing.assert_allclose(steps[starts[:, 0] == 19], [(0, 1.5)] * 24)
-    assert not steps[starts[:, 0] == 0].any(), "what is held has a dot"
+    assert not steps[starts[:, 0] == 0].any(), "a fixed site has an arrow instead of a dot"

@@ -1,4 +1,4 @@
-"""The same layers are the same problem wherever they are read, and the same field."""
+"""Tests that layers and arrays are read as the same problem and give the same field."""
 
 from dataclasses import replace
 
@@ -64,7 +64,7 @@ seeds = some.integers(0, 2**20)
 
 
 def painted(seed):
-    """Labels of tissue and of boundary: blobs, with a wall that holds."""
+    """Return random labels of tissue and of boundary, with a fixed column."""
     rng = np.random.default_rng(seed)
     tissue = np.kron(rng.integers(0, 4, (6, 8)), np.ones((3, 3), int))[: SHAPE[0], : SHAPE[1]]
     tissue[:, :6] = 1
@@ -84,7 +84,7 @@ def same_problem(one, other):
 
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(seeds, materials, rules, marks, some.booleans())
-def test_layers_and_arrays_are_one_problem(seed, table, rules, drawing, hold_edge):
+def test_layers_and_arrays_give_the_same_problem(seed, table, rules, drawing, hold_edge):
     tissue, boundary = painted(seed)
     picture = np.full(SHAPE, 7, np.uint8)
     layers = {
@@ -104,7 +104,7 @@ def test_layers_and_arrays_are_one_problem(seed, table, rules, drawing, hold_edg
 
 @settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 @given(seeds, materials, rules, some.lists(marks, min_size=2, max_size=4))
-def test_a_drawing_is_one_problem_however_one_came_to_it(seed, table, rules, drawings):
+def test_successive_drawings_give_the_problem_of_the_last_drawing(seed, table, rules, drawings):
     tissue, boundary = painted(seed)
     ground = read_ground(
         Image(np.full(SHAPE, 7, np.uint8), **PLACE),
@@ -121,7 +121,7 @@ def test_a_drawing_is_one_problem_however_one_came_to_it(seed, table, rules, dra
 
 @settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow])
 @given(some.lists(some.tuples(places, places), min_size=1, max_size=4, unique_by=lambda p: p[0]))
-def test_landmarks_of_layers_and_of_a_study_are_one_problem(pairs):
+def test_landmarks_from_layers_and_from_a_study_give_the_same_problem(pairs):
     where, should = (np.array(each) for each in zip(*pairs, strict=True))
     image, stiffness = Image(np.zeros(SHAPE), **PLACE), np.ones(SHAPE)
     points = Points(where, **PLACE), Points(should, **PLACE)
@@ -137,7 +137,7 @@ def test_landmarks_of_layers_and_of_a_study_are_one_problem(pairs):
     same_problem(build_problem(study_from_layers(asked)), build_problem(study))
 
 
-def test_arrows_and_an_observed_field_are_one_problem():
+def test_arrows_and_an_observed_field_give_the_same_problem():
     rng = np.random.default_rng(3)
     starts = np.argwhere(rng.random(SHAPE) < 0.3)
     steps = rng.normal(size=starts.shape)
@@ -157,7 +157,7 @@ def test_arrows_and_an_observed_field_are_one_problem():
 
 @pytest.fixture
 def tumour(qtbot):
-    """A viewer with painted tissue of which some is doubted, and the dock on it."""
+    """Return the dock of a viewer with painted tissue and a boundary of low confidence."""
     viewer = ViewerModel()
     tissue, boundary = np.ones(SHAPE, np.uint8), np.zeros(SHAPE, np.uint8)
     tissue[6:10, 8:14] = 2
@@ -177,7 +177,7 @@ def tumour(qtbot):
     return dock
 
 
-def test_what_is_drawn_is_read_with_what_is_painted(tumour):
+def test_a_drawing_is_combined_with_the_painted_boundary(tumour):
     before = build_problem(tumour.study)
     assert before.prior.can_slip(before.problem)
     assert tumour.start()
@@ -194,7 +194,7 @@ def test_what_is_drawn_is_read_with_what_is_painted(tumour):
 
 
 @pytest.mark.parametrize("energy", ["elastic", "paper"])
-def test_the_field_of_the_window_is_that_of_python_bit_by_bit(tumour, qtbot, energy):
+def test_the_window_and_python_give_the_same_field_bit_by_bit(tumour, qtbot, energy):
     deform = tumour
     deform.live = False
     deform.model = energy
@@ -213,7 +213,7 @@ def test_the_field_of_the_window_is_that_of_python_bit_by_bit(tumour, qtbot, ene
     assert found.provenance.inputs == seen.provenance.inputs
 
 
-def test_what_is_seen_while_tissue_is_pulled_is_the_field_of_python(tumour, qtbot):
+def test_the_preview_while_pulling_equals_the_field_of_python(tumour, qtbot):
     grab = tumour
     assert grab.start()
     seen = []

@@ -1,7 +1,7 @@
-"""Recorded studies: the same layers are the same problem, and the same problem the same field.
+"""Tests of recorded studies: layers give the recorded problem and the recorded field.
 
-What is in `recorded/` was read from the layers of `studies.py` and solved cold by compiled loops.
-To record anew, which is right only where a reading was meant to change::
+The files in `recorded/` were read from the layers of `studies.py` and solved with a cold start by
+compiled loops. To record again, which is correct only if a reading was changed on purpose::
 
     python -m tests.layers.test_recorded --record [name of a study ...]
 """
@@ -24,17 +24,17 @@ from tests.support.studies import (
 from tests.support.study_reader import read
 
 RECORDED = Path(__file__).resolve().parent / "recorded"
-#: Fields are kept to so many pixels.
+#: Resolution of stored fields, in pixels.
 STEP = 1e-4
-#: The paper's schedule knows of no error. Where arithmetic differs rounding decides between
-#: candidates that are equally good: root mean square, in pixels.
+#: Tolerance of the paper's schedule, which has no error estimate: root mean square, in pixels.
+#: Rounding decides between equally good candidates.
 OF_A_SCHEDULE = 0.01
-#: All files together, in bytes.
+#: Largest size of all files together, in bytes.
 LARGEST = 300_000
 
 
 def problem_arrays(problem, prior):
-    """What a problem consists of."""
+    """Return the arrays that define a problem, by name."""
     return {
         "y": problem.observed,
         "c": problem.confidence,
@@ -75,7 +75,7 @@ def record(make):
 
 
 @pytest.mark.parametrize("make", STUDIES, ids=lambda make: make.__name__)
-def test_layers_are_the_problem_they_were_and_tissue_moves_as_it_did(make):
+def test_layers_give_the_recorded_problem_and_the_recorded_field(make):
     with np.load(RECORDED / f"{make.__name__}.npz", allow_pickle=False) as file:
         known = dict(file)
     asked = read(make())
@@ -95,7 +95,7 @@ def test_layers_are_the_problem_they_were_and_tissue_moves_as_it_did(make):
     [growing_tumour_in_oblong_pixels_turned, tissue_by_brightness],
     ids=lambda make: make.__name__,
 )
-def test_what_is_painted_is_the_same_problem_where_nothing_is_drawn_yet(make):
+def test_a_study_without_a_drawing_gives_the_painted_problem(make):
     layers = make()
     drawn_on = replace(layers, drawing=[], hold_edge=False)
     painted, pulled = (read(study) for study in (layers, drawn_on))
@@ -105,14 +105,14 @@ def test_what_is_painted_is_the_same_problem_where_nothing_is_drawn_yet(make):
     assert pulled.prior == painted.prior
 
 
-def test_every_study_says_something_and_together_they_are_small():
+def test_every_recorded_study_has_motion_and_the_files_are_small():
     files = sorted(RECORDED.glob("*.npz"))
     assert {file.stem for file in files} == {make.__name__ for make in STUDIES}
     assert sum(file.stat().st_size for file in files) < LARGEST
     for file in files:
         with np.load(file, allow_pickle=False) as known:
             moved = STEP * np.abs(known["field"])
-            assert moved.max() > 1, f"{file.stem}: tissue moves by a pixel or more"
+            assert moved.max() > 1, f"{file.stem}: tissue moves by less than a pixel"
             assert (moved[known["m"] > 0] > 0.1).any(axis=-1).mean() > 0.1, file.stem
 
 

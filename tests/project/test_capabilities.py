@@ -1,4 +1,4 @@
-"""What people can do is listed, and each line of the list names tests that are there."""
+"""Tests of the list of capabilities, whose rows name existing tests."""
 
 import ast
 import re
@@ -10,12 +10,12 @@ import pytest
 TESTS = Path(__file__).resolve().parents[1]
 PAGE = TESTS.parent / "docs" / "development" / "capabilities.md"
 
-pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="looks at a checkout of the repository")
+pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="needs a checkout of the repository")
 
 
 @cache
-def in_file(file: str) -> dict[str, ast.FunctionDef]:
-    """The tests of a file, by their names."""
+def named_tests(file: str) -> dict[str, ast.FunctionDef]:
+    """Return the tests of a file by name."""
     tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
     return {
         node.name: node
@@ -24,14 +24,14 @@ def in_file(file: str) -> dict[str, ast.FunctionDef]:
     }
 
 
-def looks_behind(test: ast.FunctionDef) -> bool:
-    """Whether a test names something private, of ours or of others."""
+def uses_private_names(test: ast.FunctionDef) -> bool:
+    """Return whether a test accesses a private attribute."""
     names = [node.attr for node in ast.walk(test) if isinstance(node, ast.Attribute)]
     return any(name.startswith("_") and not name.startswith("__") for name in names)
 
 
 def rows() -> list[tuple[str, list[str]]]:
-    """What people can do, and what each row names."""
+    """Return each listed capability with the names in its row."""
     lines = PAGE.read_text(encoding="utf-8").splitlines()
     cells = [line.strip("|").split(" | ") for line in lines if line.startswith("| ")]
     return [
@@ -41,28 +41,28 @@ def rows() -> list[tuple[str, list[str]]]:
     ]
 
 
-def test_every_row_names_tests_that_are_there():
+def test_every_row_names_existing_tests():
     assert len(rows()) > 100
     missing = []
     for what, named in rows():
         for each in named:
             file, _, test = each.partition("::")
-            if not (TESTS / file).is_file() or test not in in_file(file):
+            if not (TESTS / file).is_file() or test not in named_tests(file):
                 missing.append(f"{what}: {each}")
         if not named:
             missing.append(f"{what}: no test")
     assert missing == []
 
 
-def test_what_people_can_do_is_held_without_a_look_behind_the_public_face():
+def test_every_capability_is_tested_through_the_public_interface():
     behind = []
     for what, named in rows():
         parts = [each.split("::") for each in named]
-        if all(looks_behind(in_file(file)[test]) for file, test in parts):
+        if all(uses_private_names(named_tests(file)[test]) for file, test in parts):
             behind.append(what)
     assert behind == []
 
 
-def test_nothing_is_listed_twice():
+def test_no_capability_is_listed_twice():
     listed = [what for what, _ in rows()]
     assert len(set(listed)) == len(listed)

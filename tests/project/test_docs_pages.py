@@ -1,4 +1,4 @@
-"""Pages of the documentation: links, commands, notebooks, pictures, and generated reference."""
+"""Tests of the documentation pages: links, commands, notebooks, pictures and reference."""
 
 import importlib.util
 import os.path
@@ -33,7 +33,7 @@ def name(file):
 
 
 def markdown_files():
-    """Return all Markdown files of the repository, without built and installed ones."""
+    """Return all Markdown files of the repository, except built and installed files."""
     skipped = {"_build", "build", "dist", "node_modules"}
     return [
         path
@@ -44,7 +44,7 @@ def markdown_files():
 
 @pytest.fixture(scope="module")
 def conf():
-    """Return the configuration of the site; it needs no Sphinx."""
+    """Return the module that configures the site; loading it does not require Sphinx."""
     spec = importlib.util.spec_from_file_location("conf_of_the_site", DOCS / "conf.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -52,7 +52,7 @@ def conf():
 
 
 @pytest.mark.parametrize("page", markdown_files(), ids=name)
-def test_relative_links_lead_to_files(page):
+def test_relative_links_point_to_existing_files(page):
     text = re.sub(r"```.*?```|`[^`\n]*`", "", read(page), flags=re.DOTALL)
     for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", text):
         assert Path(os.path.normpath(page.parent / target)).exists(), target
@@ -74,7 +74,7 @@ def test_sentences_are_about_software_and_begin_with_their_subject(conf):
     """Apply the rules for docstrings and messages to the pages that users read."""
     spec = importlib.util.spec_from_file_location("words_of_pages", ROOT / "scripts" / "words.py")
     words = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = words  # which dataclasses look up
+    sys.modules[spec.name] = words  # Dataclasses look the module up here.
     spec.loader.exec_module(words)
     folders = ("tutorials", "how-to", "concepts", "reference", "examples", "notebooks")
     pages = [page for folder in folders for page in DOCS.glob(f"{folder}/*.md")]
@@ -92,11 +92,11 @@ def test_sentences_are_about_software_and_begin_with_their_subject(conf):
     assert found == []
 
 
-#: Beginnings of sentences that hide the subject.
+#: Sentence openings that hide the subject.
 FRONTED = re.compile(r"(?:(?<=[.:!?] )|(?<=\n\n)|(?<=- ))(?:Whether|Have|Of (?!a patch))\b")
 
 
-def test_a_link_to_a_file_that_is_no_page_becomes_a_download(conf):
+def test_a_link_to_a_file_outside_the_docs_becomes_a_download(conf):
     text = "[shaders](../../shaders/README.md#x), [page](../index.md), [code](../../docs/conf.py)"
     assert conf.offer_files(text, "development/contributing") == text.replace(
         "../../shaders", "path:../../shaders"
@@ -107,7 +107,7 @@ def test_a_link_to_a_file_that_is_no_page_becomes_a_download(conf):
 
 
 def shell_lines():
-    """Yield each command line of the documentation that starts `napari-hmrf`, with its page."""
+    """Yield each command line in the documentation that starts with `napari-hmrf`, and its page."""
     for page in [*DOCS.rglob("*.md"), ROOT / "README.md"]:
         if "_build" not in page.parts:
             for block in re.findall(r"```sh\n(.*?)```", read(page), flags=re.DOTALL):
@@ -178,7 +178,7 @@ def test_the_cheat_sheet_has_each_key_that_is_bound():
 
 
 class _Anything:
-    """Object with any attribute, in place of a pointer: only the names of its keys matter."""
+    """Object with any attribute, used as a pointer of which only the names of keys are read."""
 
     def __getattr__(self, name):
         return name if name.startswith("__") else self._do
@@ -216,7 +216,9 @@ def test_a_notebook_runs_and_stores_no_outputs(notebook, conf, monkeypatch, tmp_
 
 
 def _growing_sphere(names, printed):
-    assert names["error"] < 0.05 * names["exact"].max(), "as the closed form, but for its staircase"
+    assert names["error"] < 0.05 * names["exact"].max(), (
+        "the error exceeds that of the voxel staircase"
+    )
     assert 8 < names["ball"].size_change < names["free"]
     assert "voxels that fold: 0" in printed
 
@@ -229,7 +231,9 @@ def _landmarks(names, _):
 
     assert rms("on edges", "elastic") < rms("on edges", "paper, converged")
     assert rms("on edges", "paper, converged") < rms("on edges", "paper")
-    assert rms("anywhere", "paper, converged") < rms("anywhere", "elastic"), "as the text says"
+    assert rms("anywhere", "paper, converged") < rms("anywhere", "elastic"), (
+        "the order of the models differs from the text"
+    )
 
 
 def _augmentation(names, printed):
@@ -239,7 +243,7 @@ def _augmentation(names, printed):
         assert set(labels.ravel()) <= {0, 1, 2, 3}
 
 
-#: What the text of each notebook claims about its results.
+#: Checks of the claims that the text of each notebook makes about its results.
 CLAIMS = {
     "growing-sphere": _growing_sphere,
     "landmarks": _landmarks,
@@ -257,7 +261,7 @@ def test_a_notebook_becomes_a_page_with_its_code(conf):
         assert f"({notebook.name})" in listed
 
 
-def test_links_of_notebooks_lead_to_files(conf):
+def test_links_of_notebooks_point_to_existing_files(conf):
     for notebook in NOTEBOOKS:
         text = conf.notebook_page(read(notebook))
         for target in re.findall(r"\]\((?!https?:)([^)#\s]+\.(?:md|png|ipynb))", text):

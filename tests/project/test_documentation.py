@@ -1,4 +1,4 @@
-"""Claims about the documentation: nothing is missing, links lead somewhere, examples are true."""
+"""Tests of the documentation: reference, links, runnable blocks, examples and metadata."""
 
 import ast
 import doctest
@@ -18,18 +18,18 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 REFERENCE = sorted(DOCS.glob("reference/*.md"))
 EXAMPLES = sorted(ROOT.glob("examples/*.py"))
-#: Pages with Python that is run.
+#: Pages with Python blocks that the tests run.
 WITH_BLOCKS = [
     page
     for folder in ("tutorials", "how-to", "concepts")
     for page in sorted(DOCS.glob(f"{folder}/*.md"))
     if "```python" in page.read_text(encoding="utf-8")
 ]
-#: What stands at the top of the repository, and is a page of the site.
+#: Files at the top of the repository that are pages of the site.
 AT_THE_TOP = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
 
 pytestmark = pytest.mark.skipif(
-    not (DOCS / "tutorials").exists(), reason="looks at a checkout of the repository"
+    not (DOCS / "tutorials").exists(), reason="needs a checkout of the repository"
 )
 
 
@@ -38,7 +38,7 @@ def read(file: Path) -> str:
 
 
 def pages() -> list[Path]:
-    """The pages of the site, but not what was built of them."""
+    """Return the source pages of the site, without built pages."""
     return sorted(page for page in DOCS.rglob("*.md") if "_build" not in page.parts)
 
 
@@ -51,14 +51,14 @@ def without_code(text: str) -> str:
 
 
 def links(page: Path) -> list[tuple[str, str]]:
-    """What a page links in this repository: the file, and the heading in it."""
+    """Return the links of a page within the repository, as pairs of file and heading."""
     found = re.findall(r"\]\(([^)\s]+)\)", without_code(read(page)))
     inside = [target for target in found if not target.startswith(("https:", "http:"))]
     return [(file, heading) for file, _, heading in (link.partition("#") for link in inside)]
 
 
 def in_menu(page: Path) -> list[str]:
-    """The pages that a page puts in the menu beside it."""
+    """Return the pages that a page lists in its menu."""
     blocks = re.findall(r"```\{toctree\}\n(.*?)```", read(page), flags=re.DOTALL)
     lines = [line.strip() for block in blocks for line in block.splitlines()]
     entries = [line for line in lines if line and not line.startswith(":")]
@@ -66,14 +66,14 @@ def in_menu(page: Path) -> list[str]:
 
 
 def headings(page: Path) -> set[str]:
-    """The anchors of a page's headings, as GitHub and the site make them."""
+    """Return the anchors of the headings of a page, as GitHub and the site make them."""
     titles = re.findall(r"^#+ (.*)$", re.sub(r"```.*?```", "", read(page), flags=re.DOTALL), re.M)
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
 @pytest.fixture(scope="module")
 def conf():
-    """What builds the site; to look at it takes no Sphinx."""
+    """Return the module that configures the site; loading it does not require Sphinx."""
     spec = importlib.util.spec_from_file_location("the_conf", DOCS / "conf.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -81,7 +81,7 @@ def conf():
 
 
 def described() -> list[tuple[str, list[str]]]:
-    """The names in the reference, and which of their members are named there."""
+    """Return each name in the reference with the members listed there."""
     found = []
     for page in REFERENCE:
         for block in re.findall(r"```\{eval-rst\}\n(.*?)```", read(page), flags=re.DOTALL):
@@ -97,7 +97,7 @@ def test_the_reference_describes_each_public_name_once():
     assert sorted(public) == sorted(public_names())
 
 
-def test_what_the_reference_describes_is_there_and_says_what_it_is():
+def test_each_name_in_the_reference_exists_and_has_a_docstring():
     for full, members in described():
         found = pydoc.locate(f"napari_hmrf.{full}")
         assert found is not None, full
@@ -109,11 +109,13 @@ def test_every_public_class_and_function_has_a_docstring():
     for public, found in public_names().items():
         if callable(found):
             assert ast.get_docstring(ast.parse(f'"""{found.__doc__}"""')), public
-            assert not found.__doc__.startswith(f"{found.__name__}("), f"{public}: of dataclass"
+            assert not found.__doc__.startswith(f"{found.__name__}("), (
+                f"{public}: default docstring of a dataclass"
+            )
 
 
 @pytest.mark.parametrize("page", [*pages(), *AT_THE_TOP], ids=name)
-def test_links_lead_to_files_and_headings_that_are_there(page):
+def test_links_point_to_existing_files_and_headings(page):
     for file, heading in links(page):
         target = Path(os.path.normpath(page.parent / file)) if file else page
         assert target.exists(), file
@@ -123,7 +125,7 @@ def test_links_lead_to_files_and_headings_that_are_there(page):
         assert (page.parent / file).exists(), file
 
 
-def test_every_page_is_reached_from_the_first():
+def test_every_page_is_linked_from_the_first_page():
     reached, todo = set(), [DOCS / "index.md"]
     while todo:
         page = todo.pop()
@@ -136,7 +138,7 @@ def test_every_page_is_reached_from_the_first():
 
 
 def test_every_page_is_in_the_menu(conf):
-    """Named in the first page's, or linked by its folder's README, which the menu follows."""
+    """Check the menu of the first page and the README of each folder, which the menu includes."""
     shown = {DOCS / "index.md", *(DOCS / file for file in in_menu(DOCS / "index.md"))}
     for readme in DOCS.rglob("README.md"):
         listed = re.findall(r"^([\w-]+)$", conf.contents(read(readme)), re.M)
@@ -146,7 +148,7 @@ def test_every_page_is_in_the_menu(conf):
 
 
 @pytest.mark.parametrize("page", [*pages(), *AT_THE_TOP], ids=name)
-def test_the_site_s_links_lead_where_those_of_the_repository_do(conf, page):
+def test_links_of_the_site_point_to_the_files_of_the_repository(conf, page):
     places = {file: place for place, file in conf.SHOWN.items()}
     place = places.get(name(page), name(page).removeprefix("docs/").removesuffix(".md"))
     turned = conf.turned(without_code(read(page)), name(page), place)
@@ -156,13 +158,13 @@ def test_the_site_s_links_lead_where_those_of_the_repository_do(conf, page):
         assert there not in AT_THE_TOP, f"{target} is a page of the site"
 
 
-def test_what_is_at_the_top_of_the_repository_is_shown(conf):
+def test_the_pages_at_the_top_of_the_repository_are_on_the_site(conf):
     assert {ROOT / file for file in conf.SHOWN.values()} == set(AT_THE_TOP)
 
 
 @pytest.mark.parametrize("page", WITH_BLOCKS, ids=name)
-def test_what_the_concepts_say_in_python_is_what_comes(page):
-    """Each block in ```python runs; code that the tests cannot run is in ```py."""
+def test_python_blocks_of_the_pages_print_the_shown_output(page):
+    """Run each ```python block; code that the tests cannot run is in a ```py block."""
     blocks = re.findall(r"^( *)```python\n(.*?)```", read(page), flags=re.DOTALL | re.M)
     assert all(">>> " in block for _, block in blocks)
     code = "\n".join(textwrap.dedent(block) for _, block in blocks)
@@ -173,7 +175,7 @@ def test_what_the_concepts_say_in_python_is_what_comes(page):
     assert test.examples
 
 
-def test_each_example_is_short_public_and_on_the_site():
+def test_each_example_is_short_uses_public_names_and_is_on_the_site():
     assert len(EXAMPLES) == 10
     shown = re.findall(
         r"\{literalinclude\} ../../examples/(\w+\.py)$", read(DOCS / "examples/README.md"), re.M
@@ -190,12 +192,12 @@ def test_each_example_is_short_public_and_on_the_site():
                 assert {each.name for each in node.names} <= set(PACKAGES[node.module].__all__)
 
 
-def test_what_builds_the_site_is_declared_and_set_up_and_its_warnings_are_errors():
+def test_the_site_is_built_with_declared_packages_and_warnings_as_errors():
     extras = tomllib.loads(read(ROOT / "pyproject.toml"))["project"]["optional-dependencies"]
     wanted = {re.match(r"[\w-]+", each)[0] for each in extras["docs"]}
     assert wanted == {"furo", "myst-parser", "sphinx"}
     versions = {line.split("==")[0].lower() for line in read(ROOT / "constraints.txt").splitlines()}
-    assert wanted <= versions, "make docs is to find what it found here"
+    assert wanted <= versions, "constraints.txt does not pin a package that builds the site"
     assert re.search(
         r"^docs: setup-for-docs\n\t.*sphinx -W --keep-going", read(ROOT / "Makefile"), re.M
     )
@@ -204,8 +206,8 @@ def test_what_builds_the_site_is_declared_and_set_up_and_its_warnings_are_errors
         assert "`make docs`" in read(ROOT / page)
 
 
-def test_an_address_that_is_given_is_one():
-    """Whose it is, only an owner knows; until then there is none, and none is made up."""
+def test_each_given_address_is_valid():
+    """Addresses are added by the owner; until then the fields are missing."""
     project = tomllib.loads(read(ROOT / "pyproject.toml"))["project"]
     for what, address in project.get("urls", {}).items():
         assert address.startswith("https://"), what
@@ -217,7 +219,7 @@ def test_an_address_that_is_given_is_one():
         assert named in owner
 
 
-def test_the_workflows_and_templates_can_be_read_and_name_what_is_there():
+def test_workflows_and_templates_are_valid_and_refer_to_existing_jobs():
     yaml = pytest.importorskip("yaml")
     files = [*ROOT.glob(".github/**/*.yml"), ROOT / ".pre-commit-config.yaml"]
     contents = {file.name: yaml.safe_load(read(file)) for file in files}
@@ -225,7 +227,7 @@ def test_the_workflows_and_templates_can_be_read_and_name_what_is_there():
         hook for repo in contents[".pre-commit-config.yaml"]["repos"] for hook in repo["hooks"]
     ]
     assert [hook["id"] for hook in hooks] == ["ruff-format", "ruff-check", "mypy"]
-    assert {hook["language"] for hook in hooks} == {"system"}, "nothing is fetched"
+    assert {hook["language"] for hook in hooks} == {"system"}, "a hook is fetched"
     release = contents["release.yml"]["jobs"]
     assert release["publish"]["needs"] == "build"
     assert release["publish"]["permissions"] == {"id-token": "write"}

@@ -1,4 +1,4 @@
-"""The examples do what they say: each is run as it stands, and its words are looked at."""
+"""Tests of the examples: each is run, and its printed numbers are checked."""
 
 import re
 import runpy
@@ -16,8 +16,8 @@ pytestmark = pytest.mark.skipif(not EXAMPLES.exists(), reason="needs a checkout 
 
 
 @pytest.fixture
-def said(monkeypatch, capsys, tmp_path):
-    """Run an example in a folder of its own; what it prints."""
+def run_example(monkeypatch, capsys, tmp_path):
+    """Return a function that runs an example in a temporary folder and returns its output."""
 
     def run(name: str) -> str:
         monkeypatch.chdir(tmp_path)
@@ -28,20 +28,20 @@ def said(monkeypatch, capsys, tmp_path):
 
 
 def number(pattern: str, text: str) -> float:
-    """The number in words that are there once."""
+    """Return the number at `#` in a pattern that occurs once in a text."""
     (found,) = re.findall(pattern.replace("#", r"(-?[\d.]+)"), text)
     return float(found)
 
 
-def test_a_stiff_disc_is_hardly_stretched_and_moves_half_the_way(said):
-    text = said("stiff_disc")
+def test_a_stiff_disc_is_hardly_strained_and_moves_half_of_the_distance(run_example):
+    text = run_example("stiff_disc")
     within = number("mean within the disc: # %", text)
     assert 0 < within < 0.2 * number("mean around the disc: # %", text)
     assert number("# to the right", text) == pytest.approx(4, abs=0.3)
 
 
-def test_a_tumour_grows_at_the_cost_of_what_is_around_it(said, tmp_path):
-    text = said("growing_tumour")
+def test_a_growing_tumour_compresses_the_surrounding_tissue(run_example, tmp_path):
+    text = run_example("growing_tumour")
     assert number("area of the tumour: # %", text) > 120
     assert number("area of the ventricles: # %", text) < 100
     assert number("area of the normal tissue: # %", text) < 100
@@ -54,8 +54,8 @@ def test_a_tumour_grows_at_the_cost_of_what_is_around_it(said, tmp_path):
     assert (saved.tissue == phantom("mass-effect", size=150).problem.tissue).all()
 
 
-def test_a_sphere_grows_in_a_slice_and_in_a_volume_and_files_lie_where_the_scan_does(
-    said, tmp_path
+def test_a_sphere_grows_in_slice_and_volume_and_its_files_have_the_place_of_the_scan(
+    run_example, tmp_path
 ):
     sitk = pytest.importorskip("SimpleITK")
     away = np.linalg.norm((np.indices((16, 20, 24)).T - (8, 10, 12)) * (3, 2, 2), axis=-1).T
@@ -63,13 +63,17 @@ def test_a_sphere_grows_in_a_slice_and_in_a_volume_and_files_lie_where_the_scan_
     scan.SetSpacing((2, 2, 3))
     scan.SetOrigin((-10, 20, 30))
     sitk.WriteImage(scan, str(tmp_path / "scan.nii.gz"))
-    text = said("growing_sphere")
-    assert 20 < number("slice: the tumour grows by # %", text) < 44, "free, it grows by 44 %"
-    assert 30 < number("volume: the tumour grows by # %", text) < 73, "free, it grows by 73 %"
+    text = run_example("growing_sphere")
+    assert 20 < number("slice: the tumour grows by # %", text) < 44, (
+        "unconstrained, the area grows by 44 %"
+    )
+    assert 30 < number("volume: the tumour grows by # %", text) < 73, (
+        "unconstrained, the volume grows by 73 %"
+    )
     deformed = sitk.ReadImage(str(tmp_path / "volume-deformed.nii.gz"))
     assert deformed.GetOrigin() == pytest.approx(scan.GetOrigin(), abs=1e-4)
     assert sitk.GetArrayFromImage(deformed).sum() > 1.3 * (away < 10).sum()
-    # The same by SimpleITK, from the field alone
+    # Compare with SimpleITK, which uses only the field.
     field = sitk.ReadImage(str(tmp_path / "volume-field.nii.gz"), sitk.sitkVectorFloat64)
     moved = sitk.Resample(scan, sitk.DisplacementFieldTransform(field))
     difference = sitk.GetArrayFromImage(moved) - sitk.GetArrayFromImage(deformed)
@@ -77,45 +81,47 @@ def test_a_sphere_grows_in_a_slice_and_in_a_volume_and_files_lie_where_the_scan_
     assert (tmp_path / "slice-field.nii.gz").exists()
 
 
-def test_landmarks_go_where_they_should_be_in_millimetres(said):
-    text = said("slice_in_millimetres")
+def test_landmarks_in_millimetres_reach_their_targets(run_example):
+    text = run_example("slice_in_millimetres")
     moves = re.findall(r"moves (-?[\d.]+) mm down and (-?[\d.]+) mm to the right", text)
-    # Two rows of 1.5 mm, four columns of 0.75 mm, and nothing.
+    # Two rows of 1.5 mm, four columns of 0.75 mm, and no motion.
     expected = [(3, 0), (0, 3), (0, 0)]
     for found, wanted in zip(moves, expected, strict=True):
         assert tuple(map(float, found)) == pytest.approx(wanted, abs=0.01)
     assert number("further than # mm", text) == pytest.approx(3, abs=0.05)
 
 
-def test_the_papers_field_is_nearer_to_finite_elements_converged_and_elastic_is_there(said):
-    text = said("paper_beside_elastic")
+def test_the_converged_and_the_elastic_fields_are_closer_to_finite_elements_than_the_paper(
+    run_example,
+):
+    text = run_example("paper_beside_elastic")
     paper = number("^paper: # px", text)
     converged, elastic = number("paper, converged: # px", text), number("elastic: # px", text)
     assert elastic < 0.005 < converged < 0.5 * paper
-    assert paper < 1.44, "as far as the paper's own"
+    assert paper < 1.44, "the error exceeds that reported by the paper"
 
 
-def test_what_a_registration_found_at_edges_is_nearer_to_the_truth_with_tissue_and_leaves_bone(
-    said,
+def test_a_tissue_model_improves_a_registration_and_leaves_bone_unstrained(
+    run_example,
 ):
     pytest.importorskip("SimpleITK")
-    text = said("registration")
+    text = run_example("registration")
     by = {name: number(f"{name}: # px", text) for name in ("demons alone", "with tissue")}
     assert by["with tissue"] < 0.75 * by["demons alone"]
     strained = [float(found) for found in re.findall(r"strained by ([\d.]+) %", text)]
     assert strained[1] < 0.2 < 3 < strained[0]
 
 
-def test_a_drag_that_goes_on_as_it_did_is_the_same_field_for_less_work(said):
-    text = said("drag")
+def test_warm_starts_give_the_field_of_cold_starts_with_fewer_iterations(run_example):
+    text = run_example("drag")
     apart = [float(found) for found in re.findall(r"([\d.]+) px from a cold start", text)]
     assert len(apart) == 8
-    assert max(apart) < 0.003, "both are within the tolerance, a thousandth of a pixel"
+    assert max(apart) < 0.003, "each field has the tolerance 0.001 px"
     assert number("# iterations in all", text) < number("each time, #", text)
 
 
-def test_in_a_volume_a_tumour_grows_at_the_cost_of_what_is_around_it(said):
-    text = said("volume")
+def test_a_growing_tumour_compresses_the_surrounding_volume(run_example):
+    text = run_example("volume")
     volumes = {name: float(share) for name, share in re.findall(r"(\w+): .* is ([\d.]+) %", text)}
     assert volumes["tumour"] > 130
     assert max(volumes["brain"], volumes["ventricles"]) < 100
@@ -124,9 +130,9 @@ def test_in_a_volume_a_tumour_grows_at_the_cost_of_what_is_around_it(said):
     assert number("within # px", text) <= 0.001
 
 
-def test_the_more_a_tumour_grows_and_the_stiffer_it_is_the_narrower_are_ventricles(said):
+def test_ventricles_shrink_with_the_growth_and_the_stiffness_of_the_tumour(run_example):
     found = re.findall(
-        r"growth-tumour-([\d.]+)_stiffness-tumour-(\d+): ventricles (.*) %", said("sweep")
+        r"growth-tumour-([\d.]+)_stiffness-tumour-(\d+): ventricles (.*) %", run_example("sweep")
     )
     narrower = {(growth, stiffness): float(change) for growth, stiffness, change in found}
     assert len(narrower) == 6
@@ -135,12 +141,14 @@ def test_the_more_a_tumour_grows_and_the_stiffer_it_is_the_narrower_are_ventricl
     assert narrower["0.1", "30"] < narrower["0.1", "3"] < 0
 
 
-def test_random_deformations_fold_nothing_leave_bone_and_are_those_of_full_solves(said, tmp_path):
-    text = said("random_deformations")
+def test_random_deformations_do_not_fold_leave_bone_rigid_and_match_full_solves(
+    run_example, tmp_path
+):
+    text = run_example("random_deformations")
     assert number("folds at # pixels", text) == 0
     assert 0.5 < number("moved up to # px", text) <= 5.5
     assert number("strained by # %", text) < 0.3, (
-        "a turn of few degrees, which linear tissue rounds"
+        "a rotation by a few degrees, linearised, has this strain"
     )
     assert number("within # px", text) < 0.01
     with np.load(tmp_path / "deformed.npz") as kept:

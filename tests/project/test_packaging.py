@@ -1,4 +1,4 @@
-"""What a user gets: the wheel, installed in another environment, works from another folder."""
+"""Tests of the wheel, installed in a new environment and run from another folder."""
 
 import os
 import re
@@ -58,17 +58,17 @@ def wheel(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def elsewhere(wheel, tmp_path_factory) -> Path:
-    """The interpreter of a new environment: the wheel, and what this environment has of others."""
+    """Return the interpreter of a new environment with the wheel and borrowed dependencies."""
     folder = tmp_path_factory.mktemp("environment")
     venv.create(folder, with_pip=False, symlinks=os.name != "nt")
     scripts = "Scripts" if os.name == "nt" else "bin"
     python = folder / scripts / ("python.exe" if os.name == "nt" else "python")
     purelib = sysconfig.get_path("purelib", vars={"base": str(folder)}, scheme="venv")
-    # pip of this environment installs into that one, offline.
+    # pip of this environment installs into the new one, offline.
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     run([*pip, "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)])
-    # The dependencies are borrowed by their folder alone: the .pth file by which an editable
-    # checkout would come first is not read that way.
+    # The .pth file adds only the folders of the dependencies. Python does not read .pth files in
+    # these folders, so an editable checkout is not found.
     borrowed = sorted({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
     (Path(purelib) / "borrowed.pth").write_text("\n".join(borrowed) + "\n", encoding="utf-8")
     bring_loops(Path(purelib) / "napari_hmrf")
@@ -76,12 +76,12 @@ def elsewhere(wheel, tmp_path_factory) -> Path:
 
 
 def bring_loops(installed: Path) -> None:
-    """Have loops that this checkout has compiled not be compiled again for the same sources."""
+    """Copy the compiled loops of this checkout if their sources are equal."""
     package = ROOT / "napari_hmrf"
     for source in package.rglob("*.py"):
         target = installed / source.relative_to(package)
         if target.exists() and target.read_bytes() == source.read_bytes():
-            shutil.copystat(source, target)  # numba asks for the same time
+            shutil.copystat(source, target)  # numba compares the modification times.
     for kept in package.rglob("*.nb[ic]"):
         target = installed / kept.relative_to(package)
         target.parent.mkdir(exist_ok=True)
@@ -89,14 +89,14 @@ def bring_loops(installed: Path) -> None:
 
 
 def run(command: list[str], **options) -> str:
-    """Run a command, show what it said if it fails, and return what it printed."""
+    """Run a command, assert that it succeeds, and return its output."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, **options)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
-def test_the_wheel_has_the_package_its_data_and_nothing_else(wheel):
+def test_the_wheel_contains_only_the_package_and_its_data(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     tops = {name.partition("/")[0] for name in names}
     assert tops == {"napari_hmrf", f"napari_hmrf-{napari_hmrf.__version__}.dist-info"}

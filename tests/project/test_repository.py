@@ -1,4 +1,4 @@
-"""Claims about the repository: what it says is true, and its parts know only what they should."""
+"""Tests of the repository: imports between subpackages, dependencies, metadata and README."""
 
 import ast
 import importlib.util
@@ -31,7 +31,8 @@ HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "superqt", "magicgui", "moderngl"
 HEAVY += ("numba", "matplotlib", "vispy", "pandas")
 HEAVY += ("scipy.ndimage", "scipy.optimize", "scipy.linalg", "scipy.sparse")
 
-#: Who imports from whom: from left to right. Public modules are at the top: no other imports them.
+#: Subpackages in levels: each imports only from lower levels. No module imports the public modules
+#: at the top.
 ROOMS = (
     FACADES := {"cases", "data", "fields", "landmarks", "loads", "random"},
     {"ui"},
@@ -46,20 +47,19 @@ ROOMS = (
         *("resources", "wording"),
     },
 )
-#: Modules that import rooms above their own, in functions or for types only: a `Solution` has the
-#: methods that take a displacement with its spacing and tissue, so that these cannot be forgotten,
-#: and a `Grid` is made from the image that it is the grid of.
+#: Modules that import from higher levels, in functions or for types only. A `Solution` has methods
+#: for functions of a displacement, which supply spacing and tissue; a `Grid` is made from an image.
 LATE = {
     "solver/solution.py": {"field", "io", "study"},
     "study/study.py": {"io"},
-    # Names of a public package, which is a room, too.
+    # Names of a public package, which is a level, too.
     "tissue/__init__.py": {"field", "io", "tissue"},
 }
-#: What people, napari and other processes start.
+#: Modules started by users, napari and other processes.
 ENTRIES = {"__init__", "__main__", "cli", "command_line", "compiling", "contributions"}
 
 pytestmark = pytest.mark.skipif(
-    not (ROOT / "pyproject.toml").exists(), reason="looks at a checkout of the repository"
+    not (ROOT / "pyproject.toml").exists(), reason="needs a checkout of the repository"
 )
 
 
@@ -68,14 +68,14 @@ def tracked_files() -> list[Path]:
         command = ["git", "ls-files", "-z"]
         listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
-        pytest.skip("this is no git checkout")
+        pytest.skip("needs a git checkout")
     files = [ROOT / name for name in listed.stdout.split("\0") if name]
     return [file for file in files if file.is_file()]
 
 
 @cache
 def imports(module: Path, *, top_level_only: bool = False) -> frozenset[str]:
-    """Full names of what a module imports."""
+    """Return the full names of the imports of a module."""
     tree = ast.parse(module.read_text(encoding="utf-8"))
     nodes = ast.walk(tree) if not top_level_only else iter(_run_on_import(tree))
     found = set()
@@ -83,13 +83,13 @@ def imports(module: Path, *, top_level_only: bool = False) -> frozenset[str]:
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{module} imports relatively"
+            assert node.level == 0, f"{module} has a relative import"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
     return frozenset(found)
 
 
 def _run_on_import(tree: ast.Module) -> list[ast.stmt]:
-    """Statements at module level, also within its conditions, but not those for type checkers."""
+    """Return the statements that run on import, without those for type checkers."""
     statements, todo = [], list(tree.body)
     while todo:
         statement = todo.pop()
@@ -105,8 +105,8 @@ def is_private(name: str) -> bool:
 
 
 @cache
-def named_here(module: Path) -> frozenset[str]:
-    """Private names that a module gives: of its functions, classes, attributes and constants."""
+def private_names_defined_in(module: Path) -> frozenset[str]:
+    """Return the private names that a module defines: functions, classes, attributes, constants."""
     found = set()
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
@@ -118,14 +118,15 @@ def named_here(module: Path) -> frozenset[str]:
     return frozenset(filter(is_private, found))
 
 
-def private_names_of_others(module: Path) -> list[str]:
-    """What a module uses below the public face of somebody else's objects, as `line: name`.
+def foreign_private_names(module: Path) -> list[str]:
+    """Return the private names of foreign objects used by a module, as `line: name`.
 
-    A private name is our own if this module gives it, or, behind `self`, if any of ours does: an
-    inherited one. Named tuples have some that are meant for all.
+    A private name is foreign unless this module defines it. Behind `self`, it is foreign unless any
+    module of the package defines it, because it may be inherited. The public methods of named
+    tuples that begin with an underscore are allowed.
     """
-    ours = named_here(module) | {"_replace", "_asdict", "_fields", "_make"}
-    inherited = ours.union(*map(named_here, MODULES))
+    ours = private_names_defined_in(module) | {"_replace", "_asdict", "_fields", "_make"}
+    inherited = ours.union(*map(private_names_defined_in, MODULES))
     found = []
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Attribute):
@@ -154,7 +155,7 @@ def part(module: Path) -> str:
 
 
 @pytest.mark.parametrize("module", MODULES, ids=part)
-def test_only_the_right_modules_know_of_napari_qt_and_opengl(module):
+def test_only_listed_modules_import_napari_qt_and_opengl(module):
     known = packages(imports(module))
     where = part(module)
     beside_napari = where.startswith(("layers/", "ui/", "cli.py", "contributions.py"))
@@ -164,17 +165,17 @@ def test_only_the_right_modules_know_of_napari_qt_and_opengl(module):
         assert not known & {"qtpy", "superqt", "vispy"}
     if not beside_napari:
         assert not known & {"napari", "magicgui"}
-    assert not known & {"PyQt5", "PyQt6", "PySide2", "PySide6"}, "Qt is reached through qtpy only"
+    assert not known & {"PyQt5", "PyQt6", "PySide2", "PySide6"}, "Qt is imported without qtpy"
 
 
 @pytest.mark.parametrize("module", MODULES, ids=part)
-def test_private_names_of_napari_vispy_and_qt_are_used_in_one_module_only(module):
+def test_only_one_module_uses_private_names_of_napari_vispy_and_qt(module):
     if part(module).startswith(("layers/", "ui/")) and part(module) != "layers/compat.py":
-        assert private_names_of_others(module) == []
+        assert foreign_private_names(module) == []
 
 
 @pytest.mark.parametrize("module", MODULES, ids=part)
-def test_a_room_imports_only_from_rooms_further_down(module):
+def test_a_subpackage_imports_only_from_lower_levels(module):
     def height(room: str) -> int:
         return next(n for n, level in enumerate(ROOMS) if room in level)
 
@@ -188,7 +189,7 @@ def test_a_room_imports_only_from_rooms_further_down(module):
 
 
 @pytest.mark.parametrize("module", LATE)
-def test_late_imports_are_of_the_rooms_that_are_listed(module):
+def test_late_imports_are_listed(module):
     path = PACKAGE / module
     late = imports(path) - imports(path, top_level_only=True)
     assert {name.split(".")[1] for name in late} == LATE[module]
@@ -207,12 +208,12 @@ def test_an_import_in_a_function_states_its_reason(module):
             assert rooms == {name}, where
             assert name in LATE[part(module)], where
             continue
-        assert name in reached_by(node), f"{where} imports no {name}"
+        assert name in modules_loaded_by(node), f"{where} imports no {name}"
         known = extra_modules() if reason == "optional" else {*HEAVY, *LATER, *HEAVY_FOLDERS}
         assert name in known, f"{where}: {name} is not {reason}"
 
 
-#: Libraries that take long to import, beside `HEAVY`, and folders of ours that do.
+#: Libraries that take long to import, in addition to `HEAVY`, and such folders of the package.
 LATER = ("PIL", "numpy", "pint", "scipy", "skimage", "tifffile")
 HEAVY_FOLDERS = ("opengl", "ui")
 
@@ -231,8 +232,8 @@ def names_of(node: ast.Import | ast.ImportFrom) -> set[str]:
     return {f"{node.module}.{alias.name}" for alias in node.names}
 
 
-def reached_by(node: ast.Import | ast.ImportFrom) -> set[str]:
-    """Return the libraries, and the folders of ours, that an import leads to at once."""
+def modules_loaded_by(node: ast.Import | ast.ImportFrom) -> set[str]:
+    """Return the libraries and modules of the package that an import loads."""
     found, todo = set(), list(names_of(node))
     while todo:
         name = todo.pop()
@@ -256,7 +257,7 @@ def extra_modules() -> set[str]:
     return {named.get(each, each) for each in packages}
 
 
-#: Names that parameters and attributes have only if they hold objects of ours.
+#: Names of parameters and attributes that contain objects of the package.
 OURS = {
     *("binding", "controller", "dock", "drawing", "form", "guide", "materials", "model"),
     *("palette", "problem", "prior", "row", "rows", "rules", "solution", "stroke", "study"),
@@ -267,7 +268,7 @@ OURS = {
 @pytest.mark.parametrize(
     "module", [each for each in MODULES if part(each).startswith(("ui/", "layers/"))], ids=part
 )
-def test_objects_of_ours_have_a_type_in_the_window(module):
+def test_objects_of_the_package_have_a_precise_type_in_the_window(module):
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
         if isinstance(node, ast.arg) and node.annotation is not None:
             name, annotation = node.arg, node.annotation
@@ -280,7 +281,7 @@ def test_objects_of_ours_have_a_type_in_the_window(module):
         assert not (of_ours and "Any" in words), f"{part(module)}:{node.lineno}: {name}"
 
 
-def test_no_file_name_occurs_twice():
+def test_no_file_name_occurs_twice_in_the_package():
     twins = ("solver/priors/", "solver/backends/")
     public = {f"{name}.py" for name in FACADES}
     internal = [each for each in MODULES if part(each) not in public]
@@ -303,7 +304,7 @@ ABOVE = {
 
 
 @pytest.mark.parametrize("folder", ABOVE)
-def test_a_folder_of_the_backends_imports_none_above_it(folder):
+def test_a_folder_of_the_backends_imports_no_folder_above_it(folder):
     backends = "napari_hmrf.solver.backends."
     found = {
         name.removeprefix(backends)
@@ -315,7 +316,7 @@ def test_a_folder_of_the_backends_imports_none_above_it(folder):
     assert not [name for name in found if f"{name}.".startswith(above)]
 
 
-def test_the_walk_through_the_shaders_names_files_that_exist():
+def test_the_readme_of_the_shaders_names_existing_files():
     text = (ROOT / "shaders" / "README.md").read_text(encoding="utf-8")
     places = ROOT, ROOT / "shaders", PACKAGE / "solver" / "backends"
     named = set(re.findall(r"[\w/]+\.(?:glsl|py)\b", text))
@@ -324,7 +325,7 @@ def test_the_walk_through_the_shaders_names_files_that_exist():
 
 
 @pytest.mark.parametrize("package", ["io", "solver", "solver/backends", "study"])
-def test_the_walk_through_a_package_names_modules_of_it(package):
+def test_the_docstring_of_a_package_names_its_modules(package):
     folder = PACKAGE / package
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
     modules = {
@@ -338,7 +339,7 @@ def test_the_walk_through_a_package_names_modules_of_it(package):
     assert names - modules <= {"material", "open_backend"}
 
 
-def test_the_page_of_the_architecture_has_the_rooms_of_today():
+def test_the_page_on_architecture_lists_the_current_subpackages():
     written = subprocess.run(
         [sys.executable, "scripts/structure.py"],
         cwd=ROOT,
@@ -351,7 +352,7 @@ def test_the_page_of_the_architecture_has_the_rooms_of_today():
     assert written in read("docs/development/architecture.md"), "run `make structure`"
 
 
-def test_no_imports_go_round_in_a_circle_not_even_those_for_types():
+def test_imports_have_no_cycles_even_for_types():
     named = {
         ".".join(module.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): module
         for module in MODULES
@@ -369,21 +370,21 @@ def test_the_commands_start_without_napari():
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_importing_a_package_imports_nothing_heavy(package):
-    names = f"from {package} import *"  # the names, too, of which some are loaded on first use
+def test_importing_a_package_loads_no_heavy_library(package):
+    names = f"from {package} import *"  # The names, too, because some are loaded on first use.
     code = f"import sys; {names}; print([n for n in {HEAVY!r} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize("file", TEST_FILES, ids=lambda file: file.relative_to(TESTS).as_posix())
-def test_tests_mirror_the_package_and_share_only_what_is_in_support(file):
+def test_tests_mirror_the_package_and_share_only_support_modules(file):
     here = file.parent.relative_to(TESTS)
     if here not in FOLDERS_OF_TESTS:
         assert (PACKAGE / here).is_dir()
         name = file.name.removeprefix("test_")
         places = {part(module.parent) for module in MODULES if module.name == name}
-        assert not places or here.as_posix() in places, "elsewhere a module has this name"
+        assert not places or here.as_posix() in places, "a module in another folder has this name"
     if here != SUPPORT:
         assert file.name.startswith("test_") or file.name == "conftest.py"
     shared = {name for name in imports(file) if name.startswith("tests.")}
@@ -391,15 +392,15 @@ def test_tests_mirror_the_package_and_share_only_what_is_in_support(file):
 
 
 @pytest.mark.parametrize("file", TEST_FILES, ids=lambda file: file.relative_to(TESTS).as_posix())
-def test_tests_wait_for_events_and_never_for_a_time(file):
+def test_tests_wait_for_events_instead_of_sleeping(file):
     nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
     names = [ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)]
     timed = [name for name in names if name.endswith(("sleep", "bot.wait", "qWait"))]
-    assert timed == [], "at_rest(), waitUntil and waitSignal wait for what is to come"
+    assert timed == [], "use at_rest(), waitUntil or waitSignal"
 
 
 @pytest.mark.parametrize("folder", ["benchmarks", "scripts", "examples"])
-def test_what_is_imported_from_the_package_is_there(folder):
+def test_benchmarks_scripts_and_examples_import_existing_modules(folder):
     for file in ROOT.glob(f"{folder}/**/*.py"):
         tree = ast.parse(file.read_text(encoding="utf-8"))
         modules = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
@@ -407,7 +408,7 @@ def test_what_is_imported_from_the_package_is_there(folder):
             assert importlib.util.find_spec(module), f"{file.name} imports {module}"
 
 
-def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
+def test_declared_dependencies_are_the_imported_packages():
     project = tomllib.loads(read("pyproject.toml"))["project"]
     extras = project["optional-dependencies"]
     wanted = [*project["dependencies"], *extras["medical"], *extras["film"]]
@@ -419,13 +420,13 @@ def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
     assert {named.get(name, name) for name in others} == declared
 
 
-def test_the_lower_bounds_are_the_versions_that_are_tested():
+def test_the_lower_bounds_of_dependencies_are_tested_versions():
     bounds = tomllib.loads(read("pyproject.toml"))["project"]["dependencies"]
     oldest = [line for line in read(".github/oldest.txt").splitlines() if "==" in line]
     assert [line.replace(">=", "==") for line in bounds] == oldest
 
 
-def test_no_committed_file_names_somebodys_folders():
+def test_no_committed_file_contains_a_personal_path():
     somewhere = re.compile(rb"(/home/\w|/Users/\w|/root\b|[A-Z]:\\Users|/work/\w|/tmp/\w)")
     for file in tracked_files():
         if file.resolve() == Path(__file__).resolve():
@@ -438,11 +439,11 @@ def test_the_version_is_the_same_everywhere():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["version"] == napari_hmrf.__version__
     assert f"\nversion: {napari_hmrf.__version__}\n" in read("CITATION.cff")
-    # Of the environment, which may be older than an edit of pyproject.toml, only the name.
+    # The environment may be older than an edit of pyproject.toml, so compare only the name.
     assert metadata("napari-hmrf")["Name"] == project["name"]
 
 
-def test_the_citation_names_the_paper_and_its_licence_is_the_project_s():
+def test_the_citation_names_the_paper_and_the_licence_of_the_project():
     yaml = pytest.importorskip("yaml")
     citation = yaml.safe_load(read("CITATION.cff"))
     project = tomllib.loads(read("pyproject.toml"))["project"]
@@ -459,7 +460,7 @@ def test_the_citation_names_the_paper_and_its_licence_is_the_project_s():
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", ".ci/run"])
-def test_every_make_command_that_is_mentioned_exists(page):
+def test_every_mentioned_make_command_exists(page):
     targets = set(re.findall(r"^([a-z-]+):", read("Makefile"), flags=re.MULTILINE))
     mentioned = set(re.findall(r"\bmake ([a-z][a-z-]+)\b", code_in(page)))
     assert mentioned
@@ -467,14 +468,14 @@ def test_every_make_command_that_is_mentioned_exists(page):
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
-def test_every_napari_hmrf_command_that_is_mentioned_is_understood(page):
+def test_every_mentioned_napari_hmrf_command_can_be_parsed(page):
     lines = re.findall(r"napari-hmrf ((?:demo|selftest)[^`\n#]*)", code_in(page))
     for line in lines:
         arguments = [word for word in line.split() if not word.startswith("[")]
         assert parser_of_commands().parse_args(arguments).command == arguments[0]
 
 
-def test_the_readme_names_the_menus_as_napari_does():
+def test_the_readme_names_the_menus_as_napari_shows_them():
     yaml = pytest.importorskip("yaml")
     manifest = yaml.safe_load((PACKAGE / "napari.yaml").read_text(encoding="utf-8"))
     plugin, what = manifest["display_name"], manifest["contributions"]
@@ -489,23 +490,25 @@ def test_the_readme_names_the_menus_as_napari_does():
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
-def test_every_file_that_is_linked_exists(page):
+def test_every_linked_file_exists(page):
     links = re.findall(r"\]\((?!https?:)([^)#]+)[^)]*\)", read(page))
     for link in links:
         assert (ROOT / link).exists(), link
 
 
-def test_the_readme_s_python_example_does_what_it_says():
+def test_the_python_example_of_the_readme_gives_the_described_result():
     (example,) = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
     names = {}
     exec(compile(example, "README.md", "exec"), names)
     displacement = names["solution"].displacement
-    assert displacement[32, 40] == pytest.approx((0, 6), abs=1e-3), "it is pulled"
-    assert np.abs(displacement[:, [0, -1]]).max() < 1e-3, "and its edge is held"
+    assert displacement[32, 40] == pytest.approx((0, 6), abs=1e-3), (
+        "the arrow does not pull the tissue"
+    )
+    assert np.abs(displacement[:, [0, -1]]).max() < 1e-3, "the edge moves"
     assert names["moved"].shape == names["image"].shape
 
 
-def test_the_readme_is_one_screen_and_a_page():
+def test_the_readme_has_at_most_120_lines():
     assert len(read("README.md").splitlines()) <= 120
 
 
@@ -514,7 +517,7 @@ def read(name: str) -> str:
 
 
 def code_in(page: str) -> str:
-    """What stands in code blocks and between backticks; all of a file that is no page."""
+    """Return the code blocks and inline code of a page, or the whole text of another file."""
     text = read(page)
     if not page.endswith(".md"):
         return text
@@ -522,7 +525,7 @@ def code_in(page: str) -> str:
     return "\n".join(block or inline for block, inline in blocks)
 
 
-def test_what_mutations_break_is_there_once():
+def test_each_mutated_line_occurs_once():
     sys.path.insert(0, str(ROOT / "scripts"))
     try:
         from mutations import MUTATIONS

@@ -1,4 +1,4 @@
-"""Setting up says what it is doing: nobody looks at a still screen for minutes."""
+"""Tests of the setup script and of its progress messages."""
 
 import importlib.util
 import subprocess
@@ -29,7 +29,7 @@ def setup():
     return module
 
 
-def test_it_says_what_is_downloaded_and_installed_and_of_how_many(setup):
+def test_progress_names_the_downloaded_package_and_the_number_of_packages(setup):
     stages = setup.Stages(152)
     said = [stages.after(line) for line in PIP.replace('print("', "").splitlines()[1:]]
     assert said[0] == "downloading ..."
@@ -39,7 +39,7 @@ def test_it_says_what_is_downloaded_and_installed_and_of_how_many(setup):
     assert said[5] == "installed"
 
 
-def test_so_it_does_of_the_quicker_installer(setup):
+def test_progress_of_uv_names_the_number_of_packages(setup):
     stages = setup.Stages(152)
     lines = ("Using Python 3.11", "Resolved 155 packages in 2s", "Prepared 154 packages in 9s")
     said = [stages.after(line) for line in (*lines, "Installed 155 packages", " + numpy==2.4.0")]
@@ -61,16 +61,14 @@ def test_so_it_does_of_the_quicker_installer(setup):
         ("global.no-index='true'", False),
     ],
 )
-def test_the_quicker_installer_leaves_an_index_of_pips_own_to_pip(
-    setup, monkeypatch, settings, is_used
-):
+def test_uv_is_not_used_if_pip_has_its_own_index(setup, monkeypatch, settings, is_used):
     pip = [sys.executable, "-c", f"print({settings!r})"]
     monkeypatch.setattr(setup, "pip_of_venv", lambda: pip)
     monkeypatch.setattr(setup, "quiet", lambda command: "uv" in command)
     assert (setup.find_uv() is not None) == is_used
 
 
-def test_where_the_quicker_installer_fails_pip_installs(setup, monkeypatch):
+def test_pip_installs_if_uv_fails(setup, monkeypatch):
     commands = []
 
     def install(command):
@@ -86,13 +84,13 @@ def test_where_the_quicker_installer_fails_pip_installs(setup, monkeypatch):
     ]
 
 
-def test_where_lines_stay_there_is_one_for_each_stage(setup, capsys):
+def test_progress_prints_one_line_per_stage_without_a_terminal(setup, capsys):
     assert setup.install_with_progress([sys.executable, "-c", PIP]) == 0
     said = capsys.readouterr().err.split("\n")
     assert [line.split()[0] for line in said if line] == ["downloading", "installing", "installed"]
 
 
-def test_what_went_wrong_is_shown_whole(setup, capsys):
+def test_the_output_of_a_failed_command_is_printed(setup, capsys):
     failing = [sys.executable, "-c", "print('no such version'); raise SystemExit(3)"]
     assert setup.install_with_progress(failing) == 3
     assert "no such version" in capsys.readouterr().err

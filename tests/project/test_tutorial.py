@@ -1,4 +1,4 @@
-"""The tutorial speaks of what is there: buttons, menus, fields, pages, pictures."""
+"""Tests of the tutorials: named buttons, menus and fields, links and pictures."""
 
 import ast
 import re
@@ -11,7 +11,7 @@ TUTORIAL = ROOT / "docs" / "tutorials"
 PAGES = sorted(TUTORIAL.glob("*.md"))
 IMAGES = TUTORIAL / "images"
 
-#: What is napari's own, the name of a sample's image, or emphasis.
+#: Bold texts of napari, names of sample images and emphasised words.
 NOT_OURS = {
     "Brain",
     "File",
@@ -31,14 +31,14 @@ NOT_OURS = {
     "in the same order",
     "The command palette",
     "Show Orthogonal Views",
-    "The image is larger than what you see.",
+    "The image does not fit into the canvas.",
     "You want to move the view, not the tissue.",
     "Nothing moves when you drag.",
-    "It says that there is no tissue to take hold of there.",
-    "It warns of pixels where tissue is pushed through itself.",
+    "A message says that there is no tissue at that position.",
+    "A warning reports pixels where tissue is pushed through itself.",
 }
 
-pytestmark = pytest.mark.skipif(not PAGES, reason="looks at a checkout of the repository")
+pytestmark = pytest.mark.skipif(not PAGES, reason="needs a checkout of the repository")
 
 
 def words(page):
@@ -46,7 +46,7 @@ def words(page):
 
 
 def quoted(page):
-    """What stands in bold, menus taken apart."""
+    """Return the texts in bold, with menus split into entries."""
     return {
         part.strip()
         for bold in re.findall(r"\*\*(.+?)\*\*", words(page))
@@ -56,7 +56,7 @@ def quoted(page):
 
 @pytest.fixture(scope="module")
 def strings():
-    """Every text in the code and in the manifest."""
+    """Return all strings in the code and in the manifest."""
     manifest = (ROOT / "napari_hmrf" / "napari.yaml").read_text(encoding="utf-8")
     found = {line.partition(": ")[2].strip().strip('"') for line in manifest.splitlines()}
     for module in (ROOT / "napari_hmrf").rglob("*.py"):
@@ -67,10 +67,10 @@ def strings():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_what_a_page_tells_to_press_is_there_by_that_name(page, strings):
+def test_controls_named_in_a_page_exist(page, strings):
     names = quoted(page) - NOT_OURS
     assert names
-    # napari adds the name of the plugin to that of a dock.
+    # napari adds the name of the plugin to the name of a dock.
     assert {name.removesuffix(" (napari-hmrf)") for name in names} <= strings
 
 
@@ -81,22 +81,22 @@ def test_menus_are_named_as_napari_shows_them(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_page_and_picture_that_is_linked_is_there(page):
+def test_every_linked_page_and_picture_exists(page):
     text = page.read_text(encoding="utf-8")
     for link in re.findall(r"\]\((?!https?:)([^)#]+)[^)]*\)", text):
         assert (page.parent / link).exists(), f"{page.name}: {link}"
 
 
-def test_every_picture_is_shown_and_all_of_them_are_small():
+def test_every_picture_is_shown_and_small():
     pictures = [path for path in IMAGES.iterdir() if path.suffix in (".png", ".gif")]
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     for picture in pictures:
-        assert f"images/{picture.name}" in text, f"{picture.name} is shown nowhere"
+        assert f"images/{picture.name}" in text, f"{picture.name} is not shown"
     assert sum(picture.stat().st_size for picture in pictures) < 3_000_000
     assert (IMAGES / "grab-and-pull.gif").stat().st_size < 1_500_000
 
 
-def test_every_page_is_found_from_the_first_and_that_from_the_readme():
+def test_every_page_is_linked_from_the_first_page_and_the_tutorial_from_the_readme():
     first = (TUTORIAL / "README.md").read_text(encoding="utf-8")
     for page in PAGES:
         assert page.name == "README.md" or f"({page.name})" in first

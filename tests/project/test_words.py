@@ -1,4 +1,4 @@
-"""Wording of the package."""
+"""Tests of the wording check and of the wording of the package."""
 
 import importlib.util
 import sys
@@ -15,19 +15,19 @@ pytestmark = pytest.mark.skipif(not SCRIPT.exists(), reason="needs a checkout of
 def words():
     spec = importlib.util.spec_from_file_location("the_words", SCRIPT)
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # which dataclasses look up
+    sys.modules[spec.name] = module  # Dataclasses look the module up here.
     spec.loader.exec_module(module)
     return module
 
 
-def test_no_sentence_breaks_a_rule_that_a_program_can_check(words):
+def test_no_text_violates_a_checked_rule(words):
     found = words.check_all()
     assert not any(found.values()), (
         f"{words.summary(found)}. To list them: python scripts/words.py napari_hmrf"
     )
 
 
-def test_a_sample_is_drawn_by_its_seed(words):
+def test_a_sample_is_reproducible_by_its_seed(words):
     drawn = words.sample(1)
     assert drawn == words.sample(1)
     assert drawn != words.sample(2)
@@ -64,7 +64,7 @@ class Brush:
 '''
 
 
-def test_each_rule_is_checked_and_what_complies_is_not_listed(words):
+def test_each_rule_is_checked_and_valid_texts_are_not_listed(words):
     found = words.check(MODULE, verbs={"lift"}, accepted=set())
     assert [(each.line, each.kind, each.text) for each in found] == [
         (3, "opening", "How wide a stroke is."),

@@ -1,4 +1,4 @@
-"""Phantoms are what they say: tissue, a boundary that moves, and the problem these make."""
+"""Tests of the phantoms: their images, boundaries and problems."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def outward(sites, centre):
 
 
 @pytest.mark.parametrize("name", PHANTOM_NAMES)
-def test_the_stored_sample_is_the_phantom_as_drawn_today(name):
+def test_the_stored_sample_equals_the_drawn_phantom(name):
     stored, drawn = sample(name), phantom(name)
     for array in ("image", "tissue_labels", "boundary_labels"):
         np.testing.assert_array_equal(getattr(stored, array), getattr(drawn, array))
@@ -30,7 +30,7 @@ def test_the_stored_sample_is_the_phantom_as_drawn_today(name):
 
 
 @pytest.mark.parametrize("name", PHANTOM_NAMES)
-def test_the_stored_reference_obeys_the_boundary_of_its_phantom(name):
+def test_the_stored_reference_satisfies_the_boundary_of_its_phantom(name):
     problem, reference = phantom(name).problem, reference_displacement(name)
     assert reference.dtype == np.float32
     known = problem.confidence > 0
@@ -39,7 +39,7 @@ def test_the_stored_reference_obeys_the_boundary_of_its_phantom(name):
 
 
 @pytest.mark.parametrize("name", PHANTOM_NAMES)
-def test_a_problem_is_what_the_painted_labels_and_the_tables_say(name):
+def test_the_problem_of_a_phantom_follows_its_labels_and_tables(name):
     drawn = phantom(name, 48)
     y, c = boundary_images(drawn.boundary_labels, drawn.boundary, spacing=1)
     np.testing.assert_array_equal(drawn.problem.observed, y)
@@ -51,7 +51,7 @@ def test_a_problem_is_what_the_painted_labels_and_the_tables_say(name):
 
 @pytest.mark.parametrize("size", SMALL_SIZES)
 @pytest.mark.parametrize("name", PHANTOM_NAMES)
-def test_any_size_makes_a_problem_with_a_free_inside(name, size):
+def test_a_phantom_of_any_size_has_a_free_inside(name, size):
     drawn = phantom(name, size)
     assert drawn.image.shape == ((round(size / 3), size) if name == "bar" else (size, size))
     free = drawn.problem.tissue & ~(drawn.problem.confidence > 0).any(axis=-1)
@@ -71,13 +71,13 @@ def test_the_brain_has_the_tissues_and_stiffnesses_of_the_paper(name):
 
 
 @pytest.mark.parametrize("name", BRAINS)
-def test_the_image_shows_black_outside_dark_tumour_grey_and_white_tissue(name):
+def test_the_image_is_black_outside_and_shows_tumour_grey_and_white_tissue(name):
     drawn = phantom(name)
     means = [drawn.image[drawn.tissue_labels == label].mean() for label in (0, 3, 1, 2)]
     assert means == sorted(means)
     assert np.diff(means).min() > 30
     deep = drawn.image[100:110, 60:90]
-    assert deep.std() > 2  # some texture, so that motion within a tissue can be seen
+    assert deep.std() > 2  # Some texture makes motion within a tissue visible.
 
 
 def test_the_outline_of_the_expanding_brain_moves_outward_everywhere():
@@ -103,7 +103,7 @@ def test_the_tumour_grows_radially_inside_a_fixed_skull():
     assert (drawn.problem.confidence[fixed] == 1).all()
 
 
-def test_motion_scales_with_size():
+def test_the_motion_of_a_phantom_scales_with_its_size():
     for name in PHANTOM_NAMES:
         large, small = phantom(name, 300).problem, phantom(name, 150).problem
         assert np.abs(small.observed).max() == pytest.approx(
@@ -111,7 +111,7 @@ def test_motion_scales_with_size():
         )
 
 
-def test_the_bar_is_pulled_at_its_right_end_only():
+def test_the_bar_is_pulled_only_at_its_right_end():
     drawn = phantom("bar")
     problem = drawn.problem
     assert problem.tissue.all()
@@ -127,12 +127,12 @@ def test_the_bar_is_pulled_at_its_right_end_only():
 @pytest.mark.parametrize(
     ("schedule", "pixels"),
     [
-        (ICM(), 1.44),  # what the paper reports for its own phantom
+        (ICM(), 1.44),  # The value that the paper reports for its own phantom.
         (ICM(iterations=20_000, steps=None, energy_change=1e-6), 0.45),
     ],
     ids=["paper's schedule", "converged"],
 )
-def test_the_solver_comes_as_close_to_finite_elements_as_the_paper_says(name, schedule, pixels):
+def test_the_solver_is_as_close_to_finite_elements_as_the_paper_reports(name, schedule, pixels):
     problem = phantom(name).problem
     solution = solve(problem, SeilerPrior(), optimizer=schedule, backend="cpu")
     reference = reference_displacement(name)
@@ -148,8 +148,9 @@ def test_the_solver_comes_as_close_to_finite_elements_as_the_paper_says(name, sc
         ("mass-effect", "paper, converged", 0.34, 1, None),
     ],
 )
-def test_the_papers_table_1_of_our_phantoms(name, model, pixels, levels, sweeps):
-    """As the README has it: RMSD to finite elements, on 300 x 300 pixels in 10 levels of 70."""
+def test_table_1_of_the_paper_is_reproduced_for_the_phantoms(name, model, pixels, levels, sweeps):
+    """Check the README's table: RMSD from finite elements, 300 x 300 pixels, 10 levels of 70
+    sweeps."""
     problem = phantom(name).problem
     prior, optimizer = parts_of(model)
     solution = solve(problem, prior, optimizer=optimizer, backend="cpu")
@@ -162,14 +163,14 @@ def test_the_papers_table_1_of_our_phantoms(name, model, pixels, levels, sweeps)
 
 
 @pytest.mark.parametrize("name", BRAINS)
-def test_elastic_tissue_of_their_material_is_the_finite_elements_themselves(name):
+def test_elastic_tissue_of_the_same_material_equals_the_finite_element_field(name):
     problem = phantom(name).problem
     solution = solve(problem, ElasticPrior(0.3), backend="cpu")
-    # Which are stored to a thousandth of a pixel.
+    # The reference is stored to a thousandth of a pixel.
     assert rmsd(solution.displacement, reference_displacement(name), problem.tissue) < 6e-4
 
 
-def test_what_does_not_exist_is_refused_by_name():
+def test_an_unknown_phantom_is_refused_by_name():
     with pytest.raises(ValueError, match=r"'liver'.*expansion, mass-effect, bar"):
         phantom("liver")
     with pytest.raises(ValueError, match="liver"):
@@ -179,11 +180,11 @@ def test_what_does_not_exist_is_refused_by_name():
 
 
 @pytest.mark.parametrize("size", [15, 0, -3, 64.0, "big", None])
-def test_a_size_without_room_for_a_phantom_is_refused(size):
+def test_a_size_too_small_for_a_phantom_is_refused(size):
     with pytest.raises(ValueError, match=r"size must be a whole number of at least 16"):
         phantom("bar", size)
 
 
-def test_a_phantom_cannot_be_changed_by_accident():
+def test_the_arrays_of_a_phantom_are_read_only():
     with pytest.raises(ValueError, match="read-only"):
         sample("bar").image[0, 0] = 1

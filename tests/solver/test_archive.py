@@ -1,4 +1,4 @@
-"""A saved solution comes back exactly, and anything else is refused in one sentence."""
+"""Solution files: exact round trip, and rejection of any other file with one sentence."""
 
 import dataclasses
 import errno
@@ -29,8 +29,8 @@ from napari_hmrf.solver.optimizers.base import LevelRun
 MEMBERS = {"displacement.npy", "energy.npy", "header.npy", "tissue.npy"}
 
 
-def made_up(shape=(7, 11), frame=None):
-    """A solution with every kind of number in it."""
+def random_solution(shape=(7, 11), frame=None):
+    """Return a random solution with all kinds of numbers."""
     rng = np.random.default_rng(5)
     return Solution(
         displacement=rng.normal(size=(*shape, 2)).astype(np.float32),
@@ -54,7 +54,7 @@ def made_up(shape=(7, 11), frame=None):
 
 @pytest.fixture
 def solution():
-    return made_up(frame={"units": ["mm", "mm"], "slice": 3, "scale": [0.1, 1 / 3]})
+    return random_solution(frame={"units": ["mm", "mm"], "slice": 3, "scale": [0.1, 1 / 3]})
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def assert_same(a, b):
 
 
 def repacked(path, target, compression=zipfile.ZIP_DEFLATED, **members):
-    """A copy of a file with members replaced, added or, where None, left out."""
+    """Return a copy of a file with members replaced, added or, if None, removed."""
     with zipfile.ZipFile(path) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
     content.update({f"{name}.npy": data for name, data in members.items()})
@@ -104,8 +104,8 @@ def with_header(path, target, **changes):
     return repacked(path, target, header=npy(np.array(json.dumps({**header_of(path), **changes}))))
 
 
-def refusal(path):
-    """The one sentence with which a file is refused."""
+def error_message(path):
+    """Return the one-sentence error for an invalid file."""
     with pytest.raises(FileFormatError) as caught:
         Solution.read(path)
     message = str(caught.value)
@@ -117,12 +117,12 @@ def refusal(path):
     return message.removeprefix(start)
 
 
-def test_what_was_saved_comes_back_exactly(solution, path):
+def test_a_saved_solution_is_read_back_exactly(solution, path):
     assert_same(Solution.read(path), solution)
     assert_same(Solution.read(str(path)), solution)
 
 
-def test_a_real_solution_comes_back(tmp_path):
+def test_a_solved_phantom_is_read_back_exactly(tmp_path):
     solution = solve(phantom("mass-effect", 32).problem, SeilerPrior(), backend="cpu")
     back = Solution.read(solution.write(tmp_path / "solution.npz"))
     assert_same(back, solution)
@@ -130,12 +130,14 @@ def test_a_real_solution_comes_back(tmp_path):
     assert back.mean_energy == solution.mean_energy
 
 
-def test_a_field_of_zeros_is_a_field_however_well_it_packs(tmp_path):
-    still = dataclasses.replace(made_up((600, 600)), displacement=np.zeros((600, 600, 2), "f4"))
+def test_a_highly_compressible_field_of_zeros_is_accepted(tmp_path):
+    still = dataclasses.replace(
+        random_solution((600, 600)), displacement=np.zeros((600, 600, 2), "f4")
+    )
     assert not Solution.read(still.write(tmp_path / "still.npz")).displacement.any()
 
 
-def test_numpy_alone_can_read_it(solution, path):
+def test_a_solution_file_can_be_read_with_numpy_alone(solution, path):
     with np.load(path, allow_pickle=False) as file:
         np.testing.assert_array_equal(file["displacement"], solution.displacement)
         header = json.loads(file["header"].item())
@@ -155,24 +157,24 @@ def test_numpy_alone_can_read_it(solution, path):
         ("x" * 240 + ".npz", "x" * 240 + ".npz"),
     ],
 )
-def test_a_file_has_the_name_that_was_given(solution, tmp_path, given, written):
+def test_a_file_gets_the_requested_name(solution, tmp_path, given, written):
     assert solution.write(tmp_path / given) == tmp_path / written
     assert os.listdir(tmp_path) == [written]
     assert_same(Solution.read(tmp_path / written), solution)
 
 
 def test_saving_again_replaces_the_file(solution, path):
-    other = made_up((5, 5))
+    other = random_solution((5, 5))
     other.write(path)
     assert_same(Solution.read(path), other)
     assert os.listdir(path.parent) == [path.name]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
-def test_a_link_is_followed_not_replaced(solution, path):
+@pytest.mark.skipif(os.name != "posix", reason="creating links on Windows requires privileges")
+def test_a_symbolic_link_is_followed_and_not_replaced(solution, path):
     link = path.with_name("link.npz")
     link.symlink_to(path)
-    other = made_up((5, 5))
+    other = random_solution((5, 5))
     other.write(link)
     assert link.is_symlink()
     assert_same(Solution.read(path), other)
@@ -183,30 +185,30 @@ def disk_full(*_):
 
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(solution, path, monkeypatch, step):
+def test_a_failed_write_keeps_the_old_file_and_no_temporary_file(solution, path, monkeypatch, step):
     monkeypatch.setattr(atomic_write.os, step, disk_full)
     with pytest.raises(OSError, match=r"cannot save the file: No space left.*result\.npz"):
-        made_up((5, 5)).write(path)
+        random_solution((5, 5)).write(path)
     monkeypatch.undo()
     assert_same(Solution.read(path), solution)
     assert os.listdir(path.parent) == [path.name]
 
 
-def test_a_disk_that_does_not_keep_what_it_was_given_is_found_out(solution, path, monkeypatch):
+def test_a_disk_that_returns_other_content_is_detected(solution, path, monkeypatch):
     monkeypatch.setattr(atomic_write.Path, "read_bytes", lambda _: b"")
-    with pytest.raises(OSError, match=r"'result\.npz'.*returns other content"):
-        made_up((5, 5)).write(path)
+    with pytest.raises(OSError, match=r"'result\.npz'.*read back from the disk differs"):
+        random_solution((5, 5)).write(path)
     monkeypatch.undo()
     assert_same(Solution.read(path), solution)
     assert os.listdir(path.parent) == [path.name]
 
 
-def always_held(*_):
+def always_locked(*_):
     raise PermissionError(errno.EACCES, "held")
 
 
-def test_a_file_held_open_elsewhere_is_tried_again(solution, path, monkeypatch):
-    """As Windows does while a virus scanner reads the old one."""
+def test_writing_a_file_locked_by_another_process_is_retried(solution, path, monkeypatch):
+    """Simulate Windows while a virus scanner reads the old file."""
     attempts = []
     rename = os.replace
 
@@ -218,16 +220,16 @@ def test_a_file_held_open_elsewhere_is_tried_again(solution, path, monkeypatch):
 
     monkeypatch.setattr(atomic_write.os, "replace", held)
     monkeypatch.setattr(atomic_write.time, "sleep", lambda _: None)
-    other = made_up((5, 5))
+    other = random_solution((5, 5))
     other.write(path)
     assert_same(Solution.read(path), other)
-    monkeypatch.setattr(atomic_write.os, "replace", always_held)
+    monkeypatch.setattr(atomic_write.os, "replace", always_locked)
     with pytest.raises(PermissionError, match=r"cannot save the file: held.*result\.npz"):
         solution.write(path)
     assert_same(Solution.read(path), other)
 
 
-def test_a_missing_or_closed_folder_is_named(solution, tmp_path, monkeypatch):
+def test_a_missing_or_unwritable_folder_is_named(solution, tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError, match=r"cannot save the file.*nowhere"):
         solution.write(tmp_path / "nowhere" / "result.npz")
     (tmp_path / "folder.npz").mkdir()
@@ -242,7 +244,7 @@ def test_a_missing_or_closed_folder_is_named(solution, tmp_path, monkeypatch):
         solution.write(tmp_path / "result.npz")
 
 
-def test_what_a_killed_process_left_behind_is_removed_once_it_is_old(solution, tmp_path):
+def test_old_temporary_files_of_killed_processes_are_removed(solution, tmp_path):
     old, young = tmp_path / ".napari-hmrf-0.tmp", tmp_path / ".napari-hmrf-1.tmp"
     foreign = tmp_path / "thesis.tmp"
     for leftover in (old, young, foreign):
@@ -253,25 +255,25 @@ def test_what_a_killed_process_left_behind_is_removed_once_it_is_old(solution, t
     assert sorted(os.listdir(tmp_path)) == [young.name, "result.npz", foreign.name]
 
 
-def test_a_solution_that_could_not_be_read_back_is_not_written(path, solution):
-    bad = made_up()
+def test_a_solution_that_could_not_be_read_is_not_written(path, solution):
+    bad = random_solution()
     bad.displacement[0, 0] = np.nan
     with pytest.raises(ValueError, match=r"cannot be saved.*not numbers"):
         bad.write(path)
     with pytest.raises(TypeError, match="JSON"):
-        made_up(frame={"layer": object()}).write(path)
+        random_solution(frame={"layer": object()}).write(path)
     assert_same(Solution.read(path), solution)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.001, 0.3, 0.7, 0.99, 0.9999])
-def test_a_truncated_file_is_refused(path, part):
+def test_a_truncated_file_is_rejected(path, part):
     content = path.read_bytes()
     path.write_bytes(content[: int(part * len(content))])
-    assert refusal(path) == "it is damaged or incomplete"
+    assert error_message(path) == "it is damaged or incomplete"
     assert not is_solution_file(path)
 
 
-def test_a_flipped_bit_is_found_wherever_it_is(solution, path):
+def test_a_flipped_bit_anywhere_is_detected_or_harmless(solution, path):
     content = path.read_bytes()
     found = 0
     for at in np.linspace(0, len(content) - 1, 150).astype(int):
@@ -282,61 +284,61 @@ def test_a_flipped_bit_is_found_wherever_it_is(solution, path):
             back = Solution.read(path)
         except FileFormatError:
             found += 1
-        else:  # a bit that means nothing, such as in a date
+        else:  # a bit without effect, such as in a date
             assert_same(back, solution)
     assert found > 100
 
 
-def test_an_archive_whose_table_points_nowhere_is_refused(path):
+def test_an_archive_with_a_corrupt_directory_is_rejected(path):
     content = bytearray(path.read_bytes())
-    at = content.rindex(b"PK\x05\x06") + 12  # the size of the table, in its last record
+    at = content.rindex(b"PK\x05\x06") + 12  # size of the directory, in its last record
     content[at : at + 4] = (2**31).to_bytes(4, "little")
     path.write_bytes(content)
-    assert refusal(path) == "it is damaged or incomplete"
+    assert error_message(path) == "it is damaged or incomplete"
     content[at : at + 4] = (len(content) - 23).to_bytes(4, "little")
     path.write_bytes(content)
-    assert refusal(path) == "it is damaged or incomplete"
+    assert error_message(path) == "it is damaged or incomplete"
 
 
-def test_a_disk_that_cannot_be_read_is_not_the_files_fault(path, monkeypatch):
+def test_a_read_error_is_not_reported_as_an_invalid_file(path, monkeypatch):
     monkeypatch.setattr(array_file.zipfile, "ZipFile", disk_full)
     with pytest.raises(OSError, match="No space"):
         Solution.read(path)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"row,col\n1,2\n", b"\x93NUMPY", b"\0" * 999])
-def test_something_else_altogether_is_refused(tmp_path, content):
+def test_other_content_is_rejected(tmp_path, content):
     path = tmp_path / "odd.npz"
     path.write_bytes(content)
     is_damaged = content in (b"", b"PK")
     why = "it is damaged or incomplete" if is_damaged else "it is another kind of file"
-    assert refusal(path) == why
+    assert error_message(path) == why
     assert not is_solution_file(path)
 
 
 def test_a_lone_array_or_foreign_archive_is_another_kind_of_file(tmp_path):
     np.savez(tmp_path / "foreign.npz", a=np.ones(3), b=np.ones((2, 2)))
-    assert refusal(tmp_path / "foreign.npz") == "it is another kind of file"
+    assert error_message(tmp_path / "foreign.npz") == "it is another kind of file"
     np.savez(tmp_path / "header.npz", header=np.array('{"format": "other", "schema": 1}'))
-    assert refusal(tmp_path / "header.npz") == "it is another kind of file"
+    assert error_message(tmp_path / "header.npz") == "it is another kind of file"
     np.savez(tmp_path / "list.npz", header=np.array("[1, 2]"))
-    assert refusal(tmp_path / "list.npz") == "it is another kind of file"
+    assert error_message(tmp_path / "list.npz") == "it is another kind of file"
     np.save(tmp_path / "lone.npy", np.ones(3))
-    assert refusal(tmp_path / "lone.npy") == "it is another kind of file"
+    assert error_message(tmp_path / "lone.npy") == "it is another kind of file"
     for name in os.listdir(tmp_path):
         assert not is_solution_file(tmp_path / name)
 
 
-def test_a_missing_file_is_missing_not_invalid(tmp_path):
+def test_a_missing_file_is_not_reported_as_invalid(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.npz"):
         Solution.read(tmp_path / "none.npz")
     assert not is_solution_file(tmp_path / "none.npz")
-    assert refusal(tmp_path) == "it is a folder"
+    assert error_message(tmp_path) == "it is a folder"
     assert not is_solution_file(tmp_path)
 
 
 class Trap:
-    """Unpickling it would run code."""
+    """Object that runs code when it is unpickled."""
 
     def __reduce__(self):
         return (exec, ("raise SystemExit('code from a file was run')",))
@@ -348,7 +350,7 @@ def test_code_in_a_file_is_never_run(path, tmp_path, member):
                     dtype=object)  # fmt: skip
     trap.fill(Trap())
     bad = repacked(path, tmp_path / "trap.npz", **{member: npy(trap, allow_pickle=True)})
-    assert member in refusal(bad)
+    assert member in error_message(bad)
 
 
 def test_a_zip_bomb_costs_no_memory(path, tmp_path):
@@ -368,20 +370,20 @@ def test_a_zip_bomb_costs_no_memory(path, tmp_path):
                 member.write(bytes(100 * rows * 8))
     assert bomb.stat().st_size < 2e6
     tracemalloc.start()
-    assert "more than such a file may hold" in refusal(bomb)
+    assert "more than such a file may contain" in error_message(bomb)
     assert tracemalloc.get_traced_memory()[1] < 5e6
     tracemalloc.stop()
 
 
 @pytest.mark.parametrize("member", ["displacement", "header"])
-def test_a_header_that_lies_about_its_size_costs_no_memory(path, tmp_path, member):
+def test_a_header_with_a_false_size_costs_no_memory(path, tmp_path, member):
     if member == "header":
         lie = npy(np.array("x" * 10)).replace(b"<U10'", b"<U999999999'")
     else:
         lie = npy(np.zeros((7, 11, 2), "f4")).replace(b"(7, 11, 2)", b"(700000, 700000, 2)")
     bad = repacked(path, tmp_path / "liar.npz", **{member: lie})
     tracemalloc.start()
-    refusal(bad)
+    error_message(bad)
     assert tracemalloc.get_traced_memory()[1] < 5e6
     tracemalloc.stop()
 
@@ -391,8 +393,11 @@ def test_a_header_that_lies_about_its_size_costs_no_memory(path, tmp_path, membe
     [
         ({"energy": None}, "lacks 'energy.npy'"),
         ({"header": None}, "another kind of file"),
-        ({"extra": npy(np.ones(3))}, "holds 'extra.npy', which no napari-hmrf result does"),
-        ({"../../evil": npy(np.ones(3))}, "no napari-hmrf result does"),
+        (
+            {"extra": npy(np.ones(3))},
+            "contains 'extra.npy', which does not belong to a napari-hmrf result",
+        ),
+        ({"../../evil": npy(np.ones(3))}, "does not belong to a napari-hmrf result"),
         ({"displacement": npy(np.zeros((7, 11, 2), "f2"))}, "displacement is float16"),
         ({"displacement": npy(np.zeros((7, 11, 2), ">f4"))}, "displacement is >f4"),
         ({"displacement": npy(np.zeros((7, 11), "f4"))}, r"of shape \(7, 11\)"),
@@ -408,9 +413,9 @@ def test_a_header_that_lies_about_its_size_costs_no_memory(path, tmp_path, membe
         ({"header": npy(np.array("x" * 300_000))}, "header claims"),
     ],
 )
-def test_a_file_that_holds_something_else_is_refused(path, tmp_path, changes, complaint):
+def test_a_file_with_wrong_members_is_rejected(path, tmp_path, changes, complaint):
     bad = repacked(path, tmp_path / "bad.npz", **changes)
-    assert re.search(complaint, refusal(bad))
+    assert re.search(complaint, error_message(bad))
 
 
 @pytest.mark.parametrize(
@@ -427,23 +432,23 @@ def test_a_file_that_holds_something_else_is_refused(path, tmp_path, changes, co
         ({"frame": [1, 2]}, "frame"),
     ],
 )
-def test_a_header_that_makes_no_sense_is_refused(path, tmp_path, changes, complaint):
+def test_an_invalid_header_is_rejected(path, tmp_path, changes, complaint):
     bad = with_header(path, tmp_path / "bad.npz", **changes)
-    assert re.search(complaint, refusal(bad))
-    assert is_solution_file(bad)  # it says that it is one, so that its reader can say what is wrong
+    assert re.search(complaint, error_message(bad))
+    assert is_solution_file(bad)  # recognised as a solution, so that reading reports the error
 
 
-def test_the_same_member_twice_is_refused(path, tmp_path):
+def test_a_duplicate_member_is_rejected(path, tmp_path):
     bad = tmp_path / "twice.npz"
     bad.write_bytes(path.read_bytes())
     with zipfile.ZipFile(bad, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
         archive.writestr("tissue.npy", npy(np.ones((7, 11), dtype=bool)))
-    assert refusal(bad) == "two of its members have the same name"
+    assert error_message(bad) == "two of its members have the same name"
 
 
-def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_memory(tmp_path):
+def test_a_damaged_file_is_read_exactly_or_rejected_with_little_memory(tmp_path):
     path = tmp_path / "damaged.npz"
-    original = made_up(frame={"units": ["mm", "mm"], "slice": 3})
+    original = random_solution(frame={"units": ["mm", "mm"], "slice": 3})
     content = original.write(path).read_bytes()
     original = Solution.read(path)
     outcomes = set()
@@ -460,54 +465,54 @@ def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_m
 
 
 @pytest.mark.parametrize("bracket", [b"(", b"[", b"{", b"(((("])
-def test_an_array_whose_header_has_an_open_bracket_is_refused(path, tmp_path, bracket):
+def test_an_array_header_with_an_open_bracket_is_rejected(path, tmp_path, bracket):
     header = npy(np.array("x")).replace(b"(), }", bracket.ljust(5))
     bad = repacked(path, tmp_path / "open.npz", header=header)
-    assert refusal(bad) == "it is damaged or incomplete"
+    assert error_message(bad) == "it is damaged or incomplete"
     assert not is_solution_file(bad)
 
 
 @pytest.mark.parametrize("convergence", [{}, [], 0, False, "", {"error": 1}])
-def test_a_convergence_that_says_nothing_is_refused(path, tmp_path, convergence):
-    refusal(with_header(path, tmp_path / "odd.npz", convergence=convergence))
+def test_an_incomplete_convergence_entry_is_rejected(path, tmp_path, convergence):
+    error_message(with_header(path, tmp_path / "odd.npz", convergence=convergence))
 
 
-def test_a_header_nested_too_deeply_to_be_saved_again_is_refused(path, tmp_path):
+def test_a_header_too_deeply_nested_to_be_saved_again_is_rejected(path, tmp_path):
     deep = []
     for _ in range(300):
         deep = [deep]
-    assert "nested" in refusal(with_header(path, tmp_path / "deep.npz", frame={"deep": deep}))
+    assert "nested" in error_message(with_header(path, tmp_path / "deep.npz", frame={"deep": deep}))
     with pytest.raises(ValueError, match=r"cannot be saved.*nested"):
-        made_up(frame={"deep": deep}).write(path)
+        random_solution(frame={"deep": deep}).write(path)
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_members_packed_as_no_result_is_are_refused_unread(path, tmp_path, method):
-    # LZMA takes memory for what a file claims, before it is there: 700 MB for 1.8 kB.
-    assert "compressed by a method" in refusal(repacked(path, tmp_path / "other.npz", method))
+def test_members_with_another_compression_are_rejected_unread(path, tmp_path, method):
+    # LZMA allocates the memory that a file claims in advance: 700 MB for 1.8 kB.
+    assert "compressed by a method" in error_message(repacked(path, tmp_path / "other.npz", method))
 
 
-def test_members_that_are_not_packed_are_read(solution, path, tmp_path):
+def test_uncompressed_members_are_read(solution, path, tmp_path):
     stored = repacked(path, tmp_path / "stored.npz", zipfile.ZIP_STORED)
     assert_same(Solution.read(stored), solution)
 
 
-def test_a_member_that_claims_to_be_longer_than_the_file_costs_no_memory(path):
+def test_a_member_with_a_size_beyond_the_file_costs_no_memory(path):
     content = bytearray(path.read_bytes())
-    at = content.rindex(b"PK\x01\x02") + 20  # how long the last member is, packed
+    at = content.rindex(b"PK\x01\x02") + 20  # compressed size of the last member
     content[at : at + 4] = (2**31).to_bytes(4, "little")
     path.write_bytes(content)
     tracemalloc.start()
-    assert refusal(path) == "it is damaged or incomplete"
+    assert error_message(path) == "it is damaged or incomplete"
     assert tracemalloc.get_traced_memory()[1] < 5e6
     tracemalloc.stop()
 
 
-def test_what_a_later_version_adds_to_the_provenance_is_passed_over(solution, path, tmp_path):
+def test_provenance_entries_of_later_versions_are_ignored(solution, path, tmp_path):
     provenance = {**header_of(path)["provenance"], "mood": "sunny"}
     newer = with_header(path, tmp_path / "newer.npz", provenance=provenance)
     assert_same(Solution.read(newer), solution)
 
 
-def test_a_saved_solution_is_recognised_by_its_content_not_its_name(solution, tmp_path):
+def test_a_solution_file_is_recognised_by_its_content(solution, tmp_path):
     assert is_solution_file(solution.write(tmp_path / "anything.dat"))

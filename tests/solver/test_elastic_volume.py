@@ -1,4 +1,4 @@
-"""Volumes: the elements, the loops and the field are those of a matrix that others assembled."""
+"""Elastic volumes, compared with independently assembled matrices."""
 
 import math
 import shutil
@@ -24,28 +24,28 @@ from napari_hmrf.solver.volume_memory import ORDINARY
 from tests.support.cancel_flags import During
 
 OBLONG = (1.0, 1.7, 0.6)
-WITHIN = Multigrid(1e-3)
+PRECISE = Multigrid(1e-3)
 
 
 def random(*shape, seed=0):
     return np.random.default_rng(seed).random(shape)
 
 
-def squeezed(m, spacing=(1.0, 1.0, 1.0), by=(1.0, 0.5, -0.3)):
-    """Tissue between two plates of which one is moved, in voxels along each axis."""
+def compressed_volume(m, spacing=(1.0, 1.0, 1.0), by=(1.0, 0.5, -0.3)):
+    """Return tissue between a fixed plate and a plate moved by `by` voxels along each axis."""
     y, c = np.zeros((*m.shape, 3)), np.zeros((*m.shape, 3))
     c[0] = c[-1] = 1
     y[-1] = np.array(by) * spacing
     return Problem(y, c, m, spacing=spacing)
 
 
-def of_ratio(ratio, shape=(11, 10, 10), seed=0):
-    """Random stiffness whose largest is so many times its least."""
+def random_stiffness(ratio, shape=(11, 10, 10), seed=0):
+    """Return a random stiffness between 1 and `ratio`."""
     return ratio ** random(*shape, seed=seed)
 
 
-def off(found, problem, poisson):
-    """How far a solution is from the direct one at most, in voxels."""
+def error_in_voxels(found, problem, poisson):
+    """Return the largest distance from the direct solution, in voxels."""
     expected = direct_solution(problem, poisson)
     return float(np.abs(found.displacement - expected).max()) / problem.unit
 
@@ -54,7 +54,7 @@ def off(found, problem, poisson):
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), OBLONG])
-def test_elements_pull_as_an_assembled_matrix_does(spacing):
+def test_element_forces_match_an_assembled_matrix(spacing):
     first, shear = random(2, 3, 4, 2)
     d = random(4, 5, 3, 3, seed=1)
     shape = brick_shape(spacing)
@@ -64,16 +64,19 @@ def test_elements_pull_as_an_assembled_matrix_does(spacing):
     assert shape.energy(Lame(first, shear), d) == pytest.approx((d * found).sum() / 2)
 
 
-def test_a_body_that_moves_and_turns_as_one_has_no_energy():
-    problem = squeezed(of_ratio(10, (4, 5, 6)), OBLONG)
+def test_a_rigid_motion_has_no_energy():
+    problem = compressed_volume(random_stiffness(10, (4, 5, 6)), OBLONG)
     places = np.moveaxis(np.indices(problem.shape), 0, -1) * OBLONG
     turn = np.cross((0.3, -0.2, 0.5), places) + np.array([1, 2, 3])
     assert ElasticPrior(0.45).energy(problem, turn) == pytest.approx(0, abs=1e-20)
     assert np.abs(ElasticPrior(0.45).forces(problem, turn)).max() < 1e-12
 
 
-def test_forces_are_the_derivative_of_the_energy():
-    problem, prior = squeezed(of_ratio(10, (3, 4, 3))), ElasticPrior(random(3, 4, 3) / 2.1)
+def test_forces_are_the_gradient_of_the_energy():
+    problem, prior = (
+        compressed_volume(random_stiffness(10, (3, 4, 3))),
+        ElasticPrior(random(3, 4, 3) / 2.1),
+    )
     d, step = random(3, 4, 3, 3), 1e-3
     forces = prior.forces(problem, d)
     for at in [(0, 0, 0, 0), (1, 2, 1, 1), (2, 3, 2, 2)]:
@@ -88,7 +91,7 @@ def test_forces_are_the_derivative_of_the_energy():
 
 
 def model_of(problem, prior):
-    """The model with nothing held but what is observed."""
+    """Return the model with the observed sites fixed."""
     made = CpuVolumeModel(prior.material(problem))
     _, held = host.prescribed(problem)
     made.hold(held.copy())
@@ -98,11 +101,11 @@ def model_of(problem, prior):
 @pytest.mark.parametrize(
     ("shape", "poisson"), [((5, 4, 140), 0.45), ((6, 7, 5), "map"), ((17, 4, 6), 0.0)]
 )
-def test_loops_pull_as_the_prior_does(shape, poisson):
-    m = of_ratio(10, shape)
+def test_compiled_forces_match_the_prior(shape, poisson):
+    m = random_stiffness(10, shape)
     m[1:3, 2, 3] = 0
     poisson = 0.499 * random(*shape, seed=1) if poisson == "map" else poisson
-    problem, prior = squeezed(m, OBLONG), ElasticPrior(poisson)
+    problem, prior = compressed_volume(m, OBLONG), ElasticPrior(poisson)
     model, d = model_of(problem, prior), host.planes(random(*shape, 3, seed=2))
     exact = prior.forces(problem, problem.unit * np.moveaxis(d[:, 2:-2, 2:-2, 2:-2], 0, -1))
     scale = np.abs(exact).max()
@@ -123,9 +126,12 @@ def test_loops_pull_as_the_prior_does(shape, poisson):
     assert product == pytest.approx(2 * work, rel=1e-5)
 
 
-def test_the_diagonal_is_that_of_the_matrix():
+def test_the_compiled_diagonal_matches_the_matrix():
     shape = (4, 5, 3)
-    problem, prior = squeezed(of_ratio(10, shape), OBLONG), ElasticPrior(random(*shape) / 2.1)
+    problem, prior = (
+        compressed_volume(random_stiffness(10, shape), OBLONG),
+        ElasticPrior(random(*shape) / 2.1),
+    )
     diagonal = model_of(problem, prior).steepness
     for at in [(0, 0, 0, 0), (1, 2, 1, 1), (2, 3, 2, 2), (3, 4, 0, 1)]:
         impulse = np.zeros((*shape, 3))
@@ -137,7 +143,9 @@ def test_the_diagonal_is_that_of_the_matrix():
 
 @pytest.mark.parametrize("shape", [(8, 8, 8), (7, 10, 9)])
 def test_restriction_is_the_transpose_of_interpolation(shape):
-    fine, coarse = CpuVolumeModel(ElasticPrior().material(squeezed(np.ones(shape)))).levels[:2]
+    fine, coarse = CpuVolumeModel(
+        ElasticPrior().material(compressed_volume(np.ones(shape)))
+    ).levels[:2]
     one, other, up, down = fine.vector(), coarse.vector(), fine.vector(), coarse.vector()
     one[:, 2:-2, 2:-2, 2:-2] = random(3, *shape)
     other[:, 2:-2, 2:-2, 2:-2] = random(3, *coarse.grid, seed=1)
@@ -148,8 +156,8 @@ def test_restriction_is_the_transpose_of_interpolation(shape):
     assert (inside * one).sum() == pytest.approx((down * other).sum(), rel=1e-5)
 
 
-def test_an_even_strain_has_the_same_energy_on_all_levels():
-    problem = squeezed(np.ones((17, 17, 17)), OBLONG)
+def test_a_uniform_strain_has_the_same_energy_on_all_levels():
+    problem = compressed_volume(np.ones((17, 17, 17)), OBLONG)
     model = CpuVolumeModel(ElasticPrior(0.4).material(problem))
     energies = []
     for number, level in enumerate(model.levels):
@@ -164,8 +172,8 @@ def test_an_even_strain_has_the_same_energy_on_all_levels():
     np.testing.assert_allclose(energies, energies[0], rtol=1e-4)
 
 
-def test_the_number_of_threads_does_not_matter():
-    problem = squeezed(of_ratio(10, (13, 6, 7)))
+def test_the_number_of_threads_does_not_change_the_residual():
+    problem = compressed_volume(random_stiffness(10, (13, 6, 7)))
     model, d = model_of(problem, ElasticPrior()), host.planes(random(13, 6, 7, 3))
     alone = model.balance(d, None).rest.copy()
     model.levels[0].parts = 5
@@ -177,8 +185,8 @@ def test_the_number_of_threads_does_not_matter():
 
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
 @pytest.mark.parametrize("poisson", [0.3, 0.45])
-def test_what_volumes_are_compared_with_is_calculix_but_for_locking(poisson, tmp_path):
-    problem = squeezed(of_ratio(100, (6, 5, 4)), OBLONG)
+def test_the_reference_solution_matches_calculix_except_for_locking(poisson, tmp_path):
+    problem = compressed_volume(random_stiffness(100, (6, 5, 4)), OBLONG)
     locking = direct_solution(problem, poisson, locking=True)
     np.testing.assert_allclose(locking, calculix_solution(problem, poisson, tmp_path), atol=1e-5)
     assert np.abs(locking - direct_solution(problem, poisson)).max() > 1e-3
@@ -188,34 +196,34 @@ def test_what_volumes_are_compared_with_is_calculix_but_for_locking(poisson, tmp
     ("poisson", "ratio"),
     [(0.0, 1), (0.3, 1e2), (0.3, 1e4), (0.45, 1), (0.45, 1e4), (0.49, 1), (0.49, 1e4)],
 )
-def test_the_field_is_that_of_a_direct_solve(poisson, ratio):
-    problem = squeezed(of_ratio(ratio), OBLONG)
-    found = solve(problem, ElasticPrior(poisson), optimizer=WITHIN)
-    apart = off(found, problem, poisson)
-    assert apart <= found.convergence.error <= WITHIN.tolerance
+def test_the_field_matches_a_direct_solve(poisson, ratio):
+    problem = compressed_volume(random_stiffness(ratio), OBLONG)
+    found = solve(problem, ElasticPrior(poisson), optimizer=PRECISE)
+    apart = error_in_voxels(found, problem, poisson)
+    assert apart <= found.convergence.error <= PRECISE.tolerance
     assert apart <= 0.005
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.45])
-def test_what_is_beside_void_is_free(poisson):
-    m = of_ratio(10, (9, 8, 9))
+def test_tissue_beside_void_is_free(poisson):
+    m = random_stiffness(10, (9, 8, 9))
     m[3:6, 2:5, :6] = 0
     m[:, :, -1] = 0
-    problem = squeezed(m)
-    found = solve(problem, ElasticPrior(poisson), optimizer=WITHIN)
-    assert off(found, problem, poisson) <= found.convergence.error <= WITHIN.tolerance
+    problem = compressed_volume(m)
+    found = solve(problem, ElasticPrior(poisson), optimizer=PRECISE)
+    assert error_in_voxels(found, problem, poisson) <= found.convergence.error <= PRECISE.tolerance
     assert not found.displacement[m == 0].any()
 
 
-def test_each_tissue_has_a_ratio_of_its_own():
+def test_each_tissue_can_have_a_different_poisson_ratio():
     poisson = np.where(random(8, 7, 9) > 0.5, 0.1, 0.47).astype(np.float32)
-    problem = squeezed(of_ratio(5, poisson.shape))
-    found = solve(problem, ElasticPrior(poisson), optimizer=WITHIN)
-    assert off(found, problem, poisson) <= found.convergence.error <= WITHIN.tolerance
+    problem = compressed_volume(random_stiffness(5, poisson.shape))
+    found = solve(problem, ElasticPrior(poisson), optimizer=PRECISE)
+    assert error_in_voxels(found, problem, poisson) <= found.convergence.error <= PRECISE.tolerance
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), OBLONG])
-def test_an_even_strain_on_the_faces_fills_the_inside(spacing):
+def test_a_uniform_strain_of_the_faces_extends_to_the_inside(spacing):
     places = np.moveaxis(np.indices((9, 8, 12)), 0, -1) * spacing
     strain = np.array([[0.02, -0.01, 0.03], [0.03, 0.015, 0.01], [-0.02, 0.01, 0.01]])
     c = np.ones((9, 8, 12, 3))
@@ -226,7 +234,7 @@ def test_an_even_strain_on_the_faces_fills_the_inside(spacing):
 
 
 def test_a_stack_of_slices_is_plane_strain():
-    m = of_ratio(10, (9, 11))
+    m = random_stiffness(10, (9, 11))
     y, c = np.zeros((9, 11, 2)), np.zeros((9, 11, 2))
     c[0] = c[-1] = 1
     y[-1] = (0.5, 0.3)
@@ -243,25 +251,25 @@ def test_a_stack_of_slices_is_plane_strain():
         assert not each[..., 0].any()
 
 
-def test_no_axis_is_another():
-    problem = squeezed(of_ratio(20, (7, 9, 8)), OBLONG)
-    expected = solve(problem, ElasticPrior(0.4), optimizer=WITHIN).displacement
+def test_the_field_does_not_depend_on_the_order_of_the_axes():
+    problem = compressed_volume(random_stiffness(20, (7, 9, 8)), OBLONG)
+    expected = solve(problem, ElasticPrior(0.4), optimizer=PRECISE).displacement
     for turn in [(1, 2, 0), (2, 1, 0)]:
         y, c = (
             each.transpose(*turn, 3)[..., turn] for each in (problem.observed, problem.confidence)
         )
         spacing = tuple(OBLONG[axis] for axis in turn)
         turned = Problem(y, c, problem.stiffness.transpose(turn), spacing=spacing)
-        found = solve(turned, ElasticPrior(0.4), optimizer=WITHIN).displacement
+        found = solve(turned, ElasticPrior(0.4), optimizer=PRECISE).displacement
         np.testing.assert_allclose(found, expected.transpose(*turn, 3)[..., turn], atol=2e-3)
 
 
 def error_of_a_hollow_sphere(n):
-    """Rms error of u(r) = r + b / r^2 in a shell whose inner and outer skins are prescribed."""
+    """Return the RMS error of u(r) = r + b / r^2 in a shell with prescribed skins."""
     places = np.moveaxis((np.indices((n, n, n)) - (n - 1) / 2) / (n / 2), 0, -1)
     r = np.linalg.norm(places, axis=-1)
     tissue = (r > 0.3) & (r < 0.97)
-    skins = tissue & ((r < 0.45) | (r > 0.82))  # as thick on every grid
+    skins = tissue & ((r < 0.45) | (r > 0.82))  # the same thickness on every grid
     exact = 0.05 * (1 + 0.1 / np.maximum(r, 0.1) ** 3)[..., None] * places
     c = np.repeat(skins[..., None], 3, axis=-1).astype(float)
     problem = Problem(exact, c, tissue.astype(float), spacing=(2 / n,) * 3)
@@ -270,13 +278,13 @@ def error_of_a_hollow_sphere(n):
     return float(np.sqrt((off**2).mean()))
 
 
-def test_lames_hollow_sphere_is_approached_with_the_square_of_the_voxel():
+def test_the_field_of_a_hollow_sphere_converges_with_second_order():
     coarse, fine = error_of_a_hollow_sphere(32), error_of_a_hollow_sphere(56)
     assert 1.7 < np.log(coarse / fine) / np.log(56 / 32) < 2.6
 
 
-def test_a_volume_that_hangs_on_little_is_rehearsed_and_what_is_reported_holds():
-    """A ball that is held at its poles: how it turns between them is met late."""
+def test_the_error_of_a_weakly_constrained_volume_is_estimated_by_rehearsal():
+    """A ball constrained at its poles: its rotation between the poles converges late."""
     places = np.moveaxis(np.indices((20, 16, 16)), 0, -1) / (20, 16, 16) - 0.475
     m = (np.linalg.norm(places, axis=-1) < 0.5).astype(float)
     y, c = np.zeros((*m.shape, 3)), np.zeros((*m.shape, 3))
@@ -292,8 +300,8 @@ def test_a_volume_that_hangs_on_little_is_rehearsed_and_what_is_reported_holds()
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_is_reported_holds_or_is_refused(seed):
-    """Hard tissue: random blobs far stiffer than what is around, void, little that is held."""
+def test_the_reported_error_is_a_bound_or_the_solve_fails(seed):
+    """Difficult tissue: random stiff blobs, void, and few constrained sites."""
     draw = np.random.default_rng(seed)
     shape = tuple(draw.integers(6, 13, 3))
     coarse = draw.random(tuple(-(-size // 3) for size in shape))
@@ -306,49 +314,49 @@ def test_what_is_reported_holds_or_is_refused(seed):
     c[held], y[held] = 1, draw.normal(size=3)
     problem, poisson = Problem(y, c, m), float(draw.uniform(0.2, 0.49))
     try:
-        found = solve(problem, ElasticPrior(poisson), optimizer=WITHIN)
+        found = solve(problem, ElasticPrior(poisson), optimizer=PRECISE)
     except (ProblemError, ConvergenceError):
         return
-    assert off(found, problem, poisson) <= found.convergence.error <= WITHIN.tolerance
+    assert error_in_voxels(found, problem, poisson) <= found.convergence.error <= PRECISE.tolerance
 
 
 # Rigid tissue
 
 
-def bony(shape, spacing=OBLONG, seed=0):
-    """Tissue between plates of which one is moved, with three floating bones and a hole.
+def volume_with_bones(shape, spacing=OBLONG, seed=0):
+    """Return tissue between two plates, one of them moved, with three bones and a hole.
 
-    Two of them only touch: what is soft between them has corners of both.
+    Two bones are so close that soft elements between them have corners in both.
     """
-    m = of_ratio(5, shape, seed)
+    m = random_stiffness(5, shape, seed)
     m[2, 2:4, 2:5] = np.inf
     m[6, 5:8, 5] = m[6, 6, 4] = np.inf
     m[6, 2, 5] = np.inf
     m[5, 1:3, 7:] = 0
-    return squeezed(m, spacing)
+    return compressed_volume(m, spacing)
 
 
 @pytest.mark.parametrize("shape", [(9, 10, 9), (13, 10, 11)])
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), OBLONG])
-def test_what_is_rigid_moves_as_one(shape, spacing):
-    problem = bony(shape, spacing)
-    found = solve(problem, ElasticPrior(0.4), optimizer=WITHIN)
-    assert off(found, problem, 0.4) <= found.convergence.error <= WITHIN.tolerance
+def test_rigid_tissue_in_a_volume_moves_rigidly(shape, spacing):
+    problem = volume_with_bones(shape, spacing)
+    found = solve(problem, ElasticPrior(0.4), optimizer=PRECISE)
+    assert error_in_voxels(found, problem, 0.4) <= found.convergence.error <= PRECISE.tolerance
     assert found.convergence.way == ("factors" if math.prod(shape) < 1000 else "cycles")
 
 
-def test_bone_that_is_held_somewhere_moves_as_that_says():
-    problem = bony((13, 10, 11))
+def test_bone_with_prescribed_sites_follows_their_motion():
+    problem = volume_with_bones((13, 10, 11))
     y, c = np.array(problem.observed), np.array(problem.confidence)
-    # The first is turned, the second can still turn around one site of it.
+    # The first bone is rotated; the second can still rotate around its prescribed site.
     places = np.moveaxis(np.indices(problem.shape), 0, -1) * OBLONG
     turn = np.array((0.1, 0.2, 0.3)) + np.cross((0.02, -0.05, 0.03), places - (3, 5, 3))
     for at in [(2, 2, 2), (3, 3, 4), (2, 3, 3)]:
         y[at], c[at] = turn[at], 1
     y[6, 6, 5], c[6, 6, 5] = (0.4, -0.2, 0.1), 1
     problem = Problem(y, c, problem.stiffness, spacing=OBLONG)
-    found = solve(problem, ElasticPrior(0.4), optimizer=WITHIN)
-    assert off(found, problem, 0.4) <= found.convergence.error <= WITHIN.tolerance
+    found = solve(problem, ElasticPrior(0.4), optimizer=PRECISE)
+    assert error_in_voxels(found, problem, 0.4) <= found.convergence.error <= PRECISE.tolerance
     np.testing.assert_allclose(found.displacement[3, 2, 3], turn[3, 2, 3], atol=1e-5)
     y[3, 2, 3], c[3, 2, 3] = (1, 1, 1), 1
     with pytest.raises(ProblemError, match=r"the rigid body around \(2, 2, 3\) against each"):
@@ -361,21 +369,21 @@ def test_bone_that_is_held_somewhere_moves_as_that_says():
 @pytest.mark.parametrize(
     ("shape", "penalty"), [((6, 7, 5), 0.05), ((6, 7, 5), 0.4), ((11, 11, 10), 0.1)]
 )
-def test_what_slips_is_pulled_by_the_penalty_and_what_is_held_by_no_more(shape, penalty):
+def test_slipping_observations_pull_with_the_penalty_and_exact_ones_with_less(shape, penalty):
     draw = np.random.default_rng(1)
-    m = of_ratio(5, shape)
+    m = random_stiffness(5, shape)
     y, c = np.zeros((*shape, 3)), np.zeros((*shape, 3))
     seen = draw.random(shape) < 0.1
     seen[0] = seen[-1] = True
     y[seen], c[seen] = draw.normal(size=(seen.sum(), 3)) * OBLONG, draw.uniform(0.2, 1)
     problem, prior = Problem(y, c, m, spacing=OBLONG), ElasticPrior(0.4, penalty=penalty)
-    found = solve(problem, prior, optimizer=WITHIN)
+    found = solve(problem, prior, optimizer=PRECISE)
     away = (problem.observed - found.displacement) / problem.unit
     held = problem.known & (np.abs(away) < 1e-6)
     slips = problem.known & ~held
     assert held.any()
     assert slips.any()
-    # The energy is convex: forces that balance everywhere are those of its least.
+    # The energy is convex, so a field in equilibrium is its minimum.
     limit = penalty * problem.confidence
     load = m.max() * np.where(slips, limit * np.sign(away), 0)
     exact = direct_solution(problem, 0.4, load=load, held=held)
@@ -384,43 +392,43 @@ def test_what_slips_is_pulled_by_the_penalty_and_what_is_held_by_no_more(shape, 
     assert (np.abs(forces)[held] <= limit[held] * 1.001).all()
 
 
-# What cycles in single precision do not see
+# Limits of cycles in single precision
 
 
-def cubes(size, ratio):
-    """Stiff cubes that float in soft tissue."""
+def stiff_cubes(size, ratio):
+    """Return the stiffness of stiff cubes in soft tissue."""
     return np.where((np.indices((size,) * 3) % 6 < 3).all(axis=0), float(ratio), 1.0)
 
 
 @pytest.fixture
 def without_factors(monkeypatch):
-    """As of a volume that is too large for them."""
+    """Disable the factorization, as for a volume that is too large."""
     monkeypatch.setattr(Factors, "fit", staticmethod(lambda shape: False))
 
 
 @pytest.mark.usefixtures("without_factors")
-def test_what_single_precision_does_not_carry_is_iterated_in_double():
-    problem, heard = squeezed(cubes(12, 1e6)), []
-    found = solve(problem, optimizer=WITHIN, progress=lambda m: heard.append(m.message))
-    assert off(found, problem, 0.45) <= found.convergence.error <= WITHIN.tolerance
+def test_a_volume_beyond_single_precision_is_iterated_in_double_precision():
+    problem, heard = compressed_volume(stiff_cubes(12, 1e6)), []
+    found = solve(problem, optimizer=PRECISE, progress=lambda m: heard.append(m.message))
+    assert error_in_voxels(found, problem, 0.45) <= found.convergence.error <= PRECISE.tolerance
     assert found.convergence.way == "cycles"
     assert sum(message.startswith("rehearsal") for message in heard) > 40
 
 
 @pytest.mark.usefixtures("without_factors")
-def test_a_volume_that_cycles_cannot_be_sure_of_is_refused_in_a_sentence():
+def test_a_volume_without_a_certain_error_bound_raises_an_error():
     with pytest.raises(ConvergenceError, match="Raise max_iterations, "):
-        solve(squeezed(cubes(12, 1e6)), optimizer=Multigrid(1e-3, max_iterations=8))
+        solve(compressed_volume(stiff_cubes(12, 1e6)), optimizer=Multigrid(1e-3, max_iterations=8))
 
 
 def test_small_volumes_of_high_contrast_are_factorised():
-    problem = squeezed(cubes(10, 1e7), OBLONG)
-    found = solve(problem, optimizer=WITHIN)
-    assert off(found, problem, 0.45) <= found.convergence.error <= WITHIN.tolerance
+    problem = compressed_volume(stiff_cubes(10, 1e7), OBLONG)
+    found = solve(problem, optimizer=PRECISE)
+    assert error_in_voxels(found, problem, 0.45) <= found.convergence.error <= PRECISE.tolerance
     assert found.convergence.way == "factors"
 
 
-def test_planes_that_part_a_grid_are_eliminated_after_its_parts():
+def test_separator_planes_are_eliminated_after_their_parts():
     order = elimination_order((7, 5, 4)).tolist()
     assert sorted(order) == list(range(140))
     place = {site: number for number, site in enumerate(order)}
@@ -431,36 +439,36 @@ def test_planes_that_part_a_grid_are_eliminated_after_its_parts():
 # Memory and time
 
 
-def test_a_volume_that_there_is_no_memory_for_is_refused_with_what_would_fit(monkeypatch):
-    problem = squeezed(np.ones((10, 10, 10)))
+def test_a_volume_beyond_the_memory_is_rejected_with_a_size_that_fits(monkeypatch):
+    problem = compressed_volume(np.ones((10, 10, 10)))
 
     class Memory:
         available = 500 * ORDINARY / 0.9
 
     monkeypatch.setattr(psutil, "virtual_memory", Memory)
-    with pytest.raises(ProblemError, match="As many voxels as in 7 x 7 x 7 would fit: crop it"):
+    with pytest.raises(ProblemError, match="A volume of 7 x 7 x 7 voxels would fit: crop"):
         solve(problem)
 
 
-def test_a_cycle_looks_between_steps_of_smoothing_whether_to_stop():
+def test_a_cycle_checks_for_cancellation_between_smoothing_steps():
     looks = []
-    problem = squeezed(np.ones((56, 64, 64)))
+    problem = compressed_volume(np.ones((56, 64, 64)))
     model = CpuVolumeModel(ElasticPrior(0.3).material(problem), lambda: looks.append(1))
     _, held = host.prescribed(problem)
     model.hold(held)
     level, before = model.levels[0], len(looks)
-    assert before >= 3  # of what is assembled, and held
+    assert before >= 3  # checks during assembly and constraint setup
     level.load = level.vector(random(*level.inverse.shape).astype(np.float32))
     steps = chebyshev(0.02, 1.0, 20)
     level.relax(steps, from_zero=True)
     assert len(looks) == before + 2
     found = level.correction.copy()
-    expected = padded_smoothing(level, steps)
+    expected = smooth_stepwise(level, steps)
     np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 
-def padded_smoothing(level, steps):
-    """The same steps, one by one."""
+def smooth_stepwise(level, steps):
+    """Return the correction after the same steps, one by one."""
     d, step = level.vector(), level.vector()
     for scale, momentum in steps:
         image = level.vector()
@@ -470,27 +478,31 @@ def padded_smoothing(level, steps):
     return d
 
 
-# Around it
+# Interface
 
 
-def test_an_earlier_solution_leaves_less_to_do():
-    prior, m = ElasticPrior(0.4), of_ratio(4, (12, 12, 12))
-    first, second = (squeezed(m, by=(push, 0.2, 0)) for push in (1.0, 1.01))
+def test_a_warm_start_reduces_the_iterations():
+    prior, m = ElasticPrior(0.4), random_stiffness(4, (12, 12, 12))
+    first, second = (compressed_volume(m, by=(push, 0.2, 0)) for push in (1.0, 1.01))
     earlier = solve(first, prior, optimizer=Multigrid(1e-4))
-    assert solve(first, prior, optimizer=WITHIN, initial=earlier).iterations == 0
-    warm = solve(second, prior, optimizer=WITHIN, initial=earlier)
-    cold = solve(second, prior, optimizer=WITHIN)
+    assert solve(first, prior, optimizer=PRECISE, initial=earlier).iterations == 0
+    warm = solve(second, prior, optimizer=PRECISE, initial=earlier)
+    cold = solve(second, prior, optimizer=PRECISE)
     assert 0 < warm.iterations < cold.iterations
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=2e-3)
 
 
-def test_a_solve_is_cancelled():
+def test_a_solve_can_be_cancelled():
     with pytest.raises(Cancelled):
-        solve(squeezed(of_ratio(4)), optimizer=Multigrid(1e-6), cancel=During("cycle"))
+        solve(
+            compressed_volume(random_stiffness(4)),
+            optimizer=Multigrid(1e-6),
+            cancel=During("cycle"),
+        )
 
 
 def test_a_solution_is_saved_and_loaded(tmp_path):
-    found = solve(squeezed(np.ones((5, 6, 7)), OBLONG))
+    found = solve(compressed_volume(np.ones((5, 6, 7)), OBLONG))
     again = Solution.read(found.write(tmp_path / "volume.npz"))
     np.testing.assert_array_equal(again.displacement, found.displacement)
     assert again.tissue.shape == (5, 6, 7)
@@ -501,9 +513,9 @@ def test_a_solution_is_saved_and_loaded(tmp_path):
 
 def test_the_smallest_volumes_are_solved():
     for shape in [(2, 2, 2), (2, 3, 2), (2, 2, 9)]:
-        problem = squeezed(np.ones(shape))
-        found = solve(problem, ElasticPrior(0.3), optimizer=WITHIN)
-        assert off(found, problem, 0.3) <= WITHIN.tolerance
+        problem = compressed_volume(np.ones(shape))
+        found = solve(problem, ElasticPrior(0.3), optimizer=PRECISE)
+        assert error_in_voxels(found, problem, 0.3) <= PRECISE.tolerance
 
 
 @pytest.mark.parametrize(
@@ -513,15 +525,15 @@ def test_the_smallest_volumes_are_solved():
         (ElasticPrior(penalty=10.0), None, np.inf, "is infinite"),
     ],
 )
-def test_what_is_not_there_is_refused(prior, optimizer, stiffest, words):
+def test_unsupported_options_for_volumes_are_rejected(prior, optimizer, stiffest, words):
     m = np.ones((4, 4, 4))
     m[1, 1, 1] = stiffest
     with pytest.raises(ProblemError, match=words):
-        solve(squeezed(m), prior, optimizer=optimizer)
+        solve(compressed_volume(m), prior, optimizer=optimizer)
 
 
 @pytest.mark.parametrize("meet", ["corner", "edge"])
-def test_tissue_that_could_turn_around_a_hinge_is_refused(meet):
+def test_tissue_that_can_rotate_around_a_hinge_is_rejected(meet):
     m = np.zeros((6, 6, 6))
     m[:3, :3, :3] = 1
     m[2:5, 2:5, 2 if meet == "corner" else 0 : 5] = 1
@@ -529,11 +541,11 @@ def test_tissue_that_could_turn_around_a_hinge_is_refused(meet):
     c[:2, :2] = 1
     with pytest.raises(ProblemError, match="could still move by turning"):
         solve(Problem(y, c, m))
-    c[4, 4, 4] = c[4, 2, 4] = c[2, 4, 2] = 1  # not in a line with the hinge
+    c[4, 4, 4] = c[4, 2, 4] = c[2, 4, 2] = 1  # not on a line with the hinge
     assert not solve(Problem(y, c, m)).displacement.any()
 
 
-def test_a_piece_that_nothing_holds_is_refused_and_one_held_at_three_sites_is_not():
+def test_a_piece_needs_three_constrained_sites():
     m = np.ones((3, 4, 9))
     m[:, :, 4] = 0
     y, c = np.zeros((3, 4, 9, 3)), np.zeros((3, 4, 9, 3))

@@ -1,4 +1,4 @@
-"""Of many jobs only the latest runs, each in its turn; what was dropped is never answered."""
+"""Queue that runs only the latest job."""
 
 import threading
 from functools import partial
@@ -27,7 +27,7 @@ def occupied():
     over.set()
 
 
-def test_of_jobs_that_wait_only_the_latest_runs(queue, occupied):
+def test_only_the_latest_pending_job_runs(queue, occupied):
     ran = []
     turns = [queue.submit(lambda turn: ran.append(turn.generation)) for _ in range(5)]
     occupied.set()
@@ -36,7 +36,7 @@ def test_of_jobs_that_wait_only_the_latest_runs(queue, occupied):
     assert [turn.generation for turn in turns] == [1, 2, 3, 4, 5]
 
 
-def test_a_running_job_goes_on_while_its_patience_lasts(queue):
+def test_a_running_job_continues_until_its_patience_ends(queue):
     flags = []
 
     def job(turn):
@@ -51,7 +51,7 @@ def test_a_running_job_goes_on_while_its_patience_lasts(queue):
     assert flags == [False, True]
 
 
-def test_without_a_newer_job_patience_does_not_matter(queue):
+def test_patience_has_no_effect_without_a_newer_job(queue):
     flags = []
     queue.submit(lambda turn: flags.append(turn.is_set()), patience=0)
     assert queue.wait(LONG)
@@ -79,7 +79,7 @@ def test_a_held_queue_starts_its_latest_job_when_it_is_resumed(queue):
     assert not queue.busy
 
 
-def test_a_job_that_was_dropped_cannot_hold_the_queue(queue):
+def test_a_dropped_job_cannot_hold_the_queue(queue):
     def dropped(_):
         queue.drop()
         queue.hold()
@@ -89,7 +89,7 @@ def test_a_job_that_was_dropped_cannot_hold_the_queue(queue):
     assert not queue.is_held
 
 
-def test_dropped_jobs_do_not_run_and_the_next_belong_to_another_series(queue, occupied):
+def test_dropped_jobs_do_not_run_and_later_jobs_do(queue, occupied):
     ran = []
     first = queue.submit(ran.append)
     queue.drop()
@@ -101,10 +101,10 @@ def test_dropped_jobs_do_not_run_and_the_next_belong_to_another_series(queue, oc
     assert first.dropped
     assert not second.dropped
     queue.drop()
-    assert second.dropped, "although it has ended"
+    assert second.dropped, "a finished job should count as dropped, too"
 
 
-def test_the_next_job_runs_after_one_that_failed(queue, caplog):
+def test_the_next_job_runs_after_a_failed_job(queue, caplog):
     ran = []
     queue.submit(lambda _: 1 / 0)
     assert queue.wait(LONG)
@@ -114,7 +114,7 @@ def test_the_next_job_runs_after_one_that_failed(queue, caplog):
     assert "a job in the background failed" in caplog.text
 
 
-def test_queues_take_turns(queue, occupied):
+def test_queues_alternate(queue, occupied):
     other, order = LatestQueue("another test"), []
 
     def again(name, own, turn):

@@ -1,4 +1,4 @@
-"""The tissue follows the hand: whatever the order and the timing, the last edit is what is seen."""
+"""Live solver: the last edit is delivered, for any order and timing of edits."""
 
 import threading
 from functools import partial
@@ -27,15 +27,15 @@ from tests.support.timeouts import LONG
 SIZE = 20
 
 
-def unheld():
-    """Nothing holds the right half."""
+def unconstrained_problem():
+    """Return a problem with an unconstrained right half."""
     problem = pulled_problem()
     m = np.array(problem.stiffness)
     m[:, 10] = 0
     return Problem(problem.observed, problem.confidence * (np.arange(SIZE) < 9)[:, None], m)
 
 
-def unreadable():
+def raise_problem_error():
     raise ProblemError("observed", "cannot be read")
 
 
@@ -52,7 +52,7 @@ def live(updates):
 
 @pytest.fixture
 def pause():
-    """Keep the compute thread from working until told."""
+    """Block the compute thread until the event is set."""
     go = threading.Event()
     compute_thread.submit(lambda: go.wait(30))
     yield go
@@ -63,15 +63,15 @@ def cold(problem, prior=None):
     return solve(problem, prior or ElasticPrior(), optimizer=Multigrid(1e-4), backend="cpu")
 
 
-def furthest(one, other):
+def largest_distance(one, other):
     return float(np.abs(one.displacement - other.displacement).max())
 
 
-#: So many solves there are between two edits, each a turn of the compute thread.
+#: Number of turns of the compute thread between two edits.
 turns = st.sampled_from([0, 0, 0, 1, 2])
 
 
-def let_pass(turns):
+def run_turns(turns):
     for _ in range(turns):
         compute_thread.submit(lambda: None).result(LONG)
 
@@ -90,7 +90,7 @@ edits = st.lists(
 
 @settings(max_examples=20, deadline=None)
 @given(edits, st.sampled_from([0.0, 0.004, 0.1]), st.sampled_from([np.inf, 0.05]))
-def test_the_last_edit_is_shown_in_the_end_as_if_nothing_had_come_before(edits, patience, penalty):
+def test_the_final_result_depends_only_on_the_last_edit(edits, patience, penalty):
     updates, latest = [], {}
     prior = ElasticPrior(poisson=0.4, penalty=penalty)
     with pytest.MonkeyPatch.context() as patch:
@@ -108,22 +108,22 @@ def test_the_last_edit_is_shown_in_the_end_as_if_nothing_had_come_before(edits, 
                 elif kind == "cancel":
                     live.cancel()
                 if kind == "bad":
-                    live.submit(unreadable)
+                    live.submit(raise_problem_error)
                 else:
                     latest = dict(state)
                     edit = partial(pulled_problem, **latest)
                     live.submit(edit if late else edit())
-                let_pass(later)
+                run_turns(later)
             number = live.submit(pulled_problem(**latest))
             assert live.wait(LONG)
     last = updates[-1]
     assert (last.number, last.final, last.error) == (number, True, None)
-    assert furthest(last.solution, cold(pulled_problem(**latest), prior)) <= 0.02
+    assert largest_distance(last.solution, cold(pulled_problem(**latest), prior)) <= 0.02
     numbers = [update.number for update in updates]
     assert numbers == sorted(numbers)
 
 
-def test_of_edits_that_wait_only_the_newest_is_looked_at(live, updates, pause):
+def test_only_the_latest_pending_edit_is_evaluated(live, updates, pause):
     read = []
 
     def reading(vector):
@@ -139,8 +139,8 @@ def test_of_edits_that_wait_only_the_newest_is_looked_at(live, updates, pause):
 
 
 @pytest.mark.parametrize("patience", [0.0, 60.0])
-def test_the_tissue_follows_a_drag_that_never_pauses(monkeypatch, patience):
-    """Each result finds the next edit waiting already; none is thrown away for it."""
+def test_every_result_of_an_uninterrupted_drag_is_delivered(monkeypatch, patience):
+    """The next edit is already pending at each result, but no result is discarded."""
     monkeypatch.setattr(live_module, "PATIENCE", patience)
     updates = []
 
@@ -156,7 +156,7 @@ def test_the_tissue_follows_a_drag_that_never_pauses(monkeypatch, patience):
     assert [update.final for update in updates if update.number == 8][-1]
 
 
-def test_a_patch_that_was_moved_before_takes_hardly_a_cycle(live, updates):
+def test_moving_a_patch_again_takes_fewer_cycles(live, updates):
     for step in range(8):
         live.submit(pulled_problem((0.4 * step, 0.1 * step**2)))
         assert live.wait(LONG)
@@ -164,7 +164,7 @@ def test_a_patch_that_was_moved_before_takes_hardly_a_cycle(live, updates):
     assert max(cycles[4:]) < max(cycles[:2])
 
 
-def test_a_preview_comes_first_where_a_solve_takes_long(monkeypatch, live, updates):
+def test_a_long_solve_delivers_a_preview_first(monkeypatch, live, updates):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
     live.submit(pulled_problem())
     assert live.wait(LONG)
@@ -172,11 +172,11 @@ def test_a_preview_comes_first_where_a_solve_takes_long(monkeypatch, live, updat
     assert (preview.final, answer.final) == (False, True)
     assert (preview.number, answer.number) == (1, 1)
     exact = cold(pulled_problem())
-    assert furthest(preview.solution, exact) <= live_module.PREVIEW_TOLERANCE
-    assert furthest(answer.solution, exact) <= live_module.TOLERANCE
+    assert largest_distance(preview.solution, exact) <= live_module.PREVIEW_TOLERANCE
+    assert largest_distance(answer.solution, exact) <= live_module.TOLERANCE
 
 
-def test_without_a_preview_what_follows_oblivion_is_a_solve_bit_by_bit(monkeypatch, live, updates):
+def test_a_solve_after_cancel_equals_a_cold_solve_bit_for_bit(monkeypatch, live, updates):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
     live.submit(pulled_problem((3.0, 0.0)))
     assert live.wait(LONG)
@@ -189,7 +189,7 @@ def test_without_a_preview_what_follows_oblivion_is_a_solve_bit_by_bit(monkeypat
     assert np.array_equal(answer.solution.displacement, cold.displacement)
 
 
-def test_after_a_preview_a_newer_edit_goes_first(monkeypatch):
+def test_a_newer_edit_replaces_the_solve_after_a_preview(monkeypatch):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
     updates = []
 
@@ -205,7 +205,9 @@ def test_after_a_preview_a_newer_edit_goes_first(monkeypatch):
 
 
 @pytest.mark.parametrize(("patience", "answered"), [(None, [1, 2]), (0.0, [2])])
-def test_what_has_had_its_time_is_given_up_for_a_newer_edit(live, updates, patience, answered):
+def test_a_solve_beyond_its_patience_is_cancelled_for_a_newer_edit(
+    live, updates, patience, answered
+):
     def edited_meanwhile():
         live.submit(pulled_problem((-3.0, 0.0)))
         return pulled_problem((3.0, 0.0))
@@ -215,8 +217,13 @@ def test_what_has_had_its_time_is_given_up_for_a_newer_edit(live, updates, patie
     assert [update.number for update in updates] == answered
 
 
-def test_what_is_wrong_is_delivered_and_the_next_edit_is_answered(live, updates):
-    for problem in (unreadable, unheld, lambda: Problem(1, 2, 3), pulled_problem):
+def test_errors_are_delivered_and_later_edits_are_solved(live, updates):
+    for problem in (
+        raise_problem_error,
+        unconstrained_problem,
+        lambda: Problem(1, 2, 3),
+        pulled_problem,
+    ):
         live.submit(problem)
         assert live.wait(LONG)
     assert [type(update.error) for update in updates] == [ProblemError] * 3 + [type(None)]
@@ -224,17 +231,17 @@ def test_what_is_wrong_is_delivered_and_the_next_edit_is_answered(live, updates)
     assert all((update.solution is None) != (update.error is None) for update in updates)
 
 
-def test_what_nobody_meant_is_delivered_too_and_logged(live, updates, caplog):
+def test_unexpected_errors_are_delivered_and_logged(live, updates, caplog):
     live.submit(lambda: 1 / 0)
     assert live.wait(LONG)
     assert isinstance(updates[0].error, ZeroDivisionError)
     assert "a live solve failed" in caplog.text
 
 
-def test_an_error_that_has_been_put_right_is_not_shown(live, updates):
+def test_the_error_of_a_replaced_edit_is_not_delivered(live, updates):
     def hesitating():
-        live.submit(pulled_problem())  # comes while this one is looked at
-        unreadable()
+        live.submit(pulled_problem())  # submitted while this edit is evaluated
+        raise_problem_error()
 
     live.submit(hesitating)
     assert live.wait(LONG)
@@ -242,18 +249,18 @@ def test_an_error_that_has_been_put_right_is_not_shown(live, updates):
 
 
 @pytest.mark.parametrize("end", ["cancel", "close"])
-def test_what_is_dropped_is_never_shown(updates, pause, end):
+def test_a_dropped_edit_delivers_no_result(updates, pause, end):
     live = LiveSolver(updates.append, backend="cpu")
     live.submit(pulled_problem())
     assert live.busy
     getattr(live, end)()
-    assert not live.busy, "nothing is to come, whatever the thread does"
+    assert not live.busy, "the solver should be idle even while the thread is blocked"
     pause.set()
     assert live.wait(LONG)
     assert updates == []
 
 
-def test_what_is_being_solved_when_all_is_forgotten_is_not_shown(live, updates):
+def test_a_solve_cancelled_while_running_delivers_no_result(live, updates):
     def interrupted():
         live.cancel()
         return pulled_problem()
@@ -266,7 +273,7 @@ def test_what_is_being_solved_when_all_is_forgotten_is_not_shown(live, updates):
     assert [update.number for update in updates] == [2]
 
 
-def test_nothing_is_taken_after_the_end(updates):
+def test_a_closed_solver_accepts_no_edits(updates):
     live = LiveSolver(updates.append)
     live.close()
     live.close()
@@ -274,27 +281,27 @@ def test_nothing_is_taken_after_the_end(updates):
         live.submit(pulled_problem())
 
 
-def test_another_image_may_follow(live, updates):
+def test_edits_can_change_the_size_of_the_image(live, updates):
     for size in (SIZE, 28, SIZE):
         live.submit(pulled_problem(size=size))
         assert live.wait(LONG)
     for update, size in zip(updates, (SIZE, 28, SIZE), strict=True):
-        assert furthest(update.solution, cold(pulled_problem(size=size))) <= 0.02
+        assert largest_distance(update.solution, cold(pulled_problem(size=size))) <= 0.02
 
 
 @pytest.mark.parametrize(
     ("prior", "optimizer"), [(SeilerPrior(), ICM(iterations=5)), (SeilerPrior(), Multigrid(0.01))]
 )
-def test_the_papers_prior_lives_too(updates, prior, optimizer):
+def test_the_prior_of_the_paper_can_be_solved_live(updates, prior, optimizer):
     with LiveSolver(updates.append, prior, optimizer=optimizer, backend="cpu") as live:
         for row in (1.0, 2.0):
             live.submit(pulled_problem((row, 0.0)))
             assert live.wait(LONG)
     expected = solve(pulled_problem((2.0, 0.0)), prior, optimizer=optimizer, backend="cpu")
-    assert furthest(updates[-1].solution, expected) <= 0.02
+    assert largest_distance(updates[-1].solution, expected) <= 0.02
 
 
-def test_the_backend_may_change_with_the_edits(live, updates):
+def test_the_backend_can_change_between_edits(live, updates):
     for backend in ("abacus", "cpu"):
         live.backend = backend
         live.submit(pulled_problem())
@@ -303,7 +310,7 @@ def test_the_backend_may_change_with_the_edits(live, updates):
     assert updates[1].error is None
 
 
-def test_the_prior_may_change_with_the_edits(live, updates):
+def test_the_prior_can_change_between_edits(live, updates):
     softer, flat = ElasticPrior(0.1), ElasticPrior(0.3, plane="strain")
     live.prior = softer
     live.submit(pulled_problem())
@@ -311,10 +318,10 @@ def test_the_prior_may_change_with_the_edits(live, updates):
     live.submit((pulled_problem(), flat))
     assert live.wait(LONG)
     for update, prior in zip(updates, (softer, flat), strict=True):
-        assert furthest(update.solution, cold(pulled_problem(), prior)) <= 0.02
+        assert largest_distance(update.solution, cold(pulled_problem(), prior)) <= 0.02
 
 
-def test_results_come_on_the_compute_thread_and_there_is_no_other():
+def test_results_are_delivered_on_the_compute_thread_without_new_threads():
     came = []
     solve(pulled_problem(), ElasticPrior(), backend="cpu")
     before = set(threading.enumerate())
@@ -325,7 +332,7 @@ def test_results_come_on_the_compute_thread_and_there_is_no_other():
     assert came == [True]
 
 
-def test_a_window_that_fails_to_show_does_not_end_it(caplog):
+def test_a_failing_callback_does_not_stop_the_solver(caplog):
     seen = []
 
     def fragile(update):
@@ -340,7 +347,7 @@ def test_a_window_that_fails_to_show_does_not_end_it(caplog):
     assert "could not be shown" in caplog.text
 
 
-def test_what_is_being_done_is_said(updates):
+def test_a_live_solve_reports_progress(updates):
     said = []
     with LiveSolver(updates.append, backend="cpu", progress=said.append) as live:
         live.submit(pulled_problem())
@@ -349,13 +356,13 @@ def test_what_is_being_done_is_said(updates):
 
 
 @pytest.mark.parametrize("name", ["optimiser", "piror"])
-def test_a_misspelt_attribute_is_refused(live, name):
+def test_a_misspelt_attribute_is_rejected(live, name):
     with pytest.raises(AttributeError, match=name):
         setattr(live, name, None)
 
 
 @pytest.mark.parametrize("patience", ["a", -1, float("nan"), (1,)])
-def test_patience_is_a_time(live, patience):
+def test_patience_must_be_a_time(live, patience):
     with pytest.raises(ArgumentError, match="patience must be a time in seconds"):
         live.submit(pulled_problem(), patience=patience)
 

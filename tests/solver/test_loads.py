@@ -1,4 +1,4 @@
-"""Tissue that grows, is heavy, is pressed and is pulled: as mechanics has it in closed form."""
+"""Growth, weight, pressure and traction, compared with closed-form solutions."""
 
 import itertools
 
@@ -23,7 +23,7 @@ from napari_hmrf.loads import Loads, growth, pressure, reactions, traction, weig
 from tests.support.elastic_oracle import stiffness_matrix
 from tests.support.opengl import require_opengl
 
-EXACTLY = Multigrid(1e-6)
+EXACT = Multigrid(1e-6)
 OBLONG = {2: (0.5, 0.8), 3: (0.5, 0.8, 1.3)}
 
 
@@ -31,8 +31,8 @@ def places(shape, spacing):
     return np.moveaxis(np.indices(shape), 0, -1) * np.array(spacing)
 
 
-def barely_held(shape):
-    """Tissue that is held in one corner, and in two others so that it cannot turn, but stretch."""
+def minimally_constrained(shape):
+    """Return the confidence that prevents rigid motion but allows any strain."""
     axes = len(shape)
     c = np.zeros((*shape, axes))
     c[(0,) * axes] = 1
@@ -43,19 +43,19 @@ def barely_held(shape):
     return c
 
 
-def held(m, where, loads, spacing):
-    """Tissue of which some sites stay where they are."""
+def fixed_problem(m, where, loads, spacing):
+    """Return tissue with some fixed sites."""
     c = np.zeros((*np.shape(m), np.ndim(m)))
     c[where] = 1
     return Problem(0 * c, c, m, spacing=spacing, loads=loads)
 
 
-def found(problem, prior, optimizer=EXACTLY, **more):
+def found(problem, prior, optimizer=EXACT, **more):
     return solve(problem, prior, optimizer=optimizer, backend="cpu", **more)
 
 
-def anything(axes, seed=0, penalty=np.inf):
-    """Random tissue with a hole and a ratio of its own everywhere, under all loads at once."""
+def random_problem(axes, seed=0, penalty=np.inf):
+    """Return random tissue with a hole, a Poisson map and all kinds of loads."""
     rng, shape, spacing = np.random.default_rng(seed), (24, 20, 8)[-axes:], OBLONG[axes]
     m = 10 ** rng.random(shape) * 50
     m[(5, 4, 3)[-axes:]] = 0
@@ -75,14 +75,18 @@ def anything(axes, seed=0, penalty=np.inf):
 
 @pytest.mark.parametrize("axes", [2, 3])
 @pytest.mark.parametrize("along", ["all", "one"])
-def test_free_tissue_grows_by_its_strain_and_nothing_in_it_pulls(axes, along):
+def test_free_tissue_grows_by_its_growth_strain_without_stress(axes, along):
     shape, spacing = (8, 9, 7)[:axes], OBLONG[axes]
     way = np.array([2.0, 1.0, -1.0])[:axes]
     strain = 0.1 * (np.eye(axes) if along == "all" else np.outer(way, way) / (way @ way))
     loads = growth(np.full(shape, 0.1), along=None if along == "all" else way)
     m = 5 ** np.random.default_rng(0).random(shape)
     problem = Problem(
-        places(shape, spacing) @ strain, barely_held(shape), m, spacing=spacing, loads=loads
+        places(shape, spacing) @ strain,
+        minimally_constrained(shape),
+        m,
+        spacing=spacing,
+        loads=loads,
     )
     prior = ElasticPrior(0.3)
     moved = found(problem, prior).displacement
@@ -92,16 +96,17 @@ def test_free_tissue_grows_by_its_strain_and_nothing_in_it_pulls(axes, along):
 
 
 @pytest.mark.parametrize(
-    ("across", "longer"), [("with the rest", 0.1 * 1.3), ("none", 0.1), ("alone", 0.03)]
+    ("direction", "longer"),
+    [("isotropic", 0.1 * 1.3), ("in-plane", 0.1), ("through-thickness", 0.03)],
 )
-def test_a_slice_that_cannot_thicken_takes_growth_across_it_in_its_plane(across, longer):
+def test_growth_through_the_thickness_acts_in_plane_under_plane_strain(direction, longer):
     shape = (9, 12)
     strain = np.zeros((*shape, 3, 3))
-    strain[..., 0, 0] = 0.1 * (across != "none")
-    strain[..., 1, 1] = strain[..., 2, 2] = 0.1 * (across != "alone")
+    strain[..., 0, 0] = 0.1 * (direction != "in-plane")
+    strain[..., 1, 1] = strain[..., 2, 2] = 0.1 * (direction != "through-thickness")
     problem = Problem(
         places(shape, (1, 1)) * longer,
-        barely_held(shape),
+        minimally_constrained(shape),
         np.ones(shape),
         loads=Loads(growth=strain),
     )
@@ -110,12 +115,12 @@ def test_a_slice_that_cannot_thicken_takes_growth_across_it_in_its_plane(across,
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_a_bar_that_hangs_gets_longer_by_its_weight(axes):
+def test_a_hanging_bar_stretches_under_its_weight(axes):
     shape, spacing = (25, 4, 4)[:axes], OBLONG[axes]
     young, heavy, long = 30.0, 0.04, 24 * spacing[0]
     m = np.full(shape, young)
     loads = weight(m, (heavy / 2, 0, 0)[:axes], density=2.0, spacing=spacing)
-    moved = found(held(m, 0, loads, spacing), ElasticPrior(0.0)).displacement
+    moved = found(fixed_problem(m, 0, loads, spacing), ElasticPrior(0.0)).displacement
     at = places(shape, spacing)[..., 0]
     np.testing.assert_allclose(moved[..., 0], heavy / young * (long * at - at**2 / 2), atol=1e-5)
     assert np.abs(moved[..., 1:]).max() < 1e-6
@@ -123,7 +128,7 @@ def test_a_bar_that_hangs_gets_longer_by_its_weight(axes):
 
 @pytest.mark.parametrize("axes", [2, 3])
 @pytest.mark.parametrize("by", ["pressure", "traction"])
-def test_a_bar_that_is_pulled_by_its_end_is_strained_evenly(axes, by, tmp_path):
+def test_a_bar_pulled_at_its_end_has_a_uniform_strain(axes, by, tmp_path):
     shape, spacing, young, nu = (5, 6, 9)[-axes:], OBLONG[axes], 30.0, 0.3
     m, end = np.full(shape, young), np.zeros(shape, bool)
     end[..., -1] = True
@@ -133,7 +138,7 @@ def test_a_bar_that_is_pulled_by_its_end_is_strained_evenly(axes, by, tmp_path):
         loads = traction(m, end, np.eye(axes)[-1] * 1.5, spacing=spacing)
     strain = 1.5 / young * np.diag([*[-nu] * (axes - 1), 1.0])
     exact = places(shape, spacing) @ strain
-    c = barely_held(shape)
+    c = minimally_constrained(shape)
     c[..., 0, -1] = 1
     problem = Problem(exact, c, m, spacing=spacing, loads=loads)
     moved = found(problem, ElasticPrior(nu))
@@ -145,8 +150,8 @@ def test_a_bar_that_is_pulled_by_its_end_is_strained_evenly(axes, by, tmp_path):
     np.testing.assert_allclose(pulls[..., 0, :].sum(axis=tuple(range(axes - 1)))[-1], -1.5 * area)
 
 
-def ring(size, plane):
-    """Lame's annulus under inner pressure, cut along pixels; its error in parts of the field."""
+def annulus_error(size, plane):
+    """Return the relative error for Lame's annulus under inner pressure, cut along pixels."""
     young, nu, presses, inner = 3.0, 0.3, 0.2, 0.3
     step = 1.4 / size
     at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
@@ -176,14 +181,14 @@ def ring(size, plane):
 
 
 @pytest.mark.parametrize("plane", ["stress", "strain"])
-def test_an_annulus_under_pressure_is_approached_with_the_square_of_the_pixel(plane):
-    coarse, fine = ring(16, plane), ring(64, plane)
+def test_the_field_of_an_annulus_under_pressure_converges_with_second_order(plane):
+    coarse, fine = annulus_error(16, plane), annulus_error(64, plane)
     assert fine < 2e-3
     assert np.log(coarse / fine) / np.log(4) == pytest.approx(2, abs=0.1)
 
 
-def inside(size, radius, axes, parts=6):
-    """Which part of each pixel is nearer to the middle than so far."""
+def disc_share(size, radius, axes, parts=6):
+    """Return the fraction of each pixel inside a disc or ball around the middle."""
     fine = (np.arange((size + 1) * parts) + 0.5) / parts - 0.5 - size / 2
     squares = sum(np.ix_(*[(fine * 2 / size) ** 2] * axes))
     share = (squares < radius**2).astype(float)
@@ -193,14 +198,14 @@ def inside(size, radius, axes, parts=6):
     return share
 
 
-def grown(size, axes, plane, radius=0.4, strain=0.1, nu=0.3):
-    """Eshelby's disc, or ball, in tissue of its own kind: error where it does not end."""
+def inclusion_error(size, axes, plane, radius=0.4, strain=0.1, nu=0.3):
+    """Return the relative error for Eshelby's disc or ball, except near its surface."""
     step = 2 / size
     at = (np.moveaxis(np.indices((size + 1,) * axes), 0, -1) - size / 2) * step
     r = np.linalg.norm(at, axis=-1)
     share = (1 + nu) / 2 if plane == "stress" else (1 + nu) / (axes * (1 - nu))
     exact = at * (share * strain * (radius / np.maximum(r, radius)) ** axes)[..., None]
-    loads = growth(strain * inside(size, radius, axes))
+    loads = growth(strain * disc_share(size, radius, axes))
     c = np.repeat((r > 0.9)[..., None], axes, axis=-1)
     problem = Problem(exact, c, np.ones(r.shape), spacing=(step,) * axes, loads=loads)
     prior = ElasticPrior(nu, plane=plane)
@@ -210,21 +215,21 @@ def grown(size, axes, plane, radius=0.4, strain=0.1, nu=0.3):
 
 
 @pytest.mark.parametrize(("plane", "sizes"), [("stress", (24, 96)), ("strain", (24, 96))])
-def test_a_disc_that_grows_in_its_matrix_moves_both_as_eshelby_has_it(plane, sizes):
-    coarse, fine = (grown(size, 2, plane) for size in sizes)
+def test_a_growing_disc_and_its_surroundings_match_eshelby(plane, sizes):
+    coarse, fine = (inclusion_error(size, 2, plane) for size in sizes)
     assert fine < 2e-3
     assert np.log(coarse / fine) / np.log(sizes[1] / sizes[0]) > 1.7
 
 
-def test_a_ball_that_grows_in_its_matrix_moves_both_as_eshelby_has_it():
-    coarse, fine = (grown(size, 3, "strain") for size in (12, 24))
+def test_a_growing_ball_and_its_surroundings_match_eshelby():
+    coarse, fine = (inclusion_error(size, 3, "strain") for size in (12, 24))
     assert fine < 0.02
     assert coarse / fine > 3
 
 
 @pytest.mark.parametrize(("axes", "penalty"), [(2, np.inf), (2, 0.06), (3, np.inf), (3, 0.2)])
-def test_what_holds_and_pulls_balances_all_loads_and_no_more_than_it_can(axes, penalty):
-    problem, prior = anything(axes, penalty=penalty)
+def test_reactions_balance_all_loads_within_their_force_limit(axes, penalty):
+    problem, prior = random_problem(axes, penalty=penalty)
     solution = found(problem, prior)
     holds = reactions(problem, solution, prior)
     assert not holds[~problem.known].any()
@@ -245,7 +250,7 @@ def test_what_holds_and_pulls_balances_all_loads_and_no_more_than_it_can(axes, p
 
 
 def exact_field(problem, prior):
-    """The field of no force, by a direct solve in double precision."""
+    """Return the field in equilibrium from a direct solve in double precision."""
     matrix = stiffness_matrix(problem, prior)
     field = np.where(problem.known, problem.observed, 0).astype(float)
     free = ~problem.known.ravel() & (matrix.diagonal() > 0)
@@ -254,60 +259,62 @@ def exact_field(problem, prior):
     return field
 
 
-def large():
-    """Soft and stiff tissue of a size that takes cycles."""
+def large_problem():
+    """Return soft and stiff tissue that is large enough to need cycles."""
     rng = np.random.default_rng(3)
     m = 20 ** np.kron(rng.random((8, 8)), np.ones((12, 12)))
     loads = growth(0.2 * (m > 5)) + weight(m, (0.001, -0.0005), spacing=1)
-    return held(m, 0, loads, (1.0, 1.0))
+    return fixed_problem(m, 0, loads, (1.0, 1.0))
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4])
-def test_the_error_that_is_reported_holds_with_loads(tolerance):
-    problem, prior = large(), ElasticPrior(0.4)
+def test_the_reported_error_is_a_bound_with_loads(tolerance):
+    problem, prior = large_problem(), ElasticPrior(0.4)
     solution = found(problem, prior, Multigrid(tolerance))
     off = np.abs(solution.displacement - exact_field(problem, prior)).max()
     assert off <= solution.convergence.error <= tolerance
     assert solution.iterations > 2
 
 
-def test_tissue_of_any_kind_is_where_a_direct_solve_has_it():
-    problem, prior = anything(2)
+def test_random_tissue_with_loads_matches_a_direct_solve():
+    problem, prior = random_problem(2)
     moved = found(problem, prior).displacement
     np.testing.assert_allclose(moved, exact_field(problem, prior), atol=1e-5)
 
 
-def test_loads_that_are_the_same_take_no_cycle_and_others_begin_with_the_last_field():
-    problem, prior = large(), ElasticPrior(0.4)
+def test_equal_loads_need_no_cycle_and_similar_loads_start_warm():
+    problem, prior = large_problem(), ElasticPrior(0.4)
     first = found(problem, prior, Multigrid())
     again = Loads(growth=problem.loads.growth, force=problem.loads.force)
-    same = held(problem.stiffness, 0, again, (1.0, 1.0))
+    same = fixed_problem(problem.stiffness, 0, again, (1.0, 1.0))
     assert found(same, prior, Multigrid(), initial=first).iterations == 0
     slightly = Loads(growth=problem.loads.growth, force=problem.loads.force * 1.001)
-    heavier = held(problem.stiffness, 0, slightly, (1.0, 1.0))
+    heavier = fixed_problem(problem.stiffness, 0, slightly, (1.0, 1.0))
     warm, cold = (found(heavier, prior, Multigrid(), initial=each) for each in (first, None))
     assert 0 < warm.iterations < cold.iterations
     assert np.abs(warm.displacement - cold.displacement).max() < 2e-3
 
 
-def test_loads_between_two_that_were_solved_take_no_cycle():
-    problem, prior = large(), ElasticPrior(0.4)
+def test_interpolated_loads_need_no_cycle():
+    problem, prior = large_problem(), ElasticPrior(0.4)
     grows, pulls = problem.loads.growth, problem.loads.force
 
     def at(one, two):
         loads = Loads(growth=one * grows, force=two * pulls)
-        return held(problem.stiffness, 0, loads, (1.0, 1.0))
+        return fixed_problem(problem.stiffness, 0, loads, (1.0, 1.0))
 
     known = [found(at(*shares), prior, Multigrid()) for shares in ((1, 1), (0.5, 1), (1, 0.6))]
     between = found(at(0.8, 0.9), prior, Multigrid(), initial=known)
     assert between.iterations == 0
     exact = exact_field(at(0.8, 0.9), prior)
     assert np.abs(between.displacement - exact).max() <= between.convergence.error <= 1e-3
-    of_other_kind = held(problem.stiffness, 0, growth(0.1 * grows, along=(1, 0)), (1.0, 1.0))
+    of_other_kind = fixed_problem(
+        problem.stiffness, 0, growth(0.1 * grows, along=(1, 0)), (1.0, 1.0)
+    )
     assert found(of_other_kind, prior, Multigrid(), initial=known).iterations > 0
 
 
-def test_a_patch_that_is_dragged_under_weight_takes_no_cycle_once_its_directions_are_known():
+def test_a_drag_under_weight_needs_no_cycle_once_its_direction_is_known():
     m, c, y = np.ones((48, 48)), np.zeros((48, 48, 2)), np.zeros((48, 48, 2))
     c[:2], c[30:33, 20:23] = 1, 1
     loads = weight(m, (0.003, 0), spacing=1)
@@ -322,11 +329,13 @@ def test_a_patch_that_is_dragged_under_weight_takes_no_cycle_once_its_directions
     assert np.abs(last.displacement - exact).max() < 5e-3
 
 
-def test_tissue_that_is_watched_follows_its_loads():
+def test_live_results_follow_the_loads():
     said = []
     with LiveSolver(said.append, ElasticPrior(0.4), backend="cpu") as live:
         for share in (0.0, 0.1, 0.2):
-            live.submit(held(np.ones((40, 40)), 0, growth(np.full((40, 40), share)), (1, 1)))
+            live.submit(
+                fixed_problem(np.ones((40, 40)), 0, growth(np.full((40, 40), share)), (1, 1))
+            )
             assert live.wait()
     moved = [float(np.abs(each.solution.displacement).max()) for each in said]
     assert moved[0] == 0
@@ -334,7 +343,7 @@ def test_tissue_that_is_watched_follows_its_loads():
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_a_rigid_body_is_as_heavy_as_one_that_is_next_to_rigid(axes):
+def test_a_rigid_body_has_the_weight_of_a_nearly_rigid_body(axes):
     shape = (14, 12, 10)[:axes]
     block = np.zeros(shape, bool)
     block[(slice(5, 9),) * axes] = True
@@ -342,7 +351,7 @@ def test_a_rigid_body_is_as_heavy_as_one_that_is_next_to_rigid(axes):
     for stiff in (np.inf, 1e6):
         m = np.where(block, stiff, 1.0)
         loads = weight(m, (0, 0.01, 0)[:axes], density=1 + 9.0 * block, spacing=1)
-        problem = held(m, 0, loads, (1,) * axes)
+        problem = fixed_problem(m, 0, loads, (1,) * axes)
         solution = found(problem, ElasticPrior(0.3))
         moved.append(solution.displacement)
         total = reactions(problem, solution, ElasticPrior(0.3)).reshape(-1, axes).sum(axis=0)
@@ -351,7 +360,7 @@ def test_a_rigid_body_is_as_heavy_as_one_that_is_next_to_rigid(axes):
     np.testing.assert_allclose(*moved, atol=1e-4 * np.abs(moved).max())
 
 
-def test_what_holds_a_rigid_body_carries_it():
+def test_the_support_of_a_rigid_body_bears_its_weight():
     m, c, y = np.ones((12, 12)), np.zeros((12, 12, 2)), np.zeros((12, 12, 2))
     m[4:8, 4:8] = np.inf
     c[0] = c[5, 4:6] = 1
@@ -362,13 +371,13 @@ def test_what_holds_a_rigid_body_carries_it():
     np.testing.assert_allclose(
         holds.sum(axis=(0, 1)), -problem.loads.force.sum(axis=(0, 1)), atol=1e-4
     )
-    assert holds[5, 4:6, 0].sum() > 0.2, "it is pulled down"
+    assert holds[5, 4:6, 0].sum() > 0.2, "the support should pull the body down"
 
 
-def test_what_is_held_too_weakly_for_its_load_is_refused_and_what_slips_is_in_balance():
+def test_supports_too_weak_for_a_load_are_rejected_and_slip_is_in_equilibrium():
     shape = (10, 8)
     m, loads = np.ones(shape), weight(np.ones(shape), (0.01, 0), spacing=1)
-    problem = held(m, 0, loads, (1, 1))
+    problem = fixed_problem(m, 0, loads, (1, 1))
     heavy = 0.01 * 9 * 7
     exactly = found(problem, ElasticPrior(0.3)).displacement
     firmly = found(problem, ElasticPrior(0.3, penalty=heavy)).displacement
@@ -378,12 +387,12 @@ def test_what_is_held_too_weakly_for_its_load_is_refused_and_what_slips_is_in_ba
     holds = reactions(problem, solution, barely)[0, :, 0]
     assert holds.sum() == pytest.approx(-heavy, rel=1e-5)
     assert np.abs(solution.displacement[0]).max() > 1e-3
-    with pytest.raises(ProblemError, match="harder than the observations can hold"):
+    with pytest.raises(ProblemError, match="exceed the forces of the observations"):
         solve(problem, ElasticPrior(0.3, penalty=0.98 * heavy / 8), backend="cpu")
 
 
 def disc(radius):
-    """Sites of the elements of a disc."""
+    """Return the sites of the elements of a disc."""
     at = np.indices((2 * radius + 10,) * 2) - (radius + 4.5)
     inside = np.hypot(*at) < radius
     sites = np.zeros((2 * radius + 11,) * 2, bool)
@@ -392,7 +401,7 @@ def disc(radius):
     return sites
 
 
-def test_pressure_on_all_of_a_surface_is_in_balance_and_presses_in():
+def test_pressure_on_a_closed_surface_acts_inwards_without_net_force():
     tissue = disc(12)
     loads = pressure(tissue, np.ones_like(tissue), 2.0, spacing=1)
     assert np.abs(loads.force.sum(axis=(0, 1))).max() < 1e-5
@@ -402,14 +411,14 @@ def test_pressure_on_all_of_a_surface_is_in_balance_and_presses_in():
 
 
 @pytest.mark.parametrize("radius", [10, 20])
-def test_traction_counts_the_area_of_a_surface_without_its_steps(radius):
+def test_traction_acts_on_the_smooth_area_of_a_surface(radius):
     tissue = disc(radius)
     force = traction(tissue, np.ones_like(tissue), (1.0, -2.0), spacing=1).force.sum(axis=(0, 1))
     np.testing.assert_allclose(force, np.array([1, -2]) * 2 * np.pi * radius, rtol=0.01)
 
 
-def test_the_unit_of_stiffness_and_of_length_is_that_of_forces():
-    """The same tissue in kPa and mm, and in Pa and m."""
+def test_forces_use_the_units_of_stiffness_and_length():
+    """Solve the same tissue in kPa and mm, and in Pa and m."""
     shape = (16, 12)
     m, side = np.full(shape, 2.0), np.zeros(shape, bool)
     m[4:9, 3:7] = 6.0
@@ -418,7 +427,7 @@ def test_the_unit_of_stiffness_and_of_length_is_that_of_forces():
     def at(stiffness, step):
         loads = pressure(stiffness, side, 0.05 * stiffness[0, 0], spacing=(step, step))
         loads += weight(stiffness, (0.01 * stiffness[0, 0] / step, 0), spacing=(step, step))
-        return held(stiffness, 0, loads, (step, step))
+        return fixed_problem(stiffness, 0, loads, (step, step))
 
     one, other = at(m, 0.5), at(1000 * m, 0.0005)
     first, second = (found(each, ElasticPrior()) for each in (one, other))
@@ -430,36 +439,38 @@ def test_the_unit_of_stiffness_and_of_length_is_that_of_forces():
 
 @pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
 @pytest.mark.parametrize(("axes", "plane", "nu"), [(2, "stress", 0.3), (3, "strain", 0.0)])
-def test_what_grows_is_heavy_and_is_pressed_is_where_calculix_has_it(axes, plane, nu):
+def test_growth_weight_and_pressure_agree_with_calculix(axes, plane, nu):
     case = load_cases.tissue((16, 8)[axes - 2], axes)
     off, most, unbalanced = load_cases.to_calculix(case, plane, nu)
     assert off < 1e-5 * most
     assert unbalanced < 1e-6
 
 
-def test_shaders_bear_loads_too():
+def test_shaders_solve_images_with_loads():
     require_opengl()
-    problem, prior = large(), ElasticPrior(0.4)
+    problem, prior = large_problem(), ElasticPrior(0.4)
     shaded = solve(problem, prior, optimizer=Multigrid(1e-3), backend="opengl")
     assert shaded.convergence.error <= 1e-3
     assert np.abs(shaded.displacement - exact_field(problem, prior)).max() <= 1e-3
 
 
-def test_what_cannot_bear_loads_says_so():
-    problem, _ = anything(3)
+def test_loads_are_rejected_where_they_are_not_supported():
+    problem, _ = random_problem(3)
     with pytest.raises(BackendError, match="volumes with loads"):
         solve(problem, backend="opengl")
     with pytest.raises(ProblemError, match="no forces"):
         solve(problem, SeilerPrior())
-    loose = held(np.ones((6, 6)), (0, 0), weight(np.ones((6, 6)), (1, 0), spacing=1), (1, 1))
+    loose = fixed_problem(
+        np.ones((6, 6)), (0, 0), weight(np.ones((6, 6)), (1, 0), spacing=1), (1, 1)
+    )
     with pytest.raises(ProblemError, match="could still move by turning"):
         solve(loose)
 
 
-def test_loads_of_a_wrong_unit_are_refused():
+def test_loads_in_inconsistent_units_are_rejected():
     m = np.ones((40, 40))
     with pytest.raises(ProblemError, match="consistent units"):
-        solve(held(m, 0, weight(m, (1e4, 0), spacing=1), (1, 1)), backend="cpu")
+        solve(fixed_problem(m, 0, weight(m, (1e4, 0), spacing=1), (1, 1)), backend="cpu")
 
 
 MASK = np.ones((6, 6), bool)
@@ -468,7 +479,7 @@ MASK = np.ones((6, 6), bool)
 @pytest.mark.parametrize(
     ("what", "make"),
     [
-        ("no direction", lambda m: growth(np.ones((6, 6)), along=(0, 0))),
+        ("not a direction", lambda m: growth(np.ones((6, 6)), along=(0, 0))),
         ("one number is needed", lambda m: growth(0.1)),
         ("not symmetric", lambda m: Loads(growth=np.arange(144).reshape(6, 6, 2, 2))),
         ("above -1", lambda m: growth(-np.ones((6, 6)))),
@@ -476,7 +487,7 @@ MASK = np.ones((6, 6), bool)
         ("has shape", lambda m: growth(np.ones((5, 6)))),
         ("rigid tissue", lambda m: growth(np.ones((6, 6)))),
         ("has shape", lambda m: Loads(force=np.ones((6, 6)))),
-        ("on no tissue two pixels wide", lambda m: Loads(force=np.ones((6, 6, 2)))),
+        ("without tissue that is two pixels wide", lambda m: Loads(force=np.ones((6, 6, 2)))),
         ("type float", lambda m: 0.1),
         ("one grid", lambda m: growth(np.ones((6, 6))) + growth(np.ones((6, 5)), along=(1, 0))),
         ("no face of", lambda m: pressure(m, MASK & False, 1.0, spacing=1)),
@@ -488,11 +499,11 @@ MASK = np.ones((6, 6), bool)
         ("no tissue that is two pixels wide", lambda m: weight(np.eye(6), (1.0, 0), spacing=1)),
     ],
 )
-def test_loads_that_make_no_sense_are_refused_in_a_sentence(what, make):
+def test_invalid_loads_are_rejected_with_an_explanation(what, make):
     m = np.ones((6, 6))
     m[0, 0], m[2:4, 2:4] = 0, np.inf
     with pytest.raises(ProblemError, match=what):
-        held(m, -1, make(m), (1, 1))
+        fixed_problem(m, -1, make(m), (1, 1))
 
 
 @pytest.mark.parametrize(
@@ -503,25 +514,25 @@ def test_loads_that_make_no_sense_are_refused_in_a_sentence(what, make):
         lambda m, sizes: traction(m, MASK, (0, 0.1), spacing=sizes),
     ],
 )
-def test_forces_of_another_spacing_are_refused_with_both(make):
+def test_forces_for_another_spacing_are_rejected_naming_both_spacings(make):
     m = np.ones((6, 6))
     loads = make(m, (2.0, 0.5))
-    held(m, -1, loads + growth(0.1 * m), (2.00001, 0.5))
+    fixed_problem(m, -1, loads + growth(0.1 * m), (2.00001, 0.5))
     with pytest.raises(ProblemError, match=r"for pixels of 2 x 0\.5, but .* has pixels of 1 x 1\."):
-        held(m, -1, growth(0.1 * m) + loads, (1, 1))
+        fixed_problem(m, -1, growth(0.1 * m) + loads, (1, 1))
     with pytest.raises(ProblemError, match=r"for pixels of 2 x 0\.5 and of 1 x 1\. Make both"):
         loads + make(m, 1)
-    held(m, -1, Loads(force=loads.force), (1, 1))  # nothing states a spacing
+    fixed_problem(m, -1, Loads(force=loads.force), (1, 1))  # these loads have no spacing
     with pytest.raises(ProblemError, match=r"spacing: is \(2, 0\)"):
         Loads(force=loads.force, spacing=(2, 0))
 
 
-def test_loads_are_frozen_told_in_a_line_and_part_of_what_a_result_was_made_of():
+def test_loads_are_immutable_and_recorded_as_inputs_of_a_result():
     m = np.ones((6, 6))
     loads = growth(0.1 * m, along=(1, 0)) + weight(m, (0, 0.1), spacing=1)
     with pytest.raises(AttributeError):
         loads.force = None
-    problem, other = (held(m, 0, each, (1, 1)) for each in (loads, None))
+    problem, other = (fixed_problem(m, 0, each, (1, 1)) for each in (loads, None))
     assert "growth from 0 to 0.1, force of (0, 2.5) altogether" in repr(problem)
     made = found(problem, ElasticPrior())
     assert set(made.provenance.inputs) == {
@@ -541,7 +552,7 @@ def test_loads_are_frozen_told_in_a_line_and_part_of_what_a_result_was_made_of()
 
 
 @pytest.mark.parametrize("make", [pressure, traction, weight])
-def test_forces_need_the_size_of_a_pixel(make):
+def test_forces_require_a_spacing(make):
     m, arguments = np.ones((6, 6)), {"acceleration": (1.0, 0.0)}
     if make is not weight:
         arguments = {"surface": MASK, "vector" if make is traction else "amount": 1.0}
@@ -553,8 +564,8 @@ def test_forces_need_the_size_of_a_pixel(make):
     assert not even.same_as(make(m, **arguments, spacing=1))
 
 
-def test_reactions_to_a_field_of_another_spacing_are_refused():
-    oblong = held(np.ones((6, 6)), -1, growth(0.1 * np.ones((6, 6))), (0.5, 0.8))
-    square = held(np.ones((6, 6)), -1, growth(0.1 * np.ones((6, 6))), (1.0, 1.0))
+def test_reactions_of_a_field_with_another_spacing_are_rejected():
+    oblong = fixed_problem(np.ones((6, 6)), -1, growth(0.1 * np.ones((6, 6))), (0.5, 0.8))
+    square = fixed_problem(np.ones((6, 6)), -1, growth(0.1 * np.ones((6, 6))), (1.0, 1.0))
     with pytest.raises(ArgumentError, match=r"has pixels of 1 x 1, but .* pixels of 0\.5 x 0\.8"):
         reactions(square, solve(oblong, backend="cpu"))

@@ -1,4 +1,4 @@
-"""What is observed with some confidence only: the L1 data term of elastic tissue, exactly."""
+"""Uncertain observations of elastic tissue: the L1 data term, compared with exact minimisation."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,10 @@ from napari_hmrf.data import phantom
 from tests.support.elastic_oracle import direct_solution, stiffness_matrix
 
 
-def reference(problem, prior):
-    """Least elastic energy plus sum of p |y - d|, in float64: exact minimisation, one at a time.
+def reference_solution(problem, prior):
+    """Return the minimiser of the elastic energy plus sum of p |y - d|, in float64.
 
-    What is not observed is eliminated first, so that only observed components are left.
+    Unobserved components are eliminated; the others are minimised exactly, one at a time.
     """
     matrix = stiffness_matrix(problem, prior)
     solid = matrix.diagonal() > 0
@@ -42,8 +42,8 @@ def reference(problem, prior):
     return field.reshape(*problem.shape, 2) * problem.unit
 
 
-def doubtful(seed=0, spacing=(1.0, 1.0)):
-    """Soft and stiff tissue, some of whose sites are observed, more or less surely."""
+def uncertain_problem(seed=0, spacing=(1.0, 1.0)):
+    """Return soft and stiff tissue with observations of random confidence."""
     rng = np.random.default_rng(seed)
     shape = (15, 18)
     m = np.where(rng.random(shape) < 0.5, 1.0, 10.0)
@@ -57,20 +57,20 @@ def doubtful(seed=0, spacing=(1.0, 1.0)):
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
 @pytest.mark.parametrize("penalty", [3.0, 0.5, 0.05])
-def test_the_field_is_that_of_least_energy(penalty, spacing):
-    problem, prior = doubtful(spacing=spacing), ElasticPrior(0.4, penalty=penalty)
+def test_the_field_minimises_the_energy(penalty, spacing):
+    problem, prior = uncertain_problem(spacing=spacing), ElasticPrior(0.4, penalty=penalty)
     found = solve(problem, prior, optimizer=Multigrid(1e-4))
-    expected = reference(problem, prior)
+    expected = reference_solution(problem, prior)
     assert np.abs(found.displacement - expected).max() < 1e-3
     slipped = np.abs(expected - problem.observed)[problem.confidence > 0] > 1e-4
-    assert 0.02 < slipped.mean() < 1  # or this would show nothing
+    assert 0.02 < slipped.mean() < 1  # otherwise the comparison shows nothing
     cost = (prior.limit(problem) * np.abs(problem.observed - expected)).sum() / problem.unit
     energy = (prior.energy(problem, expected) + cost) / problem.tissue.sum()
     assert found.mean_energy == pytest.approx(energy, rel=1e-3)
 
 
-def test_confidence_is_what_the_force_of_an_observation_is_in_proportion_to():
-    # A bar that is pulled at one end with half and with full confidence.
+def test_the_force_of_an_observation_is_proportional_to_its_confidence():
+    # Pull a bar at one end with half and with full confidence.
     y, c = np.zeros((2, 9, 41, 2))
     c[:, 0] = 1
     y[:, -1, 1] = 4
@@ -86,15 +86,15 @@ def test_confidence_is_what_the_force_of_an_observation_is_in_proportion_to():
     assert strain[1] == pytest.approx(20 * 0.05 * 9 / 8, rel=1e-3)
 
 
-def test_a_great_penalty_holds_exactly():
+def test_a_large_penalty_makes_observations_exact():
     problem = phantom("mass-effect", 64).problem
     held = solve(problem, ElasticPrior()).displacement
     strongly = solve(problem, ElasticPrior(penalty=1e4)).displacement
     np.testing.assert_allclose(strongly, held, atol=2e-3)
 
 
-def test_the_scale_of_stiffness_does_not_matter():
-    problem = doubtful()
+def test_the_field_depends_only_on_ratios_of_stiffness():
+    problem = uncertain_problem()
     prior = ElasticPrior(penalty=0.5)
     harder = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
     np.testing.assert_allclose(
@@ -102,8 +102,8 @@ def test_the_scale_of_stiffness_does_not_matter():
     )
 
 
-def test_tissue_that_slips_as_a_whole_comes_to_rest_where_most_want_it():
-    # A bar with its left half observed at 0 and its right end far away, both too weak to strain it.
+def test_a_slipping_piece_moves_to_the_majority_of_its_observations():
+    # Observe the left part of a bar at 0 and its right end far away, both too weak to strain it.
     y, c = np.zeros((2, 8, 20, 2))
     c[:, :5, 1] = c[:, -1, 1] = 1
     c[3, 10, 0] = 1
@@ -120,7 +120,7 @@ def test_tissue_that_slips_as_a_whole_comes_to_rest_where_most_want_it():
 
 
 @pytest.mark.parametrize("penalty", [0.05, 0.03])
-def test_a_patch_pulled_far_by_little_force_slips_to_where_forces_balance(penalty):
+def test_a_weakly_pulled_patch_slips_into_equilibrium(penalty):
     shape, firm = (96, 96), 1e4
     place = np.indices(shape) - 47.5
     patch, edge = np.hypot(*place) < 12, np.abs(place).max(axis=0) > 47
@@ -130,7 +130,7 @@ def test_a_patch_pulled_far_by_little_force_slips_to_where_forces_balance(penalt
     m = np.where(np.hypot(*(place - 12)) < 24, 4.0, 1.0)
     problem, prior = Problem(y, c, m), ElasticPrior(0.45, penalty=firm)
     found = solve(problem, prior, optimizer=Multigrid(1e-4))
-    # About fifty cycles find which components slip; the rest make sure, to a billionth of a pixel.
+    # About fifty cycles find the slipping components; the others confirm them.
     assert found.iterations < 450
     d = found.displacement.astype(float)
     forces = -(stiffness_matrix(problem, prior) @ d.ravel()).reshape(d.shape)
@@ -142,7 +142,7 @@ def test_a_patch_pulled_far_by_little_force_slips_to_where_forces_balance(penalt
     assert np.abs(forces[~patch & ~edge]).max() < near
 
 
-def test_a_known_field_makes_a_small_edit_cheap_and_changes_nothing():
+def test_a_warm_start_after_a_small_edit_saves_cycles_without_changing_the_field():
     problem = phantom("mass-effect", 128).problem
     before = solve(problem, ElasticPrior(), optimizer=Multigrid(0.01))
     y = problem.observed.copy()
@@ -157,15 +157,15 @@ def test_a_known_field_makes_a_small_edit_cheap_and_changes_nothing():
 
 
 @pytest.mark.parametrize("penalty", [0.05, 0.5])
-def test_a_known_field_is_a_good_start_where_observations_slip_too(penalty):
-    problem, prior = doubtful(), ElasticPrior(0.4, penalty=penalty)
+def test_a_warm_start_with_slipping_observations_saves_cycles(penalty):
+    problem, prior = uncertain_problem(), ElasticPrior(0.4, penalty=penalty)
     cold = solve(problem, prior, optimizer=Multigrid(1e-4))
     warm = solve(problem, prior, optimizer=Multigrid(1e-4), initial=cold)
     assert warm.iterations < cold.iterations / 2
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=5e-4)
 
 
-def test_a_patch_that_was_moved_before_is_known_to_move_in_proportion():
+def test_moving_a_patch_again_is_extrapolated_from_earlier_fields():
     problem = phantom("mass-effect", 128).problem
     patch = (np.arange(128)[:, None, None] < 40) & (problem.confidence > 0)
     moved = [
@@ -179,7 +179,7 @@ def test_a_patch_that_was_moved_before_is_known_to_move_in_proportion():
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=0.02)
 
 
-def test_a_start_of_another_grid_is_refused():
+def test_an_initial_field_on_another_grid_is_rejected():
     small, large = (phantom("bar", size).problem for size in (32, 48))
     with pytest.raises(ValueError, match="initial has a grid"):
         solve(large, ElasticPrior(), initial=solve(small, ElasticPrior()))
@@ -187,7 +187,7 @@ def test_a_start_of_another_grid_is_refused():
         solve(small, SeilerPrior(), initial=solve(small, SeilerPrior()))
 
 
-def test_poissons_ratio_may_differ_from_site_to_site():
+def test_the_poisson_ratio_can_vary_from_site_to_site():
     problem = phantom("mass-effect", 48).problem
     uniform = solve(problem, ElasticPrior(0.3)).displacement
     as_map = solve(problem, ElasticPrior(np.full(problem.shape, 0.3))).displacement
@@ -200,7 +200,7 @@ def test_poissons_ratio_may_differ_from_site_to_site():
         assert np.abs(found - uniform)[problem.tissue].max() > 0.05
 
 
-def test_a_map_of_poissons_ratios_must_fit_the_tissue():
+def test_a_poisson_map_must_match_the_tissue():
     problem = phantom("bar", 32).problem
     with pytest.raises(ProblemError, match=r"poisson: has shape \(3, 3\)"):
         solve(problem, ElasticPrior(np.full((3, 3), 0.3)))
@@ -212,7 +212,7 @@ def test_a_map_of_poissons_ratios_must_fit_the_tissue():
         ElasticPrior(np.full(3, 0.3))
 
 
-def test_a_solution_says_how_close_it_is(tmp_path):
+def test_a_solution_records_its_error_and_residual(tmp_path):
     problem = phantom("expansion", 64).problem
     solution = solve(problem, ElasticPrior(), optimizer=Multigrid(0.01))
     assert 0 < solution.convergence.error <= 0.01

@@ -1,4 +1,4 @@
-"""Bad inputs get one clear error before any work; good ones are frozen."""
+"""Problem: validation of its arrays, which are copied and made read-only."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from napari_hmrf import Problem, ProblemError
 
 
-def good(shape=(5, 4)):
+def valid_arrays(shape=(5, 4)):
     y = np.zeros((*shape, 2))
     c = np.zeros((*shape, 2))
     c[0] = 1
@@ -15,7 +15,7 @@ def good(shape=(5, 4)):
 
 
 def test_inputs_are_copied_converted_and_frozen():
-    y, c, m = good()
+    y, c, m = valid_arrays()
     problem = Problem(y, c, m, spacing=[0.5, 2])
     m[:] = 7
     assert problem.stiffness.max() == 1
@@ -52,20 +52,20 @@ def test_any_memory_layout_gives_the_same_problem(change):
         np.testing.assert_array_equal(getattr(changed, field), getattr(expected, field))
 
 
-def test_what_was_observed_is_ignored_where_nobody_is_confident():
-    y, c, m = good()
+def test_observations_without_confidence_are_ignored():
+    y, c, m = valid_arrays()
     y[4] = np.nan
     assert np.isfinite(Problem(y, c, m).observed).all()
 
 
-def test_integers_and_booleans_are_numbers():
-    y, c, _ = good()
+def test_integers_and_booleans_are_accepted():
+    y, c, _ = valid_arrays()
     problem = Problem(y.astype(int), c.astype(bool), np.ones((5, 4), dtype=np.uint16) * 40000)
     assert problem.stiffness[0, 0] == 40000
 
 
-def spoiled(field, where, value):
-    y, c, m = good()
+def arrays_with(field, where, value):
+    y, c, m = valid_arrays()
     arrays = {"observed": y, "confidence": c, "stiffness": m}
     arrays[field][where] = value
     return arrays
@@ -74,41 +74,45 @@ def spoiled(field, where, value):
 @pytest.mark.parametrize(
     ("arrays", "field", "says"),
     [
-        (spoiled("stiffness", (1, 2), np.nan), "stiffness", r"at 1 pixel that are NaN .* \(1, 2\)"),
-        (spoiled("stiffness", (1, 2), -np.inf), "stiffness", r"\(1, 2\)"),
         (
-            spoiled("stiffness", (3, 0), -2),
+            arrays_with("stiffness", (1, 2), np.nan),
+            "stiffness",
+            r"at 1 pixel that are NaN .* \(1, 2\)",
+        ),
+        (arrays_with("stiffness", (1, 2), -np.inf), "stiffness", r"\(1, 2\)"),
+        (
+            arrays_with("stiffness", (3, 0), -2),
             "stiffness",
             r"1 negative values, the first at \(3, 0\)",
         ),
-        (spoiled("stiffness", ..., 0), "stiffness", "no tissue"),
-        (spoiled("stiffness", (0, 0), 1e9), "stiffness", "ten million times"),
-        (spoiled("stiffness", (0, 0), 1e300), "stiffness", "beyond single precision"),
-        (spoiled("stiffness", ..., 1e-44), "stiffness", r"is 1e-44 at \(0, 0\).*choose a unit"),
+        (arrays_with("stiffness", ..., 0), "stiffness", "no tissue"),
+        (arrays_with("stiffness", (0, 0), 1e9), "stiffness", "ten million times"),
+        (arrays_with("stiffness", (0, 0), 1e300), "stiffness", "beyond single precision"),
+        (arrays_with("stiffness", ..., 1e-44), "stiffness", r"is 1e-44 at \(0, 0\).*choose a unit"),
         (
-            spoiled("stiffness", (1, 2), 1e-60),
+            arrays_with("stiffness", (1, 2), 1e-60),
             "stiffness",
             r"is 1e-60 at \(1, 2\).*0 where there is no tissue",
         ),
-        (spoiled("stiffness", ..., 3e38), "stiffness", r"is 3e\+38 at \(0, 0\).*choose a unit"),
-        (spoiled("confidence", (2, 1, 1), np.nan), "confidence", r"at 1 pixel .* \(2, 1\)\."),
+        (arrays_with("stiffness", ..., 3e38), "stiffness", r"is 3e\+38 at \(0, 0\).*choose a unit"),
+        (arrays_with("confidence", (2, 1, 1), np.nan), "confidence", r"at 1 pixel .* \(2, 1\)\."),
         (
-            spoiled("confidence", (2, 1, 1), 1.5),
+            arrays_with("confidence", (2, 1, 1), 1.5),
             "confidence",
             r"at 1 pixel outside 0 to 1, the first at \(2, 1\)\.",
         ),
-        (spoiled("confidence", (2, 1), 1.5), "confidence", r"at 1 pixel outside 0 to 1"),
-        (spoiled("confidence", (2, 1, 0), -0.1), "confidence", "outside 0 to 1"),
-        (spoiled("confidence", ..., 0), "confidence", "Mark at least one place"),
-        (spoiled("stiffness", 0, 0), "confidence", "only where there is no tissue"),
+        (arrays_with("confidence", (2, 1), 1.5), "confidence", r"at 1 pixel outside 0 to 1"),
+        (arrays_with("confidence", (2, 1, 0), -0.1), "confidence", "outside 0 to 1"),
+        (arrays_with("confidence", ..., 0), "confidence", "Mark at least one place"),
+        (arrays_with("stiffness", 0, 0), "confidence", "only where there is no tissue"),
         (
-            spoiled("observed", (0, 3, 0), np.inf),
+            arrays_with("observed", (0, 3, 0), np.inf),
             "observed",
             r"where confidence is above 0, the first at \(0, 3\)\.",
         ),
     ],
 )
-def test_a_bad_value_is_named_with_its_place(arrays, field, says):
+def test_an_invalid_value_is_named_with_its_position(arrays, field, says):
     with pytest.raises(ProblemError, match=says) as caught:
         Problem(**arrays)
     assert caught.value.field == field
@@ -124,8 +128,8 @@ def test_a_bad_value_is_named_with_its_place(arrays, field, says):
         ("confidence", (5, 4, 1)),
     ],
 )
-def test_images_on_different_grids_are_refused_with_both_shapes(field, shape):
-    y, c, m = good()
+def test_arrays_on_different_grids_are_rejected_with_both_shapes(field, shape):
+    y, c, m = valid_arrays()
     arrays = {"observed": y, "confidence": c, "stiffness": m, field: np.zeros(shape)}
     with pytest.raises(ProblemError, match=r"\(5, 4\)") as caught:
         Problem(**arrays)
@@ -134,7 +138,7 @@ def test_images_on_different_grids_are_refused_with_both_shapes(field, shape):
 
 
 @pytest.mark.parametrize("shape", [(0, 5), (1, 1), (5,), (0, 4, 5), (1, 1, 1), (2, 2, 2, 2), ()])
-def test_grids_that_cannot_deform_are_refused(shape):
+def test_grids_that_cannot_deform_are_rejected(shape):
     ndim = len(shape)
     with pytest.raises(ProblemError) as caught:
         Problem(np.zeros((*shape, ndim)), np.ones((*shape, ndim)), np.ones(shape))
@@ -153,8 +157,8 @@ def test_a_volume_has_three_components_and_three_spacings():
         Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m, spacing=(1, 1))
 
 
-def test_images_in_another_order_are_told_the_right_one():
-    y, c, m = good()
+def test_arrays_in_the_wrong_order_are_rejected_with_the_right_order():
+    y, c, m = valid_arrays()
     with pytest.raises(ProblemError, match="Give observed, confidence and stiffness in this order"):
         Problem(m, c, y)
 
@@ -178,40 +182,40 @@ def test_images_in_another_order_are_told_the_right_one():
         {0.5: "row", 0.8: "col"},
     ],
 )
-def test_a_pixel_has_a_size(spacing):
+def test_an_invalid_spacing_is_rejected(spacing):
     with pytest.raises(ProblemError, match=r"pixel sizes|positive numbers|unit of length"):
-        Problem(*good(), spacing=spacing)
+        Problem(*valid_arrays(), spacing=spacing)
 
 
 @pytest.mark.parametrize("kind", [complex, object, str])
-def test_only_real_numbers_make_an_image(kind):
-    y, c, m = good()
+def test_arrays_of_other_than_real_numbers_are_rejected(kind):
+    y, c, m = valid_arrays()
     with pytest.raises(ProblemError, match="type"):
         Problem(y, c, m.astype(kind))
 
 
-def test_rows_of_different_length_are_no_image():
-    y, c, _ = good()
+def test_rows_of_different_length_are_rejected():
+    y, c, _ = valid_arrays()
     with pytest.raises(ProblemError, match="not an array of numbers"):
         Problem(y, c, [[1, 2], [3]])
 
 
-def test_a_mask_is_not_dropped_silently():
-    y, c, m = good()
+def test_a_masked_array_is_rejected():
+    y, c, m = valid_arrays()
     with pytest.raises(ProblemError, match="mask would be lost"):
         Problem(y, c, np.ma.masked_less(m, 0))
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (7, 1), (2, 2)])
-def test_thin_grids_are_problems_too(shape):
+def test_thin_grids_are_accepted(shape):
     y, c, m = np.zeros((*shape, 2)), np.ones((*shape, 2)), np.ones(shape)
     assert Problem(y, c, m).shape == shape
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.01, 0.02), (300.0, 100.0)])
-def test_a_motion_far_beyond_the_image_is_a_wrong_unit(spacing):
-    """Within two diagonals, however strange, it is taken; beyond, the first pixel is named."""
-    y, c, m = good()
+def test_a_motion_far_beyond_the_image_is_rejected_as_a_wrong_unit(spacing):
+    """A motion of up to two image diagonals is accepted; a larger motion names its first pixel."""
+    y, c, m = valid_arrays()
     c[2, 3] = (0, 1)
     reach = 2 * np.hypot(*np.multiply(m.shape, spacing))
     y[2, 3] = (0, 0.999 * reach)
@@ -225,13 +229,13 @@ def test_a_motion_far_beyond_the_image_is_a_wrong_unit(spacing):
     assert "Give lengths in the unit in which a pixel is" in str(caught.value)
 
 
-def test_how_far_a_motion_would_go_does_not_matter_where_nothing_is_known_of_it():
-    y, c, m = good()
+def test_a_huge_motion_without_confidence_is_ignored():
+    y, c, m = valid_arrays()
     y[2, 3], c[2, 3] = 1e30, 0
     assert not Problem(y, c, m).observed[2, 3].any()
 
 
-def test_a_problem_is_told_in_a_line_without_its_arrays():
+def test_the_repr_of_a_problem_is_one_line_without_arrays():
     c, m = np.zeros((300, 200, 2)), np.full((300, 200), 10.0)
     c[:2], m[100:] = (0, 1), 0.12345
     problem = Problem(np.zeros_like(c), c, m, spacing=(0.5, 1))
@@ -249,6 +253,6 @@ def test_a_problem_is_told_in_a_line_without_its_arrays():
         ([np.inf, 0, 0], "1 of tissue, 1 observed, stiffness rigid"),
     ],
 )
-def test_void_and_rigid_tissue_are_told_too(stiffness, says):
+def test_the_repr_of_a_problem_mentions_void_and_rigid_tissue(stiffness, says):
     problem = Problem(np.zeros((1, 3, 2)), np.ones((1, 3, 2)), [stiffness])
     assert repr(problem).endswith(f"{says})")

@@ -1,4 +1,4 @@
-"""A solve in a child process, however started, is a solve; and killing one costs no file."""
+"""Solves in child processes, and files of killed processes."""
 
 import multiprocessing
 import os
@@ -15,7 +15,7 @@ from napari_hmrf.data import phantom
 from tests.support.opengl import require_opengl
 from tests.support.timeouts import LONG
 
-needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="os.fork is not available")
 
 CHILDREN = """
 import multiprocessing
@@ -35,12 +35,12 @@ if __name__ == "__main__":
     priors = [ElasticPrior(), SeilerPrior()] * 2
     expected = [displacement(prior) for prior in priors]
     for method in sys.argv[1:]:
-        # A child that begins anew loads all that the parent has, which takes a second.
+        # A spawned child imports all modules again, which takes a second.
         with multiprocessing.get_context(method).Pool(1 if method == "spawn" else 2) as pool:
             found = pool.map_async(displacement, priors, 1).get(240)
         for one, other in zip(found, expected, strict=True):
             assert np.array_equal(one, other), method
-        assert np.array_equal(displacement(priors[0]), expected[0]), "the parent goes on"
+        assert np.array_equal(displacement(priors[0]), expected[0]), "the parent has changed"
 """
 
 
@@ -57,7 +57,7 @@ def run_script(tmp_path, script, *arguments):
     return done.stdout
 
 
-def test_children_of_a_process_that_has_solved_find_the_same(tmp_path):
+def test_child_processes_reproduce_the_solution_of_the_parent(tmp_path):
     run_script(tmp_path, CHILDREN, *multiprocessing.get_all_start_methods())
 
 
@@ -88,12 +88,12 @@ assert np.array_equal(solve(problem, SeilerPrior(), backend="opengl").displaceme
 
 
 @needs_fork
-def test_a_fork_leaves_opengl_to_the_parent_and_takes_the_loops(tmp_path):
+def test_a_forked_process_solves_with_the_loops_instead_of_opengl(tmp_path):
     require_opengl()
     run_script(tmp_path, AFTER_OPENGL)
 
 
-IN_THE_MIDDLE = """
+DURING_A_JOB = """
 import os
 import threading
 
@@ -125,13 +125,13 @@ def fork_and_solve():
 go_on.set()
 job.result()
 solve(problem, SeilerPrior(), backend="cpu")
-assert compute_thread.submit(fork_and_solve).result() == 0, "no job but its own was torn"
+assert compute_thread.submit(fork_and_solve).result() == 0, "the fork in a job failed"
 """
 
 
 @needs_fork
-def test_a_fork_in_the_middle_of_a_job_is_told_what_to_do_instead(tmp_path):
-    run_script(tmp_path, IN_THE_MIDDLE)
+def test_a_fork_during_a_job_raises_an_error_with_a_remedy(tmp_path):
+    run_script(tmp_path, DURING_A_JOB)
 
 
 SAVING = """
@@ -151,8 +151,8 @@ while True:
 """
 
 
-def half_saved(folder, size):
-    """Whether a file is being written of which so much is there."""
+def is_partly_saved(folder, size):
+    """Return whether a temporary file of at least `size` bytes exists."""
     for path in folder.glob("*.tmp"):
         with suppress(FileNotFoundError):
             if path.stat().st_size >= size:
@@ -166,19 +166,19 @@ def wait_until(condition):
         assert time.monotonic() < last
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kill -9 is of POSIX")
-def test_a_process_killed_in_the_middle_of_saving_leaves_a_whole_file(tmp_path):
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="SIGKILL requires POSIX")
+def test_a_process_killed_while_saving_leaves_a_complete_file(tmp_path):
     sizes = (48, 40)
     paths = [tmp_path / f"{size}.npz" for size in sizes]
     for path, size in zip(paths, sizes, strict=True):
         solve(phantom("expansion", size=size).problem, SeilerPrior(), backend="cpu").write(path)
     path = paths[0]
-    # When a file has been begun, when some is in it, and when it needs only its name.
+    # The file is empty, has one byte, or is at least half written.
     for written in (0, 1, path.stat().st_size // 2):
         command = [sys.executable, "-c", SAVING, *paths]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
             assert process.stdout.readline()
-            wait_until(lambda written=written: half_saved(tmp_path, written))
+            wait_until(lambda written=written: is_partly_saved(tmp_path, written))
             process.kill()
         for left in tmp_path.glob("*.tmp"):
             left.unlink()

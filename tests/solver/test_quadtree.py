@@ -1,4 +1,4 @@
-"""The quadtree of figure 3."""
+"""Quadtree of figure 3 of the paper."""
 
 import itertools
 
@@ -12,7 +12,7 @@ def test_a_300_pixel_image_has_the_papers_ten_levels():
     tree = levels((300, 300))
     assert [level.number for level in tree] == list(range(10))
     assert [level.shape[0] for level in tree] == [300, 150, 75, 38, 19, 10, 5, 3, 2, 1]
-    # 70 sweeps on each of them are the 700 iterations of table 1.
+    # 70 sweeps on each level give the 700 iterations of table 1.
     assert 70 * len(tree) == 700
 
 
@@ -27,7 +27,7 @@ def test_the_root_is_one_site_and_each_level_halves(shape):
 
 
 @pytest.mark.parametrize("shape", [(300, 300), (7, 12), (1, 9)])
-def test_a_site_looks_at_a_pixel_it_covers(shape):
+def test_each_site_samples_a_pixel_that_it_covers(shape):
     for level in levels(shape):
         for size, pixels in zip(shape, nearest_pixels(level, shape), strict=True):
             sites = np.arange(len(pixels))

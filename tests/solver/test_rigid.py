@@ -1,4 +1,4 @@
-"""Rigid tissue: what is infinitely stiff moves as one."""
+"""Rigid tissue: infinitely stiff parts move as rigid bodies."""
 
 import numpy as np
 import pytest
@@ -15,19 +15,19 @@ PRIOR = ElasticPrior(0.3)
 
 
 def disc(radius=9, at=(24, 20)):
-    """A disc of sites."""
+    """Return a disc of sites."""
     i, j = np.indices((N, N))
     return (i - at[0]) ** 2 + (j - at[1]) ** 2 < radius**2
 
 
 def bar():
-    """A slanted bar, some pixels thick."""
+    """Return a slanted bar, a few pixels thick."""
     i, j = np.indices((N, N)) - N // 2
     return (abs(0.8 * i + 0.6 * j) < 14) & (abs(0.6 * i - 0.8 * j) < 2)
 
 
-def pushed(rigid, stiffness=np.inf, spacing=(1.0, 1.0)):
-    """Soft tissue around a bone: the first row is held, the last is pushed down and aside."""
+def tissue_with_bone(rigid, stiffness=np.inf, spacing=(1.0, 1.0)):
+    """Return a bone in soft tissue with a fixed first row and a last row pushed down and aside."""
     m = np.where(rigid, stiffness, 1.0)
     y, c = np.zeros((N, N, 2)), np.zeros((N, N, 2))
     c[0] = c[-1] = 1
@@ -35,8 +35,8 @@ def pushed(rigid, stiffness=np.inf, spacing=(1.0, 1.0)):
     return Problem(y, c, m, spacing=spacing)
 
 
-def reference(problem, sites):
-    """The field of least energy among those in which a body moves as one: three unknowns."""
+def reference_solution(problem, sites):
+    """Return the field of least energy with one rigid body of three degrees of freedom."""
     matrix = stiffness_matrix(problem, PRIOR)
     i, j = np.nonzero(sites)
     rows, cols = problem.spacing
@@ -53,8 +53,8 @@ def reference(problem, sites):
     return (given + ways @ found).reshape(N, N, 2)
 
 
-def strains(displacement, sites):
-    """The strains of the elements of a body, as differences."""
+def element_strains(displacement, sites):
+    """Return the strains of the elements of a body, from differences."""
     d = displacement.astype(float)
     inside = sites[:-1, :-1] & sites[1:, :-1] & sites[:-1, 1:] & sites[1:, 1:]
     down, right = np.diff(d, axis=0)[:, :-1], np.diff(d, axis=1)[:-1]
@@ -63,43 +63,57 @@ def strains(displacement, sites):
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.0, 2.5)], ids=["square", "oblong"])
 @pytest.mark.parametrize("bone", [disc(), bar()], ids=["disc", "bar"])
-def test_a_bone_moves_as_one_and_tissue_around_it_as_elastic_tissue_does(bone, spacing):
-    problem = pushed(bone, spacing=spacing)
+def test_a_bone_moves_rigidly_in_elastic_tissue(bone, spacing):
+    problem = tissue_with_bone(bone, spacing=spacing)
     solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
-    exact = reference(problem, rigid_sites(problem.stiffness))
+    exact = reference_solution(problem, rigid_sites(problem.stiffness))
     assert np.abs(solution.displacement - exact).max() < 0.005
     if spacing == (1.0, 1.0):
-        assert np.abs(strains(solution.displacement, rigid_sites(problem.stiffness))).max() < 1e-5
+        assert (
+            np.abs(element_strains(solution.displacement, rigid_sites(problem.stiffness))).max()
+            < 1e-5
+        )
 
 
-def test_it_is_what_ever_stiffer_tissue_comes_to():
-    rigid = solve(pushed(disc()), PRIOR, optimizer=Multigrid(1e-5), backend="cpu").displacement
-    stiff = solve(pushed(disc(), 1e6), PRIOR, optimizer=Multigrid(1e-5), backend="cpu").displacement
+def test_rigid_tissue_is_the_limit_of_stiff_tissue():
+    rigid = solve(
+        tissue_with_bone(disc()), PRIOR, optimizer=Multigrid(1e-5), backend="cpu"
+    ).displacement
+    stiff = solve(
+        tissue_with_bone(disc(), 1e6), PRIOR, optimizer=Multigrid(1e-5), backend="cpu"
+    ).displacement
     np.testing.assert_allclose(rigid, stiff, atol=1e-4)
 
 
-def test_shaders_move_it_too():
+def test_shaders_move_a_bone_rigidly():
     require_opengl()
-    problem = pushed(disc())
+    problem = tissue_with_bone(disc())
     solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="opengl")
     assert (
-        np.abs(solution.displacement - reference(problem, rigid_sites(problem.stiffness))).max()
+        np.abs(
+            solution.displacement - reference_solution(problem, rigid_sites(problem.stiffness))
+        ).max()
         < 0.005
     )
 
 
-def test_bones_that_touch_are_one_and_those_apart_are_not():
+def test_touching_bones_form_one_body_and_separate_bones_do_not():
     touching, apart = disc(6, (14, 24)) | disc(6, (24, 24)), disc(5, (12, 24)) | disc(5, (34, 24))
-    together = solve(pushed(touching), PRIOR, optimizer=Multigrid(), backend="cpu")
+    together = solve(tissue_with_bone(touching), PRIOR, optimizer=Multigrid(), backend="cpu")
     assert (
-        np.abs(strains(together.displacement, rigid_sites(pushed(touching).stiffness))).max() < 1e-5
+        np.abs(
+            element_strains(
+                together.displacement, rigid_sites(tissue_with_bone(touching).stiffness)
+            )
+        ).max()
+        < 1e-5
     )
-    two = solve(pushed(apart), PRIOR, optimizer=Multigrid(), backend="cpu").displacement
+    two = solve(tissue_with_bone(apart), PRIOR, optimizer=Multigrid(), backend="cpu").displacement
     assert two[34, 24, 0] - two[12, 24, 0] > 0.5
 
 
-def test_a_bone_that_is_held_in_one_place_turns_about_it():
-    problem = pushed(bar())
+def test_a_bone_fixed_at_one_pixel_rotates_about_it():
+    problem = tissue_with_bone(bar())
     y, c = problem.observed.copy(), problem.confidence.copy()
     c[24, 24] = 1
     solution = solve(Problem(y, c, problem.stiffness), PRIOR, optimizer=Multigrid(), backend="cpu")
@@ -107,8 +121,8 @@ def test_a_bone_that_is_held_in_one_place_turns_about_it():
     assert np.abs(solution.displacement[bar()]).max() > 0.02
 
 
-def test_a_bone_that_is_held_all_over_stays():
-    problem = pushed(disc())
+def test_a_bone_fixed_everywhere_does_not_move():
+    problem = tissue_with_bone(disc())
     c = problem.confidence.copy()
     c[disc()] = 1
     held = solve(
@@ -117,8 +131,8 @@ def test_a_bone_that_is_held_all_over_stays():
     assert np.abs(held.displacement[disc()]).max() < 1e-6
 
 
-def test_a_bone_that_is_told_to_bend_is_refused_by_its_place():
-    problem = pushed(disc())
+def test_prescribed_bending_of_a_bone_is_rejected_with_its_position():
+    problem = tissue_with_bone(disc())
     y, c = problem.observed.copy(), problem.confidence.copy()
     c[disc()] = 1
     y[24, 20] = (2, 0)
@@ -126,18 +140,18 @@ def test_a_bone_that_is_told_to_bend_is_refused_by_its_place():
         solve(Problem(y, c, problem.stiffness), PRIOR, optimizer=Multigrid(), backend="cpu")
 
 
-def test_the_papers_prior_refuses_it_and_says_what_to_do():
+def test_the_paper_prior_rejects_rigid_tissue_with_a_suggestion():
     with pytest.raises(ProblemError, match=r"ratios of stiffness.*ElasticPrior"):
-        solve(pushed(disc()), SeilerPrior())
+        solve(tissue_with_bone(disc()), SeilerPrior())
 
 
-def test_it_is_refused_where_observations_may_slip():
+def test_rigid_tissue_with_slipping_observations_is_rejected():
     with pytest.raises(ProblemError, match="may slip"):
-        solve(pushed(disc()), ElasticPrior(0.3, penalty=1.0), optimizer=Multigrid())
+        solve(tissue_with_bone(disc()), ElasticPrior(0.3, penalty=1.0), optimizer=Multigrid())
 
 
-def test_tissue_that_is_all_rigid_moves_as_it_is_held():
-    problem = pushed(np.ones((N, N), dtype=bool))
+def test_entirely_rigid_tissue_follows_its_prescribed_motion():
+    problem = tissue_with_bone(np.ones((N, N), dtype=bool))
     y = np.zeros((N, N, 2))
     c = problem.confidence.copy()
     y[c > 0] = 1.5
@@ -146,7 +160,7 @@ def test_tissue_that_is_all_rigid_moves_as_it_is_held():
 
 
 def two_discs(gap):
-    """Two discs beside each other, so many pixels apart."""
+    """Return two discs next to each other with a gap in pixels."""
     return disc(8, (24, 15)) | disc(8, (24, 30 + gap))
 
 
@@ -154,27 +168,27 @@ APART = disc(5, (12, 24)) | disc(5, (34, 24))
 
 
 @pytest.mark.parametrize("bone", [disc(), bar(), APART], ids=["disc", "bar", "two discs"])
-def test_a_bone_costs_a_few_cycles_more_than_soft_tissue(bone):
-    rigid = solve(pushed(bone), PRIOR, optimizer=Multigrid(), backend="cpu")
-    soft = solve(pushed(bone, 1.0), PRIOR, optimizer=Multigrid(), backend="cpu")
+def test_a_bone_needs_only_a_few_more_cycles_than_soft_tissue(bone):
+    rigid = solve(tissue_with_bone(bone), PRIOR, optimizer=Multigrid(), backend="cpu")
+    soft = solve(tissue_with_bone(bone, 1.0), PRIOR, optimizer=Multigrid(), backend="cpu")
     assert rigid.convergence.way == "cycles"
     assert rigid.iterations <= soft.iterations + 3
 
 
 @pytest.mark.parametrize("gap", [2, 3, 5])
-def test_the_error_of_bones_close_together_is_no_more_than_is_said(gap):
-    problem = pushed(two_discs(gap))
+def test_the_reported_error_is_a_bound_for_bones_close_together(gap):
+    problem = tissue_with_bone(two_discs(gap))
     solution = solve(problem, PRIOR, optimizer=Multigrid(1e-2), backend="cpu")
     exact = solve(problem, PRIOR, optimizer=Multigrid(1e-6), backend="cpu").displacement
     off = np.abs(solution.displacement - exact).max()
     assert off <= solution.convergence.error + 1e-5
 
 
-def test_bones_at_the_border_and_more_bones_than_have_fields_of_their_own_move_as_well():
+def test_bones_at_the_border_and_many_bones_are_solved():
     i, j = np.indices((N, N))
     many = (i % 12 < 3) & (j % 12 < 3)
     for bone in (disc(9, (24, 0)), many):
-        problem = pushed(bone & (i > 0) & (i < N - 1))
+        problem = tissue_with_bone(bone & (i > 0) & (i < N - 1))
         solution = solve(problem, PRIOR, optimizer=Multigrid(1e-5), backend="cpu")
         tight = solve(problem, PRIOR, optimizer=Multigrid(1e-7), backend="cpu")
         np.testing.assert_allclose(solution.displacement, tight.displacement, atol=3e-5)

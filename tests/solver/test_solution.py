@@ -1,4 +1,4 @@
-"""A solution's own methods, which know its spacing and tissue; functions need the spacing."""
+"""Methods of Solution, compared with the functions that take a spacing and tissue."""
 
 import re
 from dataclasses import replace
@@ -55,7 +55,7 @@ def solution():
     return Solution(d, np.zeros(1), (), tissue, SIZE, run, elasticity=Elasticity(0.4))
 
 
-def test_methods_are_the_functions_with_spacing_and_tissue(solution, tmp_path):
+def test_methods_equal_the_functions_with_spacing_and_tissue(solution, tmp_path):
     d, on = solution.displacement, {"spacing": SIZE, "tissue": solution.tissue}
     photo = np.random.default_rng(6).random((20, 24))
     labels = (photo > 0.5).astype(np.uint8)
@@ -76,14 +76,14 @@ def test_methods_are_the_functions_with_spacing_and_tissue(solution, tmp_path):
     assert np.allclose(solution.at(points)[1], d[10, 12])
     assert np.allclose(solution.move(points), points + solution.at(points) / SIZE)
     other = np.abs(warp(photo, d, spacing=1, tissue=solution.tissue) - solution.warp(photo))
-    assert other.max() > 0.1, "a wrong spacing would be seen"
+    assert other.max() > 0.1, "the test should detect a wrong spacing"
     pytest.importorskip("SimpleITK")
     exported = solution.export(tmp_path / "a.mha", placed=False)
     assert exported == export_field(tmp_path / "b.mha", solution, placed=False)
     assert (tmp_path / "a.mha").exists()
 
 
-def test_elastic_strain_is_small_strain_and_that_across(solution):
+def test_elastic_strain_adds_the_thickness_strain_to_small_strain(solution):
     strain = solution.strain()[solution.tissue]
     within = solution.strain("small")[solution.tissue]
     assert np.allclose(strain[:, 1:, 1:], within, atol=1e-6)
@@ -121,7 +121,7 @@ def test_elastic_strain_is_small_strain_and_that_across(solution):
         ),
     ],
 )
-def test_a_function_of_lengths_needs_the_spacing(call):
+def test_functions_of_lengths_require_a_spacing(call):
     with pytest.raises(TypeError, match="missing 1 required keyword-only argument: 'spacing'"):
         call()
     with pytest.raises(ProblemError, match=r"spacing: is None\. Give 2 positive, finite pixel"):
@@ -129,7 +129,7 @@ def test_a_function_of_lengths_needs_the_spacing(call):
     call(spacing=(2, 2))
 
 
-def test_one_spacing_counts_along_all_axes():
+def test_a_single_spacing_applies_to_all_axes():
     rows, cols, planes = np.indices((4, 5, 6))
     d = 0.2 * np.stack([rows, cols, planes], axis=-1)
     for spacing in (2, 2.0, np.float32(2)):
@@ -142,7 +142,7 @@ def test_one_spacing_counts_along_all_axes():
 
 
 @pytest.mark.parametrize("stiffness", [-1.0, -np.inf])
-def test_a_material_of_negative_stiffness_is_refused(stiffness):
+def test_a_material_with_negative_stiffness_is_rejected(stiffness):
     said = rf"stiffness: gives label 3 \(liver\) a stiffness of {stiffness}\. Give a number above 0"
     with pytest.raises(ProblemError, match=said):
         Material(3, "liver", stiffness)
@@ -158,13 +158,15 @@ def test_a_material_of_negative_stiffness_is_refused(stiffness):
         ("", (1.0, 1.0), "sites of 1 x 1 pixels,", r"moved up to [\d.]+ pixels,"),
     ],
 )
-def test_a_solution_tells_lengths_with_their_unit(solution, tmp_path, unit, spacing, sizes, far):
+def test_the_repr_of_a_solution_states_lengths_with_their_unit(
+    solution, tmp_path, unit, spacing, sizes, far
+):
     told = replace(solution, unit=unit, spacing=spacing)
     assert re.search(f"{sizes} .*{far}", repr(told))
     assert Solution.read(told.write(tmp_path / "a.npz")).unit == unit
 
 
-def test_the_field_of_a_study_has_the_unit_of_its_grid(tmp_path):
+def test_the_solution_of_a_study_has_the_unit_of_its_grid(tmp_path):
     pull = Motion(hold_edge=True, drawing=Drawing((Arrow((5, 6), (0, 1), 1),)))
     study = Study(Grid((10, 12), 2, "mm"), Tissue(stiffness=np.ones((10, 12))), pull)
     solution = solve_study(study, backend="cpu")
@@ -173,7 +175,7 @@ def test_the_field_of_a_study_has_the_unit_of_its_grid(tmp_path):
 
 
 @pytest.mark.parametrize("method", [Solution.at, Solution.move])
-def test_points_of_which_all_lie_outside_the_grid_are_refused(solution, method):
+def test_points_that_are_all_outside_the_grid_are_rejected(solution, method):
     points = np.array([(4.0, 60.0), (20.0, 12.0), (-0.6, 1)])
     with pytest.raises(ProblemError, match=r"outside the grid of 20 x 24 pixels.*Grid\.to_pixels"):
         method(solution, points)
@@ -192,12 +194,12 @@ def test_points_of_which_all_lie_outside_the_grid_are_refused(solution, method):
         {"spacing": (1.0, 1.0, 1.0)},
     ],
 )
-def test_the_parts_of_a_solution_are_on_one_grid(solution, change):
+def test_the_arrays_of_a_solution_must_share_one_grid(solution, change):
     with pytest.raises(ProblemError, match="Give all three on the same grid"):
         replace(solution, **change)
 
 
-def test_masked_images_are_not_warped(solution):
+def test_masked_images_are_rejected(solution):
     masked = np.ma.masked_less(np.random.default_rng(1).random((20, 24)), 0.5)
     with pytest.raises(ProblemError, match="image: is a masked array, whose mask would be lost"):
         solution.warp(masked)

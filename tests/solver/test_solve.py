@@ -1,4 +1,4 @@
-"""One way in, off the caller's thread, that can be watched and stopped at any time."""
+"""solve: progress, cancellation, provenance, errors and the compute thread."""
 
 import importlib
 import json
@@ -19,7 +19,7 @@ from tests.support.problems import frame_problem
 from tests.support.timeouts import LONG
 
 
-def test_progress_runs_from_nothing_to_all_on_the_callers_thread():
+def test_progress_runs_from_0_to_1_on_the_calling_thread():
     seen, threads = [], set()
 
     def progress(monitor):
@@ -36,7 +36,7 @@ def test_progress_runs_from_nothing_to_all_on_the_callers_thread():
 
 
 @pytest.mark.parametrize("looks", [0, 1, 2, 4, 8, 12])
-def test_cancelled_at_any_moment_there_is_no_result_and_the_next_solve_is_right(looks):
+def test_a_cancelled_solve_has_no_result_and_does_not_affect_the_next(looks):
     problem = frame_problem((40, 40))
     expected = solve(problem, SeilerPrior(), backend="cpu").displacement
     with pytest.raises(Cancelled):
@@ -46,13 +46,13 @@ def test_cancelled_at_any_moment_there_is_no_result_and_the_next_solve_is_right(
     )
 
 
-def test_cancel_is_looked_at_after_work_of_a_twentieth_of_a_second(monkeypatch):
+def test_cancellation_is_checked_after_each_short_batch(monkeypatch):
     from napari_hmrf.solver.backends.cpu import kernels
 
     problem = frame_problem((400, 400))
     solve(
         problem, SeilerPrior(), optimizer=ICM(iterations=1), backend="cpu"
-    )  # rehearsed, and not counted
+    )  # compiles the kernels before batches are counted
     cancel, batches, sweep = threading.Event(), [], kernels.sweeps
 
     def counted(*arguments):
@@ -66,14 +66,12 @@ def test_cancel_is_looked_at_after_work_of_a_twentieth_of_a_second(monkeypatch):
     with pytest.raises(Cancelled):
         solve(problem, SeilerPrior(), optimizer=ICM(iterations=100), backend="cpu", cancel=cancel)
     shapes, updates = zip(*batches, strict=True)
-    assert shapes.count(problem.shape) == 1, "none after it was set"
-    assert max(updates) * 10e-9 <= BATCH_SECONDS, "a site takes a few nanoseconds"
+    assert shapes.count(problem.shape) == 1, "no batch should start after cancellation"
+    assert max(updates) * 10e-9 <= BATCH_SECONDS, "a batch should be short enough at 10 ns per site"
 
 
-def test_an_error_in_the_callers_progress_stops_the_work():
-    solve(
-        frame_problem((10, 10)), SeilerPrior(), backend="cpu"
-    )  # its kernels are compiled before the clock starts
+def test_an_error_in_the_progress_callback_stops_the_solve():
+    solve(frame_problem((10, 10)), SeilerPrior(), backend="cpu")  # compiles the kernels
 
     def progress(monitor):
         if monitor.fraction > 0:
@@ -93,7 +91,7 @@ def test_an_error_in_the_callers_progress_stops_the_work():
     assert job.result(LONG)
 
 
-def test_solves_from_many_threads_take_turns_and_are_all_right():
+def test_concurrent_solves_from_many_threads_are_correct():
     problems = [frame_problem((40, 30 + k), seed=k) for k in range(6)]
     expected = [solve(problem, SeilerPrior(), backend="cpu").displacement for problem in problems]
     with ThreadPoolExecutor(6) as pool:
@@ -104,7 +102,7 @@ def test_solves_from_many_threads_take_turns_and_are_all_right():
         np.testing.assert_array_equal(one.displacement, other)
 
 
-def test_a_solution_says_what_was_run():
+def test_a_solution_records_its_provenance():
     solution = solve(
         frame_problem((20, 20)), SeilerPrior(), optimizer=ICM(iterations=7), backend="cpu"
     )
@@ -120,7 +118,7 @@ def test_a_solution_says_what_was_run():
     assert json.loads(json.dumps(run.parameters)) == run.parameters
 
 
-def test_an_unknown_backend_is_refused_with_the_known_ones():
+def test_an_unknown_backend_is_rejected_with_a_list_of_backends():
     with pytest.raises(BackendError, match="auto, opengl"):
         solve(frame_problem((5, 5)), SeilerPrior(), backend="cuda")
 
@@ -141,16 +139,14 @@ def test_an_unknown_backend_is_refused_with_the_known_ones():
         ("initial", np.zeros((5, 5, 2)), "Solution"),
     ],
 )
-def test_an_argument_of_another_kind_is_named_before_anything_is_done(
-    name, wrong, right, monkeypatch
-):
+def test_an_argument_of_the_wrong_type_is_named_before_any_work(name, wrong, right, monkeypatch):
     monkeypatch.setattr(compute_thread, "submit", None)
     arguments = {"problem": frame_problem((5, 5)), "backend": "cpu", name: wrong}
     with pytest.raises(TypeError, match=rf"{name} is (.|\n)*, of type \w+\. Give .*{right}"):
         solve(**arguments)
 
 
-def test_numbers_of_numpys_are_saved_as_any_others(tmp_path):
+def test_numpy_scalars_in_parameters_can_be_saved(tmp_path):
     prior = ElasticPrior(np.float32(0.3), penalty=np.float32(2))
     solve(frame_problem((8, 8)), prior, backend="cpu").write(tmp_path / "numbers.npz")
 
@@ -160,14 +156,14 @@ def test_kernels_run_on_the_compute_thread_only():
         run_here(frame_problem((5, 5)), None, None, "cpu", None, threading.Event())
 
 
-def test_a_job_on_the_compute_thread_may_solve():
+def test_a_job_on_the_compute_thread_can_call_solve():
     job = compute_thread.submit(
         lambda: solve(frame_problem((12, 12)), SeilerPrior(), backend="cpu")
     )
     assert job.result(timeout=60).displacement.shape == (12, 12, 2)
 
 
-def test_the_compute_thread_ends_and_starts_again():
+def test_the_compute_thread_can_be_stopped_and_restarted():
     solve(frame_problem((6, 6)), SeilerPrior(), backend="cpu")
     assert compute_thread.stop()
     names = [thread.name for thread in threading.enumerate()]
@@ -195,7 +191,7 @@ def test_there_is_never_more_than_one_compute_thread():
     assert thread.stop()
 
 
-def test_one_release_that_fails_does_not_keep_the_others():
+def test_a_failing_release_does_not_prevent_the_others():
     released = []
     thread = ComputeThread()
     thread.at_end(lambda: released.append(1))
@@ -205,7 +201,7 @@ def test_one_release_that_fails_does_not_keep_the_others():
     assert released == [1]
 
 
-REHEARSED = """
+PREPARATION = """
 import sys, pkgutil
 import numpy as np
 import napari_hmrf.solver.solve
@@ -247,12 +243,12 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
 """
 
 
-def test_kernels_are_made_before_the_clock_starts():
-    # In a process of its own: in this one other tests may have made them.
-    subprocess.run([sys.executable, "-c", REHEARSED], check=True, timeout=300)
+def test_kernels_are_compiled_before_the_timed_solve():
+    # Other tests may have compiled kernels in this process, so run a new process.
+    subprocess.run([sys.executable, "-c", PREPARATION], check=True, timeout=300)
 
 
-def test_the_device_is_logged_once_and_is_no_warning(caplog, monkeypatch):
+def test_the_device_is_logged_once_at_info_level(caplog, monkeypatch):
     caplog.set_level("INFO", "napari_hmrf")
     monkeypatch.setattr(sys.modules["napari_hmrf.solver.solve"], "_announced", set())
     monkeypatch.setattr("napari_hmrf.solver.backends.opengl.is_software_renderer", lambda _: True)
@@ -264,7 +260,7 @@ def test_the_device_is_logged_once_and_is_no_warning(caplog, monkeypatch):
     assert told[0].levelname == "INFO"
 
 
-def test_a_solution_is_told_in_a_line_without_its_arrays():
+def test_the_repr_of_a_solution_is_one_line_without_arrays():
     solution = solve(frame_problem((20, 30)), ElasticPrior(), optimizer=Multigrid(), backend="cpu")
     said = repr(solution)
     assert said.startswith("Solution(20 x 30 sites of 1 x 1 pixels, elastic, moved up to ")

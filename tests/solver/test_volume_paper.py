@@ -1,4 +1,4 @@
-"""The paper's prior in three dimensions: its cliques, its schedule, and its converged field."""
+"""The paper's prior for volumes: cliques, schedule and converged field."""
 
 import itertools
 from functools import partial
@@ -23,15 +23,15 @@ from napari_hmrf.solver.quadtree import levels
 from tests.support.cancel_flags import During
 
 CUBES, OBLONG = (1.0, 1.0, 1.0), (1.0, 1.7, 0.6)
-WITHIN = Multigrid(1e-3)
-EXACTLY = ICM(iterations=3000, steps=None, energy_change=1e-9)
+PRECISE = Multigrid(1e-3)
+CONVERGED = ICM(iterations=3000, steps=None, energy_change=1e-9)
 STEPS = (1.0, 0.1, 0.01, 0.001)
-#: A confidence that stands for none, for problems of which nothing is observed.
+#: Negligible confidence, for problems without observations.
 NOWHERE = 1e-30
 
 
-def squeezed(shape=(8, 9, 7), ratio=10.0, spacing=CUBES, seed=0, void=False):
-    """Random tissue between two plates, one of which is moved, with some sites held elsewhere."""
+def compressed_volume(shape=(8, 9, 7), ratio=10.0, spacing=CUBES, seed=0, void=False):
+    """Return random tissue between a fixed and a moved plate, with some observed sites."""
     draw = np.random.default_rng([seed, *shape])
     m = ratio ** draw.random(shape)
     if void:
@@ -45,14 +45,14 @@ def squeezed(shape=(8, 9, 7), ratio=10.0, spacing=CUBES, seed=0, void=False):
     return Problem(y, c, m, spacing=spacing)
 
 
-def off(found, problem):
-    """How far a solution is from the direct one at most, in voxels."""
+def error_in_voxels(found, problem):
+    """Return the largest distance from the direct solution, in voxels."""
     apart = np.abs(found.displacement - field_of_means(problem))
     return float(apart[problem.tissue].max()) / problem.unit
 
 
-def at_rest_or_best(problem, prior, d):
-    """Where each component would go next: y + soft(q - y, p / 2A), in the unit of the problem."""
+def next_position(problem, prior, d):
+    """Return the minimiser of each component, y + soft(q - y, p / 2A), in the unit of length."""
     curvature, lowest = prior.site_parabola(problem, d)
     p = prior.limit(problem) * problem.unit
     y = problem.observed.astype(float)
@@ -66,8 +66,8 @@ def at_rest_or_best(problem, prior, d):
 
 
 @pytest.mark.parametrize("spacing", [CUBES, OBLONG])
-def test_the_energy_is_that_of_all_lines_of_three_sites(spacing):
-    problem = squeezed((4, 3, 6), ratio=100, spacing=spacing, void=True)
+def test_the_energy_is_the_sum_over_all_lines_of_three_sites(spacing):
+    problem = compressed_volume((4, 3, 6), ratio=100, spacing=spacing, void=True)
     d = np.random.default_rng(1).normal(size=problem.observed.shape)
     m, moved = problem.stiffness.astype(float).ravel(), d.reshape(-1, 3) / problem.unit
     total = 0.0
@@ -82,8 +82,8 @@ def test_the_energy_is_that_of_all_lines_of_three_sites(spacing):
     assert prior.site_energy(problem, d).sum() == pytest.approx(total, rel=1e-6)
 
 
-def test_a_site_looks_for_the_least_of_its_own_cliques():
-    problem, prior = squeezed((4, 5, 3), ratio=100, void=True), SeilerPrior(penalty=1e-9)
+def test_the_parabola_of_a_site_matches_its_local_energy():
+    problem, prior = compressed_volume((4, 5, 3), ratio=100, void=True), SeilerPrior(penalty=1e-9)
     d = np.random.default_rng(1).normal(size=problem.observed.shape)
     curvature, lowest = prior.site_parabola(problem, d)
     for at in [(1, 2, 1, 0), (2, 2, 1, 1), (2, 1, 1, 2)]:
@@ -97,7 +97,7 @@ def test_a_site_looks_for_the_least_of_its_own_cliques():
 
 
 @pytest.mark.parametrize("spacing", [CUBES, OBLONG, (1, 1, 4), (4, 1, 1), (0.5, 1, 3), (2.3,) * 3])
-def test_the_continuum_does_not_depend_on_the_shape_of_voxels(spacing):
+def test_the_continuum_limit_does_not_depend_on_the_voxel_shape(spacing):
     weights, steps = line_weights(spacing), np.array(line_steps(3)) * spacing
     assert (weights >= 0).all()
     for k in range(3):
@@ -111,8 +111,8 @@ def test_the_continuum_does_not_depend_on_the_shape_of_voxels(spacing):
         np.testing.assert_array_equal(weights, carried)
 
 
-def test_sites_are_weighted_means_of_their_neighbours_whatever_the_stiffness():
-    problem = squeezed((5, 6, 5), ratio=1e6, spacing=OBLONG)
+def test_sites_are_weighted_means_of_their_neighbours_for_any_stiffness():
+    problem = compressed_volume((5, 6, 5), ratio=1e6, spacing=OBLONG)
     d = np.random.default_rng(1).random(problem.observed.shape)
     curvature, lowest = SeilerPrior().site_parabola(problem, d)
     assert lowest[curvature > 0].min() >= d.min()
@@ -132,8 +132,8 @@ def uploaded(backend, problem, prior, d):
     return [backend.upload(each.astype(np.float32)) for each in (d, tissue, observation)]
 
 
-def swept(problem, prior, d, steps, sweeps=1):
-    """A displacement in voxels after some sweeps, U_total before each, and U_total now."""
+def relaxed(problem, prior, d, steps, sweeps=1):
+    """Return the displacement after some sweeps, U_total before each sweep, and U_total now."""
 
     def job():
         backend = CpuBackend(lambda: None)
@@ -152,12 +152,12 @@ CASES = [((6, 7, 5), 10.0, CUBES), ((5, 4, 140), 10.0, OBLONG), ((9, 6, 12), 1e4
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing"), CASES)
 @pytest.mark.parametrize("damping", [1.0, 0.6])
-def test_a_sweep_is_that_of_the_equations(shape, ratio, spacing, damping):
-    problem = squeezed(shape, ratio, spacing, void=True)
+def test_a_sweep_matches_the_equations(shape, ratio, spacing, damping):
+    problem = compressed_volume(shape, ratio, spacing, void=True)
     prior = SeilerPrior(penalty=1e3, damping=damping)
     d = np.random.default_rng(2).normal(size=problem.observed.shape).astype(np.float32)
     d[~problem.tissue] = 0
-    moved, before, now = swept(problem, prior, d, ())
+    moved, before, now = relaxed(problem, prior, d, ())
     lengths = d.astype(float) * problem.unit
     assert before[0] == pytest.approx(prior.site_energy(problem, lengths).sum(), rel=1e-5)
     after = prior.site_energy(problem, moved.astype(float) * problem.unit).sum()
@@ -173,7 +173,7 @@ def test_a_sweep_is_that_of_the_equations(shape, ratio, spacing, damping):
 
 
 def best_candidate(problem, prior, d):
-    """The literal program: the first of the best of all moves, in voxels; and the site's energy."""
+    """Return the first best move of each site in voxels, its energy, and the energy function."""
     curvature, lowest = prior.site_parabola(problem, d * problem.unit)
     p = np.where(problem.known & (problem.confidence > NOWHERE), prior.limit(problem), 0)
     y = problem.observed / problem.unit
@@ -192,20 +192,20 @@ def best_candidate(problem, prior, d):
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing"), CASES)
-def test_a_site_takes_the_best_of_all_candidates(shape, ratio, spacing):
-    problem, prior = squeezed(shape, ratio, spacing, void=True), SeilerPrior(penalty=1e3)
+def test_a_sweep_moves_each_site_to_its_best_candidate(shape, ratio, spacing):
+    problem, prior = compressed_volume(shape, ratio, spacing, void=True), SeilerPrior(penalty=1e3)
     d = np.random.default_rng(2).normal(size=problem.observed.shape).astype(np.float32)
     d[~problem.tissue] = 0
-    moved, _, _ = swept(problem, prior, d, STEPS)
+    moved, _, _ = relaxed(problem, prior, d, STEPS)
     best, least, energy = best_candidate(problem, prior, d.astype(float))
-    # Of two candidates that are equal up to rounding, either may be taken.
+    # Either of two candidates that are equal up to rounding may be taken.
     worse = energy(moved.astype(float)) - least
     assert (worse / (energy(d.astype(float)) + 1e-30)).max() < 1e-5
     assert (np.abs(moved - best).max(axis=-1) > 1e-5).mean() < 1e-2
 
 
-def literally(problem, iterations):
-    """The schedule as it is printed, level by level, in NumPy and double precision."""
+def literal_schedule(problem, iterations):
+    """Return the result of the printed schedule, in NumPy and double precision."""
     d, above, penalty = None, None, SeilerPrior().penalty_for(problem)
     for level in reversed(levels(problem.shape)):
         at = np.ix_(
@@ -215,7 +215,7 @@ def literally(problem, iterations):
             )
         )
         y, c, m = (each[at] for each in (problem.observed, problem.confidence, problem.stiffness))
-        if above is None:  # the root: a volume of one site there is not, but one beside void
+        if above is None:  # pad the root, because a volume needs more than one site
             y, c, m = (np.concatenate([each, 0 * each]) for each in (y, c, m))
         here = np.zeros(y.shape) if above is None else projected(d, above, m)
         for _ in range(iterations):
@@ -228,7 +228,7 @@ def literally(problem, iterations):
 
 
 def projected(coarse, coarse_m, m):
-    """Displacement one level down: linear, void without weight, the border repeated."""
+    """Return the displacement on the next finer level: linear, without void, repeated borders."""
     made = np.zeros((*m.shape, 3))
     for site in np.argwhere(m > 0):
         total, moved = 0.0, np.zeros(3)
@@ -243,7 +243,7 @@ def projected(coarse, coarse_m, m):
     return made
 
 
-def test_displacement_goes_down_a_level_linearly_and_around_void():
+def test_prolongation_is_linear_and_ignores_void():
     draw = np.random.default_rng(0)
     for shape in [(5, 7, 6), (2, 9, 1)]:
         coarse_shape = tuple(-(-size // 2) for size in shape)
@@ -262,18 +262,18 @@ def test_displacement_goes_down_a_level_linearly_and_around_void():
         np.testing.assert_allclose(found, projected(coarse, coarse_m, m), atol=1e-6)
 
 
-def test_the_schedule_is_the_printed_one():
-    problem = squeezed((9, 6, 7), void=True)
+def test_the_schedule_matches_the_literal_implementation():
+    problem = compressed_volume((9, 6, 7), void=True)
     one, many = (solve(problem, SeilerPrior(), optimizer=ICM(iterations=n)) for n in (1, 12))
-    np.testing.assert_allclose(one.displacement, literally(problem, 1), atol=1e-6)
-    # Rounding decides between candidates of equal energy, so single sites part by a small step.
-    apart = np.abs(many.displacement - literally(problem, 12))
+    np.testing.assert_allclose(one.displacement, literal_schedule(problem, 1), atol=1e-6)
+    # Rounding decides between candidates of equal energy, so single sites may differ.
+    apart = np.abs(many.displacement - literal_schedule(problem, 12))
     assert np.sqrt((apart**2).mean()) < 0.01
     assert (apart > 1e-4).mean() < 0.05
 
 
-def test_a_schedule_is_the_same_to_the_last_bit_on_one_thread_and_on_many():
-    problem = squeezed((24, 20, 26), void=True)
+def test_the_schedule_gives_the_same_bits_on_any_number_of_threads():
+    problem = compressed_volume((24, 20, 26), void=True)
     before, found = numba.get_num_threads(), []
     for threads in (1, numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS):
         compute_thread.submit(partial(numba.set_num_threads, threads)).result()
@@ -284,20 +284,20 @@ def test_a_schedule_is_the_same_to_the_last_bit_on_one_thread_and_on_many():
         np.testing.assert_array_equal(other.energy, found[0].energy)
 
 
-def inside(planes):
-    """Planes without their ring, the component last."""
+def without_ring(planes):
+    """Return planes without their padding, with the component axis last."""
     return np.moveaxis(planes[:, 2:-2, 2:-2, 2:-2], 0, -1)
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing"), CASES)
-def test_the_loops_pull_as_the_energies_say(shape, ratio, spacing):
-    problem, prior = squeezed(shape, ratio, spacing, void=True), SeilerPrior()
+def test_compiled_forces_match_the_energies(shape, ratio, spacing):
+    problem, prior = compressed_volume(shape, ratio, spacing, void=True), SeilerPrior()
     d = np.random.default_rng(2).normal(size=problem.observed.shape)
     model = CpuVolumeSeilerModel(prior.material(problem))
     curvature, lowest = prior.site_parabola(problem, d * problem.unit)
     expected = lowest / problem.unit - d
-    np.testing.assert_allclose(inside(model.pull(host.planes(d))), expected, atol=1e-9)
-    np.testing.assert_allclose(inside(model.steepness), 2 * curvature, rtol=1e-9)
+    np.testing.assert_allclose(without_ring(model.pull(host.planes(d))), expected, atol=1e-9)
+    np.testing.assert_allclose(without_ring(model.steepness), 2 * curvature, rtol=1e-9)
     energy, norm = model.work(host.planes(d))
     total = SeilerPrior(penalty=1e-30).site_energy(problem, d * problem.unit).sum()
     assert energy == pytest.approx(total, rel=1e-9)
@@ -305,20 +305,20 @@ def test_the_loops_pull_as_the_energies_say(shape, ratio, spacing):
     _, held = host.prescribed(problem)
     model.hold(held.copy())
     moves = (curvature > 0) & ~problem.known
-    np.testing.assert_array_equal(inside(model.moves), moves)
+    np.testing.assert_array_equal(without_ring(model.moves), moves)
     left = np.where(moves, expected, 0)
     balance = model.balance(host.planes(d), None)
-    np.testing.assert_allclose(inside(balance.rest) * balance.unit, left, atol=1e-5)
+    np.testing.assert_allclose(without_ring(balance.rest) * balance.unit, left, atol=1e-5)
     level = model.levels[0]
     image = level.vector()
     product = level.apply(level.vector(host.planes(d).astype(np.float32)), image)
-    np.testing.assert_allclose(inside(image), -left, atol=1e-5)
+    np.testing.assert_allclose(without_ring(image), -left, atol=1e-5)
     assert product == pytest.approx(-(d * left).sum(), rel=1e-3)
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing"), CASES)
-def test_all_levels_are_those_of_their_twins(shape, ratio, spacing):
-    problem = squeezed(shape, ratio, spacing, void=True)
+def test_all_levels_match_the_array_model(shape, ratio, spacing):
+    problem = compressed_volume(shape, ratio, spacing, void=True)
     material = SeilerPrior().material(problem)
     loops, arrays = CpuVolumeSeilerModel(material), ArraySeilerModel(material)
     _, held = host.prescribed(problem)
@@ -341,8 +341,8 @@ def test_all_levels_are_those_of_their_twins(shape, ratio, spacing):
         np.testing.assert_allclose(image, expected, atol=1e-5)
 
 
-def test_smoothing_is_that_of_chebyshev_and_what_is_left_goes_down():
-    problem = squeezed((9, 8, 10), void=True)
+def test_smoothing_is_a_chebyshev_iteration_and_the_residual_is_restricted():
+    problem = compressed_volume((9, 8, 10), void=True)
     model = CpuVolumeSeilerModel(SeilerPrior().material(problem))
     _, held = host.prescribed(problem)
     model.hold(held.copy())
@@ -373,15 +373,15 @@ def test_smoothing_is_that_of_chebyshev_and_what_is_left_goes_down():
 
 @pytest.mark.parametrize("spacing", [CUBES, OBLONG])
 @pytest.mark.parametrize(("ratio", "void"), [(1, False), (10, True), (1e4, False), (1e4, True)])
-def test_the_field_is_that_of_a_direct_solve(ratio, void, spacing):
-    problem = squeezed((11, 9, 10), ratio, spacing, void=void)
-    found = solve(problem, SeilerPrior(), optimizer=WITHIN)
-    assert off(found, problem) <= found.convergence.error <= WITHIN.tolerance
+def test_the_field_matches_a_direct_solve(ratio, void, spacing):
+    problem = compressed_volume((11, 9, 10), ratio, spacing, void=void)
+    found = solve(problem, SeilerPrior(), optimizer=PRECISE)
+    assert error_in_voxels(found, problem) <= found.convergence.error <= PRECISE.tolerance
     assert not found.displacement[~problem.tissue].any()
 
 
 @pytest.mark.parametrize("ratio", [1e2, 1e6])
-def test_a_tumour_that_swims_in_soft_tissue_is_found(ratio):
+def test_a_stiff_tumour_in_soft_tissue_is_solved_accurately(ratio):
     n = 14
     places = np.moveaxis(np.indices((n, n, n)), 0, -1) * (2 / n) - 1
     m = np.where(np.linalg.norm(places - (0.1, 0.1, 0), axis=-1) < 0.45, ratio, 1.0)
@@ -389,13 +389,13 @@ def test_a_tumour_that_swims_in_soft_tissue_is_found(ratio):
     c[1:-1, 1:-1, 1:-1] = 0
     y[-1, ..., 0] = 1 - np.abs(places[-1, ..., 1])
     problem = Problem(y, c, m)
-    found = solve(problem, SeilerPrior(), optimizer=WITHIN)
-    assert off(found, problem) <= found.convergence.error <= WITHIN.tolerance
+    found = solve(problem, SeilerPrior(), optimizer=PRECISE)
+    assert error_in_voxels(found, problem) <= found.convergence.error <= PRECISE.tolerance
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_is_reported_holds_or_is_refused(seed):
-    """Hard tissue: blobs far stiffer than what is around them, void, little that is held."""
+def test_the_reported_error_is_a_bound_or_the_solve_fails(seed):
+    """Difficult tissue: random stiff blobs, void, and few constrained sites."""
     draw = np.random.default_rng(seed)
     shape = tuple(draw.integers(6, 11, 3))
     blobs = np.kron(draw.random((4, 4, 4)), np.ones((3, 3, 3)))[tuple(map(slice, shape))]
@@ -406,24 +406,24 @@ def test_what_is_reported_holds_or_is_refused(seed):
     y[c > 0] = draw.normal(size=int(c.sum()))
     problem = Problem(y, c, m)
     try:
-        found = solve(problem, SeilerPrior(), optimizer=WITHIN)
+        found = solve(problem, SeilerPrior(), optimizer=PRECISE)
     except ConvergenceError:
         return
-    assert off(found, problem) <= found.convergence.error <= WITHIN.tolerance
+    assert error_in_voxels(found, problem) <= found.convergence.error <= PRECISE.tolerance
 
 
-def test_what_is_observed_gives_way_where_it_is_pulled_harder_than_its_confidence():
-    problem = squeezed((8, 9, 7), ratio=3, spacing=OBLONG, void=True)
+def test_observations_slip_where_the_force_exceeds_their_confidence():
+    problem = compressed_volume((8, 9, 7), ratio=3, spacing=OBLONG, void=True)
     for penalty, slips in ((300.0, True), (10.0, True), (1e6, False)):
         prior = SeilerPrior(penalty=penalty)
         d = solve(problem, prior, optimizer=Multigrid(1e-4)).displacement.astype(float)
-        np.testing.assert_allclose(at_rest_or_best(problem, prior, d), d, atol=2e-4)
+        np.testing.assert_allclose(next_position(problem, prior, d), d, atol=2e-4)
         curvature = prior.site_parabola(problem, d).curvature
         away = np.abs(d - problem.observed)[problem.known & (curvature > 0)]
         assert (away.max() > 0.01) == slips
 
 
-def test_an_even_strain_on_the_faces_fills_the_inside():
+def test_a_uniform_strain_of_the_faces_extends_to_the_inside():
     for spacing in (CUBES, OBLONG):
         places = np.moveaxis(np.indices((9, 8, 12)), 0, -1) * spacing
         strain = np.array([[0.02, -0.01, 0.03], [0.03, 0.015, 0.01], [-0.02, 0.01, 0.01]])
@@ -432,14 +432,14 @@ def test_an_even_strain_on_the_faces_fills_the_inside():
         problem = Problem(places @ strain.T, c, np.full((9, 8, 12), 7.0), spacing=spacing)
         found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-5))
         np.testing.assert_allclose(found.displacement, places @ strain.T, atol=2e-5)
-        swept = solve(problem, SeilerPrior(), optimizer=EXACTLY)
-        np.testing.assert_allclose(swept.displacement, places @ strain.T, atol=2e-3)
+        relaxed = solve(problem, SeilerPrior(), optimizer=CONVERGED)
+        np.testing.assert_allclose(relaxed.displacement, places @ strain.T, atol=2e-3)
 
 
-@pytest.mark.parametrize("optimizer", [WITHIN, EXACTLY])
-def test_no_axis_is_another(optimizer):
-    # A cube of a power of two: the octree itself is not symmetric on other grids.
-    problem = squeezed((8, 8, 8), spacing=OBLONG, void=True)
+@pytest.mark.parametrize("optimizer", [PRECISE, CONVERGED])
+def test_the_field_does_not_depend_on_the_order_of_the_axes(optimizer):
+    # The octree is symmetric only for a cube with a power of two as its size.
+    problem = compressed_volume((8, 8, 8), spacing=OBLONG, void=True)
     expected = solve(problem, SeilerPrior(), optimizer=optimizer).displacement
     for turn in [(1, 2, 0), (2, 1, 0)]:
         y, c = (
@@ -452,7 +452,7 @@ def test_no_axis_is_another(optimizer):
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.7, 0.6)])
-def test_slices_that_are_all_alike_move_as_one_image_does(spacing):
+def test_a_stack_of_equal_slices_moves_like_a_single_image(spacing):
     draw = np.random.default_rng(0)
     m, y, c = 10 ** draw.random((9, 11)), np.zeros((9, 11, 2)), np.zeros((9, 11, 2))
     c[0] = c[-1] = 1
@@ -461,23 +461,23 @@ def test_slices_that_are_all_alike_move_as_one_image_does(spacing):
     image = solve(
         Problem(y, c, m, spacing=spacing), SeilerPrior(penalty=100.0), optimizer=Multigrid(1e-4)
     )
-    assert np.abs(image.displacement[4, 5] - 2).max() > 0.1  # it slips
+    assert np.abs(image.displacement[4, 5] - 2).max() > 0.1  # the observation slips
     deep, sure = np.zeros((5, 9, 11, 3)), np.zeros((5, 9, 11, 3))
     deep[..., 1:], sure[..., 1:] = y, c
-    # Those of the outer slices have fewer cliques, and so less to hold them against.
+    # Sites of the outer slices have fewer cliques, so prescribe their displacement.
     sure[[0, -1], 4, 5] = 0
     deep[[0, -1], :, :, 1:], sure[[0, -1], :, :, 1:] = image.displacement, 1
     stack = Problem(deep, sure, np.broadcast_to(m, (5, 9, 11)), spacing=(1.0, *spacing))
-    unit = stack.unit**2 / np.prod(spacing)  # what a penalty is measured in
+    unit = stack.unit**2 / np.prod(spacing)  # ratio of the units of the penalty
     found = solve(stack, SeilerPrior(penalty=300.0 / unit), optimizer=Multigrid(1e-4))
     for each in found.displacement:
         np.testing.assert_allclose(each[..., 1:], image.displacement, atol=1e-3)
         assert not each[..., 0].any()
 
 
-def test_only_ratios_of_stiffness_and_lengths_matter():
-    problem = squeezed(spacing=OBLONG, void=True)
-    for optimizer in (WITHIN, ICM(steps=None)):
+def test_the_field_depends_only_on_ratios_of_stiffness_and_lengths():
+    problem = compressed_volume(spacing=OBLONG, void=True)
+    for optimizer in (PRECISE, ICM(steps=None)):
         first = solve(problem, SeilerPrior(), optimizer=optimizer).displacement
         inches = Problem(
             problem.observed / 25.4,
@@ -489,24 +489,24 @@ def test_only_ratios_of_stiffness_and_lengths_matter():
         np.testing.assert_allclose(25.4 * second, first, atol=1e-3)
 
 
-def test_sweeps_end_where_cycles_do():
-    # Sweeps leave what no clique is about where coarser levels have put it: hold all faces.
-    some = squeezed((10, 9, 8))
+def test_sweeps_and_cycles_converge_to_the_same_field():
+    # Sweeps never move sites that are not the middle of a clique, so fix all faces.
+    some = compressed_volume((10, 9, 8))
     m, c = some.stiffness.copy(), np.ones(some.observed.shape)
     m[4:6, 3:6, 3:5], c[1:-1, 1:-1, 1:-1] = 0, some.confidence[1:-1, 1:-1, 1:-1]
     problem = Problem(some.observed, c, m)
-    swept = solve(problem, SeilerPrior(), optimizer=EXACTLY)
+    relaxed = solve(problem, SeilerPrior(), optimizer=CONVERGED)
     found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-4))
-    apart = np.abs(swept.displacement - found.displacement)[problem.tissue]
+    apart = np.abs(relaxed.displacement - found.displacement)[problem.tissue]
     assert apart.max() < 2e-3
-    assert swept.mean_energy == pytest.approx(found.mean_energy, rel=1e-3)
+    assert relaxed.mean_energy == pytest.approx(found.mean_energy, rel=1e-3)
 
 
-# Around it
+# Interface
 
 
-def test_the_papers_schedule_is_the_default_on_an_octree():
-    problem = squeezed((9, 6, 12), void=True)
+def test_the_schedule_of_the_paper_on_an_octree_is_the_default():
+    problem = compressed_volume((9, 6, 12), void=True)
     heard = []
     found = solve(problem, SeilerPrior(), progress=heard.append)
     assert [run.shape for run in found.levels] == [
@@ -521,25 +521,30 @@ def test_the_papers_schedule_is_the_default_on_an_octree():
     assert found.provenance.reason == "only the compiled loops solve volumes with the paper's prior"
 
 
-@pytest.mark.parametrize(("optimizer", "stage"), [(ICM(), "level 0"), (WITHIN, "cycle 2")])
-def test_a_solve_is_cancelled(optimizer, stage):
+@pytest.mark.parametrize(("optimizer", "stage"), [(ICM(), "level 0"), (PRECISE, "cycle 2")])
+def test_a_solve_can_be_cancelled(optimizer, stage):
     with pytest.raises(Cancelled):
-        solve(squeezed((24, 24, 24)), SeilerPrior(), optimizer=optimizer, cancel=During(stage))
+        solve(
+            compressed_volume((24, 24, 24)),
+            SeilerPrior(),
+            optimizer=optimizer,
+            cancel=During(stage),
+        )
 
 
-def test_an_earlier_solution_leaves_less_to_do():
-    problem = squeezed((16, 12, 14))
+def test_a_warm_start_converges_to_the_same_field():
+    problem = compressed_volume((16, 12, 14))
     y = problem.observed.copy()
     y[-1, 3:6, 3:6, 0] += 0.2
     edited = Problem(y, problem.confidence, problem.stiffness)
-    cold = solve(edited, SeilerPrior(), optimizer=WITHIN)
+    cold = solve(edited, SeilerPrior(), optimizer=PRECISE)
     earlier = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-4))
-    warm = solve(edited, SeilerPrior(), optimizer=WITHIN, initial=earlier)
+    warm = solve(edited, SeilerPrior(), optimizer=PRECISE, initial=earlier)
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=2e-3)
 
 
 def test_a_solution_is_saved_and_loaded(tmp_path):
-    found = solve(squeezed((5, 6, 7), spacing=OBLONG), SeilerPrior(), optimizer=WITHIN)
+    found = solve(compressed_volume((5, 6, 7), spacing=OBLONG), SeilerPrior(), optimizer=PRECISE)
     again = Solution.read(found.write(tmp_path / "volume.npz"))
     np.testing.assert_array_equal(again.displacement, found.displacement)
     assert in_words(again.provenance.parameters) == "the paper's prior (centred), converged"
@@ -550,19 +555,19 @@ def test_the_smallest_volumes_are_solved():
         c = np.zeros((*shape, 3))
         c[0] = 1
         problem = Problem(c, c, np.ones(shape))
-        for optimizer in (ICM(), WITHIN):
+        for optimizer in (ICM(), PRECISE):
             found = solve(problem, SeilerPrior(), optimizer=optimizer)
             np.testing.assert_allclose(found.displacement[0], 1, atol=1e-3)
 
 
-@pytest.mark.parametrize("optimizer", [ICM(), WITHIN])
-def test_shaders_refuse_volumes(optimizer):
+@pytest.mark.parametrize("optimizer", [ICM(), PRECISE])
+def test_shaders_reject_volumes_with_the_paper_prior(optimizer):
     with pytest.raises(BackendError, match='Use backend="cpu"'):
-        solve(squeezed(), SeilerPrior(), optimizer=optimizer, backend="opengl")
+        solve(compressed_volume(), SeilerPrior(), optimizer=optimizer, backend="opengl")
 
 
-def test_what_has_no_meaning_is_refused():
-    problem = squeezed()
+def test_unsupported_options_for_volumes_are_rejected():
+    problem = compressed_volume()
     with pytest.raises(ProblemError, match="the blanket reading is for images only"):
         solve(problem, SeilerPrior(conditional="blanket"))
     m = problem.stiffness.copy()
@@ -571,7 +576,7 @@ def test_what_has_no_meaning_is_refused():
         solve(Problem(problem.observed, problem.confidence, m), SeilerPrior())
 
 
-def test_a_volume_that_cycles_are_not_sure_of_is_refused_as_it_has_no_factors():
+def test_a_volume_without_a_certain_error_bound_raises_an_error():
     y, c, m, spacing, _ = random_volume(6)
-    with pytest.raises(ConvergenceError, match="no factors are available"):
+    with pytest.raises(ConvergenceError, match="no factorization is available"):
         solve(Problem(y, c, m, spacing=spacing), SeilerPrior(), optimizer=Multigrid(0.01))

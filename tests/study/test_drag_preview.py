@@ -1,4 +1,4 @@
-"""During a drag a solve is as coarse as several pictures a second need, and no coarser."""
+"""Grid and tolerance of the preview during a drag."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def test_only_large_images_in_large_motion_are_solved_on_a_coarse_grid(size, mod
     assert (None if preview is None else preview.grid.step) == step
 
 
-def test_the_tolerance_of_a_drag_is_below_what_is_visible_and_keeps_other_settings():
+def test_a_drag_loosens_the_tolerance_and_keeps_other_settings():
     study = replace(a_study((20, 20)), optimizer=Multigrid(1e-4, max_iterations=77))
     assert as_dragged(study).optimizer == Multigrid(0.01, max_iterations=77)
     large = replace(a_study((20, 20), "large motion"), optimizer=Multigrid(1e-4))

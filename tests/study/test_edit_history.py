@@ -1,4 +1,4 @@
-"""One order of steps for all that is edited: undo gives back exactly what was there, of each."""
+"""Edit history: one undo order for all edited values."""
 
 from types import MappingProxyType
 
@@ -11,7 +11,7 @@ from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 
-#: What each slot may hold; of the kinds there are.
+#: Possible values of each slot.
 VALUES = {
     ("drawing", 0): [
         Drawing(tuple(Arrow((row, 3), (1, 0), 2.0) for row in range(count))) for count in range(5)
@@ -26,7 +26,7 @@ FIRST = MappingProxyType({slot: values[0] for slot, values in VALUES.items()})
 slots = st.sampled_from(SLOTS)
 sequences = st.lists(
     st.tuples(
-        st.sampled_from(["do", "do", "do", "drag", "give up", "undo", "undo", "redo", "redo"]),
+        st.sampled_from(["do", "do", "do", "drag", "cancel", "undo", "undo", "redo", "redo"]),
         slots,
         st.lists(st.integers(0, 4), min_size=1, max_size=4),
     ),
@@ -46,7 +46,7 @@ def state(edits):
 
 
 def play(edits, what, slot, choices):
-    """Do one edit of a sequence; whether it was a step."""
+    """Apply one edit of a sequence and return whether it became a step."""
     before, values = edits.get(slot), [VALUES[slot][choice] for choice in choices]
     if what == "do":
         edits.do(slot, values[-1], f"did {choices[-1]}")
@@ -54,7 +54,7 @@ def play(edits, what, slot, choices):
         edits.begin(slot, "dragged")
         for value in values:
             edits.update(value)
-        if what == "give up":
+        if what == "cancel":
             edits.cancel()
             return False
         edits.end()
@@ -63,8 +63,8 @@ def play(edits, what, slot, choices):
 
 @settings(max_examples=300, deadline=None)
 @given(sequences)
-def test_undo_returns_the_exact_earlier_state_of_everything_and_redo_the_later(sequence):
-    """Against plain lists of whole states, as a person would keep them."""
+def test_undo_restores_the_exact_earlier_state_and_redo_the_later_state(sequence):
+    """Compare the history with plain lists of whole states."""
     edits, past, future = opened(), [], []
     mirror = dict(FIRST)
     edits.changed.connect(lambda slot, value: mirror.update({slot: value}))
@@ -85,7 +85,7 @@ def test_undo_returns_the_exact_earlier_state_of_everything_and_redo_the_later(s
             future.clear()
         else:
             assert state(edits) == before
-        assert mirror == state(edits), "who listens knows the state"
+        assert mirror == state(edits), "listeners should receive every change"
         assert (edits.next_undo is not None, edits.next_redo is not None) == (
             bool(past),
             bool(future),
@@ -101,8 +101,8 @@ def test_undo_returns_the_exact_earlier_state_of_everything_and_redo_the_later(s
 
 @settings(max_examples=200, deadline=None)
 @given(sequences, slots)
-def test_without_a_slot_the_others_go_back_as_if_it_had_never_been(sequence, gone):
-    """A layer that was removed takes its steps along, and nobody else's."""
+def test_dropping_a_slot_preserves_the_undo_steps_of_the_other_slots(sequence, gone):
+    """The steps of a removed layer disappear and all other steps remain."""
     with_it, without = opened(), opened()
     for what, slot, choices in sequence:
         if what == "undo":
@@ -117,7 +117,7 @@ def test_without_a_slot_the_others_go_back_as_if_it_had_never_been(sequence, gon
             play(with_it, what, slot, choices)
             play(without, what, slot, choices)
         elif play(with_it, what, slot, choices):
-            # Whatever is done ends what could be done again, of all.
+            # An edit of any slot clears the redo steps of all slots.
             without._future.clear()
     for edits in (with_it, without):
         edits.drop(lambda slot: slot == gone)
@@ -128,7 +128,7 @@ def test_without_a_slot_the_others_go_back_as_if_it_had_never_been(sequence, gon
     assert with_it.undo() is None
 
 
-def test_a_step_says_what_it_was_and_of_what():
+def test_a_step_stores_its_part_and_its_description():
     edits = opened()
     edits.do(SLOTS[2], VALUES[SLOTS[2]][1], "stiffened gel")
     edits.begin(SLOTS[0], "drew an arrow")
@@ -141,7 +141,7 @@ def test_a_step_says_what_it_was_and_of_what():
     assert edits.next_undo.word == "stiffened gel"
 
 
-def test_an_edit_of_one_thing_ends_that_of_another():
+def test_an_edit_of_one_slot_ends_the_drag_of_another_slot():
     edits = opened()
     edits.begin(SLOTS[0], "dragged")
     edits.update(VALUES[SLOTS[0]][3])
@@ -150,7 +150,7 @@ def test_an_edit_of_one_thing_ends_that_of_another():
     assert state(edits) == FIRST
 
 
-def test_what_came_from_elsewhere_is_no_step():
+def test_an_amended_value_is_not_a_step():
     edits = opened()
     slot = SLOTS[2]
     edits.do(slot, VALUES[slot][1], "stiffened gel")
@@ -162,7 +162,7 @@ def test_what_came_from_elsewhere_is_no_step():
     assert edits.get(slot) == VALUES[slot][4]
 
 
-def test_the_drawings_of_two_slices_share_one_order_of_steps():
+def test_the_drawings_of_two_slices_share_one_undo_order():
     model, arrow = StudyModel(), Drawing((Arrow((1, 1), (1, 0), 1.0),))
     model.select_slice("image", 0)
     model.draw(arrow, "drew an arrow")
@@ -178,7 +178,7 @@ def test_the_drawings_of_two_slices_share_one_order_of_steps():
     assert model.drawing == Drawing()
 
 
-def test_a_drawing_whose_image_is_gone_holds_nothing_and_may_begin_again():
+def test_the_drawing_of_a_removed_image_is_empty_and_can_be_started_again():
     model = StudyModel()
     model.select_slice("gone")
     model.begin_drawing("drew")
@@ -190,6 +190,6 @@ def test_a_drawing_whose_image_is_gone_holds_nothing_and_may_begin_again():
     assert model.undo().word == "drew again"
 
 
-def test_an_edit_of_what_nobody_opened_is_an_error():
+def test_an_edit_of_an_unknown_slot_is_an_error():
     with pytest.raises(KeyError):
         EditHistory().do("nothing", 1, "did")

@@ -1,4 +1,4 @@
-"""Edited at random, taken back and done again: tissue is where the layers of then would have it."""
+"""Live solves during random edits, undo and redo, compared with cold solves."""
 
 import numpy as np
 import pytest
@@ -40,22 +40,22 @@ edits = st.lists(
         | st.sampled_from(["undo", "undo", "redo"]),
         places,
         moves,
-        st.sampled_from(["at once", "at once", "a solve later", "when it has followed"]),
+        st.sampled_from(["at once", "at once", "a solve later", "when settled"]),
     ),
     min_size=1,
     max_size=14,
 )
 
 
-def begun():
+def new_history():
     steps = EditHistory()
     for slot, value in FIRST.items():
         steps.setdefault(slot, value)
     return steps
 
 
-def edit(steps, what, place, move, tell):
-    """Do one thing that a person does; `tell` is called with every state on the way."""
+def edit(steps, what, place, move, submit_state):
+    """Apply one edit and call `submit_state` after every intermediate state."""
     drawing, materials, rules = (steps.get(slot) for slot in FIRST)
     if what in ("undo", "redo"):
         getattr(steps, what)()
@@ -66,7 +66,7 @@ def edit(steps, what, place, move, tell):
         for part in (0.25, 0.5, 1.0):
             by = (part * move[0], part * move[1])
             steps.update(drawing.with_mark(Arrow(place, by, 2.0)))
-            tell()
+            submit_state()
         steps.end()
     elif what in ("pin", "free"):
         line = (place, (place[0], min(place[1] + 4, 18)))
@@ -81,23 +81,23 @@ def edit(steps, what, place, move, tell):
         steps.do("materials", (softer, materials[1]), "changed")
     elif what == "rule":
         steps.do("rules", (rules[0], BoundaryRule(2, "move", vector=move)), "pushed")
-    tell()
+    submit_state()
 
 
-def painted(rules):
-    """What is painted, to be drawn on."""
+def painted_canvas(rules):
+    """Return a canvas with the painted boundary."""
     canvas = Canvas.blank(BOUNDARY.shape)
     canvas.observed[...], canvas.confidence[...] = boundary_images(BOUNDARY, rules, spacing=1)
     return canvas
 
 
 def problem_of(state, prior, rendering=None):
-    """What the layers say, rendered anew or kept up to date."""
+    """Return the problem and the prior of a state."""
     if rendering is not None and state["rules"] == FIRST["rules"]:
         rendering.show(state["drawing"])
         canvas = rendering.canvas
     else:
-        canvas = state["drawing"].render(painted(state["rules"]))
+        canvas = state["drawing"].render(painted_canvas(state["rules"]))
     if isinstance(prior, ElasticPrior):
         prior = ElasticPrior(poisson_image(TISSUE, state["materials"]), penalty=prior.penalty)
     return Problem(
@@ -108,35 +108,35 @@ def problem_of(state, prior, rendering=None):
 @pytest.mark.parametrize(
     "prior",
     [ElasticPrior(), ElasticPrior(penalty=0.2), SeilerPrior()],
-    ids=["held", "slips", "paper"],
+    ids=["exact", "slips", "paper"],
 )
 @settings(max_examples=25, deadline=None)
 @given(sequence=edits)
-def test_live_results_are_those_of_a_cold_solve(prior, sequence):
-    steps, updates = begun(), []
-    rendering = Rendering(painted(FIRST["rules"]))
+def test_live_results_match_a_cold_solve(prior, sequence):
+    steps, updates = new_history(), []
+    rendering = Rendering(painted_canvas(FIRST["rules"]))
 
     def now():
         return {slot: steps.get(slot) for slot in FIRST}
 
     with LiveSolver(updates.append, optimizer=Multigrid(0.01), backend="cpu") as live:
 
-        def tell():
+        def submit_state():
             state = now()
             live.submit(lambda: problem_of(state, prior, rendering))
 
         for what, place, move, next_comes in sequence:
-            edit(steps, what, place, move, tell)
+            edit(steps, what, place, move, submit_state)
             if next_comes == "a solve later":
                 compute_thread.submit(lambda: None).result(LONG)
-            elif next_comes == "when it has followed":
+            elif next_comes == "when settled":
                 assert live.wait(LONG)
                 check(updates[-1], now(), prior)
         last = now()
         assert live.wait(LONG)
         check(updates[-1], last, prior)
         while steps.undo() is not None:
-            tell()
+            submit_state()
         assert now() == FIRST
         assert live.wait(LONG)
     check(updates[-1], FIRST, prior)

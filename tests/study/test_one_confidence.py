@@ -1,4 +1,4 @@
-"""Confidence has one meaning: 1 is held exactly, below it gives way, in a Problem and a Study."""
+"""Meaning of confidence in a Problem and a Study: 1 is exact, lower values may slip."""
 
 import json
 import math
@@ -35,8 +35,8 @@ from napari_hmrf.study.models import HOLD_ALL, details_of, prior_of
 SIZE = 24
 
 
-def doubted(confidence=0.05, rigid=False, far=3.0):
-    """A square held at its edge, whose middle is observed to move with some confidence."""
+def uncertain_problem(confidence=0.05, rigid=False, far=3.0):
+    """Return a square with a fixed edge and an uncertain displacement of its middle."""
     y, c = np.zeros((2, SIZE, SIZE, 2))
     c[[0, -1]] = c[:, [0, -1]] = 1
     y[10:14, 10:14], c[10:14, 10:14] = (0, far), confidence
@@ -46,24 +46,24 @@ def doubted(confidence=0.05, rigid=False, far=3.0):
 
 
 def study_of(problem, prior):
-    """The same as a study."""
+    """Return the problem as a study."""
     motion = Motion(observed=problem.observed, confidence=problem.confidence)
     grid = Grid(problem.shape, problem.spacing)
     return Study(grid, Tissue(stiffness=problem.stiffness), motion, prior=prior)
 
 
 @pytest.mark.parametrize("prior", [ElasticPrior(), NeoHookeanPrior(), ElasticPrior(penalty=0.02)])
-def test_a_problem_and_a_study_give_the_same_field_bit_by_bit(prior):
-    problem = doubted()
+def test_a_problem_and_a_study_give_the_same_field_bit_for_bit(prior):
+    problem = uncertain_problem()
     found = solve(problem, prior, backend="cpu")
     of_study = solve_study(study_of(problem, prior), backend="cpu")
     np.testing.assert_array_equal(found.displacement, of_study.displacement)
-    assert 0.02 < found.displacement[11, 11, 1] < 2.5, "it has given way"
+    assert 0.02 < found.displacement[11, 11, 1] < 2.5, "the uncertain observation should slip"
     assert found.provenance.parameters == of_study.provenance.parameters
     assert dict(found.provenance.inputs) == dict(of_study.provenance.inputs)
 
 
-def random_doubts(seed):
+def random_uncertain_problem(seed):
     dice = np.random.default_rng(seed)
     shape = (9, 8)
     c = np.where(dice.random((*shape, 2)) < 0.5, dice.choice([0.01, 0.2, 1.0], (*shape, 2)), 0)
@@ -73,8 +73,8 @@ def random_doubts(seed):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_field_is_exact_for_certain_and_doubted_observations_side_by_side(seed):
-    problem, prior = random_doubts(seed), ElasticPrior(0.4)
+def test_the_field_is_exact_for_mixed_certain_and_uncertain_observations(seed):
+    problem, prior = random_uncertain_problem(seed), ElasticPrior(0.4)
     exact = exact_field(problem, prior)
     assert exact.sure
     found = solve(problem, prior, optimizer=Multigrid(1e-5), backend="cpu")
@@ -82,14 +82,16 @@ def test_the_field_is_exact_for_certain_and_doubted_observations_side_by_side(se
     assert off <= found.convergence.error + 1e-6
     certain = problem.confidence == 1
     held = found.displacement[certain]
-    np.testing.assert_allclose(held, problem.observed[certain], atol=1e-6)  # in pixels and back
+    np.testing.assert_allclose(
+        held, problem.observed[certain], atol=1e-6
+    )  # rounding errors of the units
     slipped = (problem.confidence > 0) & ~certain
     assert np.abs(found.displacement - problem.observed)[slipped].max() > 0.1
 
 
 @pytest.mark.parametrize("kind", [ElasticPrior, NeoHookeanPrior])
-def test_doubt_holds_with_a_force_of_c_and_certainty_with_any_force(kind):
-    problem, prior = doubted(), kind()
+def test_the_force_of_an_uncertain_observation_is_limited_by_its_confidence(kind):
+    problem, prior = uncertain_problem(), kind()
     found = solve(problem, prior, backend="cpu")
     forces = np.abs(reactions(problem, found, prior)) / prior.force_unit(problem)
     doubtful = (problem.confidence > 0) & (problem.confidence < 1)
@@ -99,9 +101,9 @@ def test_doubt_holds_with_a_force_of_c_and_certainty_with_any_force(kind):
     assert forces[problem.confidence == 1].max() > 0
 
 
-def test_certain_observations_bear_more_than_any_number():
-    # A force far beyond what a finite penalty would hold, on a pixel that is held.
-    calm = doubted()
+def test_certain_observations_withstand_any_force():
+    # A force that no finite penalty would resist, on a prescribed pixel.
+    calm = uncertain_problem()
     pull = np.zeros((SIZE, SIZE, 2))
     pull[0, 12] = (-1e9, 0)
     problem = Problem(calm.observed, calm.confidence, calm.stiffness, loads=Loads(force=pull))
@@ -109,7 +111,7 @@ def test_certain_observations_bear_more_than_any_number():
     np.testing.assert_array_equal(found.displacement, solve(calm, backend="cpu").displacement)
 
 
-def test_a_volume_gives_way_where_it_is_doubted():
+def test_uncertain_observations_in_a_volume_slip():
     y, c = np.zeros((2, 8, 8, 8, 3))
     c[0] = c[-1] = 1
     y[4, 3:5, 3:5], c[4, 3:5, 3:5] = (0, 0, 2.0), 0.05
@@ -119,8 +121,8 @@ def test_a_volume_gives_way_where_it_is_doubted():
 
 
 @pytest.mark.parametrize("kind", [ElasticPrior, NeoHookeanPrior])
-def test_beside_rigid_tissue_all_is_held_and_said_so(kind):
-    problem = doubted(0.5, rigid=True, far=1.0)
+def test_with_rigid_tissue_all_observations_are_exact_and_a_note_reports_it(kind):
+    problem = uncertain_problem(0.5, rigid=True, far=1.0)
     found = solve(problem, kind(), backend="cpu")
     np.testing.assert_allclose(found.displacement[11, 11], (0, 1), atol=2e-3)
     (note,) = found.notes
@@ -128,20 +130,22 @@ def test_beside_rigid_tissue_all_is_held_and_said_so(kind):
     of_study = solve_study(study_of(problem, kind()), backend="cpu")
     assert note in of_study.notes
     np.testing.assert_array_equal(of_study.displacement, found.displacement)
-    assert not solve(problem, kind(penalty=math.inf), backend="cpu").notes, "asked for by name"
-    assert not solve(doubted(), kind(), backend="cpu").notes
+    assert not solve(problem, kind(penalty=math.inf), backend="cpu").notes, (
+        "no note is expected for exact observations"
+    )
+    assert not solve(uncertain_problem(), kind(), backend="cpu").notes
 
 
-def test_nothing_doubted_is_solved_as_it_was():
-    problem = doubted(1.0)
+def test_the_penalty_is_infinite_without_uncertain_observations():
+    problem = uncertain_problem(1.0)
     prior = ElasticPrior().resolved(problem)
     assert prior == ElasticPrior(penalty=math.inf)
     assert prior.kernels == ElasticPrior(penalty=math.inf).kernels
-    assert ElasticPrior().resolved(doubted()).kernels == ElasticPrior(penalty=1.0).kernels
+    assert ElasticPrior().resolved(uncertain_problem()).kernels == ElasticPrior(penalty=1.0).kernels
     by_default, by_name = (solve(problem, each) for each in (None, ElasticPrior(penalty=math.inf)))
     np.testing.assert_array_equal(by_default.displacement, by_name.displacement)
     assert by_default.provenance.parameters == by_name.provenance.parameters
-    # Doubt outside tissue is none.
+    # Confidence outside tissue has no effect.
     m = problem.stiffness.copy()
     m[20, 20] = 0
     c = problem.confidence.copy()
@@ -149,18 +153,18 @@ def test_nothing_doubted_is_solved_as_it_was():
     assert not ElasticPrior().can_slip(Problem(problem.observed, c, m))
 
 
-def test_the_paper_s_k_is_the_only_other_rule():
-    everything = solve(doubted(), ElasticPrior(penalty=math.inf), backend="cpu")
+def test_a_given_penalty_replaces_the_default_rule():
+    everything = solve(uncertain_problem(), ElasticPrior(penalty=math.inf), backend="cpu")
     np.testing.assert_allclose(everything.displacement[10:14, 10:14, 1], 3.0, atol=1e-6)
-    number = solve(doubted(), ElasticPrior(penalty=1e-3), backend="cpu")
-    assert number.displacement[11, 11, 1] < 0.05, "K c of a number, for certain ones as well"
+    number = solve(uncertain_problem(), ElasticPrior(penalty=1e-3), backend="cpu")
+    assert number.displacement[11, 11, 1] < 0.05, "a finite K should limit the force to K c"
 
 
-def test_a_known_field_is_a_good_start_and_live_edits_agree():
-    problem, frames = doubted(), []
+def test_live_solves_of_uncertain_observations_agree_with_a_cold_solve():
+    problem, frames = uncertain_problem(), []
     with LiveSolver(frames.append, optimizer=Multigrid(1e-4), backend="cpu") as live:
         for far in (1.0, 2.0, 3.0):
-            live.submit(doubted(far=far))
+            live.submit(uncertain_problem(far=far))
             assert live.wait(60)
     cold = solve(problem, optimizer=Multigrid(1e-4), backend="cpu")
     apart = np.abs(frames[-1].solution.displacement - cold.displacement).max()
@@ -169,16 +173,16 @@ def test_a_known_field_is_a_good_start_and_live_edits_agree():
 
 @pytest.mark.parametrize("penalty", [None, 0.25, math.inf])
 @pytest.mark.parametrize("kind", [ElasticPrior, NeoHookeanPrior])
-def test_files_and_forms_keep_each_rule(tmp_path, kind, penalty):
+def test_files_and_the_form_preserve_the_penalty(tmp_path, kind, penalty):
     prior = kind(0.3, penalty=penalty)
-    study = study_of(doubted(), prior)
+    study = study_of(uncertain_problem(), prior)
     solution = solve_study(study, backend="cpu")
     saved = write_study(tmp_path / "a.study", study, solution)
     again = read_study(saved)
     assert again.study.prior == prior
     np.testing.assert_array_equal(replay(saved).displacement, solution.displacement)
     of_solution = again.solution.provenance.parameters["prior"]
-    assert prior_from_dict(of_solution) == prior.in_force(doubted())
+    assert prior_from_dict(of_solution) == prior.in_force(uncertain_problem())
     json.dumps(prior.parameters)
     assert prior_of(study_model(kind), details_of(prior, study.optimizer), poisson=0.3) == prior
 
@@ -187,22 +191,22 @@ def study_model(kind):
     return "elastic" if kind is ElasticPrior else "large motion"
 
 
-def test_files_of_earlier_versions_are_read_as_they_were_solved(tmp_path):
-    # There "inf" in a study was the rule by confidence; in a solution it held everything.
-    saved = write_study(tmp_path / "a.study", study_of(doubted(), ElasticPrior()))
+def test_files_of_earlier_versions_keep_the_meaning_of_their_penalty(tmp_path):
+    # "inf" meant the default rule in an old study, but exact observations in a solution.
+    saved = write_study(tmp_path / "a.study", study_of(uncertain_problem(), ElasticPrior()))
     assert header_of(saved)["prior"]["penalty"] == "inf"
     assert read_study(saved).study.prior.penalty is None
     assert prior_from_dict({"name": "ElasticPrior", "penalty": "inf"}).penalty == math.inf
 
 
-def test_the_largest_holding_force_of_the_form_is_exact():
+def test_the_largest_holding_force_in_the_form_makes_observations_exact():
     assert prior_of("elastic").penalty is None
     every = details_of(ElasticPrior(penalty=math.inf), Multigrid())
     assert every.grip == HOLD_ALL
     assert prior_of("elastic", every).penalty == math.inf
 
 
-def test_the_study_states_the_confidence_that_was_drawn():
+def test_the_problem_of_a_study_has_the_drawn_confidence():
     pull = Arrow(at=(12, 12), by=(0, 2), radius=2, confidence=0.05)
     motion = Motion(hold_edge=True, drawing=Drawing((pull,)))
     grid = Grid((SIZE, SIZE), (1.0, 1.0))

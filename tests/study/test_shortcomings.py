@@ -1,4 +1,4 @@
-"""Shortcomings of a result are notes, in Python and in the shell, each said once."""
+"""Notes on the shortcomings of a result, in Python and in the shell."""
 
 import numpy as np
 
@@ -17,38 +17,38 @@ def pulled_far(shape=SHAPE):
     return Study(Grid(shape, 1, "mm"), tissue, Motion(hold_edge=True, drawing=pull))
 
 
-def about(notes, words):
+def notes_with(notes, words):
     return [note for note in notes if words in note]
 
 
-def test_a_result_that_folds_says_at_how_many_pixels(tmp_path):
+def test_a_note_counts_the_folded_pixels(tmp_path):
     solution = solve_study(pulled_far(), backend="cpu")
     folds = solution.count_folds()
     assert folds > 0
-    (said,) = about(solution.notes, "folds over itself")
+    (said,) = notes_with(solution.notes, "folds over itself")
     assert f"at {folds} pixels" in said
     path = write_study(tmp_path / "far.study", pulled_far())
     assert said in replay(path).notes
     solved = solve_case(Case(image=path), tmp_path / "out", backend="cpu")
-    assert about(solved.notes, "folds over itself") == [said]
+    assert notes_with(solved.notes, "folds over itself") == [said]
 
 
-def test_folds_of_a_volume_are_counted_only_when_asked_for(tmp_path):
+def test_folds_of_a_volume_are_counted_only_on_request(tmp_path):
     volume = pulled_far((10, 12, 14))
     solution = solve_study(volume, backend="cpu")
     assert solution.count_folds() > 0
-    assert not about(solution.notes, "fold")
+    assert not notes_with(solution.notes, "fold")
     path = write_study(tmp_path / "far.study", volume)
     solved = solve_case(Case(image=path), tmp_path / "out", backend="cpu")
-    assert len(about(solved.notes, f"at {solved.folds} voxels")) == 1
+    assert len(notes_with(solved.notes, f"at {solved.folds} voxels")) == 1
 
 
-def test_large_motion_that_ends_early_says_how_far_it_is_short():
+def test_a_note_states_how_far_large_motion_falls_short():
     ring = np.zeros(SHAPE, int)
     ring[6:14, 7:17], ring[7:13, 8:16] = 1, 0
     motion = Motion(True, ring, (BoundaryRule(1, "expand", amount=9.0),))
     study = Study(Grid(SHAPE, 1, "mm"), Tissue(stiffness=np.ones(SHAPE)), motion, "large motion")
     solution = solve_study(study, backend="cpu")
     assert solution.reach.part < 1
-    (said,) = about(solution.notes, "could not go all the way")
+    (said,) = notes_with(solution.notes, "could not move all the way")
     assert f"{solution.reach.missing:.3g} mm" in said

@@ -1,4 +1,4 @@
-"""A study is all that a field is computed from, and does not change."""
+"""Study: the immutable input of a solve."""
 
 from dataclasses import FrozenInstanceError, replace
 
@@ -38,23 +38,23 @@ PULL = Drawing((Arrow((10, 12), (0, 2), 2.0),))
 
 
 def pulled(**more):
-    """Tissue whose edge is held, and whose middle is pulled to the right."""
+    """Return a study of tissue with a fixed edge and a middle pulled to the right."""
     study = Study(GRID, Tissue(stiffness=np.ones(SHAPE)), Motion(hold_edge=True, drawing=PULL))
     return replace(study, **more)
 
 
-def test_a_study_does_not_change():
+def test_a_study_is_immutable():
     study = pulled()
     with pytest.raises(FrozenInstanceError):
         study.motion = Motion()
 
 
-def test_what_is_pulled_goes_and_what_is_held_stays():
+def test_pulled_tissue_moves_and_the_fixed_edge_does_not():
     found = solve_study(pulled(), backend="cpu").displacement
     assert found[10, 12] == pytest.approx((0, 2), abs=1e-3)
     assert np.abs(found[[0, -1]]).max() < 1e-3
     assert np.abs(found[:, [0, -1]]).max() < 1e-3
-    assert 0.1 < found[10, 18, 1] < 1.9, "and what lies between goes with it"
+    assert 0.1 < found[10, 18, 1] < 1.9, "tissue in between should move part of the way"
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_a_model_is_chosen_by_its_name_and_named_in_the_result(name, prior, opti
     assert found.provenance.parameters["optimizer"] == optimizer.parameters
 
 
-def test_by_default_tissue_is_elastic_and_a_prior_may_be_given_in_detail():
+def test_tissue_is_elastic_by_default_and_a_prior_can_be_given():
     assert pulled().model_name == "elastic"
     in_detail = pulled(prior=ElasticPrior(0.3, plane="strain"))
     assert in_detail.prior.poisson == 0.3
@@ -82,7 +82,7 @@ def test_by_default_tissue_is_elastic_and_a_prior_may_be_given_in_detail():
         pulled(model="rubber")
 
 
-def test_a_prior_beside_the_name_of_a_model_is_kept_or_refused():
+def test_a_prior_or_optimizer_must_match_the_named_model():
     prior, optimizer = ElasticPrior(0.3), ICM(5)
     assert Study(GRID, model="elastic", prior=prior).prior is prior
     assert Study(GRID, model="paper", optimizer=optimizer).optimizer is optimizer
@@ -94,7 +94,7 @@ def test_a_prior_beside_the_name_of_a_model_is_kept_or_refused():
     assert (by_name.model_name, replace(by_name, model="paper").model_name) == ("elastic", "paper")
 
 
-def test_a_study_is_the_problem_of_its_arrays():
+def test_a_study_of_arrays_equals_the_problem_of_the_same_arrays():
     observed, counts = np.zeros((*SHAPE, 2)), np.zeros((*SHAPE, 2))
     observed[5:9, 3:6] = (1, -1)
     counts[5:9, 3:6], counts[:, -1] = 1, 1
@@ -108,7 +108,7 @@ def test_a_study_is_the_problem_of_its_arrays():
     np.testing.assert_array_equal(solve_study(study, backend="cpu").displacement, same)
 
 
-def test_tissue_is_told_by_labels_by_a_curve_or_by_what_the_image_shows():
+def test_stiffness_comes_from_labels_a_curve_or_the_image():
     rows, cols = np.indices(SHAPE)
     inside = np.hypot(rows - 10, cols - 13) < 8
     image = np.where(inside, 150, 3).astype(np.uint8)
@@ -129,21 +129,23 @@ def test_tissue_is_told_by_labels_by_a_curve_or_by_what_the_image_shows():
     np.testing.assert_allclose(stiffness(Tissue()), np.where(inside, 1.0, 0.01))
 
 
-def test_later_parts_of_a_motion_count_over_earlier_ones():
+def test_later_parts_of_a_motion_override_earlier_parts():
     labels = np.zeros(SHAPE, int)
     labels[4:17, 10:15] = labels[0, 5] = 1
     rules = (BoundaryRule(1, "move", vector=(3.0, 0.0)),)
     stated = build_problem(pulled(motion=Motion(True, labels, rules, drawing=PULL))).problem
-    assert stated.observed[10, 12].tolist() == [0, 2], "what is drawn lies over what is painted"
+    assert stated.observed[10, 12].tolist() == [0, 2], (
+        "the drawing should override the painted rule"
+    )
     assert stated.observed[5, 12].tolist() == [3, 0]
     assert stated.observed[0, 5].tolist() == [3, 0], (
-        "and what is painted over the edge that is held"
+        "the painted rule should override the fixed edge"
     )
     assert stated.confidence[0].all()
     assert not np.delete(stated.observed[0], 5, axis=0).any()
 
 
-def test_what_is_painted_as_another_tissue_is_so_many_times_as_stiff():
+def test_a_tissue_stroke_scales_the_stiffness_by_the_ratio_of_its_preset():
     tissues = PRESETS[0].materials
     usual = next(row for row in tissues if row.is_deformable)
     other = next(row for row in tissues if row.is_deformable and row.stiffness != usual.stiffness)
@@ -180,22 +182,22 @@ def test_what_is_painted_as_another_tissue_is_so_many_times_as_stiff():
         ),
     ],
 )
-def test_parts_that_do_not_go_together_are_refused(wrong, said):
+def test_inconsistent_parts_are_rejected(wrong, said):
     with pytest.raises(ProblemError, match=said):
         wrong()
 
 
-def test_what_is_wrong_is_said_of_the_part():
+def test_an_error_names_the_faulty_part():
     with pytest.raises(ProblemError, match="is 0 everywhere: there is no tissue"):
         build_problem(pulled(tissue=Tissue(stiffness=np.zeros(SHAPE))))
     with pytest.raises(ProblemError, match=r"observed|confidence"):
         build_problem(pulled(motion=Motion()))
     curve = StiffnessCurve(((50.0, 1.0), (150.0, 2.0)))
-    with pytest.raises(ProblemError, match=r"tissue: is given by a curve .* no image\. Give one"):
+    with pytest.raises(ProblemError, match=r"tissue: is given by a curve .* no image\. Give an"):
         build_problem(pulled(tissue=Tissue(curve=curve)))
 
 
-def test_values_that_are_no_numbers_are_said():
+def test_nan_values_of_the_image_are_reported():
     image = np.full(SHAPE, 100.0)
     image[3, 4:7] = np.nan
     by_brightness = Tissue(curve=StiffnessCurve(((50.0, 1.0), (150.0, 2.0))))
@@ -212,7 +214,7 @@ def test_values_that_are_no_numbers_are_said():
     assert not [each for each in Ground.of(whole).notes if "NaN" in each]
 
 
-def test_each_part_says_in_one_line_what_it_is():
+def test_the_repr_of_each_part_is_one_short_line():
     labels, photo = np.ones((40, 50), np.uint8), np.zeros((40, 50, 3), np.uint8)
     marks = tuple(Arrow((8, 8), (0, 2), 3) for _ in range(40))
     study = Study(
@@ -248,7 +250,7 @@ PLACE = Frame.at((0.5, 0.8), ("millimeter",) * 2)
         ((0.5, 0.8), "mm", Frame.at((2.0, 0.5, 0.8), ("mm",) * 3, volume=True).plane_at(1, 3)),
     ],
 )
-def test_a_place_of_another_spacing_or_unit_is_refused(spacing, unit, place):
+def test_a_place_of_another_spacing_or_unit_is_rejected(spacing, unit, place):
     with pytest.raises(ProblemError, match=rf"has pixels of .* {unit}, but its place has pixels"):
         Grid(SHAPE, spacing, unit, place)
 
@@ -276,13 +278,13 @@ def test_a_place_of_the_same_spacing_is_accepted(spacing, unit):
         Grid((21, 26), GRID.spacing, "mm"),
     ],
 )
-def test_the_problem_of_another_study_is_refused(grid):
+def test_the_problem_of_another_study_is_rejected(grid):
     other = Study(grid, Tissue(stiffness=np.ones(grid.shape)), pulled().motion)
     with pytest.raises(ArgumentError, match=r"another study. Give build_problem\(study\)"):
         solve_study(other, stated=build_problem(pulled()))
 
 
-def test_labels_may_be_whole_numbers_stored_as_floats():
+def test_labels_can_be_integers_stored_as_floats():
     labels = np.ones(SHAPE, int)
     labels[5:9] = 2
     rows = Material(1, "brain", 1.0), Material(2, "tumour", 4.0)

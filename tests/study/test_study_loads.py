@@ -1,4 +1,4 @@
-"""Tissue that grows, is pressed or pulled at, or has weight, from tables to fields and files."""
+"""Studies with growth, pressure, traction and weight: tables, fields and files."""
 
 import math
 from dataclasses import replace
@@ -47,22 +47,22 @@ def study(*materials, labels=LABELS, model="elastic", **motion):
     return Study(Grid(SHAPE, SPACING, "mm"), tissue, Motion(**motion), model=model)
 
 
-def same(problem, loads):
-    """The problem with these loads in place of its own."""
+def with_loads(problem, loads):
+    """Return the problem with its loads replaced."""
     given = problem.observed, problem.confidence, problem.stiffness
     return Problem(*given, spacing=problem.spacing, loads=loads)
 
 
 @pytest.mark.parametrize("model", ["elastic", "large motion"])
-def test_a_tumour_grows_as_its_row_of_the_table_says(model):
+def test_a_tumour_grows_by_the_amount_in_its_table_row(model):
     grown = study(model=model)
     prior = (ElasticPrior if model == "elastic" else NeoHookeanPrior)(0.45)
-    known = solve(same(build_problem(grown).problem, growth(0.2 * DISC)), prior)
+    known = solve(with_loads(build_problem(grown).problem, growth(0.2 * DISC)), prior)
     solution = solve_study(grown)
     np.testing.assert_array_equal(solution.displacement, known.displacement)
     assert solution.provenance.model == model
     out = solution.displacement[12, 20, 1]
-    assert 0.3 < out < 0.2 * 5 * 0.8  # less than it would if nothing were around it
+    assert 0.3 < out < 0.2 * 5 * 0.8  # less than without surrounding tissue
 
 
 def test_muscle_shortens_along_its_fibres_only():
@@ -72,7 +72,7 @@ def test_muscle_shortens_along_its_fibres_only():
     assert abs(moved[16, 15, 0]) < 0.1 * abs(moved[12, 19, 1])
 
 
-def test_what_is_painted_with_a_brush_grows_as_its_tissue_does():
+def test_tissue_painted_with_a_brush_grows():
     from napari_hmrf import Drawing, Stroke
 
     patch = Stroke("tissue", (((12.0, 15.0),),), radius=2.0, label=2)
@@ -82,7 +82,7 @@ def test_what_is_painted_with_a_brush_grows_as_its_tissue_does():
     assert moved[12, 12, 1] < -0.05
 
 
-def test_pressure_pulls_and_weight_are_those_of_the_solver():
+def test_the_loads_of_a_study_match_pressure_traction_and_weight():
     paint = np.zeros(SHAPE, int)
     paint[-1], paint[0, 5:12], paint[0, 18:25] = 1, 2, 3
     rules = (
@@ -100,13 +100,13 @@ def test_pressure_pulls_and_weight_are_those_of_the_solver():
         + weight(m, (0.01, 0.0), spacing=SPACING)
     )
     np.testing.assert_allclose(loads.force, known.force, atol=1e-7)
-    # Where a force acts tissue is free.
+    # Tissue is free where a force acts.
     assert stated.problem.known[-1].all()
     assert not stated.problem.known[0].any()
 
 
 @pytest.mark.parametrize("unit", ["kPa", ""])
-def test_forces_say_when_stiffness_has_no_unit(unit):
+def test_a_note_warns_of_forces_without_a_unit_of_stiffness(unit):
     tissue = Tissue(labels=np.ones(SHAPE, int), materials=(BRAIN,), unit=unit)
     motion = Motion(hold_edge=True, weight=(0.01, 0.0))
     ground = Ground.of(Study(Grid(SHAPE, SPACING, "mm"), tissue, motion))
@@ -115,24 +115,24 @@ def test_forces_say_when_stiffness_has_no_unit(unit):
 
 
 @pytest.mark.parametrize("model", ["paper", "paper, converged"])
-def test_the_paper_s_model_refuses_growth_in_words(model):
+def test_the_paper_model_rejects_growth_and_suggests_the_elastic_model(model):
     with pytest.raises(ProblemError, match=r"grow.*elastic model"):
         solve_study(study(model=model))
 
 
-def test_large_motion_of_a_volume_is_refused_with_what_to_do():
+def test_large_motion_of_a_volume_is_rejected_with_a_suggestion():
     block = Study(Grid((4, 5, 6), (1.0, 1.0, 1.0)), motion=Motion(hold_edge=True, weight=(1, 0, 0)))
     with pytest.raises(ProblemError, match=r"2-D.*elastic model.*slice"):
         solve_study(replace(block, prior=NeoHookeanPrior()))
 
 
 @pytest.mark.parametrize("wrong", [-1.0, 150.0, math.nan, (0.1, 0.1, 0.1), (0.1, -2.0), "much"])
-def test_growth_that_means_nothing_is_refused_by_its_row(wrong):
+def test_an_invalid_growth_is_rejected_and_its_row_named(wrong):
     with pytest.raises(ProblemError, match=r"label 2 \(tumour\).*growth"):
         solve_study(study(BRAIN, replace(TUMOUR, growth=wrong)))
 
 
-def test_a_force_on_no_surface_is_refused_by_the_boundary_s_name():
+def test_a_force_away_from_a_surface_is_rejected_and_its_boundary_named():
     paint = np.zeros(SHAPE, int)
     paint[10:12, 10:12] = 1
     inside = study(labels=np.ones(SHAPE, int), hold_edge=True)
@@ -141,12 +141,12 @@ def test_a_force_on_no_surface_is_refused_by_the_boundary_s_name():
         solve_study(replace(inside, motion=motion, names={"boundary": "Skin"}))
 
 
-def test_a_weight_of_too_few_components_is_refused():
+def test_a_weight_with_the_wrong_number_of_components_is_rejected():
     with pytest.raises(ProblemError, match="weight of 3"):
         study(weight=(0.0, 0.0, 1.0))
 
 
-def test_a_study_with_loads_comes_back_from_its_file(tmp_path):
+def test_a_study_with_loads_survives_a_file_round_trip(tmp_path):
     given = study(BRAIN, replace(TUMOUR, growth=(0.2, 0.0)), weight=(0.01, 0.0))
     solution = solve_study(given)
     path = write_study(tmp_path / "grown", given, solution)
@@ -156,7 +156,7 @@ def test_a_study_with_loads_comes_back_from_its_file(tmp_path):
     np.testing.assert_array_equal(replay(path).displacement, solution.displacement)
 
 
-def test_large_motion_comes_back_from_its_file(tmp_path):
+def test_large_motion_survives_a_file_round_trip(tmp_path):
     given = replace(study(), prior=NeoHookeanPrior(0.3, plane="strain"))
     path = write_study(tmp_path / "far", given)
     assert read_study(path).study.prior == given.prior
@@ -164,13 +164,13 @@ def test_large_motion_comes_back_from_its_file(tmp_path):
 
 
 @pytest.mark.parametrize("amount", [0.2, (0.2, 0.0)])
-def test_growth_goes_with_a_table_of_materials(tmp_path, amount):
+def test_growth_is_stored_in_a_material_table(tmp_path, amount):
     rows = (BRAIN, replace(TUMOUR, growth=amount))
     path = write_preset(tmp_path / "table", Preset("Mine", "kPa", "me", rows))
     assert read_preset(path).materials == rows
 
 
-def test_a_spreadsheet_says_growth_and_forces(tmp_path):
+def test_csv_tables_specify_growth_and_forces(tmp_path):
     materials, rules = tmp_path / "materials.csv", tmp_path / "rules.csv"
     materials.write_text("label,stiffness,growth\n1,2\n2,6,0.2\n3,6,20%/0\n")
     rules.write_text("label,action,row,col,amount\n1,press,,,0.3\n2,pull,0,0.2,\n")
@@ -180,7 +180,7 @@ def test_a_spreadsheet_says_growth_and_forces(tmp_path):
     assert (pull.action, pull.vector) == ("pull", (0.0, 0.2))
 
 
-def test_what_holds_a_block_carries_its_weight():
+def test_the_support_of_a_block_bears_its_weight():
     block, table = np.full((10, 16), 1.0), np.zeros((10, 16, 2))
     table[-1] = 1
     heavy = weight(block, (0.02, 0.0), spacing=1)
@@ -192,7 +192,7 @@ def test_what_holds_a_block_carries_its_weight():
     np.testing.assert_allclose(part.force, (-heavy.force[..., 0].sum(), 0), atol=1e-4)
 
 
-def test_what_pulls_and_what_holds_are_told_apart_and_balance():
+def test_pulled_and_fixed_regions_have_opposite_forces():
     y, c = np.zeros((2, 12, 20, 2))
     c[:, 0] = c[4:8, -1] = 1
     y[4:8, -1, 1] = 1.0
@@ -203,7 +203,7 @@ def test_what_pulls_and_what_holds_are_told_apart_and_balance():
     np.testing.assert_allclose(np.add(pulled.force, held.force), 0, atol=2e-3)
 
 
-def test_what_large_motion_leaves_undone_is_said_with_how_far_and_where():
+def test_the_shortfall_of_large_motion_is_reported_with_its_length_and_position():
     crowded = study(model="large motion", labels=LABELS)
     ring = np.zeros(SHAPE, int)
     ring[DISC] = 1
@@ -217,7 +217,7 @@ def test_what_large_motion_leaves_undone_is_said_with_how_far_and_where():
     assert shortfall(solve_study(study(model="large motion")).reach, "mm") == ""
 
 
-def test_the_sample_tumour_grows_about_as_far_as_its_rim_is_pushed():
+def test_growth_moves_the_rim_of_the_sample_tumour_about_as_far_as_pushing_it():
     pushed = phantom("mass-effect", 60)
     grown = pushed.growing()
     rim = pushed.boundary_labels == 2
@@ -228,7 +228,7 @@ def test_the_sample_tumour_grows_about_as_far_as_its_rim_is_pushed():
 
 
 @pytest.mark.parametrize("text", ["150", "-1", "-100%", "0.2/-1", "much", "/"])
-def test_growth_that_is_a_slip_is_refused_by_its_line(tmp_path, text):
+def test_a_mistyped_growth_is_rejected_and_its_line_named(tmp_path, text):
     path = tmp_path / "materials.csv"
     path.write_text(f"label,stiffness,growth\n1,2,{text}\n")
     with pytest.raises(FileFormatError, match=r"line 2: growth .*a fifth longer"):

@@ -1,4 +1,4 @@
-"""All that a user does, done to the `StudyModel` alone; and a window that follows it."""
+"""User actions on a `StudyModel`, with and without a window."""
 
 from dataclasses import replace
 
@@ -40,14 +40,14 @@ def layers():
 
 
 def study_of(model):
-    """The study that the window would read and solve."""
+    """Return the study that the window would read and solve."""
     view = View.of(ViewerModel(ndisplay=2).dims)
     study = study_from_layers(Request.of(model, view))
     return replace(study, prior=model.model.prior, optimizer=model.model.optimizer)
 
 
-def edited(layers):
-    """A model in which everything was chosen, painted with and drawn, in seven steps."""
+def edited_model(layers):
+    """Return a model after seven edits: choices, tables, a drawing and model settings."""
     model = StudyModel()
     assert not model.select(layers["image"])
     model.choose(step=False, hold_edge=False)
@@ -68,8 +68,8 @@ def edited(layers):
     return model
 
 
-def test_all_that_a_user_does_is_done_to_the_model_without_a_window(layers, tmp_path):
-    model = edited(layers)
+def test_every_user_action_works_on_the_model_without_a_window(layers, tmp_path):
+    model = edited_model(layers)
     study = study_of(model)
     solution = solve_study(study, backend="cpu")
     np.testing.assert_allclose(solution.displacement[12, 15], (0, 2), atol=1e-3)
@@ -86,8 +86,8 @@ def test_all_that_a_user_does_is_done_to_the_model_without_a_window(layers, tmp_
     np.testing.assert_array_equal(same.displacement, solution.displacement)
 
 
-def test_undo_goes_back_through_choices_tables_drawings_and_the_model_in_one_order(layers):
-    model = edited(layers)
+def test_undo_reverts_choices_tables_drawings_and_the_model_in_one_order(layers):
+    model = edited_model(layers)
     words, states = [], []
     while model.next_undo is not None:
         states.append((model.choice, model.model, model.drawing))
@@ -108,7 +108,7 @@ def test_undo_goes_back_through_choices_tables_drawings_and_the_model_in_one_ord
         assert (model.choice, model.model, model.drawing) == state
 
 
-def test_a_solver_detail_is_no_step(layers):
+def test_a_solver_setting_is_not_an_undo_step(layers):
     model = StudyModel()
     model.choose_model(ModelChoice())
     model.choose_model(ModelChoice(details=SolverDetails(accuracy=1e-2)))
@@ -116,7 +116,7 @@ def test_a_solver_detail_is_no_step(layers):
     assert model.model.optimizer.tolerance == 1e-2
 
 
-def test_undo_keeps_what_was_chosen_without_a_step_since(layers):
+def test_undo_keeps_later_choices_that_are_not_steps(layers):
     model = StudyModel()
     model.select(layers["image"])
     model.choose(hold_edge=False)
@@ -132,7 +132,7 @@ def test_undo_keeps_what_was_chosen_without_a_step_since(layers):
     assert model.model == ModelChoice(details=fine)
 
 
-def test_what_is_chosen_for_one_image_is_not_for_another(layers):
+def test_choices_apply_to_one_image_only(layers):
     model, other = StudyModel(), Image(np.zeros(SHAPE), name="other")
     model.select(layers["image"])
     model.choose(tissue=layers["tissue"], weight=(1.0, 0.0))
@@ -143,7 +143,7 @@ def test_what_is_chosen_for_one_image_is_not_for_another(layers):
     assert model.choice == ImageChoice(tissue=layers["tissue"], weight=(1.0, 0.0))
 
 
-def test_a_window_follows_the_model_and_the_model_a_window(dock, layers, at_rest):
+def test_the_window_and_the_model_update_each_other(dock, layers, at_rest):
     model = dock.study_model
     model.choose(tissue=layers["tissue"], boundary=layers["boundary"], hold_edge=False)
     model.set_table("tissue", layers["tissue"], RowTable((SOFT, STIFF)), "stiffened")
@@ -172,7 +172,7 @@ def dock(qtbot, layers, at_rest):
     return made
 
 
-def test_a_second_image_is_shown_again_with_its_image(dock, layers):
+def test_the_comparison_image_is_restored_with_its_image(dock, layers):
     other = dock._viewer.add_image(np.zeros(SHAPE), name="other")
     dock.image, dock.compare_with = layers["image"], other
     dock.image = other
@@ -180,7 +180,7 @@ def test_a_second_image_is_shown_again_with_its_image(dock, layers):
     assert dock.compare_with is other
 
 
-def test_a_layer_that_was_removed_is_chosen_nowhere_any_more(dock, layers):
+def test_a_removed_layer_is_deselected_for_every_image(dock, layers):
     other = dock._viewer.add_image(np.zeros(SHAPE), name="other")
     model = dock.study_model
     dock.image = layers["image"]
@@ -191,7 +191,7 @@ def test_a_layer_that_was_removed_is_chosen_nowhere_any_more(dock, layers):
     assert (dock.tissue, model.choice.tissue) == (None, None)
 
 
-def test_a_value_that_the_form_rounds_or_does_not_offer_stays_what_it_is(dock):
+def test_the_form_preserves_values_that_it_rounds_or_does_not_offer(dock):
     details = SolverDetails(accuracy=0.003)
     dock.study_model.choose_model(ModelChoice(poisson=0.4567, details=details))
     assert dock.study_model.model == ModelChoice(poisson=0.4567, details=details)
@@ -212,14 +212,14 @@ def test_an_image_of_another_viewer_cannot_be_selected(dock, layers):
     assert dock.study_model.image is dock.image
 
 
-def test_what_is_drawn_where_there_is_nothing_to_draw_on_is_no_step(qtbot):
+def test_a_drawing_without_an_image_is_not_a_step(qtbot):
     dock = SoftTissue(ViewerModel())
     qtbot.addWidget(dock.native)
     dock.drawing = Drawing((PULL,))
     assert dock.study_model.next_undo is None
 
 
-def test_another_stroke_after_undo_is_unsaved_work(layers):
+def test_another_stroke_after_undo_counts_as_unsaved_work(layers):
     viewer = ViewerModel()
     viewer.add_layer(layers["tissue"])
     viewer.layers.selection.active = layers["tissue"]

@@ -1,4 +1,4 @@
-"""Whoever cancels waits for no volume: what is computed of it looks in time whether to stop."""
+"""Cancellation of work on volumes: every loop checks for it slab by slab."""
 
 import signal
 import sys
@@ -31,9 +31,9 @@ from napari_hmrf.ui.background_jobs import BackgroundJobs
 from tests.support.cancel_flags import AfterLooks
 from tests.support.timeouts import LONG
 
-#: Of slabs of four planes for each core, three or more, whichever cores a test before left to work.
+#: At least three slabs of four planes per core.
 SHAPE = (12 * numba.config.NUMBA_NUM_THREADS, 9, 8)
-#: The loops that a volume goes through slab by slab.
+#: Loops that process a volume slab by slab, with their modules.
 LOOPS = {
     "rasterise": tetrahedron_raster,
     "look_up": volume_loops,
@@ -42,14 +42,14 @@ LOOPS = {
 
 
 @pytest.fixture
-def thin(monkeypatch):
-    """Slabs of as few planes as there may be."""
+def thin_slabs(monkeypatch):
+    """Make the slabs as thin as possible."""
     monkeypatch.setattr(slabs, "VOXELS", 1)
 
 
 @pytest.fixture
-def counted(monkeypatch):
-    """Has something called at each slab that a loop goes through; the list of these slabs."""
+def count_slabs(monkeypatch):
+    """Return a function that counts the slabs of a loop and calls a callback at each."""
 
     def count(loop, call):
         done, original = [], getattr(LOOPS[loop], loop)
@@ -75,8 +75,8 @@ def a_ball(shape=SHAPE):
     return (places**2).sum(axis=0) < 0.9
 
 
-def answers():
-    """An image that has moved, and how near each of its sites is to a fold."""
+def warp_and_determinants():
+    """Return a warped image and the smallest determinant at each site."""
     image = np.random.default_rng(0).random(SHAPE)
     return warp(image, waves(), spacing=1, tissue=a_ball()), smallest_determinant(
         waves(), 1, a_ball()
@@ -84,7 +84,7 @@ def answers():
 
 
 def on_compute_thread(work, stop):
-    """Have work done there unless a flag is set."""
+    """Run work on the compute thread and cancel it when `stop` is set."""
 
     def job():
         with compute_thread.unless(stop.is_set):
@@ -93,30 +93,32 @@ def on_compute_thread(work, stop):
     return compute_thread.submit(job).result()
 
 
-def test_slabs_of_a_volume_are_the_volume(monkeypatch):
-    whole = answers()
+def test_processing_in_slabs_does_not_change_the_result(monkeypatch):
+    whole = warp_and_determinants()
     monkeypatch.setattr(slabs, "VOXELS", 1)
-    for one, other in zip(whole, answers(), strict=True):
+    for one, other in zip(whole, warp_and_determinants(), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("loop", LOOPS)
-def test_a_volume_that_moves_stops_at_the_slab_at_which_nobody_wants_it(thin, counted, loop):
+def test_the_warp_of_a_volume_stops_at_the_slab_where_it_is_cancelled(
+    thin_slabs, count_slabs, loop
+):
     stop = threading.Event()
-    done = counted(loop, stop.set)
+    done = count_slabs(loop, stop.set)
     with pytest.raises(Cancelled):
-        on_compute_thread(answers, stop)
+        on_compute_thread(warp_and_determinants, stop)
     assert len(done) == 1
     stop.clear()
     done.clear()
-    counted(loop, lambda: None)
-    on_compute_thread(answers, threading.Event())
+    count_slabs(loop, lambda: None)
+    on_compute_thread(warp_and_determinants, threading.Event())
     assert len(done) >= 3
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="there no thread is sent a signal")
-def test_a_warp_that_ctrl_c_leaves_stops(thin, counted, request):
-    # A process that was started in the background may ignore it.
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send a signal to a thread")
+def test_ctrl_c_stops_a_warp(thin_slabs, count_slabs, request):
+    # A background process may ignore SIGINT.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     left = threading.Event()
@@ -125,9 +127,9 @@ def test_a_warp_that_ctrl_c_leaves_stops(thin, counted, request):
         signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
         assert left.wait(LONG)
 
-    done = counted("rasterise", interrupt)
+    done = count_slabs("rasterise", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        answers()
+        warp_and_determinants()
     left.set()
     compute_thread.submit(lambda: None).result(LONG)
     assert len(done) == 1
@@ -144,11 +146,11 @@ def a_study():
     )
 
 
-def test_a_study_that_is_dropped_while_its_image_moves_is_not_answered(thin, counted):
+def test_a_study_cancelled_during_its_warp_delivers_no_result(thin_slabs, count_slabs):
     found = []
     engine = Engine(found.append, "a test")
     try:
-        done = counted("rasterise", engine.cancel)
+        done = count_slabs("rasterise", engine.cancel)
         engine.submit(a_study(), cold_start=True)
         compute_thread.submit(lambda: None).result(LONG)
         assert (len(done), found) == (1, [])
@@ -156,7 +158,7 @@ def test_a_study_that_is_dropped_while_its_image_moves_is_not_answered(thin, cou
         engine.close()
 
 
-def test_a_background_job_that_is_dropped_stops(thin, counted, qtbot):
+def test_a_cancelled_background_job_stops(thin_slabs, count_slabs, qtbot):
     refused, found = [], []
     jobs = BackgroundJobs(refused.append)
     begun, forgotten = threading.Event(), threading.Event()
@@ -165,8 +167,8 @@ def test_a_background_job_that_is_dropped_stops(thin, counted, qtbot):
         begun.set()
         assert forgotten.wait(LONG)
 
-    done = counted("rasterise", wait)
-    jobs.submit("a warp", answers, found.append)
+    done = count_slabs("rasterise", wait)
+    jobs.submit("a warp", warp_and_determinants, found.append)
     assert begun.wait(LONG)
     jobs.cancel("a warp")
     forgotten.set()
@@ -177,7 +179,7 @@ def test_a_background_job_that_is_dropped_stops(thin, counted, qtbot):
     jobs.release()
 
 
-def test_a_background_job_that_is_dropped_on_its_way_to_the_window_is_not_shown(qtbot, at_rest):
+def test_the_result_of_a_job_cancelled_before_delivery_is_not_shown(qtbot, at_rest):
     shown = []
     jobs = BackgroundJobs(shown.append)
     jobs.submit("a warp", lambda: 1, shown.append)
@@ -192,7 +194,7 @@ def test_a_background_job_that_is_dropped_on_its_way_to_the_window_is_not_shown(
 
 
 def problems(shape=(12, 10, 9)):
-    """The same tissue, held here and there: what moves reaches less far, and farther."""
+    """Return two problems on the same tissue: more sites fixed, and fewer."""
     y, c = np.zeros((2, *shape, 3))
     c[0] = c[-1] = 1
     y[-1] = 1
@@ -201,11 +203,11 @@ def problems(shape=(12, 10, 9)):
     return Problem(y, more, np.ones(shape)), Problem(y, c, np.ones(shape))
 
 
-def test_a_solve_that_is_stopped_at_any_look_leaves_nothing_to_the_next():
+def test_a_cancelled_solve_does_not_affect_the_next_solve():
     before, problem = problems()
 
     def solved(problem, looks=10**6):
-        # By its own thread no more looks are taken than the work takes.
+        # On the compute thread only the solve itself checks the flag.
         flag = AfterLooks(looks)
         how = ElasticPrior(), Multigrid(1e-4), "cpu", None, flag
         found = compute_thread.submit(lambda: run_here(problem, *how)).result()

@@ -1,4 +1,4 @@
-"""Tissue that follows a hand on a coarse grid: a slice of a volume, or an image; then all of it."""
+"""Engine with coarse previews: a slice of a volume or an image, then the full result."""
 
 import threading
 
@@ -28,8 +28,8 @@ def a_study(*marks):
     )
 
 
-def answers_to(*asked):
-    """What an engine answers to studies, each with its preview or None, one by one."""
+def results_of(*asked):
+    """Return the results of an engine for pairs of a study and a preview or None."""
     found, there = [], threading.Event()
 
     def deliver(moved):
@@ -47,7 +47,7 @@ def answers_to(*asked):
     return found
 
 
-def test_a_coarse_grid_has_every_so_many_th_site():
+def test_a_coarse_grid_samples_sites_at_a_constant_step():
     study = CoarseGrid(4).study(a_study())
     assert study.grid.shape == (5, 6, 6)
     assert study.grid.spacing == (6.0, 4.0, 4.0)
@@ -57,7 +57,7 @@ def test_a_coarse_grid_has_every_so_many_th_site():
 
 
 @pytest.mark.parametrize("step", [2, 3, 4])
-def test_a_closed_shell_that_is_painted_thinly_is_closed_on_a_coarse_grid(step):
+def test_a_thin_closed_shell_stays_closed_on_a_coarse_grid(step):
     away = np.linalg.norm(np.indices((40, 40, 40)) - 19.3, axis=0)
     inside = away < 15
     shell = inside & ~binary_erosion(inside, np.ones((3, 3, 3)))
@@ -67,11 +67,11 @@ def test_a_closed_shell_that_is_painted_thinly_is_closed_on_a_coarse_grid(step):
         grid, Tissue(stiffness=np.ones(shell.shape)), Motion(labels=2 * shell, rules=rules)
     )
     coarse = CoarseGrid(step).study(study).motion.labels
-    assert label(coarse == 0)[1] == 2, "what is in it, and what is around it"
-    build_problem(CoarseGrid(step).study(study))  # by no open sheet
+    assert label(coarse == 0)[1] == 2, "the shell should separate its inside from its outside"
+    build_problem(CoarseGrid(step).study(study))  # an open sheet would raise an error
 
 
-def test_every_mark_lies_on_the_coarse_grid_where_it_was():
+def test_marks_keep_their_position_on_a_coarse_grid():
     marks = (
         Landmark((4, 8, 12), (8, 8, 12), 2),
         Stroke("pin", (((4, 8, 12), (8, 8, 12)),), 2),
@@ -82,7 +82,7 @@ def test_every_mark_lies_on_the_coarse_grid_where_it_was():
 
 
 @pytest.mark.parametrize("sites", [100, 1000, 5000, 10**6])
-def test_a_coarse_grid_has_as_many_sites_as_asked_for_at_most(sites):
+def test_a_coarse_grid_is_the_finest_within_a_limit_of_sites(sites):
     grid = CoarseGrid.of_at_most(sites, SHAPE)
     assert np.prod([-(-size // grid.step) for size in SHAPE]) <= sites
     finer = CoarseGrid(max(grid.step - 1, 1))
@@ -90,17 +90,17 @@ def test_a_coarse_grid_has_as_many_sites_as_asked_for_at_most(sites):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_what_follows_a_hand_is_nearly_what_comes_after(axis):
+def test_the_preview_of_a_drag_approximates_the_final_result(axis):
     study = a_study()
     number = round(PULL.at[axis])
-    preview, whole = answers_to((study, Preview(CoarseGrid(2), axis, number)), (study, None))
+    preview, whole = results_of((study, Preview(CoarseGrid(2), axis, number)), (study, None))
     assert preview.error is None
     assert preview.solution.displacement.shape == (10, 12, 11, 3)
     exact = whole.solution.displacement
     near = preview.solution.displacement - exact[::2, ::2, ::2]
-    assert np.sqrt(np.mean(near**2)) < 0.5 * np.sqrt(np.mean(exact**2))  # a ball of 3 sites
+    assert np.sqrt(np.mean(near**2)) < 0.5 * np.sqrt(np.mean(exact**2))
     assert preview.image.shape == tuple(np.delete(SHAPE, axis))
-    # The point that is held goes where it is pulled in both.
+    # The pulled point reaches its target in both results.
     for moved in (preview, whole):
         assert moved.moved_positions(np.array([PULL.at]))[0] == pytest.approx(
             (10, 14, 12), abs=0.05
@@ -108,16 +108,16 @@ def test_what_follows_a_hand_is_nearly_what_comes_after(axis):
         assert moved.origin_of((10, 14, 12)) == pytest.approx(PULL.at, abs=0.1)
 
 
-def test_a_slice_on_the_grid_itself_is_that_of_the_whole():
+def test_the_preview_of_a_slice_at_full_resolution_matches_the_volume():
     study = a_study()
-    preview, whole = answers_to((study, Preview(CoarseGrid(1), 0, 10)), (study, None))
+    preview, whole = results_of((study, Preview(CoarseGrid(1), 0, 10)), (study, None))
     apart = np.abs(preview.image.astype(int) - whole.image[10])
-    assert apart.max() <= 1  # both to 0.01 voxel
+    assert apart.max() <= 1  # both solves have a tolerance of 0.01 voxels
 
 
-def test_the_whole_volume_is_moved_as_by_warp():
+def test_the_engine_warps_a_volume_like_warp():
     study = a_study()
-    (whole,) = answers_to((study, None))
+    (whole,) = results_of((study, None))
     solution = solve_study(study)
     image = warp(
         study.pictures.image, solution.displacement, spacing=SPACING, tissue=solution.tissue
@@ -125,14 +125,14 @@ def test_the_whole_volume_is_moved_as_by_warp():
     assert np.abs(whole.image.astype(int) - image).max() <= 2
 
 
-def test_where_nothing_has_moved_a_volume_is_seen_as_it_is():
-    (still,) = answers_to(
+def test_a_preview_without_prescribed_motion_has_no_error():
+    (still,) = results_of(
         (a_study(Stroke("free", (((1, 1, 1),),), 2)), Preview(CoarseGrid(2), 1, 7))
     )
     assert still.error is None
 
 
-def test_an_image_in_large_motion_follows_a_hand_on_a_coarse_grid():
+def test_the_coarse_preview_of_large_motion_approximates_the_final_image():
     shape = (60, 80)
     rows, cols = np.indices(shape)
     smooth = (127 + 120 * np.sin(rows / 7) * np.cos(cols / 9)).astype(np.uint8)
@@ -143,7 +143,7 @@ def test_an_image_in_large_motion_follows_a_hand_on_a_coarse_grid():
         model="large motion",
         pictures=Pictures(image=smooth),
     )
-    preview, whole = answers_to((study, Preview(CoarseGrid(3))), (study, None))
+    preview, whole = results_of((study, Preview(CoarseGrid(3))), (study, None))
     assert preview.error is None
     assert preview.solution.displacement.shape == (20, 27, 2)
     assert preview.image.shape == whole.image.shape == shape

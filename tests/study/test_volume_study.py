@@ -1,4 +1,4 @@
-"""A volume of tissue as a study: painted, held and pulled as a slice is, by the same text."""
+"""Studies of volumes: painted rules, drawn marks and their display."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def ball(radius, shape=SHAPE, spacing=SPACING):
     return (np.linalg.norm(at * spacing, axis=-1) <= radius).T
 
 
-def test_a_ball_of_tissue_that_is_pulled_goes_where_it_is_drawn():
+def test_a_pulled_ball_of_tissue_moves_to_the_arrow_head():
     pull = Arrow(at=(6, 8, 7), by=(1.0, 0.5, -1.5), radius=2.5)
     study = block(motion=Motion(hold_edge=True, drawing=Drawing((pull,))))
     stated = build_problem(study)
@@ -54,7 +54,7 @@ def test_a_ball_of_tissue_that_is_pulled_goes_where_it_is_drawn():
     assert not moved[:, :, -1].any()
 
 
-def test_a_landmark_in_a_volume_is_a_pull_of_the_distance():
+def test_a_landmark_in_a_volume_pulls_tissue_to_its_target():
     mark = Landmark((6, 8, 7), (7, 8, 5), radius=2)
     moved = solve_study(block(motion=Motion(True, drawing=Drawing((mark,))))).displacement
     assert moved[6, 8, 7] == pytest.approx((2.0, 0, -3.0), abs=1e-4)
@@ -73,14 +73,14 @@ def test_a_stroke_in_a_volume_is_a_tube():
     assert not held[5, 8, 5]
 
 
-def test_only_one_component_of_a_volume_can_be_given():
+def test_an_arrow_in_a_volume_can_prescribe_a_single_component():
     pull = Arrow((6, 8, 7), (1.0, 2.0, 3.0), 2, components="row")
     canvas = Drawing((pull,)).render(Canvas.blank(SHAPE, SPACING))
     assert canvas.observed[6, 8, 7].tolist() == [0, 2, 0]
     assert canvas.confidence[6, 8, 7].tolist() == [0, 1, 0]
 
 
-def test_an_edit_in_a_volume_rewrites_only_where_it_is():
+def test_an_edit_in_a_volume_redraws_only_its_bounding_box():
     rendering = Rendering(Canvas.blank(SHAPE, SPACING))
     first, second = (Arrow((at, at, at), (1, 0, 0), 1.5) for at in (3, 8))
     rendering.show(Drawing((first,)))
@@ -92,7 +92,7 @@ def test_an_edit_in_a_volume_rewrites_only_where_it_is():
     )
 
 
-def test_marks_of_two_and_three_axes_are_refused():
+def test_marks_of_two_and_three_axes_are_rejected():
     with pytest.raises(ProblemError, match="two and of three axes"):
         Arrow((1, 2, 3), (1, 0), 2)
     with pytest.raises(ProblemError, match="paths of a brush"):
@@ -129,7 +129,7 @@ def test_an_open_sheet_has_no_outside_in_a_volume():
         boundary_images(sheet, [BoundaryRule(1, "expand", amount=2.0)], spacing=1)
 
 
-def test_rules_of_rows_and_columns_say_nothing_across_planes():
+def test_a_rule_with_two_components_fixes_the_plane_component():
     painted = ball(4).astype(np.uint8)
     rule = BoundaryRule(1, "move", vector=(1, 2), confidence=(0.5, 1))
     y, c = boundary_images(painted, [rule], spacing=SPACING)
@@ -148,7 +148,7 @@ def test_the_air_around_a_head_is_softer_than_tissue_and_its_holes_are_tissue():
     assert ground.stiffness[0, 0, 0] == pytest.approx(0.01)
 
 
-def test_the_outer_edge_of_a_volume_is_held_and_its_holes_are_free():
+def test_the_outer_edge_of_a_volume_is_fixed_and_the_rims_of_holes_are_free():
     labels = ball(6).astype(int)
     labels[6, 8, 7] = 0
     rows = (Material(0, "air", 0.0), Material(1, "brain", 3.0))
@@ -160,7 +160,7 @@ def test_the_outer_edge_of_a_volume_is_held_and_its_holes_are_free():
     assert not held[5:8, 7:10, 6:9].any()
 
 
-def test_a_pull_along_one_axis_is_the_same_along_another():
+def test_the_displacement_does_not_depend_on_the_order_of_the_axes():
     fields = []
     for order in ((0, 1, 2), (2, 0, 1)):
         shape = tuple(SHAPE[axis] for axis in order)
@@ -178,7 +178,7 @@ def test_a_pull_along_one_axis_is_the_same_along_another():
     assert np.abs(fields[0] - fields[1]).max() < 0.01
 
 
-def test_a_pull_in_a_volume_is_seen_as_a_ball_cut_by_each_slice():
+def test_a_pull_in_a_volume_is_drawn_as_a_circle_in_each_slice_of_its_ball():
     pull = Arrow((6, 8, 7), (0.0, 2.0, 0.0), 3.0)
     lines, _ = arrow_lines(Drawing((pull,)), SPACING)
     at = lines[:, 0] * SPACING
@@ -191,17 +191,19 @@ def test_a_pull_in_a_volume_is_seen_as_a_ball_cut_by_each_slice():
     assert lines[shaft, 1].tolist() == [[0, 2, 0]]
 
 
-def test_a_pull_straight_out_of_the_slices_leads_there():
+def test_the_arrow_of_a_pull_perpendicular_to_the_slices_leaves_its_slice():
     pull = Arrow((6, 8, 7), (4.0, 0.0, 0.0), 3.0)
     lines, _ = arrow_lines(Drawing((pull,)), SPACING)
     shaft = (lines[:, 0] == pull.at).all(axis=1)
     assert lines[shaft, 1].tolist() == [[2, 0, 0]]
     lines, _ = arrow_lines(Drawing((pull,)), SPACING, across=1)
     circles = lines[np.isclose(lines[:, 1, 1], 0)]
-    assert {6, 8, 10} <= {*circles[:, 0, 1].tolist()}, "slices across the second axis cut it"
+    assert {6, 8, 10} <= {*circles[:, 0, 1].tolist()}, (
+        "circles should be in slices perpendicular to the second axis"
+    )
 
 
-def test_what_is_painted_in_a_volume_has_marks_in_each_slice():
+def test_a_stroke_in_a_volume_is_drawn_in_each_slice_it_covers():
     stroke = Stroke("pin", (((2, 8, 3), (9, 8, 3)),), radius=2.0)
     canvas = Drawing((stroke,)).render(Canvas.blank(SHAPE, SPACING))
     lines, colours = painted_marks(canvas)

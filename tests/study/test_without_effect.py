@@ -1,4 +1,4 @@
-"""Input that moves nothing is reported, and a study in which nothing is asked to move refused."""
+"""Input without effect is reported, and a study without motion is rejected."""
 
 import numpy as np
 import pytest
@@ -45,13 +45,13 @@ def notes(study):
 @pytest.mark.parametrize(
     ("mark", "said"),
     [
-        (Arrow((50, 5), (0, 2), 2.0), "the arrow at (50, 5) lies outside the image and has no"),
-        (Arrow((10, 0), (0, 2), 1.0), "the arrow at (10, 0) lies off tissue and has no effect"),
-        (Landmark((10, 1), (10, 3), 1.0), "the landmark at (10, 1) lies off tissue"),
-        (Landmark((-9, 3), (10, 9), 1.0), "the landmark at (-9, 3) lies outside the image"),
-        (Stroke("pin", (((40.0, 9.0), (44.0, 9.0)),), 1.0), "the stroke at (40, 9) lies outside"),
-        (Stroke("pin", (((5.0, 1.0), (9.0, 1.0)),), 1.0), "the stroke at (5, 1) lies off tissue"),
-        (Stroke("free", (((99.0, 1.0),),), 1.0), "the stroke at (99, 1) lies outside the image"),
+        (Arrow((50, 5), (0, 2), 2.0), "the arrow at (50, 5) is outside the image and has no"),
+        (Arrow((10, 0), (0, 2), 1.0), "the arrow at (10, 0) is outside tissue and has no effect"),
+        (Landmark((10, 1), (10, 3), 1.0), "the landmark at (10, 1) is outside tissue"),
+        (Landmark((-9, 3), (10, 9), 1.0), "the landmark at (-9, 3) is outside the image"),
+        (Stroke("pin", (((40.0, 9.0), (44.0, 9.0)),), 1.0), "the stroke at (40, 9) is outside"),
+        (Stroke("pin", (((5.0, 1.0), (9.0, 1.0)),), 1.0), "the stroke at (5, 1) is outside tissue"),
+        (Stroke("free", (((99.0, 1.0),),), 1.0), "the stroke at (99, 1) is outside the image"),
     ],
 )
 def test_a_mark_without_effect_is_named(mark, said):
@@ -62,18 +62,18 @@ def test_a_mark_without_effect_is_named(mark, said):
 
 
 def test_marks_with_an_effect_are_not_named():
-    free = Stroke("free", (((5.0, 1.0), (9.0, 1.0)),), 1.0)  # takes away what is beneath
+    free = Stroke("free", (((5.0, 1.0), (9.0, 1.0)),), 1.0)  # frees the paint beneath it
     across = Stroke("pin", (((5.0, -9.0), (5.0, 9.0)),), 1.0)
     assert not [note for note in notes(a_study(PULL, free, across)) if "no effect" in note]
 
 
-def test_many_marks_are_one_note():
+def test_marks_of_one_kind_share_a_note():
     away = [Landmark((40.0 + n, 5.0), (41.0 + n, 5.0), 1.0) for n in range(3)]
-    said = "3 landmarks lie outside the image and have no effect, the first at (40, 5)"
+    said = "3 landmarks are outside the image and have no effect, the first at (40, 5)"
     assert said in notes(a_study(*away, PULL))
 
 
-def test_rules_and_growth_of_labels_that_are_nowhere_are_named():
+def test_rules_and_growth_of_missing_labels_are_named():
     labels = np.zeros(SHAPE, int)
     labels[9:12, 12:15] = 2
     rules = BoundaryRule(2, "move", vector=(0, 1)), BoundaryRule(7, "move", vector=(0, 1))
@@ -86,7 +86,7 @@ def test_rules_and_growth_of_labels_that_are_nowhere_are_named():
         solve_study(a_study(materials=materials))
 
 
-def test_hold_edge_alone_and_rules_for_nothing_are_refused():
+def test_a_fixed_edge_or_rules_of_missing_labels_alone_are_rejected():
     with pytest.raises(ProblemError, match=r"motion: nothing moves\. Give tissue a displ"):
         solve_study(a_study())
     rules = (BoundaryRule(7, "move", vector=(0, 1)),)
@@ -94,13 +94,13 @@ def test_hold_edge_alone_and_rules_for_nothing_are_refused():
         solve_study(a_study(rules=rules))
 
 
-def test_a_file_with_nothing_that_moves_is_replayed_as_it_was(tmp_path):
+def test_a_saved_study_without_motion_is_replayed_as_it_was(tmp_path):
     path = write_study(tmp_path / "still.study", a_study())
     assert read_study(path).study.motion.hold_edge
     assert not replay(path).displacement.any()
 
 
-def test_the_shell_refuses_what_asks_nothing_to_move(tmp_path, capsys):
+def test_the_command_line_rejects_a_study_without_motion(tmp_path, capsys):
     write_image(tmp_path / "a.tif", ImageFile(np.full(SHAPE, 90, np.uint8)))
     told = ["solve", str(tmp_path / "a.tif"), "--out", str(tmp_path / "out")]
     assert main([*told, "--hold-edge"]) == 1

@@ -1,10 +1,10 @@
-"""Cancel flags that are set on the way."""
+"""Cancel flags that are set during a solve."""
 
 from napari_hmrf.solver.backends.thread import compute_thread
 
 
 class During:
-    """Set while the work says that it is at some stage, before anybody else is told."""
+    """Flag that is set while the compute thread reports a given stage."""
 
     def __init__(self, words: str) -> None:
         self._words = words
@@ -14,7 +14,7 @@ class During:
 
 
 class AfterLooks:
-    """Set once it has been looked at so many times."""
+    """Flag that is set after a given number of checks."""
 
     def __init__(self, looks: int) -> None:
         self.left = looks

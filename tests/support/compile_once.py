@@ -1,8 +1,8 @@
-"""Each loop is compiled once, whatever the number of processes that test.
+"""Compilation of each loop by only one of several test processes.
 
-Two that begin together would compile every loop twice, side by side. Here whoever comes second
-waits for what the first keeps on disk; and before a long run they go through the loops from either
-end, so that they hardly wait.
+Two processes that start together would compile every loop twice. Here the second process waits for
+the file of the first. Before a long run, the processes compile the loops from opposite ends, so
+that they rarely wait.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from typing import Any
 
 try:
     import fcntl
-except ImportError:  # where files have no such locks, loops are compiled twice
+except ImportError:  # Without such file locks, loops are compiled twice.
     fcntl = None  # type: ignore[assignment]
 
 
 @contextmanager
 def _alone(file: Path) -> Iterator[None]:
-    """Among all processes, inside this block at most one; a process that ends lets go."""
+    """Run the block in at most one process at a time; the lock is released if the process ends."""
     with file.open("w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         yield
 
 
 def compile_once() -> None:
-    """Compile no loop that another process is compiling, but wait and take what it keeps."""
+    """Make numba wait for a loop that another process compiles, and load its file."""
     if fcntl is None:
         return
     from numba.core.caching import NullCache
@@ -41,7 +41,8 @@ def compile_once() -> None:
             return compile_here(loop, signature)
         folder, code = Path(loop._cache.cache_path), loop.py_func.__code__
         folder.mkdir(parents=True, exist_ok=True)
-        # Numba's own lock first: a thread that waits for a file must not be waited for.
+        # Acquire numba's own lock first, so that no thread waits for a thread that waits for a
+        # file.
         with global_compiler_lock, _alone(folder / f"{code.co_name}-{code.co_firstlineno}.lock"):
             return compile_here(loop, signature)
 
@@ -49,7 +50,7 @@ def compile_once() -> None:
 
 
 def compile_most(backwards: bool) -> None:
-    """Run what brings nearly all loops to disk."""
+    """Compile nearly all loops and store them on disk."""
     from napari_hmrf.compiling import jobs
     from napari_hmrf.solver.backends.thread import compute_thread
 

@@ -1,4 +1,4 @@
-"""Docks of the package: open, configure and inspect them."""
+"""Functions that open, configure and inspect docks of the package."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ from napari.layers import Layer
 
 
 def dock_in(viewer):
-    """Open the dock beside a viewer, as its menu does."""
+    """Open the dock beside a viewer, as its menu entry does."""
     return viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")[1]
 
 
@@ -28,7 +28,7 @@ def forget_choice(dock):
 
 
 def open_sample(viewer, layers):
-    """Add the layers of a sample to a viewer, as its menu does."""
+    """Add the layers of a sample to a viewer, as its menu entry does."""
     return [viewer.add_layer(Layer.create(*each)) for each in layers]
 
 

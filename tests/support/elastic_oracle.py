@@ -10,7 +10,7 @@ from napari_hmrf.solver.priors.elements import element_forces
 
 
 def stiffness_matrix(problem, prior):
-    """The matrix of the elastic energy, by impulses three sites apart."""
+    """Return the matrix of the elastic energy, computed by impulses three sites apart."""
     lame, shape = prior.lame(problem), prior.shape(problem.spacing)
     height, width = problem.shape
     number = np.arange(height * width * 2).reshape(height, width, 2)
@@ -30,7 +30,7 @@ def stiffness_matrix(problem, prior):
 
 
 def direct_solution(problem, prior) -> np.ndarray:
-    """The field of least energy, boundaries held exactly, in the unit of the problem."""
+    """Return the field of least energy with exact boundaries, in the unit of the problem."""
     matrix = stiffness_matrix(problem, prior)
     field = np.where(problem.confidence > 0, problem.observed, 0).astype(float).ravel()
     free = (problem.confidence.ravel() == 0) & (matrix.diagonal() > 0)

@@ -1,4 +1,4 @@
-"""Displacement fields that other tools read and write, beside SimpleITK's view of them."""
+"""Displacement fields for exchange with other tools, and SimpleITK's interpretation of them."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from napari_hmrf.fields import read_field, write_field
 
 sitk = pytest.importorskip("SimpleITK")
 
-#: Shape, spacing ([z,] y, x) in mm, and how many pixels tissue moves at most.
+#: Shape, spacing ([z,] y, x) in mm, and largest displacement in pixels.
 PLACES = {
     "2-D": ((44, 60), (1.3, 0.7), 3),
     "slice": ((44, 60), (3.0, 1.3, 0.7), 3),
@@ -16,7 +16,7 @@ PLACES = {
 
 
 class FieldCase:
-    """A motion that can be inverted, on an oblique grid with oblong pixels off the origin."""
+    """Invertible motion on an oblique grid with oblong pixels and a shifted origin."""
 
     def __init__(self, name):
         self.shape, self.spacing, far = PLACES[name]
@@ -24,7 +24,7 @@ class FieldCase:
         self.size = np.array(self.spacing[-self.n :])
         at = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), axis=-1)
         share = at / (np.array(self.shape) - 1)
-        still = np.sin(np.pi * share).prod(axis=-1, keepdims=True)  # 0 at the border
+        still = np.sin(np.pi * share).prod(axis=-1, keepdims=True)  # Zero at the border.
         wave = np.stack([np.cos(2 * share[..., -1 - k] + k) for k in range(self.n)], axis=-1)
         self.displacement = far * still * wave * self.size
         turn = np.linalg.qr(np.random.default_rng(7).normal(size=(self.axes, self.axes)))[0]
@@ -34,13 +34,13 @@ class FieldCase:
 
     @property
     def whole(self):
-        """The displacement on all axes of the place; a slice does not move along the third."""
+        """Displacement on all axes of the place; a slice does not move along the third axis."""
         if self.n == self.axes:
             return self.displacement
         return np.pad(self.displacement, [(0, 0)] * self.n + [(1, 0)])[np.newaxis]
 
     def vectors(self, kind=np.float64):
-        """The same as an image of SimpleITK, as a tool writes where what is seen came from."""
+        """Return the displacement as a SimpleITK image, as another tool writes a backward field."""
         turned = (self.whole[..., ::-1] @ self.direction.T).astype(kind)
         made = sitk.GetImageFromArray(turned, isVector=True)
         made.CopyInformation(self.image(np.zeros(self.shape)))
@@ -51,7 +51,7 @@ class FieldCase:
         return write_field(path, self.displacement, **place, **options)
 
     def image(self, values):
-        """An image of SimpleITK in the same place."""
+        """Return values as a SimpleITK image at the same place."""
         made = sitk.GetImageFromArray(values if self.n == self.axes else values[np.newaxis])
         made.SetSpacing(self.spacing[::-1])
         made.SetOrigin(self.origin)
@@ -60,7 +60,7 @@ class FieldCase:
 
 
 def transform_in(path):
-    """What SimpleITK makes of a file."""
+    """Return the transform that SimpleITK reads from a file."""
     if path.name.endswith(".h5"):
         return sitk.ReadTransform(str(path))
     return sitk.DisplacementFieldTransform(sitk.ReadImage(str(path), sitk.sitkVectorFloat64))
@@ -71,7 +71,7 @@ def inside(case):
 
 
 def check_field_file(case, path):
-    """Compare a file of vectors, taken as it is, with the field and place it was made of."""
+    """Assert that a file of vectors, read as a forward field, has the field and place of a case."""
     field = read_field(path, forward=True)
     away = (field.displacement - case.whole) / case.spacing
     assert np.abs(away).max() < 1e-4

@@ -1,4 +1,4 @@
-"""Large motion by a direct method on a few sites: Newton's, with an assembled matrix of its own."""
+"""Large motion of a few sites by Newton's method, with an independently assembled matrix."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SIGNS = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, 1]], dtype=float)
 
 
 def bar(height: int, width: int, end: Field, m: npt.ArrayLike = 1.0) -> Problem:
-    """A bar whose left end stays, and whose right end moves as said (height, 2)."""
+    """Return a bar with a fixed left end and a right end displaced by `end` (height, 2)."""
     c = np.zeros((height, width, 2))
     c[:, 0] = c[:, -1] = 1
     y = np.zeros_like(c)
@@ -24,7 +24,7 @@ def bar(height: int, width: int, end: Field, m: npt.ArrayLike = 1.0) -> Problem:
 
 
 def turned(height: int, width: int, degrees: float) -> Field:
-    """Where the right end of a bar goes if its middle line is bent to an arc."""
+    """Return the displacement of the right end of a bar whose middle line is bent to an arc."""
     angle = np.deg2rad(degrees)
     radius = (width - 1) / angle
     off = np.arange(height) - (height - 1) / 2
@@ -33,7 +33,7 @@ def turned(height: int, width: int, degrees: float) -> Field:
 
 
 def least_corner(problem: Problem, displacement: npt.NDArray[np.floating]) -> float:
-    """Return the least Jacobian at the corners of all elements; NaN if there is a NaN in one."""
+    """Return the smallest Jacobian at the corners of all elements; NaN if any of them is NaN."""
     place = np.indices(problem.shape, dtype=np.float64)
     place += np.moveaxis(displacement.astype(np.float64) / np.array(problem.spacing), -1, 0)
     tissue = problem.tissue
@@ -48,7 +48,7 @@ def least_corner(problem: Problem, displacement: npt.NDArray[np.floating]) -> fl
 
 
 def solved(problem: Problem, prior: NeoHookeanPrior, parts: int = 20) -> Field:
-    """The field of a problem whose pixels are of size 1, pulled there in so many parts."""
+    """Return the field of a problem with pixels of size 1, loaded in `parts` increments."""
     height, width = problem.shape
     numbers = np.arange(2 * height * width).reshape(height, width, 2)
     corners = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]

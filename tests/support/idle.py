@@ -1,4 +1,4 @@
-"""Waiting until a window has nothing left to do: for what is to come, and never for a time."""
+"""Waiting for the end of all pending work of a window, instead of for a fixed time."""
 
 import weakref
 from collections import Counter
@@ -10,13 +10,13 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.ui import events
 from tests.support.timeouts import LONG, LONG_MS
 
-#: A timer that is started again so often waits for something else: somebody's mouse, a thread.
+#: A timer that was restarted this many times waits for another event, such as the mouse.
 _OFTEN = 5
 _made = weakref.WeakSet()
 
 
 class _Noted(QTimer):
-    """A timer of the package's that tests know of."""
+    """Timer of the package that is registered for tests."""
 
     def __init__(self, parent=None):
         super().__init__(parent)
@@ -27,17 +27,16 @@ events.QTimer = _Noted
 
 
 class AtRest:
-    """Has all that is posted, computed and put off be done at once.
+    """Helper that runs all posted events, computations and delayed calls at once.
 
-    What is put off for a moment, until nothing else comes, has no need to wait here: its timer
-    rings now. Timers that ring again and again are left alone.
+    Timers of delayed calls fire immediately. Timers that are restarted repeatedly are left alone.
     """
 
     def __init__(self, qtbot):
         self._qtbot = qtbot
 
     def __call__(self, *, thread=True):
-        """Come to rest; without the compute thread where somebody keeps that busy."""
+        """Run all pending work; without the compute thread if a test keeps that thread busy."""
         rung = Counter()
         while True:
             if thread:
@@ -53,7 +52,7 @@ class AtRest:
                     timer.timeout.emit()
 
     def until(self, condition):
-        """Come to rest until something is so that takes more than one turn of the thread."""
+        """Run pending work until a condition is true, which may take several runs of the thread."""
 
         def resting():
             self()
@@ -63,7 +62,7 @@ class AtRest:
         self()
 
     def pass_through(self):
-        """Have all be answered that Qt and the window system have been told by now."""
+        """Process all events that Qt and the window system have received."""
         QApplication.sync()
         with self._qtbot.waitCallback(timeout=LONG_MS) as idle:
             last = events.single_shot(None, 0, idle)
@@ -72,7 +71,7 @@ class AtRest:
 
 
 def _active():
-    """Timers that will ring once; those of windows that are gone will not."""
+    """Return the active single-shot timers, without those of closed windows."""
     active = []
     for timer in list(_made):
         try:

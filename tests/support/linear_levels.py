@@ -1,4 +1,4 @@
-"""Levels of a linear model, as compiled loops and as shaders, and what both make of the same."""
+"""Comparison of the levels of a linear model between compiled loops and shaders."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.opengl import on_compute_thread
 
 @dataclass
 class Example:
-    """Random tissue with holes, some components of it held, and random vectors on it."""
+    """Random tissue with holes, some prescribed components and random vectors."""
 
     problem: Problem
     prior: Prior
@@ -38,13 +38,14 @@ class Example:
         return made
 
     def planes(self, host_level) -> np.ndarray:
-        """Random values wherever something moves."""
+        """Return random values at all components that are not prescribed."""
         values = self._random.normal(size=host_level.inverse.shape)
         return np.where(host_level.inverse > 0, values, 0).astype(np.float32)
 
 
 def random_example(shape, prior, spacing=(1.0, 1.0), ratio=4.0) -> Example:
-    """Random tissue of a ratio of stiffnesses, with holes, a tenth of it held."""
+    """Return random tissue of a stiffness ratio, with holes and a tenth of the components
+    prescribed."""
     random = np.random.default_rng([*shape, int(ratio)])
     m = ratio ** -random.random(shape)
     m[random.random(shape) < 0.05] = 0
@@ -55,7 +56,7 @@ def random_example(shape, prior, spacing=(1.0, 1.0), ratio=4.0) -> Example:
 
 
 def with_levels(stage, given: Example, job, number=0):
-    """What a job makes of a level and the next coarser one, on the processor and as shaders."""
+    """Return the result of a job on a level and the next coarser level, by loops and by shaders."""
 
     def both():
         answers = []
@@ -72,7 +73,7 @@ def with_levels(stage, given: Example, job, number=0):
 
 
 def host_levels(given: Example):
-    """The levels of the compiled loops, to know their grids and what moves."""
+    """Return the levels of the compiled loops, for their grids and moving components."""
 
     def job():
         backend = CpuBackend(lambda: None)
@@ -85,13 +86,14 @@ def host_levels(given: Example):
 
 
 def assert_same(actual, expected, relative=1e-5):
-    """Equal to a fraction of the largest value, as float32 arithmetic allows."""
+    """Assert that values are equal to a fraction of the largest value, as float32 allows."""
     for ours, theirs in zip(actual, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=relative * np.abs(theirs).max())
 
 
 def assert_loads_go_down_alike(stage, given: Example, choices: Sequence, again=False):
-    """What is left of a load on each level, and on the next one, by each choice of steps."""
+    """Compare the residual load on each level and on the next coarser one, for each choice of
+    steps."""
     for number, (host, below) in enumerate(pairwise([*host_levels(given), None])):
         load = given.planes(host)
         for steps in choices:
@@ -112,7 +114,7 @@ def assert_loads_go_down_alike(stage, given: Example, choices: Sequence, again=F
 
 
 def assert_corrections_come_up_alike(stage, given: Example, steps):
-    """What each level makes of a correction of the next one."""
+    """Compare each level after the correction of the next coarser level is added."""
     for number, (host, below) in enumerate(pairwise(host_levels(given))):
         random = [given.planes(each) for each in (host, host, below)]
 
@@ -129,7 +131,7 @@ def assert_corrections_come_up_alike(stage, given: Example, steps):
 
 
 def assert_the_coarsest_is_alike(stage, given: Example, take_steps):
-    """What many steps, as `take_steps(level, steps)` takes them, make on the coarsest level."""
+    """Compare the coarsest level after many steps by `take_steps(level, steps)`."""
     hosts = host_levels(given)
     load = given.planes(hosts[-1])
 
@@ -146,7 +148,7 @@ def assert_the_coarsest_is_alike(stage, given: Example, take_steps):
 
 
 def assert_a_ratio_is_nothing_unless_both_are_positive(stage, given: Example):
-    """Of scalar products of both signs and of 0, as a step uses them."""
+    """Check that a ratio of scalar products is 0 unless both products are positive."""
     (host, *_) = host_levels(given)
     values = given.planes(host)
 
@@ -170,7 +172,8 @@ def assert_a_ratio_is_nothing_unless_both_are_positive(stage, given: Example):
 
 
 def torn(ratio, shape=(67, 90), spacing=(1.0, 1.0)) -> Problem:
-    """A stiff lump in soft tissue with a hole, held at its left edge and pulled at its right."""
+    """Return a stiff inclusion in soft tissue with a hole, fixed at the left and pulled at the
+    right."""
     rows, cols = np.indices(shape)
     m = np.where(np.hypot(rows - 45, cols - 60) < 14, ratio, 1.0)
     m[np.hypot(rows - 30, cols - 30) < 9] = 0
@@ -182,7 +185,7 @@ def torn(ratio, shape=(67, 90), spacing=(1.0, 1.0)) -> Problem:
 
 
 def cycles(stage, given: Example, smoothing):
-    """What the first and the second run of a V-cycle make of a load, as loops and as shaders."""
+    """Return the first and the second result of a V-cycle on a load, by loops and by shaders."""
     (host, *_) = host_levels(given)
     load = given.planes(host)
 

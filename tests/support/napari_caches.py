@@ -1,4 +1,4 @@
-"""What each window would work out anew, although it comes out the same: worked out once."""
+"""Caches for work that each napari window would repeat with the same result."""
 
 import gc
 import sys
@@ -10,7 +10,7 @@ import numpy as np
 
 @cache
 def read_manifests_once():
-    """Have each window find the plugins that the first one found."""
+    """Make each window use the plugins that the first window discovered."""
     from npe2 import PluginManifest
 
     found = list(PluginManifest.discover())
@@ -19,7 +19,7 @@ def read_manifests_once():
 
 @cache
 def check_widgets_once():
-    """Have magicgui look once whether a kind of widget has all that it needs."""
+    """Make magicgui check each kind of widget for its protocol only once."""
     from magicgui.widgets import protocols
 
     protocols.assert_protocol = cache(protocols.assert_protocol)
@@ -27,7 +27,7 @@ def check_widgets_once():
 
 @cache
 def draw_letters_once():
-    """Have each window write with the letters that an earlier one has drawn."""
+    """Make each window use the letters that an earlier window has rendered."""
     from vispy.visuals.text.text import SDFRendererCPU
 
     draw = SDFRendererCPU.render_to_texture
@@ -46,7 +46,7 @@ def draw_letters_once():
 
 @cache
 def check_callbacks_once():
-    """Have napari look once at the parameters of a function that many objects connect."""
+    """Make napari check the parameters of a function only once."""
     from napari.utils.events import EventEmitter
 
     check = EventEmitter._check_signature
@@ -56,7 +56,7 @@ def check_callbacks_once():
         function = getattr(callback, "__func__", callback)
         if type(function) is not FunctionType or hasattr(function, "__wrapped__"):
             return check(callback)
-        # The code only, as a function itself may keep a window alive.
+        # Use only the code as a key, because a function may keep a window alive.
         defaults = len(function.__defaults__ or ())
         key = function.__code__, function is callback, defaults
         if key not in known:
@@ -68,9 +68,9 @@ def check_callbacks_once():
 
 @cache
 def collect_little_once():
-    """Have napari look for garbage among the newest objects alone when a layer goes.
+    """Make napari collect only the youngest generation of garbage when a layer is removed.
 
-    It looks through all there are, for the sake of drivers on Windows.
+    It collects all generations, because of drivers on Windows.
     """
     from napari._vispy import canvas
 

@@ -1,4 +1,4 @@
-"""Whether this machine can run the shaders, and jobs on the compute thread."""
+"""Check for OpenGL, and jobs on the compute thread."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ T = TypeVar("T")
 
 
 def on_compute_thread(job: Callable[[], T]) -> T:
-    """Run a job where OpenGL may be used."""
+    """Run a job on the compute thread, where OpenGL may be used."""
     return compute_thread.submit(job).result(timeout=LONG)
 
 
 def count_looks(stage: str, optimizer, problem, prior, stop_at: int | None = None) -> int:
-    """Solve with shaders of a stage, cancelled at a look; return the number of looks before."""
+    """Solve with shaders, cancel at a given check, and return the number of earlier checks."""
     looks = 0
 
     def look() -> None:
@@ -53,7 +53,7 @@ def _description() -> dict[str, Any] | str:
 
 
 def require_opengl(stage: str | None = None) -> None:
-    """Skip a test that this machine cannot run; fail it where OpenGL is supposed to be."""
+    """Skip a test that this machine cannot run, or fail it if OpenGL is expected."""
     description = _description()
     supposed = bool(os.environ.get("CI"))
     if isinstance(description, str):
@@ -69,7 +69,7 @@ def require_opengl(stage: str | None = None) -> None:
 
 
 def has_opengl() -> bool:
-    """Whether this machine can run the shaders, which it is to where OpenGL is supposed to be."""
+    """Return whether this machine can run the shaders; fail if OpenGL is expected and missing."""
     try:
         require_opengl()
     except pytest.skip.Exception:
@@ -78,5 +78,5 @@ def has_opengl() -> bool:
 
 
 def left(objects) -> int:
-    """How many objects OpenGL still has."""
+    """Return the number of objects that OpenGL has not released."""
     return sum(type(each.mglo).__name__ != "InvalidObject" for each in objects)

@@ -1,4 +1,4 @@
-"""Slow, literal evaluations that share nothing with the package but the equations."""
+"""Slow, literal evaluations of the equations, independent of the package."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import scipy.sparse.linalg as spl
 
 from napari_hmrf import Problem
 
-#: (step from t to u, components carried) for the four kinds of cliques of figure 2, square pixels.
+#: (step from t to u, components of the potential) for the four kinds of cliques of figure 2.
 KINDS = (((0, 1), (1,)), ((1, 0), (0,)), ((1, 1), (0, 1)), ((1, -1), (0, 1)))
 Site = tuple[int, int]
 
 
 def cliques(m: np.ndarray) -> Iterator[tuple[Site, Site, Site, tuple[int, ...]]]:
-    """Every existing clique (s, t, u) with the components its potential is about."""
+    """Yield every existing clique (s, t, u) with the components of its potential."""
     height, width = m.shape
     for i in range(height):
         for j in range(width):
@@ -28,14 +28,14 @@ def cliques(m: np.ndarray) -> Iterator[tuple[Site, Site, Site, tuple[int, ...]]]
 
 
 def potential(m, d, s, t, u, component) -> float:
-    """V of one clique (eqs. 9 to 11), for one component."""
+    """Return V of one clique (eqs. 9 to 11) for one component."""
     ds, dt, du = (float(d[site][component]) for site in (s, t, u))
     ms, mt, mu = (float(m[site]) for site in (s, t, u))
     return (mt / mu * (dt - ds) - (du - dt)) ** 2 + (mt / ms * (dt - du) - (ds - dt)) ** 2
 
 
 def total_energy(problem: Problem, d: np.ndarray, penalty: float) -> float:
-    """U_total (eq. 7), one clique after the other."""
+    """Return U_total (eq. 7) as a sum over the cliques."""
     energy = sum(
         potential(problem.stiffness, d, s, t, u, component)
         for s, t, u, components in cliques(problem.stiffness)
@@ -46,7 +46,7 @@ def total_energy(problem: Problem, d: np.ndarray, penalty: float) -> float:
 
 
 def local_energy(problem: Problem, d: np.ndarray, penalty: float, site: Site, blanket: bool):
-    """A function from a site's displacement to the energy that the site looks at."""
+    """Return the local energy of a site as a function of its displacement."""
     mine = [
         clique
         for clique in cliques(problem.stiffness)
@@ -68,9 +68,9 @@ def local_energy(problem: Problem, d: np.ndarray, penalty: float, site: Site, bl
 
 
 def centred_fixed_point(problem: Problem) -> np.ndarray:
-    """The field every site of which is the weighted mean of its neighbours, in float64.
+    """Return the field in which every site is the weighted mean of its neighbours, in float64.
 
-    Observed components (c > 0) hold their y; a free component with no clique around it holds 0.
+    Observed components (c > 0) are equal to y; free components without a clique are 0.
     """
     height, width = problem.shape
     m = problem.stiffness.astype(float)

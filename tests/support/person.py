@@ -1,4 +1,4 @@
-"""Somebody before a window, for tests of what the mouse and the keys do."""
+"""Simulated user of a window, for tests of the mouse and the keyboard."""
 
 from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
 from qtpy.QtGui import QMouseEvent
@@ -13,7 +13,7 @@ SHIFT = Qt.KeyboardModifier.ShiftModifier
 
 
 class Person:
-    """Somebody before a window: moves the mouse to pixels of the image, and presses keys."""
+    """Simulated user: moves the mouse to pixels of the image and presses keys."""
 
     def __init__(self, viewer, qtbot):
         self.viewer = viewer
@@ -22,7 +22,7 @@ class Person:
 
     @property
     def canvas(self):
-        """What the image is drawn on."""
+        """Native canvas on which the image is drawn."""
         return self._canvas.native
 
     def where(self, row, col):
@@ -53,7 +53,7 @@ class Person:
         self.release(*places[-1])
 
     def paint(self, *places, between=lambda: None):
-        """A drag whose every move is felt: vispy and napari drop moves that follow closely."""
+        """Drag and wait for each move, because vispy and napari drop moves in quick succession."""
         self.press(*places[0])
         for place in places[1:]:
             self._canvas.native._last_time = 0.0
@@ -63,7 +63,7 @@ class Person:
         self.release(*places[-1])
 
     def _is_at(self, row, col):
-        """Whether napari knows that the pointer is there, to a pixel of the screen."""
+        """Return whether napari's cursor is at a pixel, to 2 pixels of the screen."""
         at = self.where(*self.viewer.cursor.position[-2:]) - self.where(row, col)
         return at.manhattanLength() <= 2
 

@@ -1,4 +1,4 @@
-"""Problems that several test files solve."""
+"""Problems used by several test files."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from napari_hmrf import Problem
 
 
 def frame_problem(shape, seed=0, ratio=4.0, amplitude=2.0, spacing=(1.0, 1.0)) -> Problem:
-    """Make random tissue whose border is held at random displacements."""
+    """Return random tissue with random prescribed displacements at its border."""
     rng = np.random.default_rng(seed)
     m = ratio ** rng.random(shape)
     y = rng.normal(scale=amplitude, size=(*shape, 2))
@@ -16,7 +16,7 @@ def frame_problem(shape, seed=0, ratio=4.0, amplitude=2.0, spacing=(1.0, 1.0)) -
 
 
 def pulled_problem(vector=(2.0, -1.0), at=(10, 8), stiff=30.0, size=20, radius=2.5) -> Problem:
-    """Make a body held at its border, with a stiff lump, of which a patch is pulled."""
+    """Return a body with a fixed border, a stiff inclusion and a pulled patch."""
     m = np.full((size, size), 10.0)
     m[size // 4 : size // 2, size // 2 : -3] = stiff
     y, c = np.zeros((size, size, 2)), np.zeros((size, size, 2))

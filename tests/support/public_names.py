@@ -1,9 +1,9 @@
-"""Names of the public interface, for tests that say something of each."""
+"""Names of the public interface, for tests of every name."""
 
 from importlib import import_module
 from typing import Any
 
-#: The packages that people import from.
+#: Public packages.
 PACKAGES = {
     name: import_module(name)
     for name in (
@@ -20,7 +20,7 @@ PACKAGES = {
 
 
 def public_names() -> dict[str, Any]:
-    """Every public name, such as "solve" and "fields.read_field", with what it is."""
+    """Return the public objects by name, such as "solve" and "fields.read_field"."""
     found = {}
     for package, module in PACKAGES.items():
         within = package.removeprefix("napari_hmrf").lstrip(".")

@@ -1,4 +1,4 @@
-"""What can be pressed, ticked and typed in a dock, found by the words that a person reads there."""
+"""Controls of a dock, found by the texts that the user reads."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from qtpy.QtWidgets import (
 
 
 class Screen:
-    """A dock as it is seen.
+    """Visible controls of a dock.
 
     Parameters
     ----------
     dock
-        Of ours; only its native widget is looked at.
+        Dock of the package, of which only the native widget is used.
     """
 
     def __init__(self, dock):
         self._native = dock.native
 
     def button(self, words):
-        """The button or box that says so, or begins so."""
+        """Return the button or box with this text, or with a text that begins with it."""
         found = self._native.findChildren(QAbstractButton)
         exact = [each for each in found if each.text() == words]
         (one,) = exact or [each for each in found if each.text().startswith(words)]
         return one
 
     def press(self, words):
-        """Click a button; as a person can, only one that is not greyed out."""
+        """Assert that a button is enabled, and click it."""
         button = self.button(words)
-        assert button.isEnabled(), f"{words!r} is greyed out"
+        assert button.isEnabled(), f"{words!r} is disabled"
         button.click()
 
     def tick(self, words, on=True):
@@ -58,7 +58,7 @@ class Screen:
         next(each for each in menus if each.findText(entry) > -1).setCurrentText(entry)
 
     def pick(self, entry):
-        """Choose an entry with the mouse from the first menu that offers it, as it is seen."""
+        """Choose an entry with the mouse from the first menu that offers it."""
         menus = self._native.findChildren(QComboBox)
         menu = next(each for each in menus if each.findText(entry) > -1)
         QTest.mouseClick(menu, Qt.MouseButton.LeftButton)
@@ -67,7 +67,7 @@ class Screen:
         QTest.mouseClick(menu.view().viewport(), Qt.MouseButton.LeftButton, pos=there)
 
     def entry(self, words, *path):
-        """An entry of the menu below a button."""
+        """Return an entry of the menu of a button."""
         menu = self.button(words).menu()
         menu.aboutToShow.emit()
         for step in path:
@@ -87,11 +87,11 @@ class Screen:
 
     @property
     def words(self):
-        """All that is said in it."""
+        """All visible texts of labels."""
         return "\n".join(each.text() for each in self._native.findChildren(QLabel))
 
     def cell(self, name, title):
-        """The cell in the row of that name, below that title."""
+        """Return the cell in the row with a name and the column with a title."""
         for table in self._native.findChildren(QTableView):
             (column,) = [
                 each
@@ -114,12 +114,12 @@ class Screen:
 
 
 def head(table, column):
-    """What the head of a column says."""
+    """Return the title of a column."""
     return table.model().headerData(column, Qt.Orientation.Horizontal)
 
 
 class Cell:
-    """A cell of a table, as somebody reads it, clicks it and writes into it."""
+    """Cell of a table, which can be read, clicked and edited."""
 
     def __init__(self, table, row, column=1):
         self._table, self._index = table, table.model().index(row, column)
@@ -128,7 +128,7 @@ class Cell:
         return self._index.data()
 
     def colour(self, selected):
-        """Of the square in it, RGB from 0 to 1, where its row is selected and where it is not."""
+        """Return the RGB colour (0 to 1) of the square in a cell of a selected or other row."""
         mode = QIcon.Mode.Selected if selected else QIcon.Mode.Normal
         square = self._index.data(Qt.ItemDataRole.DecorationRole).pixmap(QSize(14, 14), mode)
         return square.toImage().pixelColor(5, 5).getRgbF()[:3]
@@ -141,7 +141,7 @@ class Cell:
         QTest.mouseClick(self._table.viewport(), Qt.MouseButton.LeftButton, pos=place)
 
     def write(self, text):
-        """Type something, and Return."""
+        """Type a text and Return."""
         self._table.edit(self._index)
         *_, editor = self._table.viewport().findChildren(QLineEdit)
         editor.selectAll()
@@ -149,19 +149,19 @@ class Cell:
         if not text:
             QTest.keyClick(editor, Qt.Key.Key_Delete)
         QTest.keyClick(editor, Qt.Key.Key_Return)
-        # Qt has the editor answer the key first.
+        # Qt posts the key to the editor, so process that event.
         QApplication.sendPostedEvents(self._table.itemDelegate(), int(QEvent.Type.MetaCall))
 
     @property
     def box(self):
-        """What it is chosen by, rather than typed."""
+        """Box by which a value is chosen instead of typed."""
         return self._table.indexWidget(self._index)
 
     def chosen(self):
-        """What the box in it shows."""
+        """Return the text of the box."""
         return self.box.currentText()
 
     def choose(self, words):
-        """Choose from the box in it, by the keys."""
+        """Choose an entry of the box with the keyboard."""
         while self.chosen() != words:
             QTest.keyClick(self.box, Qt.Key.Key_Down)

@@ -1,8 +1,8 @@
-"""Studies as people make them: layers of napari's own, and what was chosen beside them.
+"""Studies as users make them: napari layers and the settings of the dock.
 
-Nothing here knows this package. A layer carries its table as a project keeps it, in JSON types;
-what was drawn with the mouse is what a layer of arrows keeps of it. `study_reader` makes problems
-of them.
+This module does not import the package. The metadata of a layer contain its table as JSON types.
+A drawing has the format in which the motion layer stores it. `study_reader` converts a study to a
+problem.
 """
 
 from __future__ import annotations
@@ -14,34 +14,34 @@ import numpy as np
 from napari.components import ViewerModel
 
 METADATA = "napari-hmrf"
-#: Turned and moved to where the scanner had it, with oblong pixels.
+#: Rotated and translated to the position in the scanner, with oblong pixels.
 TURNED = {"scale": (0.5, 0.8), "rotate": 20.0, "translate": (-30.0, 12.0)}
 MIRRORED = [[1.0, 0.0, 0.0], [0.0, -0.6, 40.0], [0.0, 0.0, 1.0]]
 
 
 @dataclass(frozen=True)
 class Study:
-    """What somebody has before them when they want to see how tissue moves.
+    """Layers and settings of one study.
 
     Attributes
     ----------
     viewer : ViewerModel
-        Which says the slice, too.
+        Viewer with the layers; its sliders determine the slice.
     image, tissue, boundary, confidence : napari.layers.Layer, optional
-        As they were chosen.
+        Chosen layers.
     where, should : napari.layers.Points or napari.layers.Shapes, optional
-        Landmarks; lines need no `should`.
+        Landmarks and their targets; lines have no separate targets.
     landmarks : dict
-        The radius and the confidence that were set for them, if any.
+        Radius and confidence of the landmarks, if set.
     drawing : list of dict, optional
-        What was drawn with the mouse; None where tissue is deformed by layers alone.
+        Marks drawn with the mouse; None if only layers determine the motion.
     hold_edge : bool
-        Of what is drawn with the mouse: whether the outer edge of the tissue stays where it is.
+        Whether the outer edge of the tissue is fixed; used only with a drawing.
     curve : dict, optional
-        By which the tissue is made from the image's intensity.
+        Stiffness curve, if the tissue is derived from the intensity of the image.
     model : dict
-        What tissue is taken to be: "energy" is "elastic" or "paper"; of elastic tissue "poisson",
-        "plane" and "grip" (what holds, at most), of the paper's "schedule" and "penalty".
+        Model: "energy" is "elastic" or "paper". An elastic model has "poisson", "plane" and "grip"
+        (largest holding force); a paper model has "schedule" and "penalty".
     """
 
     viewer: Any
@@ -107,13 +107,13 @@ def stroke(action, line, radius, **more):
 
 
 def away(shape, row, col, rows=1.0, cols=1.0):
-    """How far each pixel is from a place, in radii of an ellipse."""
+    """Return the distance of each pixel from a place, in radii of an ellipse."""
     down, along = np.indices(shape)
     return np.hypot((down - row) / rows, (along - col) / cols)
 
 
 def brain(shape=(52, 60)):
-    """An image of a brain in dark air, its tissues (air, normal, soft, tumour), and its rim."""
+    """Return an image of a brain in dark air, its labels (air to tumour) and its rim."""
     rows, cols = shape
     body = away(shape, rows / 2, cols / 2, 0.44 * rows, 0.42 * cols)
     tissue = np.where(body < 1, 1, 0).astype(np.uint8)
@@ -134,7 +134,7 @@ BRAIN = (
 
 
 def painted(viewer, **place):
-    """Add the brain with its tissue painted; the skull is painted as held, the tumour to grow."""
+    """Add the painted brain with a fixed skull and a growing tumour; return the layers."""
     image, tissue, rim = brain()
     boundary = np.where(rim, 1, 0).astype(np.uint8)
     grown = away(image.shape, 0.42 * 52, 0.34 * 60)
@@ -157,12 +157,12 @@ def growing_tumour_by_the_paper_converged():
 
 
 def growing_tumour_in_oblong_pixels_turned():
-    """Elastic tissue between its neighbours, each tissue with a Poisson's ratio of its own."""
+    """Plane strain, where each tissue has its own Poisson's ratio."""
     return Study(**painted(ViewerModel(), **TURNED), model={"energy": "elastic", "plane": "strain"})
 
 
 def bone_between_walls():
-    """A rigid bone in muscle; a wall that moves it only in columns; a label that has no row."""
+    """A rigid bone in muscle, a wall that moves only along columns, and a label without a row."""
     viewer = ViewerModel()
     shape = (48, 56)
     tissue = np.ones(shape, np.uint8)
@@ -187,7 +187,7 @@ def bone_between_walls():
 
 
 def wall_with_little_grip():
-    """What is pulled harder than its wall holds slips; half of the wall is doubted, too."""
+    """A wall that slips if pulled too hard; half of it has a low confidence."""
     viewer = ViewerModel()
     shape = (48, 56)
     tissue = np.ones(shape, np.uint8)
@@ -212,7 +212,7 @@ def wall_with_little_grip():
 
 
 def doubted_field_of_a_registration():
-    """Arrows in every third pixel, each as sure as an image says; stiffness is an image, too."""
+    """Arrows in every third pixel, with images of confidence and stiffness."""
     viewer = ViewerModel()
     shape = (48, 56)
     down, along = np.indices(shape)
@@ -233,7 +233,7 @@ def doubted_field_of_a_registration():
 
 
 def landmarks_beside_a_painted_skull():
-    """Two layers of points, in lengths of their own, on top of paint; two of them are close."""
+    """Two layers of points with their own scale, on top of paint; two of the points are close."""
     viewer = ViewerModel()
     layers = painted(viewer, **TURNED)
     place = layers["image"].data_to_world
@@ -249,7 +249,7 @@ def landmarks_beside_a_painted_skull():
 
 
 def lines_alone_in_a_mirrored_photograph():
-    """A photograph in colours, and lines and a path drawn on it; no paint at all."""
+    """A colour photograph with lines and a path, without paint."""
     viewer = ViewerModel()
     shape = (44, 54)
     down, along = np.indices(shape)
@@ -270,7 +270,7 @@ def lines_alone_in_a_mirrored_photograph():
 
 
 def slice_of_a_stack_along_another_axis():
-    """Slices 2 mm apart, looked at from the side; arrows of all slices; flat labels do not do."""
+    """Slices 2 mm apart, displayed along another axis, with arrows on all slices."""
     viewer = ViewerModel()
     down, high, along = np.indices((40, 6, 44))
     place = {"scale": (0.5, 2.0, -0.6), "translate": (4.0, -3.0, 20.0), "units": "mm"}
@@ -297,7 +297,7 @@ def slice_of_a_stack_along_another_axis():
 
 
 def tissue_by_brightness():
-    """Brighter is stiffer, by a curve; specks in the air hang on nothing, and stay."""
+    """Tissue from a stiffness curve, with unconnected specks in the air."""
     viewer = ViewerModel()
     image, tissue, rim = brain()
     image = image.astype(np.float32)
@@ -322,7 +322,7 @@ def tissue_by_brightness():
 
 
 def pulled_image():
-    """The first minute: an image, two drags, a click that holds, and a landmark; no other layer."""
+    """An image with two pulls, a pin and a landmark, without another layer."""
     viewer = ViewerModel()
     image, _, _ = brain()
     return Study(
@@ -338,7 +338,7 @@ def pulled_image():
 
 
 def every_brush_on_painted_tissue():
-    """All brushes over a painted boundary; where it is doubted tissue slips, and nowhere else."""
+    """Strokes of all brushes over a painted boundary; tissue of low confidence slips."""
     layers = painted(ViewerModel())
     ring = [(34 + 4 * np.sin(t), 34 + 4 * np.cos(t)) for t in np.linspace(0, 2 * np.pi, 24)]
     strokes = [
@@ -353,7 +353,7 @@ def every_brush_on_painted_tissue():
 
 
 def pieces_that_nobody_holds():
-    """Two pieces of tissue and specks, of which one piece is pulled and held; the edge is free."""
+    """Two pieces of tissue and specks with a free edge; one piece is pulled and pinned."""
     viewer = ViewerModel()
     shape = (46, 56)
     stiffness = np.zeros(shape, np.float32)

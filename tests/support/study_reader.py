@@ -1,6 +1,6 @@
-"""From layers to a problem: the one place where tests of recorded studies know who reads them.
+"""Conversion of layers to a problem, for tests of recorded studies.
 
-Another reader is tried by changing `read`; nothing else of those tests has to change.
+To test another reader, change only `read`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tests.support.studies import Study
 
 
 class Read(NamedTuple):
-    """What is solved: as `solve(*read)`."""
+    """Arguments of `solve(*read)`."""
 
     problem: Problem
     prior: Any
@@ -27,7 +27,7 @@ class Read(NamedTuple):
 
 
 def read(study: Study) -> Read:
-    """Read a study's layers, tables and drawing as the window does."""
+    """Read the layers, tables and drawing of a study as the window does."""
     prior, optimizer = _model(**study.model)
     view = View.of(study.viewer.dims)
     curve = None if study.curve is None else StiffnessCurve.from_dict(study.curve)
@@ -57,13 +57,13 @@ def read(study: Study) -> Read:
 
 
 def read_ground(image: Any, tissue: Any = None, boundary: Any = None, **how: Any) -> Ground:
-    """Read what is drawn on; by default its edge is held."""
+    """Return the ground of layers to draw on, with a fixed edge by default."""
     chosen = {"hold_edge": True, "drawing": Drawing(), **how}
     return Ground.of(study_from_layers(Request(tissue, boundary, image, **chosen)))
 
 
 class Stated(NamedTuple):
-    """A request, read and stated."""
+    """Problem read from a request, with frame, pictures and notes."""
 
     problem: Problem
     prior: Any
@@ -73,7 +73,7 @@ class Stated(NamedTuple):
 
 
 def read_layers(request: Request, prior: Any = None, optimizer: Any = None) -> Stated:
-    """Read chosen layers to the end; by default for the paper's prior and schedule."""
+    """Read a request into a problem, by default for the paper's prior and schedule."""
     model = {"prior": prior or SeilerPrior(), "optimizer": optimizer or ICM()}
     study = replace(study_from_layers(request), **model)
     ground = Ground.of(study)

@@ -1,4 +1,4 @@
-"""A dock beside a viewer without a window, and somebody who pulls there."""
+"""A dock beside a viewer without a window, and a simulated pointer."""
 
 from types import SimpleNamespace
 
@@ -16,9 +16,9 @@ from qtpy.QtWidgets import QVBoxLayout, QWidget
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.person import CTRL, PLAIN, SHIFT
 
-#: Pixels of the screen for one of the image, as in a window of the usual size.
+#: Screen pixels per image pixel, as in a window of the usual size.
 _ZOOM = 8.0
-#: How napari calls keys that write no letter.
+#: Names of napari for keys without a letter.
 _KEYS = {
     Qt.Key.Key_Delete: "Delete",
     Qt.Key.Key_Backspace: "Backspace",
@@ -28,11 +28,11 @@ _KEYS = {
 
 
 class Touch:
-    """Somebody beside a viewer without a window: moves a pointer to places of the world.
+    """Simulated pointer at a viewer without a window, moved in world coordinates.
 
-    What a canvas tells the viewer and its active layer of the mouse and the keys, they are told by
-    the same functions of napari's. That costs a test a fifth of what a window does; what Qt, the
-    canvas and the screen have a part in takes a `Person`.
+    It calls the functions of napari that a canvas calls for mouse and keyboard events. Such a test
+    is five times as fast as a test with a window. Tests of Qt, the canvas or the screen need a
+    `Person`.
     """
 
     def __init__(self, viewer, frame=None):
@@ -93,11 +93,12 @@ class Touch:
 
 
 class Frame:
-    """A viewer without a canvas, and the frame that a dock is put into, and taken out of again.
+    """Viewer without a canvas, with a frame to which docks are added.
 
     Parameters
     ----------
-    qtbot
+    qtbot : pytestqt.qtbot.QtBot
+        Closes the frame after the test.
     """
 
     def __init__(self, qtbot):
@@ -108,16 +109,16 @@ class Frame:
         qtbot.addWidget(self._around)
 
     def open(self):
-        """Put a new dock into the frame."""
+        """Add a new dock to the frame."""
         dock = SoftTissue(self.viewer)
         self._around.layout().addWidget(dock.native)
         return dock
 
     def show(self):
-        """Have what is in the frame be seen, and pressed by a mouse where it is seen."""
+        """Show the frame, so that its controls are visible to the mouse."""
         with self._qtbot.waitExposed(self._around):
             self._around.show()
 
     def close(self, dock):
-        """Take a dock out, as napari does with one that is closed."""
+        """Remove a dock, as napari does with a closed dock."""
         dock.native.setParent(None)

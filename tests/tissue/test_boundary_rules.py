@@ -1,4 +1,4 @@
-"""Painted labels and tables become the images the method takes."""
+"""Tests of the images that painted labels and tables are converted to."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ TISSUES = [Material(0, "air", 0.0), Material(1, "normal", 20.0), Material(7, "tu
 
 
 def _ellipse(shape, radii, spacing=(1.0, 1.0)):
-    """A filled ellipse, and the outward unit normals of the confocal-free family r/a = const."""
+    """Return a filled ellipse and the outward unit normals of concentric similar ellipses."""
     axes = [
         (np.arange(size) - (size - 1) / 2) * step for size, step in zip(shape, spacing, strict=True)
     ]
@@ -36,19 +36,19 @@ def _rim(filled, width):
 
 
 def _angles(found, expected):
-    """Degrees between two fields of vectors."""
+    """Return the angles between two fields of vectors, in degrees."""
     cosine = (found * expected).sum(axis=-1) / np.linalg.norm(found, axis=-1)
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
-def test_every_pixel_takes_the_stiffness_of_its_material():
+def test_every_pixel_has_the_stiffness_of_its_material():
     labels = np.array([[0, 1], [7, 1]], dtype=np.uint8)
     m = stiffness_image(labels, TISSUES)
     assert m.dtype == np.float32
     np.testing.assert_array_equal(m, [[0, 20], [40, 20]])
 
 
-def test_labels_without_a_stiffness_are_all_named():
+def test_an_error_names_all_labels_without_a_stiffness():
     with pytest.raises(ProblemError, match="labels without a stiffness: 3, 9") as caught:
         stiffness_image(np.array([[1, 3], [9, 1]]), TISSUES)
     assert caught.value.field == "stiffness"
@@ -60,12 +60,12 @@ def test_two_materials_for_a_label_are_refused():
 
 
 @pytest.mark.parametrize("stiffness", [-1.0, np.nan, -np.inf, 1e39])
-def test_a_stiffness_that_is_no_stiffness_is_refused_by_name(stiffness):
+def test_an_invalid_stiffness_is_refused_with_the_name_of_its_label(stiffness):
     with pytest.raises(ProblemError, match=r"label 1 \(gel\)"):
         stiffness_image(np.ones((3, 3), int), [Material(1, "gel", stiffness)])
 
 
-def test_what_is_rigid_is_infinitely_stiff_and_has_no_poisson_s_ratio():
+def test_a_rigid_material_is_infinitely_stiff_and_has_no_poisson_ratio():
     materials = [
         Material(0, "air", 0.0, 7.0),
         Material(1, "bone", np.inf, 7.0),
@@ -81,21 +81,21 @@ def test_what_is_rigid_is_infinitely_stiff_and_has_no_poisson_s_ratio():
     )
 
 
-def test_nothing_that_is_shown_says_inf():
+def test_the_text_of_a_stiffness_is_rigid_instead_of_inf():
     assert stiffness_in_words(np.inf, "kPa") == "rigid"
     assert stiffness_in_words(2.5, "kPa") == "2.5 kPa"
     assert stiffness_in_words(2.5) == "2.5"
 
 
 @pytest.mark.parametrize("labels", [np.ones((3, 3)), np.ones((3, 3, 3, 3), int)])
-def test_labels_must_be_an_image_of_whole_numbers(labels):
+def test_labels_must_be_an_image_of_integers(labels):
     with pytest.raises(ProblemError):
         stiffness_image(labels, TISSUES)
     with pytest.raises(ProblemError):
         boundary_images(labels, [BoundaryRule(1, "fixed")], spacing=1)
 
 
-def test_a_volume_has_tissues_and_rules_as_an_image_has():
+def test_a_volume_accepts_tissues_and_rules():
     labels = np.ones((3, 3, 3), int)
     assert stiffness_image(labels, TISSUES).shape == (3, 3, 3)
     y, c = boundary_images(labels, [BoundaryRule(1, "fixed")], spacing=1)
@@ -107,7 +107,7 @@ def test_a_mask_is_a_label_image():
     np.testing.assert_array_equal(stiffness_image(mask, TISSUES), np.eye(3) * 20)
 
 
-def test_fixed_and_moving_boundaries():
+def test_fixed_and_moving_rules_set_displacement_and_confidence():
     labels = np.array([[0, 1, 2], [0, 1, 2]])
     rules = [
         BoundaryRule(1, "fixed", vector=(9.0, 9.0), confidence=(1.0, 0.5)),
@@ -133,7 +133,7 @@ def test_a_ring_expands_radially(radius, width):
 
 @pytest.mark.parametrize("hole", [0.1, 4.0], ids=["a pixel", "a small hole"])
 @pytest.mark.parametrize("radius", [15, 40])
-def test_of_a_patch_only_the_rim_is_told_where_to_go(radius, hole):
+def test_a_patch_that_expands_prescribes_only_its_rim(radius, hole):
     disc, radial = _ellipse((101, 103), (radius, radius))
     painted = disc & ~_ellipse(disc.shape, (hole, hole))[0]
     y, c = boundary_images(painted.astype(int), [BoundaryRule(1, "expand", amount=3.0)], spacing=1)
@@ -167,7 +167,7 @@ def test_a_negative_amount_shrinks():
     assert (_angles(y[rim], -radial[rim]) < 12).all()
 
 
-def test_each_part_expands_from_its_own_middle():
+def test_each_part_expands_from_its_own_centre():
     disc, _radial = _ellipse((41, 41), (12, 12))
     rim = _rim(disc, 2)
     two = np.hstack([rim, rim])
@@ -175,8 +175,8 @@ def test_each_part_expands_from_its_own_middle():
     np.testing.assert_array_equal(y[:, :41], y[:, 41:])
 
 
-def test_a_rim_cut_by_the_edge_of_the_image_is_no_ring():
-    """An arc has no outside, and guessing one would tear it apart."""
+def test_a_rim_cut_by_the_image_edge_is_an_open_line():
+    """Refuse an arc: it has no outside, and a guessed direction would tear it apart."""
     disc, _ = _ellipse((41, 41), (12, 12))
     arc = _rim(disc, 2)
     arc[:20] = False
@@ -186,8 +186,8 @@ def test_a_rim_cut_by_the_edge_of_the_image_is_no_ring():
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0)], ids=["square", "oblong"])
 @pytest.mark.parametrize("width", [1, 2, 3, 8, 20, 40])
-def test_an_open_line_is_refused_however_thick_the_brush(width, spacing):
-    """Its two sides would part: half of it moves one way and half the other."""
+def test_an_open_line_is_refused_for_every_width_of_the_brush(width, spacing):
+    """Refuse an open line, whose two halves would move apart."""
     length = round(10 * width * spacing[1] / spacing[0])
     line = np.zeros((length + 2, width + 4), int)
     line[1:-1, 2:-2] = 1
@@ -199,25 +199,25 @@ def test_an_open_line_is_refused_however_thick_the_brush(width, spacing):
 
 
 @pytest.mark.parametrize("width", [4, 8, 16])
-def test_an_arc_painted_with_any_brush_is_refused_and_a_closed_ring_is_not(width):
+def test_an_arc_of_any_brush_width_is_refused_and_a_closed_ring_is_accepted(width):
     disc, _ = _ellipse((301, 301), (110, 110))
     ring = _rim(disc, width)
     rule = BoundaryRule(1, "expand", amount=1.0)
     assert boundary_images(ring.astype(int), [rule], spacing=1)[1].any()
-    ring[: 40 + width, 145:156] = False  # a gap of a few pixels makes a line of it
+    ring[: 40 + width, 145:156] = False  # A gap of a few pixels opens the ring.
     with pytest.raises(ProblemError, match="open line"):
         boundary_images(ring.astype(int), [rule], spacing=1)
 
 
 @pytest.mark.parametrize("scale", [1, 2, 5])
 @pytest.mark.parametrize("shape", [(1, 2), (2, 2), (2, 5), (3, 12), (6, 30)])
-def test_what_is_stout_is_no_line_however_small(shape, scale):
+def test_a_compact_patch_of_any_size_is_no_open_line(shape, scale):
     labels = np.zeros((40 * scale, 40 * scale), int)
     labels[3 : 3 + shape[0] * scale, 3 : 3 + shape[1] * scale] = 1
     boundary_images(labels, [BoundaryRule(1, "expand", amount=1.0)], spacing=1)
 
 
-def test_a_disc_at_the_edge_of_the_image_expands_beyond_it():
+def test_a_disc_at_the_image_edge_expands_beyond_the_edge():
     disc, _radial = _ellipse((41, 41), (12, 12))
     y, _ = boundary_images(
         disc[20:].astype(int), [BoundaryRule(1, "expand", amount=1.0)], spacing=1
@@ -225,14 +225,14 @@ def test_a_disc_at_the_edge_of_the_image_expands_beyond_it():
     assert y[0, 20, 0] == pytest.approx(-1, abs=1e-3)
 
 
-def test_a_single_pixel_has_nowhere_to_expand_to():
+def test_a_single_pixel_does_not_expand():
     labels = np.zeros((5, 5), int)
     labels[2, 2] = 1
     _, c = boundary_images(labels, [BoundaryRule(1, "expand", amount=1.0)], spacing=1)
     assert not c.any()
 
 
-def test_boundary_labels_without_a_rule_are_named():
+def test_an_error_names_boundary_labels_without_a_rule():
     with pytest.raises(ProblemError, match="labels without a rule: 4"):
         boundary_images(np.array([[4, 0]]), [BoundaryRule(1, "fixed")], spacing=1)
 
@@ -253,7 +253,7 @@ def test_boundary_labels_without_a_rule_are_named():
         (BoundaryRule(1, "fixed", confidence=(-0.1, 1.0)), "confidence", "a value from 0 to 1 for"),
     ],
 )
-def test_rules_out_of_range_are_refused_in_words(rule, field, said):
+def test_rules_out_of_range_are_refused_with_a_reason(rule, field, said):
     with pytest.raises(ProblemError) as caught:
         boundary_images(np.full((4, 4), rule.label), [rule], spacing=1)
     assert caught.value.field == field
@@ -261,15 +261,15 @@ def test_rules_out_of_range_are_refused_in_words(rule, field, said):
     assert said in caught.value.message
 
 
-def test_a_word_for_the_stiffness_is_refused_at_once_with_the_value_of_rigid_tissue():
+def test_a_word_as_stiffness_is_refused_with_the_value_for_rigid_tissue():
     with pytest.raises(ProblemError, match=r"'rigid'\. .* infinity for a rigid body \(`RIGID`\)"):
         Material(1, "bone", "rigid")
 
 
-def test_every_preset_says_where_its_values_come_from():
+def test_every_preset_names_the_source_of_its_values():
     for preset in PRESETS:
         assert preset.source
-        assert bool(preset.unit) == (preset is not PRESETS[0]), "the paper has ratios only"
+        assert bool(preset.unit) == (preset is not PRESETS[0]), "the paper has only ratios"
         labels = [material.label for material in preset.materials]
         assert labels == list(range(1, len(labels) + 1))
         assert all(material.stiffness > 0 for material in preset.materials)
@@ -295,7 +295,7 @@ LABEL_IMAGES = [
 @pytest.mark.parametrize(
     "image", LABEL_IMAGES, ids=lambda image: f"{image.dtype}-{image.max(initial=0)}"
 )
-def test_each_pixel_gets_the_stiffness_of_its_label(image):
+def test_each_pixel_has_the_stiffness_of_its_label(image):
     labels = sorted({int(label) for label in image.flat})
     materials = [Material(label, "", 10 + number) for number, label in enumerate(labels)]
     found = stiffness_image(image, materials)
@@ -323,7 +323,7 @@ def test_labels_without_a_row_are_listed(image):
         ({"label": 1.5}, ArgumentError, "label must be a whole number"),
     ],
 )
-def test_a_wrong_material_is_refused_when_it_is_made(values, error, said):
+def test_an_invalid_material_is_refused_at_construction(values, error, said):
     with pytest.raises(error, match=said):
         Material(**{"label": 1, "name": "brain", "stiffness": 1.0, **values})
 

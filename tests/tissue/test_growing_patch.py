@@ -1,4 +1,4 @@
-"""A patch that grows or shrinks: its outline goes where it is told, its inside as tissue does."""
+"""Tests of patches that grow or shrink: a prescribed outline and a free inside."""
 
 import numpy as np
 import pytest
@@ -28,13 +28,13 @@ def away(middle):
 
 
 def by_brush(middle, amount):
-    """A touch of a brush."""
+    """Return a motion with one dab of a brush."""
     stroke = Stroke("expand", ((middle,),), radius=RADIUS, amount=amount)
     return Motion(hold_edge=True, drawing=Drawing((stroke,)))
 
 
 def by_label(middle, amount):
-    """The same, painted in a layer."""
+    """Return the same motion, painted in a layer."""
     rule = BoundaryRule(1, "expand", amount=amount)
     return Motion(hold_edge=True, labels=(away(middle) <= RADIUS).astype(int), rules=(rule,))
 
@@ -56,7 +56,7 @@ def study_of(motion, stiffness=None, **how):
     ids=["elastic", "paper"],
 )
 def test_the_inside_of_a_patch_grows_evenly(paint, amount, middle, model, even):
-    """Moved pixel by pixel its middle was torn apart, or pushed through itself."""
+    """Check that the middle neither tears nor folds, as it did when every pixel was prescribed."""
     field = solve_study(study_of(paint(middle, amount), **model)).displacement
     area, far = jacobian_determinant(field, spacing=1), away(middle)
     assert not fold_mask(field, spacing=1).any()
@@ -69,10 +69,10 @@ def test_the_inside_of_a_patch_grows_evenly(paint, amount, middle, model, even):
     ("shape", "spacing"),
     [((90, 120), (1.0, 1.0)), ((40, 40, 48), (1.0, 1.0, 1.0)), ((16, 50, 50), (3.0, 1.0, 1.0))],
 )
-def test_what_grows_by_the_lengths_that_a_tool_begins_with_folds_nothing(shape, spacing):
-    """In a volume tissue around a ball is squeezed twice as much as around a disc."""
+def test_a_patch_that_grows_by_the_default_step_does_not_fold(shape, spacing):
+    """Test volumes too: tissue around a ball is squeezed twice as much as around a disc."""
     radius, step = usual_radius(shape, spacing), usual_step(shape, spacing)
-    assert step > 0.1 * radius, "and it is seen"
+    assert step > 0.1 * radius, "the step is too small to see"
     middle = tuple(size / 2 for size in shape)
     ball = Stroke("expand", ((middle,),), radius=radius, amount=step)
     motion = Motion(hold_edge=True, drawing=Drawing((ball,)))
@@ -80,7 +80,7 @@ def test_what_grows_by_the_lengths_that_a_tool_begins_with_folds_nothing(shape, 
     assert not fold_mask(field.displacement, spacing=spacing).any()
 
 
-def test_a_brush_and_a_layer_say_the_same():
+def test_a_brush_and_a_layer_give_the_same_problem():
     brushed, painted = (
         build_problem(study_of(paint((60, 60), 6.0))).problem for paint in (by_brush, by_label)
     )
@@ -89,10 +89,10 @@ def test_a_brush_and_a_layer_say_the_same():
 
 
 @pytest.mark.parametrize("paint", [by_brush, by_label])
-def test_the_inside_of_a_patch_is_free_though_the_edge_of_the_tissue_is_held(paint):
+def test_the_inside_of_a_patch_is_free_if_the_edge_of_the_tissue_is_prescribed(paint):
     air_above = np.ones(SHAPE)
     air_above[:60] = 0
     known = build_problem(study_of(paint((60, 60), 2.0), air_above)).problem.known.any(axis=-1)
-    assert known[60, :31].all(), "the edge beside it, and its rim"
+    assert known[60, :31].all(), "the tissue edge beside the patch or the rim of the patch is free"
     assert not known[60, 33:88].any()
     assert known[60, 89:].all()

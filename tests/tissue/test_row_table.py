@@ -1,4 +1,4 @@
-"""A changed table is described by the one row that differs, or as a whole."""
+"""Tests of the description of a changed table."""
 
 import pytest
 
@@ -18,5 +18,5 @@ SOFT, STIFF, BONE = Material(1, "soft", 10.0), Material(2, "stiff", 40.0), Mater
         ((BONE,), "changed the table of 'Tissue'"),
     ],
 )
-def test_a_change_is_described_by_the_row_that_differs(rows, description):
+def test_a_change_is_described_by_the_changed_row(rows, description):
     assert change(RowTable((SOFT, STIFF)), RowTable(rows), "Tissue") == description

@@ -1,4 +1,4 @@
-"""Claims about stiffness from the intensity of an image."""
+"""Tests of the stiffness curve, which maps intensities to stiffnesses."""
 
 import json
 
@@ -18,16 +18,16 @@ from napari_hmrf.tissue.stiffness_curve import (
 RAMP = StiffnessCurve(((0, 1), (100, 100)))
 
 
-def test_between_two_points_stiffness_rises_by_factors_or_by_amounts():
+def test_a_curve_interpolates_logarithmically_or_linearly():
     assert RAMP(50) == pytest.approx(10)
     assert StiffnessCurve(RAMP.points, logarithmic=False)(50) == pytest.approx(50.5)
 
 
-def test_beyond_its_ends_a_curve_goes_on_level():
+def test_a_curve_is_constant_beyond_its_ends():
     np.testing.assert_allclose(RAMP([-1e30, -np.inf, 1e30, np.inf]), [1, 1, 100, 100])
 
 
-def test_what_is_dark_or_no_number_is_no_tissue():
+def test_dark_and_masked_and_nan_pixels_are_void():
     curve = StiffnessCurve(RAMP.points, void_below=20)
     np.testing.assert_array_equal(curve([0, 19.9, np.nan]), [0, 0, 0])
     assert curve(20.0) == pytest.approx(RAMP(20.0))
@@ -38,7 +38,7 @@ def test_what_is_dark_or_no_number_is_no_tissue():
 
 @pytest.mark.parametrize("kind", "?bBhHiIlLefdg")
 @pytest.mark.parametrize("shape", [(), (0,), (7,), (3, 4), (2, 3, 4, 5)])
-def test_every_type_and_shape_of_image_gets_stiffnesses_of_its_shape(kind, shape):
+def test_the_stiffness_has_the_shape_of_an_image_of_any_type(kind, shape):
     image = np.arange(np.prod(shape, dtype=int)).reshape(shape).astype(np.dtype(kind))
     for curve in (
         RAMP,
@@ -53,7 +53,7 @@ def test_every_type_and_shape_of_image_gets_stiffnesses_of_its_shape(kind, shape
 
 
 @pytest.mark.parametrize("kind", [np.int8, np.int64, np.uint64])
-def test_whole_numbers_at_the_ends_of_their_type_are_not_mixed_up(kind):
+def test_extreme_integers_are_mapped_exactly(kind):
     ends = np.iinfo(kind)
     many = np.full(1000, ends.max, kind)
     many[0] = ends.max - 1
@@ -62,13 +62,13 @@ def test_whole_numbers_at_the_ends_of_their_type_are_not_mixed_up(kind):
     assert RAMP(np.array([ends.min, ends.max])).tolist() == [1, 100]
 
 
-def test_a_slice_that_is_no_view_in_order_is_read_right():
+def test_a_strided_view_of_an_image_is_mapped_correctly():
     image = np.arange(24, dtype=np.uint8).reshape(4, 6)
     np.testing.assert_array_equal(RAMP(image.T[::-2]), RAMP(image).T[::-2])
 
 
 @pytest.mark.parametrize("image", [np.array([1j]), np.array(["a"]), np.array([None])])
-def test_what_is_no_real_number_is_refused(image):
+def test_intensities_that_are_not_real_numbers_are_refused(image):
     with pytest.raises(ProblemError, match="Give real numbers"):
         RAMP(image)
 
@@ -85,7 +85,7 @@ curves = st.builds(
 
 @settings(max_examples=60, deadline=None)
 @given(curves)
-def test_a_curve_goes_through_its_points_and_overshoots_nowhere(curve):
+def test_a_curve_passes_through_its_points_without_overshoot(curve):
     intensities, stiffnesses = np.array(curve.points).T
     np.testing.assert_allclose(curve(intensities), stiffnesses, rtol=1e-5)
     for (left, one), (right, other) in zip(curve.points, curve.points[1:], strict=False):
@@ -97,14 +97,14 @@ def test_a_curve_goes_through_its_points_and_overshoots_nowhere(curve):
 
 @settings(max_examples=40, deadline=None)
 @given(curves)
-def test_a_curve_is_kept_in_plain_words_and_comes_back_equal(curve):
+def test_a_stored_curve_is_read_back_equal(curve):
     stored = json.loads(json.dumps(curve.as_dict()))
     again = StiffnessCurve.from_dict(stored)
     assert again == curve
     assert hash(again) == hash(curve)
 
 
-def test_a_smooth_curve_is_the_monotone_cubic():
+def test_a_smooth_curve_is_a_monotone_cubic():
     from scipy.interpolate import PchipInterpolator
 
     points = ((0, 1), (10, 5), (30, 6), (31, 40))
@@ -128,26 +128,26 @@ def test_a_smooth_curve_is_the_monotone_cubic():
         ({"points": ((0, 1), (1,))}, "not a pair of numbers"),
         ({"points": 5}, "not a pair of numbers"),
         ({"points": (("a", 1), (1, 1))}, "not a pair of numbers"),
-        ({"void_below": float("nan")}, "threshold of tissue that is"),
-        ({"void_below": "dark"}, "threshold of tissue that is no finite number"),
+        ({"void_below": float("nan")}, "tissue threshold that is"),
+        ({"void_below": "dark"}, "tissue threshold that is not a finite number"),
         ({"between": "wavy"}, "'wavy'"),
         ({"logarithmic": 1}, "True or False"),
         ({"unit": None}, "a string"),
     ],
 )
-def test_a_bad_curve_is_refused_in_one_sentence(values, said):
+def test_an_invalid_curve_is_refused_in_one_sentence(values, said):
     with pytest.raises(ProblemError, match=r"^stiffness curve: ") as error:
         StiffnessCurve(**{"points": RAMP.points, **values})
     assert said in str(error.value)
 
 
 @pytest.mark.parametrize("values", [None, [], {}, {"points": [[0, 1], [1, 2]], "extra": 1}])
-def test_what_is_no_stored_curve_is_refused(values):
+def test_an_invalid_stored_curve_is_refused(values):
     with pytest.raises(ProblemError, match="not stored as a curve"):
         StiffnessCurve.from_dict(values)
 
 
-def test_a_first_curve_makes_what_is_brighter_stiffer():
+def test_the_initial_curve_makes_brighter_pixels_stiffer():
     image = np.random.default_rng(0).normal(100, 20, (64, 64))
     curve = StiffnessCurve.from_percentiles(image)
     assert [stiffness for _, stiffness in curve.points] == [10, 20, 40]
@@ -155,7 +155,7 @@ def test_a_first_curve_makes_what_is_brighter_stiffer():
     assert (curve(image) < 20).mean() == pytest.approx(0.5, abs=0.01)
 
 
-def test_the_background_does_not_count_for_a_first_curve():
+def test_the_initial_curve_ignores_the_background():
     image = np.zeros((50, 50))
     image[10:40, 10:40] = np.linspace(50, 150, 900).reshape(30, 30)
     curve = StiffnessCurve.from_percentiles(image, void_below=10)
@@ -163,7 +163,7 @@ def test_the_background_does_not_count_for_a_first_curve():
     assert (curve(image) == 0).sum() == 50 * 50 - 900
 
 
-def test_two_intensities_are_enough_for_a_first_curve_and_one_is_not():
+def test_the_initial_curve_requires_two_intensities():
     image = np.zeros((40, 40), bool)
     image[0, 0] = True
     assert StiffnessCurve.from_percentiles(image).points == ((0, 10), (1, 40))
@@ -172,7 +172,7 @@ def test_two_intensities_are_enough_for_a_first_curve_and_one_is_not():
             StiffnessCurve.from_percentiles(flat)
 
 
-def test_a_first_curve_leaves_out_the_dark_surroundings_and_keeps_dark_places_inside():
+def test_the_initial_curve_excludes_dark_surroundings_and_includes_dark_holes():
     head = np.full((40, 40), 3.0) + np.random.default_rng(0).random((40, 40))
     head[8:32, 8:32] = 100 + 20 * np.random.default_rng(1).random((24, 24))
     head[18:22, 18:22] = 12  # fluid
@@ -182,7 +182,7 @@ def test_a_first_curve_leaves_out_the_dark_surroundings_and_keeps_dark_places_in
     assert first_curve(head[8:32, 8:32]).void_below is None
 
 
-def test_colours_count_by_how_bright_they_look():
+def test_luminance_weights_colours_by_perceived_brightness():
     red, green, white = np.eye(4, 3)[0] * 255, np.eye(4, 3)[1] * 255, np.full(3, 255)
     bright = luminance(np.array([[red, green, white]], dtype=np.uint8))
     assert bright.shape == (1, 3)

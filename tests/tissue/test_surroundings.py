@@ -1,4 +1,4 @@
-"""Which part of an image is the air around it."""
+"""Tests of the background of an image: the air around the tissue."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from tests.support.screen import Screen
 
 
 def head(dtype=np.float32, low=0.0, high=1.0):
-    """A bright disc with a dark hole that does not reach the edge, in noise."""
+    """Return a noisy picture of a bright disc with a dark hole, and the mask of the disc."""
     row, col = np.indices((60, 80))
     radius = np.hypot(row - 30, col - 40)
     inside = radius < 25
@@ -29,26 +29,26 @@ def head(dtype=np.float32, low=0.0, high=1.0):
 @pytest.mark.parametrize(
     ("dtype", "low", "high"), [(np.float32, 0, 1), (np.int16, -1000, 300), (np.uint8, 3, 250)]
 )
-def test_air_is_the_dark_that_reaches_the_edge(dtype, low, high):
+def test_background_is_the_dark_region_connected_to_the_image_edge(dtype, low, high):
     picture, inside = head(dtype, low, high)
     np.testing.assert_array_equal(background_of(picture), ~inside)
 
 
-def test_colours_and_holes_in_the_numbers_do_not_matter():
+def test_colours_and_nan_pixels_do_not_change_the_background():
     picture, inside = head()
     np.testing.assert_array_equal(background_of(np.stack([picture] * 3, axis=-1)), ~inside)
     picture[0, :9] = np.nan
     np.testing.assert_array_equal(background_of(picture), ~inside)
 
 
-def test_fat_beneath_the_skin_is_no_air():
+def test_fat_beneath_the_skin_is_not_background():
     # A CT in Hounsfield units: air, a rim of fat, organs.
     picture, inside = head(np.int16, -1000, 60)
     row, col = np.indices(inside.shape)
     rim = inside & (np.hypot(row - 30, col - 40) > 18)
     picture[rim] = -100 + picture[rim] % 7
     np.testing.assert_array_equal(background_of(picture), ~inside)
-    # Stretched for the screen, as in a PNG, fat is dark as well.
+    # In a PNG with a narrow window, fat is dark as well.
     shown = np.clip((picture.astype(float) + 250) / 2, 0, 255).astype(np.uint8)
     for grey in (60, 70):
         shown[rim] = grey
@@ -56,18 +56,18 @@ def test_fat_beneath_the_skin_is_no_air():
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (-1000, 300)])
-def test_a_threshold_void_threshold(low, high):
+def test_the_void_threshold_separates_air_from_tissue(low, high):
     picture, inside = head(low=low, high=high)
     picture[np.hypot(*(np.indices(inside.shape) - np.array([30, 40])[:, None, None])) < 7] = high
     threshold = void_threshold(picture)
     assert (picture > threshold)[inside].all()
     assert (picture > threshold)[~inside].mean() < 0.02
-    assert void_threshold(picture[20:40, 30:50]) is None, "it fills the picture"
+    assert void_threshold(picture[20:40, 30:50]) is None, "a threshold for a picture without air"
     volume = np.stack([np.full_like(picture, low), *(3 * [picture]), np.full_like(picture, low)])
-    assert low < void_threshold(volume) < high, "a volume is no colour picture"
+    assert low < void_threshold(volume) < high, "a volume was read as a colour picture"
 
 
-def test_the_sample_brain_lies_in_air():
+def test_the_background_of_the_sample_brain_is_its_void():
     found = background_of(sample("mass-effect").image)
     void = ~sample("mass-effect").problem.tissue
     assert (found != void).mean() < 0.01
@@ -78,11 +78,11 @@ def test_an_image_of_one_value_has_no_background(value):
     assert not background_of(np.full((5, 6), value)).any()
 
 
-# Where it is no tissue
+# Void surroundings
 
 
 def air_and_block(inside=False):
-    """A bright block in dark air; with a dark hole in it."""
+    """Return a picture of a bright block in dark air, optionally with a dark hole, and its mask."""
     picture = np.zeros((30, 40), np.uint8)
     picture[8:22, 10:30] = 200
     if inside:
@@ -91,7 +91,7 @@ def air_and_block(inside=False):
 
 
 def of_labels(labels, without_border=True, picture=None):
-    """A study of what is painted on a block in air."""
+    """Return a study with labels painted on the block in air."""
     return Study(
         Grid(labels.shape, (1.0, 1.0)),
         Tissue(
@@ -103,14 +103,14 @@ def of_labels(labels, without_border=True, picture=None):
     )
 
 
-def test_the_dark_border_that_nobody_painted_is_no_tissue_unless_it_is_meant():
+def test_the_unpainted_dark_border_is_void_unless_the_option_is_off():
     block = air_and_block()[1]
     unpainted = np.zeros(block.shape, np.uint8)
     np.testing.assert_array_equal(Ground.of(of_labels(unpainted)).stiffness, 20.0 * block)
     assert (Ground.of(of_labels(unpainted, without_border=False)).stiffness == 20).all()
 
 
-def test_what_is_painted_in_the_dark_is_tissue():
+def test_painted_dark_pixels_are_tissue():
     painted = np.zeros((30, 40), np.uint8)
     painted[:3, :3] = 2
     found = Ground.of(of_labels(painted)).stiffness
@@ -118,14 +118,14 @@ def test_what_is_painted_in_the_dark_is_tissue():
     assert not found[:3, 3:].any()
 
 
-def test_what_is_dark_inside_is_tissue():
+def test_dark_pixels_inside_the_tissue_are_tissue():
     picture, _ = air_and_block(inside=True)
     found = Ground.of(of_labels(np.zeros((30, 40), np.uint8), picture=picture)).stiffness
     assert (found[13:16, 18:22] == 20).all()
     assert not found[0].any()
 
 
-def test_a_photograph_whose_shadows_reach_the_edge_is_tissue_everywhere():
+def test_a_photograph_with_shadows_at_its_edge_is_tissue_everywhere():
     picture = np.full((30, 40), 200, np.uint8)
     picture[:10, :12] = 0
     found = Ground.of(of_labels(np.zeros((30, 40), np.uint8), picture=picture)).stiffness
@@ -134,7 +134,7 @@ def test_a_photograph_whose_shadows_reach_the_edge_is_tissue_everywhere():
 
 @pytest.fixture
 def scanned(widget):
-    """The dock with a bright block in air, and layers to paint on, whose block is pushed."""
+    """Return the dock with a bright block in air; painted boundary labels push the block."""
     widget._viewer.add_image(air_and_block()[0], name="CT")
     widget.make_layers()
     widget.boundary.data[8:22, 10] = 1
@@ -143,7 +143,7 @@ def scanned(widget):
     return widget
 
 
-def test_air_around_the_image_does_not_move_unless_somebody_says_so(scanned, run):
+def test_air_around_the_image_moves_only_if_the_option_is_off(scanned, run):
     block = air_and_block()[1]
     moved = run(scanned).solution
     np.testing.assert_array_equal(moved.tissue, block)
@@ -157,7 +157,7 @@ def test_air_around_the_image_does_not_move_unless_somebody_says_so(scanned, run
     np.testing.assert_array_equal(run(scanned).solution.tissue, block)
 
 
-def test_that_air_is_no_tissue_is_followed_at_once(scanned, settle):
+def test_live_mode_applies_a_change_of_the_air_option(scanned, settle):
     scanned.live = True
     settle(scanned)
     assert not scanned.solution.tissue[0, 0]
@@ -166,7 +166,7 @@ def test_that_air_is_no_tissue_is_followed_at_once(scanned, settle):
     assert scanned.solution.tissue[0, 0]
 
 
-def test_paint_in_the_air_makes_it_tissue_and_undo_takes_it_back(scanned, settle):
+def test_paint_in_the_air_makes_tissue_and_undo_removes_the_tissue(scanned, settle):
     scanned.live = True
     settle(scanned)
     tissue = scanned.tissue
@@ -178,7 +178,7 @@ def test_paint_in_the_air_makes_it_tissue_and_undo_takes_it_back(scanned, settle
     assert not scanned.solution.tissue[8, 30:32].any()
 
 
-def test_whether_air_is_tissue_is_said_for_each_image_apart(scanned):
+def test_each_image_has_its_own_air_option(scanned):
     first = scanned.image
     scanned.without_border = False
     scanned.image = scanned._viewer.add_image(np.ones((12, 14)), name="gel")
@@ -187,7 +187,7 @@ def test_whether_air_is_tissue_is_said_for_each_image_apart(scanned):
     assert not scanned.without_border
 
 
-def test_the_air_of_each_slice_is_its_own(widget, run):
+def test_each_slice_has_its_own_air(widget, run):
     picture = np.zeros((9, 30, 40), np.uint8)
     picture[:, 8:22, 10:30] = 200
     picture[6, 4:26, 5:35] = 200
@@ -201,7 +201,7 @@ def test_the_air_of_each_slice_is_its_own(widget, run):
         np.testing.assert_array_equal(found.tissue, picture[at] > 0)
 
 
-def test_air_that_was_taken_for_tissue_is_spoken_of():
+def test_a_warning_reports_air_that_moves_like_tissue():
     picture, inside = head()
     everywhere = np.ones_like(inside)
     assert "dark surroundings" in air_that_is_tissue(picture, everywhere)

@@ -1,4 +1,4 @@
-"""What people can do in the window, by the words they read there: no test looks behind them."""
+"""Tests of the capabilities of the window, by the texts that the user reads."""
 
 from dataclasses import replace
 
@@ -36,8 +36,8 @@ def viewer():
 
 
 @pytest.fixture
-def deform(viewer, qtbot):
-    """The dock, told when to deform, and what is seen of it."""
+def dock_without_live_mode(viewer, qtbot):
+    """Return the dock with live mode off, and its visible texts."""
     dock = SoftTissue(viewer)
     qtbot.addWidget(dock.native)
     dock.settings = replace(dock.settings, device="cpu")
@@ -46,8 +46,8 @@ def deform(viewer, qtbot):
 
 
 @pytest.fixture
-def grab(viewer, qtbot, wait_for):
-    """The dock with *Pull* in the hand, beside a chequered image; `pulled` draws and waits."""
+def pulling_dock(viewer, qtbot, wait_for):
+    """Return the dock with the *Pull* tool active beside a chequered image, and its texts."""
     rows, cols = np.indices((48, 56))
     viewer.add_image((120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8), name="MR")
     dock = SoftTissue(viewer)
@@ -60,8 +60,8 @@ def grab(viewer, qtbot, wait_for):
 
 
 @pytest.fixture
-def pulled(wait_for):
-    """Draw marks, and wait for the tissue: where it goes."""
+def draw_and_wait(wait_for):
+    """Return a function that draws marks, waits and returns the displacement field."""
 
     def draw(dock, *marks):
         seen = []
@@ -76,10 +76,10 @@ def pulled(wait_for):
 
 
 @pytest.fixture
-def look(deform, viewer, small_sample, run, wait_for):
-    """The result of a block of gel that is pushed 3 px to the right."""
+def dock_with_result(dock_without_live_mode, viewer, small_sample, run, wait_for):
+    """Return the dock with a result, a block of gel pushed 3 px right, and its texts."""
     small_sample(viewer)
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     run(dock)
     wait_for(lambda: not dock.busy)
     return dock, screen
@@ -93,7 +93,7 @@ def layer(viewer, beginning):
 # The dock
 
 
-def test_one_dock_has_the_tissue_its_motion_and_what_comes_of_it(
+def test_one_dock_contains_tissue_motion_and_result(
     unstyled, without_controls, make_napari_viewer, qtbot
 ):
     viewer = make_napari_viewer(show=True)
@@ -117,8 +117,10 @@ def test_one_dock_has_the_tissue_its_motion_and_what_comes_of_it(
 # Tissue
 
 
-def test_layers_to_paint_on_are_made_and_painted_by_a_click_on_a_row(deform, viewer):
-    dock, screen = deform
+def test_layers_to_paint_on_are_made_and_a_click_on_a_row_starts_painting(
+    dock_without_live_mode, viewer
+):
+    dock, screen = dock_without_live_mode
     image = viewer.add_image(np.zeros((30, 40)), name="T1", scale=(0.5, 2.0))
     screen.press("Layers to paint on")
     tissue, boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
@@ -136,10 +138,10 @@ def test_layers_to_paint_on_are_made_and_painted_by_a_click_on_a_row(deform, vie
     assert tissue.selected_label == dock.materials[-1].label
 
 
-def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
-    deform, viewer, small_sample, wait_for
+def test_a_valid_number_in_a_table_is_accepted_and_an_invalid_number_is_reset(
+    dock_without_live_mode, viewer, small_sample, wait_for
 ):
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     small_sample(viewer)
     screen.cell(GEL, "Stiffness").write("12,5")
     assert dock.materials[1].stiffness == 12.5
@@ -156,12 +158,14 @@ def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
     wait_for(lambda: refused not in screen.words)
 
 
-def test_stiffness_has_a_unit_only_where_one_is_known(deform, viewer):
-    dock, screen = deform
+def test_stiffness_has_a_unit_only_if_the_unit_is_known(dock_without_live_mode, viewer):
+    dock, screen = dock_without_live_mode
     viewer.add_image(np.full((30, 40), 200, np.uint8), name="MR")
     screen.press("Layers to paint on")
     table = dock.native.findChildren(QTableView)[0]
-    assert head(table, 2) == "Relative\nstiffness", "the paper's 20, 10 and 40 are ratios"
+    assert head(table, 2) == "Relative\nstiffness", (
+        "the paper's 20, 10 and 40 are ratios without a unit"
+    )
     dock.take_materials(next(each for each in PRESETS if each.unit == "kPa"))
     assert head(table, 2) == "Stiffness (kPa)"
     dock.undo()
@@ -171,8 +175,8 @@ def test_stiffness_has_a_unit_only_where_one_is_known(deform, viewer):
         assert "unit" not in tissue["metadata"][METADATA]
 
 
-def test_what_is_dark_around_the_image_is_no_tissue_unless_it_is_unticked(deform, viewer, run):
-    dock, screen = deform
+def test_dark_surroundings_are_void_unless_the_option_is_off(dock_without_live_mode, viewer, run):
+    dock, screen = dock_without_live_mode
     picture = np.zeros((30, 40), np.uint8)
     picture[8:22, 10:30] = 200
     viewer.add_image(picture, name="CT")
@@ -181,15 +185,15 @@ def test_what_is_dark_around_the_image_is_no_tissue_unless_it_is_unticked(deform
     screen.press("Layers to paint on")
     viewer.layers["Tissue"].data[2:4, 2:4] = dock.materials[1].label
     counted = run(dock).solution.tissue
-    assert counted[2:4, 2:4].all(), "what is painted is tissue, dark as it may be"
+    assert counted[2:4, 2:4].all(), "painted dark pixels are void"
     assert counted[8:22, 10:30].all()
     assert not counted[5, 15]
     screen.tick("the dark border is no tissue", False)
     assert run(dock).solution.tissue.all()
 
 
-def test_tissue_comes_from_brightness_by_one_button(deform, viewer, wait_for):
-    dock, screen = deform
+def test_one_button_derives_tissue_from_brightness(dock_without_live_mode, viewer, wait_for):
+    dock, screen = dock_without_live_mode
     rows, cols = np.indices((24, 30))
     inside = np.hypot((rows - 12) / 10, (cols - 15) / 12) < 1
     viewer.add_image(np.where(inside, 60 + 5 * cols, 2).astype(np.uint8), name="MR")
@@ -197,7 +201,7 @@ def test_tissue_comes_from_brightness_by_one_button(deform, viewer, wait_for):
     stiffness = layer(viewer, "MR stiffness")
     assert dock.tissue == "brightness"
     np.testing.assert_array_equal(stiffness.data > 0, inside)
-    assert (np.diff(stiffness.data[12, 5:25]) >= 0).all(), "the brighter, the stiffer"
+    assert (np.diff(stiffness.data[12, 5:25]) >= 0).all(), "a brighter pixel is softer"
     screen.choose("smooth, linear")
     assert (dock.curve.between, dock.curve.logarithmic) == ("smooth", False)
     expected = dock.curve(viewer.layers["MR"].data)
@@ -205,10 +209,10 @@ def test_tissue_comes_from_brightness_by_one_button(deform, viewer, wait_for):
     np.testing.assert_array_equal(Ground.of(dock.study).stiffness, expected)
 
 
-def test_materials_are_taken_from_layers_and_files_and_saved(
-    deform, viewer, small_sample, monkeypatch, tmp_path
+def test_materials_are_copied_from_layers_and_files_and_saved(
+    dock_without_live_mode, viewer, small_sample, monkeypatch, tmp_path
 ):
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     small_sample(viewer)
     tissue, before = dock.tissue, dock.materials
     path = str(tmp_path / "table.json")
@@ -228,10 +232,10 @@ def test_materials_are_taken_from_layers_and_files_and_saved(
     assert dock.materials[1] == Material(1, "liver", 5.4, 0.49)
 
 
-def test_a_result_brings_the_materials_it_was_made_with(
-    deform, viewer, small_sample, run, tmp_path
+def test_materials_of_a_result_are_copied(
+    dock_without_live_mode, viewer, small_sample, run, tmp_path
 ):
-    dock, _ = deform
+    dock, _ = dock_without_live_mode
     small_sample(viewer)
     arrows = run(dock).layers["arrows"]
     (path,) = write_solution(str(tmp_path / "gel.npz"), arrows.data, arrows.attributes)
@@ -243,11 +247,13 @@ def test_a_result_brings_the_materials_it_was_made_with(
     assert dock.materials[1] == Material(1, GEL, 20.0)
 
 
-# What is known of the motion
+# Boundary conditions
 
 
-def test_tissue_follows_the_table_of_what_moves_at_once(deform, viewer, small_sample, wait_for):
-    dock, screen = deform
+def test_live_mode_follows_the_table_of_boundaries(
+    dock_without_live_mode, viewer, small_sample, wait_for
+):
+    dock, screen = dock_without_live_mode
     small_sample(viewer)
     screen.tick("Live")
     wait_for(lambda: dock.solution is not None and not dock.busy)
@@ -260,19 +266,19 @@ def test_tissue_follows_the_table_of_what_moves_at_once(deform, viewer, small_sa
 
 
 @pytest.fixture
-def points(deform, viewer, small_sample):
-    """Two landmarks on the sample, as layers: where they are, and where they should be."""
+def points(dock_without_live_mode, viewer, small_sample):
+    """Return two layers of points on the sample: landmarks and their targets."""
     small_sample(viewer)
     where = viewer.add_points([[8.0, 8.0], [14.0, 14.0]], name="is", size=1)
     should = viewer.add_points([[10.0, 8.0], [14.0, 15.0]], name="ought", size=1)
     return where, should
 
 
-def test_pairs_of_points_are_taken_as_landmarks_and_a_missing_partner_is_said(
-    deform, points, viewer, wait_for
+def test_pairs_of_points_become_landmarks_and_a_missing_partner_is_reported(
+    dock_without_live_mode, points, viewer, wait_for
 ):
     where, should = points
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     screen.tick("Live")
     screen.choose("is")
     screen.press("Take as landmarks")
@@ -295,7 +301,7 @@ def test_pairs_of_points_are_taken_as_landmarks_and_a_missing_partner_is_said(
 # The result
 
 
-def test_a_large_image_is_not_followed_unasked(viewer, qtbot, wait_for):
+def test_live_mode_is_off_for_a_large_image(viewer, qtbot, wait_for):
     dock = SoftTissue(viewer)
     qtbot.addWidget(dock.native)
     viewer.add_image(np.zeros((1200, 1200), np.uint8), name="MR")
@@ -309,9 +315,7 @@ def test_a_large_image_is_not_followed_unasked(viewer, qtbot, wait_for):
 # Pulling
 
 
-def test_a_click_holds_tissue_and_while_space_is_held_the_view_moves(
-    without_controls, pulling, settle
-):
+def test_a_click_pins_tissue_and_space_moves_the_view(without_controls, pulling, settle):
     person, widget = pulling
     seen = person.where(0, 0)
     person.drag((30, 30), (30, 30))
@@ -326,31 +330,37 @@ def test_a_click_holds_tissue_and_while_space_is_held_the_view_moves(
     assert mark.by == pytest.approx((0, 0), abs=1e-9)
 
 
-def test_the_edge_of_the_tissue_is_held_unless_it_is_unticked(grab, pulled, wait_for):
-    dock, screen = grab
+def test_the_edge_of_the_tissue_is_fixed_unless_the_option_is_off(
+    pulling_dock, draw_and_wait, wait_for
+):
+    dock, screen = pulling_dock
     pull, hold = Arrow((24, 28), (0, 4), 4.0), Arrow((10, 10), (0, 0), 2.0)
-    moved = pulled(dock, pull, hold)
+    moved = draw_and_wait(dock, pull, hold)
     assert np.abs(moved[24, -1]).max() < 1e-6
     screen.tick("hold the edge of the tissue", False)
-    assert pulled(dock)[24, -1, 1] > 1
+    assert draw_and_wait(dock)[24, -1, 1] > 1
 
 
-def test_a_painted_boundary_lies_under_what_is_pulled(grab, pulled, viewer, wait_for):
-    dock, _ = grab
+def test_a_painted_boundary_is_combined_with_pulled_tissue(
+    pulling_dock, draw_and_wait, viewer, wait_for
+):
+    dock, _ = pulling_dock
     walls = np.zeros((48, 56), np.uint8)
     walls[:, 38:41] = 1
     walls[24:30, 8:12] = 1
     dock.boundary = viewer.add_labels(walls, name="Walls")
     wait_for(lambda: not dock.busy)
-    moved = pulled(dock, Arrow((24, 28), (0, 4), 4.0), Arrow((27, 10), (2, 0), 4.0))
+    moved = draw_and_wait(dock, Arrow((24, 28), (0, 4), 4.0), Arrow((27, 10), (2, 0), 4.0))
     assert np.abs(moved[walls > 0][:, 1]).max() < 1e-4
-    assert moved[27, 10] == pytest.approx((2, 0), abs=1e-3), "what is drawn comes on top"
+    assert moved[27, 10] == pytest.approx((2, 0), abs=1e-3), (
+        "the arrow does not replace the painted boundary"
+    )
     assert np.abs(moved[4:-4, 36]).max() > 0.05
 
 
-def test_all_that_is_drawn_is_removed_by_one_press_and_comes_back_by_undo(grab, pulled):
-    dock, screen = grab
-    pulled(dock, Arrow((24, 28), (0, 4), 4.0), Stroke("pin", (((10, 10), (10, 20)),), 2.0))
+def test_all_marks_are_removed_by_one_button_and_restored_by_undo(pulling_dock, draw_and_wait):
+    dock, screen = pulling_dock
+    draw_and_wait(dock, Arrow((24, 28), (0, 4), 4.0), Stroke("pin", (((10, 10), (10, 20)),), 2.0))
     drawing = dock.drawing
     screen.press("Remove all")
     assert not dock.drawing.marks
@@ -359,21 +369,23 @@ def test_all_that_is_drawn_is_removed_by_one_press_and_comes_back_by_undo(grab, 
     assert dock.drawing == drawing
 
 
-def test_points_of_two_layers_lead_tissue_beside_what_is_pulled(grab, pulled, viewer):
-    dock, _ = grab
-    pulled(dock, Arrow((8, 44), (0, 2), 2.0))
+def test_points_of_two_layers_are_combined_with_pulled_tissue(pulling_dock, draw_and_wait, viewer):
+    dock, _ = pulling_dock
+    draw_and_wait(dock, Arrow((8, 44), (0, 2), 2.0))
     viewer.add_points([[20, 20], [30, 34]], name="is")
     viewer.add_points([[23, 20], [30, 36]], name="ought")
     dock.take_landmarks(viewer.layers["is"], viewer.layers["ought"])
-    moved = pulled(dock)
+    moved = draw_and_wait(dock)
     assert moved[20, 20] == pytest.approx((3, 0), abs=0.02)
     assert moved[30, 34] == pytest.approx((0, 2), abs=0.02)
     assert moved[8, 44] == pytest.approx((0, 2), abs=0.02)
 
 
-def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_for, tmp_path):
-    dock, _ = grab
-    moved = pulled(dock, Arrow((24, 28), (0, 4), 4.0))
+def test_a_pulled_result_is_saved_with_its_drawing(
+    pulling_dock, draw_and_wait, viewer, wait_for, tmp_path
+):
+    dock, _ = pulling_dock
+    moved = draw_and_wait(dock, Arrow((24, 28), (0, 4), 4.0))
     wait_for(lambda: any(each.name.startswith("MR arrows, elastic") for each in viewer.layers))
     arrows = layer(viewer, "MR arrows, elastic")
     attributes = {"name": arrows.name, "metadata": arrows.metadata}
@@ -384,10 +396,10 @@ def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_fo
     assert Drawing.from_dict(solution.frame["drawing"]) == dock.drawing
 
 
-def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
-    deform, viewer, small_sample, wait_for
+def test_edits_of_tables_and_drawings_are_undone_in_one_order(
+    dock_without_live_mode, viewer, small_sample, wait_for
 ):
-    dock, screen = deform
+    dock, screen = dock_without_live_mode
     small_sample(viewer)
     screen.cell(GEL, "Stiffness").write("33")
     dock.drawing = Drawing((Arrow((10, 12), (1, 0), 3.0),))
@@ -395,7 +407,7 @@ def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
     wait_for(lambda: "changed label 1" in screen.button("Undo").toolTip())
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
-    assert "Took back: changed label 1" in screen.words
+    assert "Undone: changed label 1" in screen.words
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 0)
     screen.press("Undo")
@@ -406,11 +418,11 @@ def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
 
 
-# Looking
+# Display
 
 
-def test_a_slider_shows_a_part_of_the_deformation(look, viewer, wait_for):
-    dock, screen = look
+def test_a_slider_shows_a_part_of_the_deformation(dock_with_result, viewer, wait_for):
+    dock, screen = dock_with_result
     solution = layer(viewer, "MR arrows").metadata["napari-hmrf"]["solution"]
     assert "100 %: tissue moved up to 3 px" in screen.words
     screen.slider.setValue(50)
@@ -424,8 +436,8 @@ def test_a_slider_shows_a_part_of_the_deformation(look, viewer, wait_for):
     assert "50 %: tissue moved up to 1.5 px" in screen.words
 
 
-def test_the_deformation_is_played_until_it_is_stopped(look, viewer, wait_for):
-    dock, screen = look
+def test_the_deformation_is_played_until_it_is_paused(dock_with_result, viewer, wait_for):
+    dock, screen = dock_with_result
     moved = layer(viewer, "MR deformed")
     whole = moved.data.copy()
     screen.press("Play")
@@ -439,8 +451,8 @@ def test_the_deformation_is_played_until_it_is_stopped(look, viewer, wait_for):
     assert f"{dock.percent} %: tissue moved" in screen.words
 
 
-def test_before_is_seen_while_a_button_is_held(look, viewer):
-    _, screen = look
+def test_a_pressed_button_shows_the_undeformed_image(dock_with_result, viewer):
+    _, screen = dock_with_result
     image, moved, arrows = viewer.layers["MR"], layer(viewer, "MR deformed"), layer(viewer, "MR a")
     screen.hold("Hold: before")
     assert (image.visible, moved.visible, arrows.visible) == (True, False, False)
@@ -449,27 +461,29 @@ def test_before_is_seen_while_a_button_is_held(look, viewer):
     assert arrows.visible
 
 
-def test_what_was_given_is_seen_as_layers(look, viewer, wait_for):
-    dock, screen = look
+def test_inputs_are_shown_as_layers(dock_with_result, viewer, wait_for):
+    dock, screen = dock_with_result
     given = {}
     for words, kind in (
         ("given: stiffness", "stiffness (kPa)"),
-        ("given: motion", "motion given where tissue was"),
+        ("given: motion", "given motion"),
         ("given: confidence", "confidence (0 to 1)"),
     ):
         screen.choose(words)
         wait_for(lambda: not dock.busy)
         found = layer(viewer, f"MR {kind}")
-        given[found.name.split(" ")[1]] = found.data
+        given[words.removeprefix("given: ")] = found.data
     stiffness, confidence = given["stiffness"], given["confidence"]
-    assert set(np.unique(stiffness[np.isfinite(stiffness)])) == {0, 20}, "air and gel"
+    assert set(np.unique(stiffness[np.isfinite(stiffness)])) == {0, 20}, (
+        "the stiffness is not that of air and gel"
+    )
     assert set(np.unique(confidence[np.isfinite(confidence)])) == {0, 1}
     assert given["motion"][:, 1].max() == 3
     screen.choose("nothing")
     wait_for(lambda: not any("MR confidence" in layer.name for layer in viewer.layers))
 
 
-def test_the_first_image_is_pulled_without_a_press(
+def test_the_first_image_can_be_pulled_without_pressing_a_button(
     unstyled, without_controls, make_napari_viewer, chequered, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
@@ -480,10 +494,10 @@ def test_the_first_image_is_pulled_without_a_press(
     person.drag((30, 30), (34, 34), (36, 36))
     at_rest.until(lambda: dock.solution is not None and not dock.busy)
     assert dock.solution.displacement[30, 30] == pytest.approx((6, 6), abs=0.7)
-    assert not dock.solution.displacement[0].any(), "the edge is held"
+    assert not dock.solution.displacement[0].any(), "the edge moves"
 
 
-def test_what_was_painted_is_pushed_by_a_drag(
+def test_a_painted_region_is_pushed_by_a_drag(
     unstyled, without_controls, make_napari_viewer, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
@@ -499,7 +513,9 @@ def test_what_was_painted_is_pushed_by_a_drag(
     assert len(dock.drawing.marks) == 1
 
 
-def test_all_columns_of_the_table_of_boundaries_are_seen(make_napari_viewer, small_sample, at_rest):
+def test_all_columns_of_the_table_of_boundaries_are_visible(
+    make_napari_viewer, small_sample, at_rest
+):
     viewer = make_napari_viewer(show=True)
     viewer.window.resize(1300, 800)
     dock = quick(dock_in(viewer))

@@ -1,4 +1,4 @@
-"""A press of Deform always ends, whatever is edited before its result is there."""
+"""Tests that a press of Deform always ends, even if an edit replaces its study."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from tests.support.docks import quick
 
 @pytest.fixture
 def stack_dock(frame, at_rest):
-    """Open a dock beside a stack of two slices, one of which is pulled."""
+    """Return a dock beside a stack of two slices; the first slice is pulled."""
     rows, cols = np.indices((24, 26))
     slice_ = (np.hypot(rows - 12, cols - 13) < 10) * 100.0 + 20
     frame.viewer.add_image(np.stack([slice_, slice_ + 1]), name="MR")
@@ -24,13 +24,13 @@ def stack_dock(frame, at_rest):
 
 @pytest.fixture
 def finished(stack_dock):
-    """Results with which a press of Deform has ended."""
+    """Return a list that collects the results emitted by `finished`."""
     ended = []
     stack_dock.finished.connect(ended.append)
     return ended
 
 
-def test_deform_ends_without_a_result_when_another_slice_is_shown(
+def test_deform_ends_without_a_result_if_another_slice_is_displayed(
     frame, stack_dock, finished, busy_thread, at_rest
 ):
     stack_dock.deform()
@@ -45,10 +45,10 @@ def test_deform_ends_without_a_result_when_another_slice_is_shown(
     stack_dock.drawing = Drawing((Arrow((12, 13), (2, 0), 2.0),))
     stack_dock.deform()
     at_rest.until(lambda: len(finished) == 2)
-    assert finished[1] is not None, "the next one has a result"
+    assert finished[1] is not None, "the next press has no result"
 
 
-def test_deform_ends_without_a_result_when_the_drawing_is_removed(
+def test_deform_ends_without_a_result_if_the_drawing_is_removed(
     stack_dock, finished, busy_thread, at_rest
 ):
     stack_dock.deform()
@@ -60,7 +60,7 @@ def test_deform_ends_without_a_result_when_the_drawing_is_removed(
     assert len(finished) == 1
 
 
-def test_deform_ends_when_a_layer_raises_an_unexpected_error(
+def test_deform_ends_if_a_layer_raises_an_unexpected_error(
     stack_dock, finished, at_rest, monkeypatch
 ):
     def fail(*_):

@@ -1,4 +1,4 @@
-"""The dock finds its place in the window, and napari's menus and command palette find the dock."""
+"""Tests of the dock in the window, in napari's menus and in the command palette."""
 
 import numpy as np
 import pytest
@@ -17,9 +17,9 @@ from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
 
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
-#: Of a small screen, what the bars of the desktop and of the window leave.
+#: Size of a small screen without the bars of desktop and window.
 ROOM = (1366, 700)
-#: What napari calls with a path, not without one.
+#: Commands that napari calls only with a path.
 WITH_A_FILE = tuple(
     f"napari-hmrf.{what}" for what in ("open", "open_study", "open_scan", "open_landmarks", "save")
 )
@@ -27,26 +27,26 @@ COMMANDS = PluginManifest.from_distribution("napari-hmrf").contributions.command
 
 
 @pytest.fixture
-def choose(at_rest):
-    """Choose a command in a menu or in the command palette."""
+def run_command(at_rest):
+    """Return a function that runs a command as a menu or the command palette does."""
     from napari._app_model import get_app_model
 
-    def chosen(name):
+    def run(name):
         get_app_model().commands.execute_command(f"napari-hmrf.{name}").result()
         at_rest()
 
-    return chosen
+    return run
 
 
 @pytest.fixture
 def window(unstyled, without_controls, styled_window):
-    """The same without what is not ours, for claims that are not about looks."""
+    """Return a window without style sheet and layer controls."""
     return styled_window
 
 
 @pytest.fixture
 def styled_window(make_napari_viewer, at_rest):
-    """A window on a small screen, with an image, as people see it."""
+    """Return a window on a small screen with an image, in napari's style."""
     viewer = make_napari_viewer(show=True)
     viewer.window.resize(*ROOM)
     viewer.add_image(np.full((40, 40), 100, np.uint8), name="MR")
@@ -76,9 +76,7 @@ def test_the_dock_fits_on_a_small_screen(styled_window, at_rest):
     assert (styled_window._qt_window.width(), styled_window._qt_window.height()) == ROOM
 
 
-def test_words_take_no_more_room_than_they_need_and_move_no_button(
-    styled_window, at_rest, wait_for
-):
+def test_a_long_status_does_not_move_the_buttons(styled_window, at_rest, wait_for):
     found = dock()
     wait_for(lambda: not found.busy)
     at_rest()
@@ -91,15 +89,13 @@ def test_words_take_no_more_room_than_they_need_and_move_no_button(
     footer.warn("It folds.", "Folds at 300 pixels")
     wait_for(lambda: footer.height() == footer.sizeHint().height() > least)
     assert deform.mapTo(styled_window._qt_window, deform.rect().topLeft()) == place
-    assert footer.height() < 250, "however much there is to say"
+    assert footer.height() < 250, "a long status is too high"
     found.show_message("One line.")
     footer.warn("")
     wait_for(lambda: footer.height() == least)
 
 
-def test_no_word_of_the_curve_or_of_the_paper_s_tissues_is_cut_off(
-    styled_window, at_rest, wait_for
-):
+def test_texts_of_the_curve_and_of_the_presets_are_not_truncated(styled_window, at_rest, wait_for):
     found = dock()
     found._viewer.layers["MR"].data = np.arange(1600, dtype=np.float32).reshape(40, 40)
     Screen(found).press("Tissue from brightness")
@@ -108,7 +104,7 @@ def test_no_word_of_the_curve_or_of_the_paper_s_tissues_is_cut_off(
     wait_for(lambda: not found.busy)
     at_rest()
     editor, preset = found._form.tissue.editor, found.fields.preset.native
-    assert found.native.width() < 360, "as wide as it usually is"
+    assert found.native.width() < 360, "the dock is wider than usual"
     for box in (editor.joined.native, preset):
         looks = QStyleOptionComboBox()
         box.initStyleOption(looks)
@@ -119,7 +115,7 @@ def test_no_word_of_the_curve_or_of_the_paper_s_tissues_is_cut_off(
     assert points.fontMetrics().horizontalAdvance(points.text()) + 4 <= points.width()
 
 
-def test_what_is_opened_is_scrolled_to(window, at_rest, wait_for):
+def test_an_opened_section_is_scrolled_into_view(window, at_rest, wait_for):
     found = dock()
     at_rest()
     screen = Screen(found)
@@ -130,7 +126,7 @@ def test_what_is_opened_is_scrolled_to(window, at_rest, wait_for):
 
 
 def corners_seen(viewer):
-    """The least and the greatest row and column of the image that are on the canvas."""
+    """Return the first and last row, and the first and last column, shown on the canvas."""
     canvas = viewer.window._qt_viewer.canvas
     view = canvas.view
     mapped = (view.transform * view.scene.transform).imap([[0, 0], list(canvas.size[::-1])])
@@ -138,9 +134,7 @@ def corners_seen(viewer):
     return top, bottom, left, right
 
 
-def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(
-    unstyled, make_napari_viewer, at_rest
-):
+def test_an_image_shown_as_a_whole_remains_so_beside_a_dock(unstyled, make_napari_viewer, at_rest):
     viewer = make_napari_viewer(show=True)
     viewer.window.resize(*ROOM)
     at_rest()
@@ -153,7 +147,7 @@ def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(
     assert right > 79
 
 
-def test_a_view_that_somebody_chose_stays_beside_a_dock(window, at_rest):
+def test_a_view_chosen_by_the_user_is_not_changed_by_a_dock(window, at_rest):
     viewer = window._qt_viewer.viewer
     camera = viewer.scene.camera
     camera.zoom *= 3
@@ -176,7 +170,7 @@ def test_the_dock_lists_its_keys_until_a_click(qtbot):
     assert not shown.isVisible()
 
 
-def test_each_tool_has_a_picture_a_word_and_a_key_and_the_one_in_the_hand_is_seen(qtbot):
+def test_each_tool_has_an_icon_a_tool_tip_and_a_key_and_the_active_tool_is_checked(qtbot):
     viewer = ViewerModel()
     viewer.add_image(np.full((40, 40), 100, np.uint8))
     made = SoftTissue(viewer)
@@ -193,82 +187,82 @@ def test_each_tool_has_a_picture_a_word_and_a_key_and_the_one_in_the_hand_is_see
     assert len(pictures) == len(TOOLS)
 
 
-def test_the_menu_hides_the_dock_that_is_seen_and_shows_it_again(window, choose):
-    choose("soft_tissue")
+def test_the_menu_hides_a_visible_dock_and_shows_a_hidden_dock(window, run_command):
+    run_command("soft_tissue")
     (inner,) = docks_of(window)
     assert is_seen(inner)
-    choose("soft_tissue")
-    assert not is_seen(inner), "as napari does with every dock"
-    choose("soft_tissue")
+    run_command("soft_tissue")
+    assert not is_seen(inner), "the menu did not hide the visible dock"
+    run_command("soft_tissue")
     assert docks_of(window) == [inner]
     assert is_seen(inner)
 
 
-def test_the_menu_and_the_palette_find_the_same_dock(window, choose):
-    choose("live")
+def test_the_menu_and_the_palette_use_the_same_dock(window, run_command):
+    run_command("live")
     (inner,) = docks_of(window)
-    choose("soft_tissue")
+    run_command("soft_tissue")
     assert docks_of(window) == [inner]
 
 
-def test_a_dock_that_was_put_elsewhere_stays_there(window, choose):
-    choose("soft_tissue")
+def test_a_floating_dock_remains_floating(window, run_command):
+    run_command("soft_tissue")
     frame_of(dock()).setFloating(True)
-    choose("live")
+    run_command("live")
     assert frame_of(dock()).isFloating()
     assert len(docks_of(window)) == 1
 
 
-def test_a_closed_dock_can_be_opened_again(window, choose, at_rest):
-    choose("soft_tissue")
+def test_a_closed_dock_can_be_opened_again(window, run_command, at_rest):
+    run_command("soft_tissue")
     window.remove_dock_widget(frame_of(dock()))
     at_rest()
     assert not docks_of(window)
-    choose("soft_tissue")
+    run_command("soft_tissue")
     (inner,) = docks_of(window)
     assert is_seen(inner)
     assert inner.image.name == "MR"
 
 
-def test_each_viewer_has_a_dock_of_its_own(unstyled, without_controls, make_napari_viewer):
+def test_each_viewer_has_its_own_dock(unstyled, without_controls, make_napari_viewer):
     one, other = make_napari_viewer(), make_napari_viewer()
     assert dock(one) is dock(one)
     assert dock(other) is not dock(one)
 
 
 @pytest.mark.campaign
-def test_each_command_runs_in_a_window(window, choose, qtbot):
+def test_each_command_runs_in_a_window(window, run_command, qtbot):
     samples = {"sample_mass_effect": "mass-effect"}
     words = [
         each.id.removeprefix("napari-hmrf.") for each in COMMANDS if each.id not in WITH_A_FILE
     ]
     for word in sorted(words, key=lambda word: "sample" in word):
-        if "sample" in word:  # which brings large images
+        if "sample" in word:  # Samples are large images, so close the docks.
             for inner in docks_of(window):
                 window.remove_dock_widget(inner.native)
-        choose(samples.get(word, word.removeprefix("sample_")))
+        run_command(samples.get(word, word.removeprefix("sample_")))
         for inner in docks_of(window):
             qtbot.waitUntil(lambda inner=inner: not inner.busy, timeout=LONG_MS)
 
 
-def test_commands_do_what_they_say(window, choose, qtbot):
-    choose("pull")
+def test_commands_have_the_described_effect(window, run_command, qtbot):
+    run_command("pull")
     inner = dock()
     assert inner.active
     qtbot.waitUntil(lambda: not inner.busy, timeout=LONG_MS)
-    choose("pull")
+    run_command("pull")
     assert not inner.active
     before = inner.live
-    choose("live")
+    run_command("live")
     assert inner.live != before
     with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
-        choose("deform_now")
+        run_command("deform_now")
     inner.drawing = Drawing((Arrow((20, 20), (2, 0), 3.0),))
     with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
-        choose("deform_now")
-    choose("play")
+        run_command("deform_now")
+    run_command("play")
     assert inner.playing
-    choose("play")
+    run_command("play")
     assert not inner.playing
 
 
@@ -299,12 +293,14 @@ TYPED = {
 }
 
 
-def test_the_palette_finds_commands_by_what_people_type(window, at_rest):
+def test_the_palette_finds_commands_by_their_usual_names(window, at_rest):
     main = window._qt_window
     QTest.keyClick(main, Qt.Key.Key_P, CTRL | SHIFT)
     at_rest()
     palette = main._command_palette
-    if not palette.isVisible():  # where no window manager gives the window the keyboard
+    if (
+        not palette.isVisible()
+    ):  # Without a window manager the window does not get the keyboard focus.
         window._toggle_command_palette()
     for typed, command in TYPED.items():
         palette._line.clear()
@@ -314,19 +310,19 @@ def test_the_palette_finds_commands_by_what_people_type(window, at_rest):
     palette.hide()
 
 
-def test_undo_of_the_palette_takes_back_what_was_drawn(window, choose, qtbot):
-    choose("pull")
+def test_undo_in_the_palette_undoes_a_drawing(window, run_command, qtbot):
+    run_command("pull")
     inner = dock()
     qtbot.waitUntil(lambda: not inner.busy, timeout=LONG_MS)
     drawn = Drawing((Arrow((20, 20), (2, 0), 3.0),))
     inner.drawing = drawn
-    choose("undo")
+    run_command("undo")
     assert inner.drawing == Drawing()
-    choose("redo")
+    run_command("redo")
     assert inner.drawing == drawn
 
 
-def test_without_a_window_a_command_says_so(monkeypatch):
+def test_a_command_without_a_window_raises_an_error(monkeypatch):
     monkeypatch.setattr("napari.current_viewer", lambda: None)
     with pytest.raises(HmrfError, match="no napari window"):
         dock()

@@ -1,4 +1,4 @@
-"""What somebody does who sees the dock for the first time, by the mouse, is what they meant."""
+"""Tests of the dock with the mouse, as a first-time user would use it."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ LEFT = Qt.MouseButton.LeftButton
 
 @pytest.fixture
 def click(at_rest):
-    """Click a button of a dock, in its middle."""
+    """Return a function that clicks a button of a dock in its centre."""
 
     def clicked(widget, words):
         QTest.mouseClick(Screen(widget).button(words), LEFT)
@@ -32,7 +32,7 @@ def click(at_rest):
 
 @pytest.fixture
 def deformed(frame, small_sample, run, settle):
-    """The dock, seen, and a result: gel, held left, pushed 3 px right at the right."""
+    """Return the viewer and a visible dock with a result: gel pushed right by 3 px."""
     small_sample(frame.viewer)
     widget = quick(frame.open())
     frame.show()
@@ -42,7 +42,7 @@ def deformed(frame, small_sample, run, settle):
 
 
 def groove(widget, part):
-    """Where the slider's groove is clicked to have so much of the deformation."""
+    """Return the slider and the position in its groove for a part of the deformation."""
     slider = Screen(widget).slider
     return slider, QPoint(round(part * (slider.width() - 1)), slider.height() // 2)
 
@@ -52,24 +52,24 @@ def slide(widget, part):
     QTest.mouseClick(slider, LEFT, Qt.KeyboardModifier.NoModifier, place)
 
 
-def test_pull_stays_in_the_hand_of_who_presses_it_after_it_was_taken_up_by_itself(
+def test_the_first_press_of_an_automatically_activated_pull_leaves_it_active(
     pulling_beside, settle, click
 ):
     _, widget = pulling_beside
     click(widget, "Pull")
-    assert widget.active, "the message said to press it"
+    assert widget.active, "the press suggested by the message deactivated the tool"
     click(widget, "Pull")
-    assert not widget.active, "and once more puts it down"
+    assert not widget.active, "the second press did not deactivate the tool"
 
 
-def test_pull_that_was_used_is_put_down_by_the_first_press(pulling_beside, settle, click):
+def test_a_press_deactivates_pull_after_it_was_used(pulling_beside, settle, click):
     person, widget = pulling_beside
     person.drag((30, 30), (30, 36))
     click(widget, "Pull")
     assert not widget.active
 
 
-def test_whoever_asks_for_a_result_behind_paint_sees_it(deformed, settle, click):
+def test_controls_of_the_result_show_a_result_hidden_for_painting(deformed, settle, click):
     viewer, widget = deformed
     screen, moved = Screen(widget), viewer.layers["MR deformed, paper"]
     asked = {
@@ -80,14 +80,14 @@ def test_whoever_asks_for_a_result_behind_paint_sees_it(deformed, settle, click)
     for what, ask in asked.items():
         screen.click_row("gel")
         screen.cell("gel", "Stiffness").write("nonsense")
-        assert not moved.visible, "paint is put on the image as it was"
+        assert not moved.visible, "painting does not show the undeformed image"
         ask()
         widget.pause()
         settle(widget)
         assert moved.visible, what
 
 
-def test_a_click_in_the_groove_of_the_slider_moves_it_there(deformed, settle):
+def test_a_click_in_the_groove_of_the_slider_moves_the_slider(deformed, settle):
     _, widget = deformed
     for part in (0.25, 0.75):
         slide(widget, part)
@@ -95,7 +95,7 @@ def test_a_click_in_the_groove_of_the_slider_moves_it_there(deformed, settle):
         assert widget.percent == pytest.approx(100 * part, abs=4)
 
 
-def test_what_is_read_of_the_cursor_follows_what_is_seen(widget, small_sample, settle, run):
+def test_the_status_bar_is_updated_with_the_display(widget, small_sample, settle, run):
     viewer = widget._viewer
     small_sample(viewer)
     widget.settings = replace(widget.settings, sweeps=60)
@@ -115,15 +115,15 @@ def test_what_is_read_of_the_cursor_follows_what_is_seen(widget, small_sample, s
     run(widget)
     settle(widget)
     assert " right)" in str(viewer.status)
-    viewer.status = ""  # as napari does when the mouse leaves the canvas, before it knows it has
+    viewer.status = ""  # napari clears the status before it reports that the mouse left the canvas.
     viewer.mouse_over_canvas = False
-    assert not viewer.status, "of the place the mouse has left there is nothing to say"
+    assert not viewer.status, "the status describes a place that the mouse has left"
     slide(widget, 0.5)
     settle(widget)
     assert not viewer.status
 
 
-def test_of_another_image_no_result_is_told_until_it_is_chosen_again(deformed, settle):
+def test_the_result_of_another_image_is_not_shown_until_that_image_is_chosen(deformed, settle):
     viewer, widget = deformed
     screen = Screen(widget)
     assert "tissue moved up to 3" in screen.words
@@ -140,7 +140,7 @@ def test_of_another_image_no_result_is_told_until_it_is_chosen_again(deformed, s
     assert widget.solution is not None
 
 
-def test_a_model_and_tissue_by_brightness_are_undone_step_by_step(widget, small_sample):
+def test_model_and_tissue_from_brightness_are_undone_step_by_step(widget, small_sample):
     viewer = widget._viewer
     _, tissue, _ = small_sample(viewer)
     widget.settings = replace(widget.settings, sweeps=7)
@@ -163,7 +163,7 @@ def test_a_model_and_tissue_by_brightness_are_undone_step_by_step(widget, small_
     assert widget.model == "elastic"
 
 
-def test_what_goes_with_an_image_is_undone_step_by_step_in_whichever_image(widget, small_sample):
+def test_settings_of_several_images_are_undone_step_by_step(widget, small_sample):
     viewer = widget._viewer
     image, tissue, boundary = small_sample(viewer)
     other = viewer.add_image(image.data[::-1].copy(), name="other")
@@ -180,35 +180,33 @@ def test_what_goes_with_an_image_is_undone_step_by_step_in_whichever_image(widge
     assert (widget.image, widget.hold_edge) == (other, not held)
     widget.undo()
     assert (widget.image, widget.boundary) == (image, boundary), (
-        "of the other image, and goes there"
+        "undo did not select the image of the edit"
     )
     widget.undo()
     assert widget.without_border
     widget.undo()
     assert widget.tissue is tissue
     widget.undo()
-    assert not widget.hold_edge, "what came painted says all that is held"
+    assert not widget.hold_edge, "the edge is fixed although a painted boundary was restored"
     for _ in range(4):
         widget.redo()
     chosen = widget.hold_edge, widget.tissue, widget.without_border, widget.boundary
     assert chosen == (True, stiffness, False, None)
 
 
-def test_a_layer_that_becomes_the_boundary_and_a_typed_ratio_are_steps(widget, small_sample):
+def test_choosing_a_boundary_and_typing_a_ratio_are_undo_steps(widget, small_sample):
     viewer = widget._viewer
     _, tissue, boundary = small_sample(viewer)
     widget.boundary = tissue
     widget.undo()
-    assert widget.status == "Took back: chose another boundary."
+    assert widget.status == "Undone: chose another boundary."
     assert widget.boundary is boundary
     widget.poisson = 0.3
     widget.undo()
-    assert widget.status == "Took back: changed Poisson's ratio."
+    assert widget.status == "Undone: changed Poisson's ratio."
 
 
-def test_the_edge_of_a_new_image_is_held_whatever_was_chosen_for_those_that_are_gone(
-    widget, small_sample
-):
+def test_the_edge_of_a_new_image_is_fixed_regardless_of_removed_images(widget, small_sample):
     viewer = widget._viewer
     small_sample(viewer)
     widget.boundary = None
@@ -220,9 +218,7 @@ def test_the_edge_of_a_new_image_is_held_whatever_was_chosen_for_those_that_are_
     assert widget.hold_edge
 
 
-def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(
-    pulling_beside, settle
-):
+def test_a_poisson_ratio_above_the_limit_is_refused_with_a_message(pulling_beside, settle):
     _, widget = pulling_beside
     widget.drawing = Drawing((Arrow((20, 20), (2, 0), 4.0),))
     settle(widget)
@@ -237,9 +233,7 @@ def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(
     assert widget.solution is before
 
 
-def test_the_wheel_scrolls_the_dock_and_changes_nothing_that_was_not_clicked(
-    frame, chequered, settle, at_rest
-):
+def test_the_wheel_scrolls_the_dock_without_changing_a_field(frame, chequered, settle, at_rest):
     frame.viewer.add_image(chequered, name="MR")
     widget = frame.open()
     widget.make_layers()
@@ -261,7 +255,7 @@ def test_the_wheel_scrolls_the_dock_and_changes_nothing_that_was_not_clicked(
     assert now == before
 
 
-def test_a_choice_of_a_layer_that_is_gone_is_undone_to_none(widget, small_sample):
+def test_undo_of_a_choice_selects_none_if_the_earlier_layer_was_removed(widget, small_sample):
     viewer = widget._viewer
     _, tissue, _ = small_sample(viewer)
     stiffness = viewer.add_image(np.ones((8, 8)), name="stiff")
@@ -273,7 +267,7 @@ def test_a_choice_of_a_layer_that_is_gone_is_undone_to_none(widget, small_sample
     assert widget.tissue is stiffness
 
 
-def test_layers_that_come_or_are_made_leave_nothing_to_take_back(widget, small_sample):
+def test_added_and_generated_layers_add_no_undo_step(widget, small_sample):
     viewer = widget._viewer
     small_sample(viewer)
     viewer.add_image(np.zeros((12, 12)), name="other")
@@ -281,10 +275,10 @@ def test_layers_that_come_or_are_made_leave_nothing_to_take_back(widget, small_s
     widget.make_layers()
     viewer.layers.remove(viewer.layers["Tissue [1]"])
     widget.undo()
-    assert widget.status == "There is nothing to take back."
+    assert widget.status == "There is nothing to undo."
 
 
-def test_landmarks_that_are_taken_are_seen_at_once(pulling_beside, settle, click):
+def test_imported_landmarks_are_displayed_at_once(pulling_beside, settle, click):
     person, widget = pulling_beside
     widget.stop()
     person.viewer.layers.remove("Motion")
@@ -297,7 +291,7 @@ def test_landmarks_that_are_taken_are_seen_at_once(pulling_beside, settle, click
     assert len(person.viewer.layers["Motion"].data)
 
 
-def test_the_marks_of_folds_are_taken_away_by_a_second_click(deformed, run, settle, click):
+def test_a_second_click_removes_the_marks_of_folds(deformed, run, settle, click):
     viewer, widget = deformed
     widget.rules = (widget.rules[0], replace(widget.rules[1], vector=(0.0, -40.0)))
     widget.settings = replace(widget.settings, sweeps=60)
@@ -305,14 +299,14 @@ def test_the_marks_of_folds_are_taken_away_by_a_second_click(deformed, run, sett
     click(widget, "\u26a0")
     settle(widget)
     assert viewer.layers["MR folds, paper"].visible
-    assert viewer.layers[-1].name == "MR folds, paper", "no line hides them"
+    assert viewer.layers[-1].name == "MR folds, paper", "a layer covers the marks of folds"
     click(widget, "\u26a0")
     settle(widget)
     assert "MR folds, paper" not in viewer.layers
     assert widget.overlay == "nothing"
 
 
-def test_a_refusal_is_read_until_something_else_is_done(small_sample, settle, busy_thread, qtbot):
+def test_an_error_message_is_shown_until_the_next_action(small_sample, settle, busy_thread, qtbot):
     viewer = ViewerModel()
     widget = SoftTissue(viewer)
     qtbot.addWidget(widget.native)
@@ -325,13 +319,13 @@ def test_a_refusal_is_read_until_something_else_is_done(small_sample, settle, bu
     assert said == "Stiffness must be a number, 0 or more, or 'rigid'; kept 30."
     busy_thread.set()
     settle(widget)
-    assert widget.status == said, "whatever comes of what was done before"
+    assert widget.status == said, "the result of an earlier edit replaced the message"
     Screen(widget).cell("gel", "Stiffness").write("40")
     settle(widget)
     assert widget.status.startswith("Tissue moved")
 
 
-def test_what_goes_with_a_layer_that_is_deleted_is_said(widget, small_sample, settle):
+def test_a_message_reports_the_effect_of_a_removed_layer(widget, small_sample, settle):
     viewer = widget._viewer
     image, tissue, boundary = small_sample(viewer)
     widget.drawing = Drawing((Arrow((10, 10), (1, 0), 3.0),))

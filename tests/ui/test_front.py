@@ -1,4 +1,4 @@
-"""Of several images the dock takes the one that somebody looks at."""
+"""Tests of the image that a new dock selects if there are several."""
 
 import numpy as np
 import pytest
@@ -14,16 +14,16 @@ LARGER = np.full((64, 48, 3), 200, np.uint8)
 
 
 @pytest.fixture
-def two(small_sample):
-    """A viewer with a painted sample, and a larger image before it."""
+def two_images(small_sample):
+    """Return a viewer with a painted sample behind a larger image, and both images."""
     viewer = ViewerModel()
     lower, *_ = small_sample(viewer)
     return viewer, lower, viewer.add_image(LARGER, name="astronaut", rgb=True)
 
 
 @pytest.fixture
-def opened(qtbot):
-    """Open the dock beside a viewer without a window."""
+def open_dock(qtbot):
+    """Return a function that opens the dock beside a viewer without a window."""
 
     def dock(viewer):
         found = SoftTissue(viewer)
@@ -33,43 +33,45 @@ def opened(qtbot):
     return dock
 
 
-def test_a_dock_takes_the_image_that_is_selected(opened, two):
-    viewer, lower, upper = two
-    dock = opened(viewer)
+def test_a_dock_selects_the_image_that_is_selected_in_the_viewer(open_dock, two_images):
+    viewer, lower, upper = two_images
+    dock = open_dock(viewer)
     assert dock.image is upper
-    assert (dock.tissue, dock.boundary) == (None, None), "what is painted on the other stays its"
+    assert (dock.tissue, dock.boundary) == (None, None), (
+        "the layers of the other image were selected"
+    )
     viewer.layers.selection = {lower}
-    dock = opened(viewer)
+    dock = open_dock(viewer)
     assert dock.image is lower
     assert (dock.tissue.name, dock.image.name) == ("Tissue", "MR")
 
 
-def test_a_dock_takes_the_topmost_image_that_is_seen_if_none_is_selected(opened, two):
-    viewer, lower, upper = two
+def test_a_dock_selects_the_topmost_visible_image_if_none_is_selected(open_dock, two_images):
+    viewer, lower, upper = two_images
     viewer.layers.selection = {viewer.layers["Boundary"]}
-    assert opened(viewer).image is upper
+    assert open_dock(viewer).image is upper
     upper.visible = False
-    assert opened(viewer).image is lower
+    assert open_dock(viewer).image is lower
 
 
-def test_a_choice_stays_when_another_image_is_selected(opened, two):
-    viewer, lower, upper = two
-    dock = opened(viewer)
+def test_a_later_selection_in_the_viewer_does_not_change_the_image(open_dock, two_images):
+    viewer, lower, upper = two_images
+    dock = open_dock(viewer)
     viewer.layers.selection = {lower}
     assert dock.image is upper
 
 
-def test_a_dock_goes_on_with_the_image_that_is_drawn_on(opened, two):
-    viewer, lower, _ = two
+def test_a_new_dock_selects_the_image_with_a_drawing(open_dock, two_images):
+    viewer, lower, _ = two_images
     viewer.layers.selection = {lower}
-    first = opened(viewer)
+    first = open_dock(viewer)
     first.start()
     first.drawing = Drawing((Arrow((10, 12), (10, 14), 4.0),))
     viewer.layers.selection = {viewer.layers["astronaut"]}
-    assert opened(viewer).image is lower
+    assert open_dock(viewer).image is lower
 
 
-def test_a_dock_goes_on_with_the_image_that_was_deformed(frame, small_sample, run, settle):
+def test_a_new_dock_selects_the_image_with_a_result(frame, small_sample, run, settle):
     lower, *_ = small_sample(frame.viewer)
     first = quick(frame.open())
     run(first)
@@ -81,14 +83,14 @@ def test_a_dock_goes_on_with_the_image_that_was_deformed(frame, small_sample, ru
     assert second.solution is not None
 
 
-def test_an_image_that_is_covered_is_spoken_of(opened, two, settle):
-    viewer, lower, upper = two
+def test_a_message_reports_a_covered_image(open_dock, two_images, settle):
+    viewer, lower, upper = two_images
     said = "The image is covered by 'astronaut': hide that one, or choose it here."
-    dock = opened(viewer)
+    dock = open_dock(viewer)
     assert dock.status == START
     upper.visible = False
     viewer.layers.selection = {lower}
-    dock = opened(viewer)
+    dock = open_dock(viewer)
     assert dock.status == START
     upper.visible = True
     dock.start()
@@ -106,17 +108,17 @@ def test_an_image_that_is_covered_is_spoken_of(opened, two, settle):
         {"visible": False},
     ],
 )
-def test_an_image_of_which_something_is_seen_is_not_covered(opened, two, look):
-    viewer, lower, upper = two
+def test_a_partly_visible_image_is_not_reported_as_covered(open_dock, two_images, look):
+    viewer, lower, upper = two_images
     viewer.layers.remove(upper)
     viewer.add_image(LARGER, rgb=True, **look)
     viewer.layers.selection = {lower}
-    assert opened(viewer).status == START
+    assert open_dock(viewer).status == START
 
 
-def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
-    viewer, lower, upper = two
-    dock = opened(viewer)
+def test_the_message_about_a_covered_image_follows_visibility_and_order(open_dock, two_images):
+    viewer, lower, upper = two_images
+    dock = open_dock(viewer)
     dock.image = lower
     dock.show_message("")
     for shown in (False, True):
@@ -129,7 +131,7 @@ def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
     assert dock.status.startswith("The image is covered by 'new'")
 
 
-def test_where_another_image_lies_on_top_nothing_is_taken_hold_of(pulling_beside):
+def test_covered_tissue_cannot_be_pulled(pulling_beside):
     person, widget = pulling_beside
     patch = np.full((20, 64), 200, np.uint8)
     person.viewer.add_image(patch, name="strip", translate=(40, 0))

@@ -1,4 +1,4 @@
-"""Tissue that is dragged: what is shown is the newest, and the window waits for nothing."""
+"""Tests of the pace of dragged tissue: the newest drawing is shown without blocking the window."""
 
 import threading
 from dataclasses import replace
@@ -26,8 +26,8 @@ def pulled(by):
     return Drawing((Arrow((20, 20), (0, by), 4),))
 
 
-class Following:
-    """Follows drawings on an image, and knows what it has shown."""
+class Follower:
+    """Engine that follows drawings on an image, and the results it has shown."""
 
     def __init__(self, image, **how):
         self.study = replace(read_ground(image, **how).study, optimizer=Multigrid(TOLERANCE))
@@ -47,27 +47,27 @@ def image():
 
 
 @pytest.fixture
-def following(qtbot):
-    """Have drawings on an image be followed."""
+def make_follower(qtbot):
+    """Return a function that makes a follower of drawings on an image."""
     made = []
 
-    def of(image, **how):
-        made.append(Following(image, **how))
+    def make(image, **how):
+        made.append(Follower(image, **how))
         return made[-1]
 
-    yield of
+    yield make
     for each in made:
         each.engine.release()
 
 
 @pytest.fixture
-def follower(image, following):
-    return following(image)
+def follower(image, make_follower):
+    return make_follower(image)
 
 
 @pytest.fixture
 def solver_at_work():
-    """Somebody who keeps the compute thread, until told to let go."""
+    """Occupy the compute thread until the returned event is set."""
     begun, over = threading.Event(), threading.Event()
     compute_thread.submit(lambda: (begun.set(), over.wait(60)))
     assert begun.wait(60)
@@ -76,114 +76,118 @@ def solver_at_work():
 
 
 @pytest.fixture
-def rest(at_rest):
-    """Wait until a follower has shown the last drawing."""
-    return lambda following: at_rest.until(lambda: not following.engine.at_work)
+def wait_for_follower(at_rest):
+    """Return a function that waits until a follower has shown the last drawing."""
+    return lambda follower: at_rest.until(lambda: not follower.engine.at_work)
 
 
-def test_the_newest_drawing_is_shown_in_the_end(follower, rest):
+def test_the_newest_drawing_is_shown_last(follower, wait_for_follower):
     for by in range(40):
         follower.follow(pulled(by / 10))
         if by % 7 == 0:
             QApplication.processEvents()
-    rest(follower)
+    wait_for_follower(follower)
     seen = follower.shown[-1]
     assert seen.study.motion.drawing == pulled(3.9)
     assert seen.solution.displacement[20, 20] == pytest.approx((0, 3.9), abs=0.02)
     order = [seen.study.motion.drawing.marks[0].by[1] for seen in follower.shown]
-    assert order == sorted(order), "the tissue never goes back to an older drawing"
+    assert order == sorted(order), "an older drawing was shown after a newer one"
 
 
-def test_of_drawings_made_while_one_is_solved_only_the_last_is_solved(follower, rest, monkeypatch):
+def test_only_the_last_of_the_drawings_made_during_a_solve_is_solved(
+    follower, wait_for_follower, monkeypatch
+):
     solved, first_begun, others_drawn = [], threading.Event(), threading.Event()
     check = Problem.__init__
 
-    def noted(self, y, *rest, **options):
+    def recorded(self, y, *wait_for_follower, **options):
         solved.append(round(float(y.max()), 1))
         if solved[-1] == 0.1:
             first_begun.set()
             assert others_drawn.wait(LONG)
-        check(self, y, *rest, **options)
+        check(self, y, *wait_for_follower, **options)
 
-    monkeypatch.setattr(Problem, "__init__", noted)
+    monkeypatch.setattr(Problem, "__init__", recorded)
     follower.follow(pulled(0.1))
     assert first_begun.wait(LONG)
     for by in range(2, 10):
         follower.follow(pulled(by / 10))
     others_drawn.set()
-    rest(follower)
+    wait_for_follower(follower)
     first, last = 0.1, 0.9
     assert [by for by in solved if by not in (0, 1)] == [first, last], (
-        "compiling solves for 0 and 1"
+        "compilation solves for 0 and 1"
     )
     assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(0.1), pulled(0.9)]
 
 
-def test_a_newer_drawing_waits_until_the_one_before_is_painted(follower, rest):
+def test_a_newer_drawing_waits_until_the_earlier_result_is_painted(follower, wait_for_follower):
     follower.follow(pulled(1))
     assert compute_thread.submit(lambda: True).result(LONG)
     follower.follow(pulled(2))
     assert compute_thread.submit(lambda: True).result(LONG)
-    assert follower.engine.busy, "the answer is not painted yet"
+    assert follower.engine.busy, "the engine is idle although the result is not painted"
     assert not follower.shown
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(1), pulled(2)]
 
 
-def test_a_drawing_that_takes_too_long_gives_way_to_a_newer_one(
-    follower, rest, monkeypatch, solver_at_work
+def test_a_slow_drawing_is_replaced_by_a_newer_one(
+    follower, wait_for_follower, monkeypatch, solver_at_work
 ):
     monkeypatch.setattr(engine, "patience_for", lambda *_: 0.0)
     follower.follow(pulled(1))
     follower.follow(pulled(2))
     solver_at_work.set()
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(2)]
 
 
-def test_what_was_taken_back_is_not_shown_although_it_was_being_solved(image, rest, following):
-    follower = following(image, hold_edge=False)
+def test_a_removed_drawing_is_not_shown_after_its_solve(image, wait_for_follower, make_follower):
+    follower = make_follower(image, hold_edge=False)
     follower.follow(pulled(2))
     follower.follow(Drawing())
-    rest(follower)
+    wait_for_follower(follower)
     assert follower.shown[-1].solution is None
     assert np.array_equal(follower.shown[-1].image, image.data)
     follower.follow(pulled(2))
-    rest(follower)
-    assert follower.shown[-1].solution is not None, "and the next drawing is followed again"
+    wait_for_follower(follower)
+    assert follower.shown[-1].solution is not None, "the next drawing was not solved"
 
 
-def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, rest, solver_at_work):
+def test_an_error_is_shown_only_if_the_drawing_is_still_current(
+    follower, wait_for_follower, solver_at_work
+):
     beyond = Drawing((Arrow((20, 20), (0, 1e6), 4),))
     follower.follow(beyond)
     follower.follow(pulled(1))
     solver_at_work.set()
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.error for seen in follower.shown] == [None]
     follower.follow(beyond)
-    rest(follower)
+    wait_for_follower(follower)
     assert "the image is only" in str(follower.shown[-1].error)
     follower.follow(pulled(2))
-    rest(follower)
+    wait_for_follower(follower)
     assert follower.shown[-1].solution is not None
 
 
-def test_an_answer_that_was_dropped_on_its_way_to_the_window_is_not_shown(follower, rest):
+def test_a_cancelled_result_is_not_shown(follower, wait_for_follower):
     follower.follow(pulled(1))
     compute_thread.submit(lambda: None).result(LONG)
     follower.engine.cancel()
     assert not follower.engine.busy
-    rest(follower)
+    wait_for_follower(follower)
     assert not follower.shown
     follower.follow(pulled(2))
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(2)]
 
 
-def test_the_next_drawing_is_solved_although_an_answer_could_not_be_shown(
-    image, following, rest, monkeypatch, qtbot
+def test_an_error_while_showing_a_result_does_not_stop_the_next_drawing(
+    image, make_follower, wait_for_follower, monkeypatch, qtbot
 ):
-    follower = following(image)
+    follower = make_follower(image)
     show, failures = follower.shown.append, [RuntimeError("a layer of another plugin")]
 
     def fail_once(state):
@@ -194,27 +198,29 @@ def test_the_next_drawing_is_solved_although_an_answer_could_not_be_shown(
     monkeypatch.setattr(follower.engine, "_show", fail_once)
     with qtbot.captureExceptions() as raised:
         follower.follow(pulled(1))
-        rest(follower)
+        wait_for_follower(follower)
     assert len(raised) == 1
     follower.follow(pulled(2))
-    rest(follower)
+    wait_for_follower(follower)
     assert [answer.study.motion.drawing for answer in follower.shown] == [pulled(2)]
 
 
-def test_a_picture_that_cannot_be_moved_does_not_stop_the_next(follower, rest, monkeypatch):
+def test_an_error_while_warping_an_image_does_not_stop_the_next_drawing(
+    follower, wait_for_follower, monkeypatch
+):
     from napari_hmrf.field.live_warp import Warper
 
     with monkeypatch.context() as broken:
         broken.setattr(Warper, "__call__", lambda *_: 1 / 0)
         follower.follow(pulled(1))
-        rest(follower)
+        wait_for_follower(follower)
     assert isinstance(follower.shown[-1].error, ZeroDivisionError)
     follower.follow(pulled(2))
-    rest(follower)
+    wait_for_follower(follower)
     assert follower.shown[-1].study.motion.drawing == pulled(2)
 
 
-def test_arrows_follow_the_mouse_while_the_solver_is_at_work(pulling, qtbot, solver_at_work):
+def test_arrows_follow_the_mouse_during_a_solve(pulling, qtbot, solver_at_work):
     person, _ = pulling
     person.press(30, 30)
     person.move(34, 40)
@@ -224,7 +230,7 @@ def test_arrows_follow_the_mouse_while_the_solver_is_at_work(pulling, qtbot, sol
     person.release(34, 40)
 
 
-def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, settle, qtbot):
+def test_events_of_layers_are_emitted_only_after_a_drag(pulling, settle, qtbot):
     person, widget = pulling
     picture = by_name(person.viewer, "MR deformed, elastic")
     told, thumbnails, seen = [], [], []
@@ -247,7 +253,7 @@ def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, se
     assert np.array_equal(by_name(person.viewer, "MR").data, widget.study.pictures.image)
 
 
-def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
+def test_an_array_set_by_other_code_is_not_written(pulling, qtbot):
     person, widget = pulling
     person.press(30, 30)
     person.move(32, 32)
@@ -261,7 +267,7 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
     person.release(34, 34)
 
 
-def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling_beside):
+def test_the_cursor_emits_no_positions_during_a_drag(pulling_beside):
     person, _ = pulling_beside
     layer, positions = by_name(person.viewer, "Motion"), []
     person.viewer.cursor.events.position.connect(lambda event: positions.append(event.value))
@@ -273,10 +279,10 @@ def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling_beside
         assert not positions
         end()
         assert layer.cursor == "circle"
-        assert positions, "the status bar is told where the pointer is now"
+        assert positions, "the status bar was not updated after the drag"
 
 
-def test_nothing_is_computed_when_nothing_is_done(pulling_beside, settle, at_rest):
+def test_no_result_is_computed_without_an_edit(pulling_beside, settle, at_rest):
     person, widget = pulling_beside
     person.drag((30, 30), (32, 32), (34, 34))
     settle(widget)
@@ -286,7 +292,7 @@ def test_nothing_is_computed_when_nothing_is_done(pulling_beside, settle, at_res
     assert not seen
 
 
-def test_arrows_keep_their_colours_as_they_move(pulling, settle, qtbot):
+def test_arrows_retain_their_colours_while_they_move(pulling, settle, qtbot):
     person, widget = pulling
     person.drag((30, 30), (36, 30), (36, 36))
     settle(widget)
@@ -301,7 +307,7 @@ def test_arrows_keep_their_colours_as_they_move(pulling, settle, qtbot):
 
 
 @pytest.mark.parametrize("confidence", [1.0, 0.5])
-def test_the_first_drag_finds_everything_compiled(rest, following, confidence):
+def test_the_first_drag_compiles_no_loop(wait_for_follower, make_follower, confidence):
     from napari.layers import Image
 
     from napari_hmrf.field.interpolation import look_up
@@ -312,23 +318,23 @@ def test_the_first_drag_finds_everything_compiled(rest, following, confidence):
         return [sorted(map(str, each)) for each in kernels], set(preparation._prepared)
 
     image = Image(np.random.default_rng(2).normal(size=(40, 44)).astype(np.float32))
-    follower = following(image, hold_edge=False)
+    follower = make_follower(image, hold_edge=False)
     follower.engine.rehearse(follower.study)
-    rest(follower)
+    wait_for_follower(follower)
     before = compiled()
     follower.follow(Drawing((Arrow((20, 20), (0, 2), 4, confidence),)))
-    rest(follower)
+    wait_for_follower(follower)
     assert compiled() == before
 
 
-def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
+def test_a_waiting_user_is_told_the_reason_and_a_way_to_stop(
     open_beside, settle, qtbot, solver_at_work
 ):
     _, widget = open_beside()
-    compute_thread.stage = "cycle 16, 1.7e-11 px to go"
+    compute_thread.stage = "cycle 16, error 1.7e-11 px"
     widget.start()
     qtbot.waitUntil(lambda: "waiting for a computation" in widget.status, timeout=LONG_MS)
-    assert "only that can stop" in widget.status
+    assert "only that program can stop" in widget.status
     assert "cycle" not in widget.status
     compute_thread.stage = "compiling loops (3 of 10)"
     qtbot.waitUntil(lambda: "(compiling loops (3 of 10))" in widget.status, timeout=LONG_MS)
@@ -340,14 +346,14 @@ def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
     assert widget.status.startswith("Drag tissue")
 
 
-def test_tissue_that_nobody_holds_is_ready_once_it_is_compiled(
-    image, rest, following, solver_at_work, at_rest
+def test_unconstrained_tissue_is_ready_after_compilation(
+    image, wait_for_follower, make_follower, solver_at_work, at_rest
 ):
-    follower = following(image, hold_edge=False)
+    follower = make_follower(image, hold_edge=False)
     follower.follow(Drawing())
     at_rest(thread=False)
     assert follower.engine.busy
     assert not follower.shown
     solver_at_work.set()
-    rest(follower)
+    wait_for_follower(follower)
     assert [seen.solution for seen in follower.shown] == [None]

@@ -1,4 +1,4 @@
-"""Several images in a viewer: each keeps what goes with it, whichever comes, goes or is chosen."""
+"""Tests of several images in one viewer, each with its own layers, settings and drawing."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def viewer(frame):
 
 @pytest.fixture
 def widget(frame):
-    """A dock beside a viewer in which there is nothing yet."""
+    """Return a dock beside an empty viewer."""
     return quick(frame.open())
 
 
@@ -31,91 +31,101 @@ def brain(viewer, size=32):
     return open_sample(viewer, phantom_layers(phantom("expansion", size)))
 
 
-def chosen(widget):
+def chosen_layers(widget):
     return [widget.image, widget.tissue, widget.boundary]
 
 
-def test_a_sample_that_comes_leaves_the_one_that_is_drawn_on_its_own(viewer, widget, settle):
+def test_a_new_sample_does_not_replace_the_sample_with_a_drawing(viewer, widget, settle):
     head = open_sample(viewer, volume_layers(head_phantom(24)))
     settle(widget)
     widget.drawing = MARKS_OF_VOLUME
     flat = brain(viewer)
     settle(widget)
-    assert (chosen(widget), widget.extent, widget.drawing) == (head, "volume", MARKS_OF_VOLUME)
+    assert (chosen_layers(widget), widget.extent, widget.drawing) == (
+        head,
+        "volume",
+        MARKS_OF_VOLUME,
+    )
     widget.image = flat[0]
     settle(widget)
-    assert (chosen(widget), widget.extent) == (flat, "slice")
+    assert (chosen_layers(widget), widget.extent) == (flat, "slice")
     assert widget.study.grid.shape == (32, 32)
     widget.image = head[0]
     settle(widget)
-    assert (chosen(widget), widget.extent, widget.drawing) == (head, "volume", MARKS_OF_VOLUME)
+    assert (chosen_layers(widget), widget.extent, widget.drawing) == (
+        head,
+        "volume",
+        MARKS_OF_VOLUME,
+    )
     widget.undo()
-    assert (chosen(widget), widget.drawing) == (head, Drawing()), "no choice was a step"
+    assert (chosen_layers(widget), widget.drawing) == (head, Drawing()), (
+        "the choice of an image added an undo step"
+    )
 
 
 @pytest.mark.parametrize("size", [32, 40])
-def test_of_two_samples_each_has_its_own_paint_and_edge(viewer, widget, settle, size):
+def test_each_of_two_samples_has_its_own_paint_and_edge(viewer, widget, settle, size):
     first = brain(viewer)
     widget.drawing = MARKS
     widget.boundary = None
     assert widget.hold_edge
     second = brain(viewer, size)
-    assert chosen(widget) == [*first[:2], None], "nothing of another sample takes its place"
+    assert chosen_layers(widget) == [*first[:2], None], "a layer of the other sample was selected"
     for _ in range(2):
         widget.image = second[0]
         settle(widget)
-        assert (chosen(widget), widget.hold_edge) == (second, False)
+        assert (chosen_layers(widget), widget.hold_edge) == (second, False)
         assert not widget.drawing.marks
         widget.image = first[0]
         settle(widget)
-        assert (chosen(widget), widget.hold_edge) == ([*first[:2], None], True)
+        assert (chosen_layers(widget), widget.hold_edge) == ([*first[:2], None], True)
         assert widget.drawing == MARKS
     widget.undo()
     widget.undo()
-    assert chosen(widget) == first
+    assert chosen_layers(widget) == first
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_a_dock_that_is_opened_later_finds_the_paint_of_the_image_in_front(frame, which):
+def test_a_dock_opened_later_selects_the_paint_of_the_front_image(frame, which):
     both = [brain(frame.viewer) for _ in range(2)]
     frame.viewer.layers.selection.active = both[which][0]
     dock = frame.open()
-    assert chosen(dock) == both[which]
+    assert chosen_layers(dock) == both[which]
     dock.image = both[1 - which][0]
-    assert chosen(dock) == both[1 - which]
+    assert chosen_layers(dock) == both[1 - which]
 
 
-def test_what_lies_elsewhere_goes_with_an_image_that_is_gone(viewer, widget, settle):
+def test_layers_of_another_place_are_deselected_when_their_image_is_removed(viewer, widget, settle):
     first = brain(viewer)
     viewer.layers.remove(first[0])
     settle(widget)
-    assert chosen(widget) == [None, *first[1:]]
+    assert chosen_layers(widget) == [None, *first[1:]]
     same = viewer.add_image(np.ones((32, 32)), name="same")
-    assert chosen(widget) == [same, *first[1:]], "an image that was made anew has its paint"
+    assert chosen_layers(widget) == [same, *first[1:]], (
+        "the paint was not selected for an equal new image"
+    )
     widget.drawing = MARKS
     other = viewer.add_image(np.ones((40, 40)), name="other")
     assert widget.image is same
     viewer.layers.remove(same)
     settle(widget)
-    assert (chosen(widget), widget.hold_edge) == ([other, None, None], True)
+    assert (chosen_layers(widget), widget.hold_edge) == ([other, None, None], True)
     assert widget.study.grid.shape == (40, 40)
 
 
-def test_a_layer_that_was_chosen_and_lies_elsewhere_is_refused_with_the_cure(
-    viewer, widget, settle
-):
+def test_a_chosen_layer_at_another_place_is_refused_with_a_hint(viewer, widget, settle):
     viewer.add_image(np.ones((40, 40)), name="MR")
     widget.boundary = viewer.add_labels(np.ones((32, 32), int), name="wall")
     settle(widget)
     widget.start()
-    assert "'wall' lies elsewhere than 'MR'" in widget.status
-    assert "----- for none" in widget.status
+    assert "'wall' is not on the grid of 'MR'" in widget.status
+    assert "----- for no layer" in widget.status
     widget.boundary = None
     assert widget.start()
 
 
 @pytest.mark.parametrize("place", [{}, {"translate": (9, 12)}], ids=["whole", "in part"])
-def test_an_image_that_somebody_chooses_is_seen(viewer, widget, place):
+def test_a_chosen_image_is_made_visible(viewer, widget, place):
     image = viewer.add_image(np.ones((20, 24)), name="MR", visible=False)
     over = viewer.add_image(np.ones((64, 48)), name="photo", **place)
     beside = viewer.add_image(np.ones((20, 24)), name="beside", translate=(0, 70))
@@ -128,9 +138,7 @@ def test_an_image_that_somebody_chooses_is_seen(viewer, widget, place):
     assert widget.status == widget.invitation
 
 
-def test_without_an_image_nothing_is_worked_on_and_no_result_is_seen(
-    viewer, widget, small_sample, run, settle
-):
+def test_without_an_image_no_result_is_solved_or_shown(viewer, widget, small_sample, run, settle):
     image, *paint = small_sample(viewer)
     run(widget)
     settle(widget)
@@ -139,18 +147,18 @@ def test_without_an_image_nothing_is_worked_on_and_no_result_is_seen(
     widget.image = None
     settle(widget)
     assert widget.status.startswith("No image is chosen.")
-    assert chosen(widget) == [None] * 3
+    assert chosen_layers(widget) == [None] * 3
     assert (result.visible, viewer.layers["MR deformed, paper"].visible) == (False, False)
     assert run(widget) is None
     assert widget.status == CHOOSE
     widget.image = image
     settle(widget)
-    assert (chosen(widget), widget.result) == ([image, *paint], result)
+    assert (chosen_layers(widget), widget.result) == ([image, *paint], result)
     assert [layer for layer in viewer.layers if layer.visible] == seen
     assert widget.solution is not None
 
 
-def test_the_result_of_an_image_is_seen_while_that_is_chosen(
+def test_the_result_of_an_image_is_visible_only_while_that_image_is_chosen(
     viewer, widget, small_sample, run, settle
 ):
     image, *_ = small_sample(viewer)
@@ -165,7 +173,7 @@ def test_the_result_of_an_image_is_seen_while_that_is_chosen(
     assert moved.visible
 
 
-def test_tissue_that_a_brush_has_painted_is_measured_and_seen_as_what_it_became(
+def test_tissue_painted_with_a_brush_is_measured_and_shown_with_its_new_label(
     viewer, frame, settle
 ):
     brain(viewer, 64)
@@ -185,7 +193,7 @@ def test_tissue_that_a_brush_has_painted_is_measured_and_seen_as_what_it_became(
     assert (shown.data == tumour).sum() > before["tumour"].pixels
 
 
-def test_what_is_undone_on_another_image_is_seen(viewer, widget, settle):
+def test_undo_on_another_image_shows_that_image(viewer, widget, settle):
     first, second = brain(viewer), brain(viewer)
     widget.image = first[0]
     settle(widget)
@@ -198,10 +206,10 @@ def test_what_is_undone_on_another_image_is_seen(viewer, widget, settle):
     assert widget.image is first[0]
     assert first[0].visible
     assert not second[0].visible
-    assert widget.status.startswith(f"Took back on '{first[0].name}': took over a drawing.")
+    assert widget.status.startswith(f"Undone on '{first[0].name}': took over a drawing.")
 
 
-def test_layers_to_paint_on_are_called_by_the_names_they_have(viewer, widget):
+def test_a_message_names_the_new_layers_to_paint_on(viewer, widget):
     brain(viewer)
     viewer.add_image(np.ones((20, 24)), name="photo", translate=(0, 300))
     widget.image = viewer.layers["photo"]
@@ -209,7 +217,7 @@ def test_layers_to_paint_on_are_called_by_the_names_they_have(viewer, widget):
     assert widget.status.startswith("Paint in 'Tissue [1]' and 'Boundary [1]': click a row")
 
 
-def test_what_is_drawn_is_seen_again_when_its_image_is_chosen_again(viewer, widget, settle):
+def test_a_drawing_is_displayed_again_with_its_image(viewer, widget, settle):
     image, *_ = brain(viewer)
     settle(widget)
     widget.start()
@@ -227,17 +235,17 @@ def test_what_is_drawn_is_seen_again_when_its_image_is_chosen_again(viewer, widg
 
 
 @pytest.mark.parametrize("sample", [False, True])
-def test_an_image_that_is_opened_is_chosen_until_work_has_begun(viewer, widget, settle, sample):
-    def another():
+def test_a_newly_opened_image_is_chosen_until_the_first_edit(viewer, widget, settle, sample):
+    def open_image():
         return brain(viewer)[0] if sample else viewer.add_image(np.ones((20, 24)), name="photo")
 
     for _ in range(2):
-        newest = another()
+        newest = open_image()
         settle(widget)
         assert widget.image is newest
     widget.plane = "strain"
     assert widget.image is newest
-    later = another()
+    later = open_image()
     later.opacity = 0.5
     settle(widget)
     assert widget.image is newest
@@ -248,7 +256,7 @@ def test_an_image_that_is_opened_is_chosen_until_work_has_begun(viewer, widget, 
     assert widget.image is later
 
 
-def test_an_image_that_is_chosen_and_lies_elsewhere_is_gone_to(viewer, widget, settle):
+def test_choosing_an_image_elsewhere_moves_the_camera_to_it(viewer, widget, settle):
     near = viewer.add_image(np.ones((20, 24)), name="near")
     far = viewer.add_image(np.ones((20, 24)), name="far", translate=(0, 300))
     widget.image = near
@@ -263,11 +271,11 @@ def test_an_image_that_is_chosen_and_lies_elsewhere_is_gone_to(viewer, widget, s
     camera_of(viewer).center = (0, 4, 4)
     widget.image = None
     widget.image = near
-    assert camera_of(viewer).zoom == 10, "what is seen already stays as it is"
+    assert camera_of(viewer).zoom == 10, "the view of a visible image changed"
     settle(widget)
 
 
-def test_what_is_painted_on_a_second_image_is_seen_above_it(viewer, widget, settle):
+def test_paint_on_a_second_image_is_displayed_above_that_image(viewer, widget, settle):
     first = brain(viewer)
     widget.drawing = MARKS
     settle(widget)

@@ -1,4 +1,4 @@
-"""Growth, forces and large motion in the dock."""
+"""Tests of growth, forces and large motion in the dock."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ BRAIN, TUMOUR = Material(1, "brain", 1.0), Material(2, "tumour", 10.0)
 
 @pytest.fixture
 def viewer():
-    """A brain with a tumour, and its tissues."""
+    """Return a viewer with a brain, a tumour and their labels."""
     viewer = ViewerModel()
     viewer.add_image(np.where(DISC, 0.9, 0.5), name="Brain")
     table = layer_metadata(TISSUE, (BRAIN, TUMOUR))
@@ -30,7 +30,7 @@ def viewer():
 
 @pytest.fixture
 def dock(viewer, qtbot, wait_for):
-    """A dock over it, the edge held."""
+    """Return a dock beside the brain, with a fixed edge."""
     dock = SoftTissue(viewer)
     qtbot.addWidget(dock.native)
     dock.image, dock.tissue = viewer.layers["Brain"], viewer.layers["Tissue"]
@@ -39,8 +39,8 @@ def dock(viewer, qtbot, wait_for):
 
 
 @pytest.fixture
-def at_rest(dock, wait_for):
-    """Do something, and wait until all of it is seen."""
+def do_and_wait(dock, wait_for):
+    """Return a function that calls a function, waits and returns the new solution."""
 
     def do(action, *given):
         action(*given)
@@ -55,49 +55,49 @@ def offers(dock, words):
     return any(each.text().startswith(words) and not each.isHidden() for each in buttons)
 
 
-def test_growth_that_is_typed_moves_tissue_at_once_and_can_be_undone(dock, at_rest):
+def test_typed_growth_moves_tissue_and_can_be_undone(dock, do_and_wait):
     screen = Screen(dock)
     assert screen.cell("brain", "grows").text() == "0"
-    moved = at_rest(screen.cell("tumour", "grows").write, "20")
+    moved = do_and_wait(screen.cell("tumour", "grows").write, "20")
     assert dock.materials[1].growth == pytest.approx(0.2)
     assert moved.displacement[20, 28, 1] > 0.5
-    moved = at_rest(screen.cell("tumour", "grows").write, "20 / 0")
+    moved = do_and_wait(screen.cell("tumour", "grows").write, "20 / 0")
     assert screen.cell("tumour", "grows").text() == "20 / 0"
     assert abs(moved.displacement[20, 28, 1]) < 0.2 < moved.displacement[28, 20, 0]
-    at_rest(dock.undo)
-    at_rest(dock.undo)
+    do_and_wait(dock.undo)
+    do_and_wait(dock.undo)
     assert dock.materials[1].growth == 0
 
 
-def test_growth_by_more_than_all_of_it_is_not_taken(dock):
+def test_growth_of_minus_100_per_cent_is_refused(dock):
     Screen(dock).cell("tumour", "grows").write("-100")
     assert "above -100" in dock.status
     assert dock.materials[1].growth == 0
 
 
-def test_folds_are_mended_by_one_press_and_it_can_be_undone(dock, at_rest):
+def test_a_button_removes_folds_with_large_motion_and_can_be_undone(dock, do_and_wait):
     screen, offer = Screen(dock), "Take large motion"
-    at_rest(screen.cell("tumour", "grows").write, "20")
+    do_and_wait(screen.cell("tumour", "grows").write, "20")
     assert not offers(dock, offer)
-    folded = at_rest(screen.cell("tumour", "grows").write, "150")
+    folded = do_and_wait(screen.cell("tumour", "grows").write, "150")
     assert count_folds(folded.displacement, spacing=1) > 5
     assert offers(dock, offer)
-    at_rest(screen.press, "⚠")
+    do_and_wait(screen.press, "⚠")
     assert "it folds" in dock.status
-    mended = at_rest(screen.press, offer)
-    assert "fold" not in dock.status, "what was said of the last result has gone with it"
+    mended = do_and_wait(screen.press, offer)
+    assert "fold" not in dock.status, "the message about the earlier result is still shown"
     assert dock.model == mended.provenance.model == "large motion"
     assert count_folds(mended.displacement, spacing=1) == 0
     assert "folds" not in dock.warning
     assert not offers(dock, offer)
-    at_rest(dock.undo)
+    do_and_wait(dock.undo)
     assert dock.model == "elastic"
     screen.press(offer)
     dock.cancel()
-    assert not offers(dock, offer), "it is taken, and Deform makes it so"
+    assert not offers(dock, offer), "large motion is offered although it is chosen"
 
 
-def test_a_volume_is_not_offered_what_it_cannot_have(qtbot, wait_for):
+def test_large_motion_is_not_offered_for_a_volume(qtbot, wait_for):
     viewer = ViewerModel()
     ball = np.linalg.norm(np.indices((12, 12, 12)) - 5.5, axis=0) < 3
     viewer.add_image(np.where(ball, 0.9, 0.5), name="Head")
@@ -118,7 +118,7 @@ def test_a_volume_is_not_offered_what_it_cannot_have(qtbot, wait_for):
     assert not offers(dock, "Take the elastic")
 
 
-def test_a_volume_lies_in_no_plane(qtbot):
+def test_a_volume_has_no_plane_condition(qtbot):
     viewer = ViewerModel()
     viewer.add_image(np.random.default_rng(0).random((6, 8, 8)), name="Head")
     dock = SoftTissue(viewer)
@@ -131,24 +131,24 @@ def test_a_volume_lies_in_no_plane(qtbot):
     assert "Squeezed" in Screen(dock).words
 
 
-def test_weight_stays_with_tissue_that_is_turned_and_can_be_undone(dock, viewer, at_rest):
-    at_rest(Screen(dock).choose, "down")
+def test_weight_rotates_with_the_layers_and_can_be_undone(dock, viewer, do_and_wait):
+    do_and_wait(Screen(dock).choose, "down")
     before = dock.solution.displacement
 
     def turn():
         for layer in viewer.layers:
             layer.rotate = 30
 
-    at_rest(turn)
+    do_and_wait(turn)
     assert dock.weight == pytest.approx((0.00981, 0))
     np.testing.assert_allclose(dock.solution.displacement, before, atol=0.02)
-    at_rest(dock.undo)
+    do_and_wait(dock.undo)
     assert dock.weight == ()
-    at_rest(dock.redo)
+    do_and_wait(dock.redo)
     assert dock.weight == pytest.approx((0.00981, 0))
 
 
-def test_forces_are_painted_like_all_else_in_columns_of_their_own(dock, viewer, at_rest):
+def test_forces_are_painted_as_boundaries_and_have_their_own_columns(dock, viewer, do_and_wait):
     paint = np.zeros((SIZE, SIZE), int)
     paint[-1], paint[0, 10:30] = 1, 2
     rules = (
@@ -158,35 +158,35 @@ def test_forces_are_painted_like_all_else_in_columns_of_their_own(dock, viewer, 
     layer = viewer.add_labels(paint, name="Lid", metadata=layer_metadata(BOUNDARY, rules))
     dock.boundary, dock.hold_edge = layer, False
     screen = Screen(dock)
-    at_rest(screen.cell("lid", "Action").choose, "pressed")
-    assert dock.rules[1].amount == 0  # a distance is no pressure
+    do_and_wait(screen.cell("lid", "Action").choose, "pressed")
+    assert dock.rules[1].amount == 0  # A distance is not converted to a pressure.
     assert "nothing moves" not in dock.warning
-    pressed = at_rest(screen.cell("lid", "pressure").write, "0.1")
+    pressed = do_and_wait(screen.cell("lid", "pressure").write, "0.1")
     assert pressed.displacement[0, 20, 0] > 1
-    at_rest(screen.cell("lid", "Action").choose, "pulled")
-    pulled = at_rest(screen.cell("lid", "pull right").write, "0.1")
+    do_and_wait(screen.cell("lid", "Action").choose, "pulled")
+    pulled = do_and_wait(screen.cell("lid", "pull right").write, "0.1")
     assert pulled.displacement[0, 20, 1] > 1
 
 
-def test_tissue_sinks_where_its_weight_pulls(dock, at_rest, tmp_path):
+def test_tissue_moves_in_the_direction_of_its_weight(dock, do_and_wait, tmp_path):
     screen = Screen(dock)
-    at_rest(screen.choose, "down")
+    do_and_wait(screen.choose, "down")
     down = dock.solution.displacement[20, 20, 0]
     assert down > 0.1
     assert "unit of stiffness" in dock.warning
-    at_rest(screen.choose, "to the left")
+    do_and_wait(screen.choose, "to the left")
     assert dock.solution.displacement[20, 20, 1] == pytest.approx(-down, rel=0.05)
     path = dock.save_study(tmp_path / "heavy")
-    at_rest(dock.undo)
-    at_rest(dock.undo)
+    do_and_wait(dock.undo)
+    do_and_wait(dock.undo)
     assert dock.weight == ()
-    at_rest(dock.open_study, path)
+    do_and_wait(dock.open_study, path)
     assert dock.weight == pytest.approx((0, -0.00981))
 
 
-def test_forces_are_told_in_a_table(dock, at_rest, qtbot):
-    at_rest(Screen(dock).cell("tumour", "grows").write, "20")
-    at_rest(Screen(dock).entry("More", "Forces").trigger)
+def test_forces_are_listed_in_a_table(dock, do_and_wait, qtbot):
+    do_and_wait(Screen(dock).cell("tumour", "grows").write, "20")
+    do_and_wait(Screen(dock).entry("More", "Forces").trigger)
     table = dock.native.window().findChild(QTableWidget, "measurements")
     heads = [table.horizontalHeaderItem(n).text() for n in range(table.columnCount())]
     assert heads == ["what", "around pixel", "pixels", "force (relative px)", "which way"]
@@ -194,12 +194,14 @@ def test_forces_are_told_in_a_table(dock, at_rest, qtbot):
     assert table.item(0, 2).text() == str(4 * (SIZE - 1))
 
 
-def test_what_large_motion_could_not_do_is_said_in_the_dock(dock, viewer, at_rest):
+def test_a_warning_reports_motion_that_the_large_motion_model_could_not_apply(
+    dock, viewer, do_and_wait
+):
     ring = np.where(DISC, 1, 0)
     rules = (BoundaryRule(1, "expand", amount=14.0, name="rim"),)
     layer = viewer.add_labels(ring, name="Rim", metadata=layer_metadata(BOUNDARY, rules))
     dock.model, dock.boundary, dock.hold_edge = "large motion", layer, True
-    solution = at_rest(dock.schedule_refresh)
+    solution = do_and_wait(dock.schedule_refresh)
     assert isinstance(dock.study.prior, NeoHookeanPrior)
     assert solution.reach.missing > 0.1
     assert "stay short" in dock.warning

@@ -1,4 +1,4 @@
-"""What the widget makes of the layers around it: the chosen, its own, and those that fail."""
+"""Tests of the layers that the dock selects, and of layers that cannot be read."""
 
 import dask.array as da
 import numpy as np
@@ -16,7 +16,7 @@ from tests.support.screen import Screen
 
 
 class Breakable:
-    """An array whose reader breaks, as only it knows how."""
+    """Array whose reader raises an error on request."""
 
     ndim = 2
 
@@ -37,7 +37,7 @@ class Breakable:
 
 
 @pytest.mark.parametrize("shown", [False, True], ids=["hidden", "shown"])
-def test_the_confidence_counts_whether_or_not_the_dock_is_on_screen(widget, small_sample, shown):
+def test_the_confidence_is_applied_if_the_dock_is_hidden(widget, small_sample, shown):
     viewer = viewer_of(widget)
     small_sample(viewer)
     widget.native.setVisible(shown)
@@ -46,13 +46,15 @@ def test_the_confidence_counts_whether_or_not_the_dock_is_on_screen(widget, smal
     c = build_problem(widget.study).problem.confidence
     assert set(np.unique(c)) == {0.0, 0.5}
     widget.boundary = viewer.layers["Boundary"]
-    assert build_problem(widget.study).problem.confidence.max() == 1, "of paint it says nothing"
+    assert build_problem(widget.study).problem.confidence.max() == 1, (
+        "the confidence was applied to a painted boundary"
+    )
 
 
-# Which image
+# The image
 
 
-def test_no_image_stays_no_image_whatever_is_added(widget, small_sample, run):
+def test_no_image_remains_selected_after_another_image_is_added(widget, small_sample, run):
     viewer = viewer_of(widget)
     small_sample(viewer)
     widget.image = None
@@ -64,7 +66,7 @@ def test_no_image_stays_no_image_whatever_is_added(widget, small_sample, run):
     assert widget.image is None
 
 
-def test_no_image_chosen_in_the_menu_is_a_choice_too(widget, small_sample):
+def test_no_image_can_be_chosen_in_the_menu(widget, small_sample):
     viewer = viewer_of(widget)
     small_sample(viewer)
     widget._form.image.value = None
@@ -72,7 +74,7 @@ def test_no_image_chosen_in_the_menu_is_a_choice_too(widget, small_sample):
     assert widget.image is None
 
 
-def test_the_image_in_front_is_chosen_until_somebody_chooses(widget):
+def test_the_front_image_is_selected_until_the_user_chooses_an_image(widget):
     viewer = viewer_of(widget)
     viewer.add_labels(np.ones((20, 24), int))
     first = viewer.add_image(np.zeros((20, 24)), name="first")
@@ -84,7 +86,7 @@ def test_the_image_in_front_is_chosen_until_somebody_chooses(widget):
     assert widget.image is first
 
 
-def test_in_place_of_an_image_that_is_gone_comes_the_next(widget):
+def test_a_removed_image_is_replaced_by_the_next_image(widget):
     viewer = viewer_of(widget)
     first = viewer.add_image(np.zeros((20, 24)), name="first")
     assert widget.image is first
@@ -97,7 +99,7 @@ def test_in_place_of_an_image_that_is_gone_comes_the_next(widget):
     assert widget.image is third
 
 
-def test_a_result_of_before_is_not_taken_for_an_image(widget):
+def test_an_earlier_result_is_not_selected_as_an_image(widget):
     viewer = viewer_of(widget)
     viewer.add_image(np.zeros((20, 24)), metadata={METADATA: {"kind": "magnitude"}})
     assert widget.image is None
@@ -109,8 +111,10 @@ def test_a_result_of_before_is_not_taken_for_an_image(widget):
 
 
 @pytest.mark.parametrize("unit", ["mm", "um"])
-def test_the_motion_is_as_long_as_the_table_says_whatever_the_units(widget, small_sample, unit):
-    """3 mm of motion on pixels of 0.5 x 2 mm, whichever unit the boundary layer counts in."""
+def test_the_length_of_a_motion_does_not_depend_on_the_unit_of_the_boundary(
+    widget, small_sample, unit
+):
+    """Move pixels of 0.5 x 2 mm by 3 mm, with a boundary layer in mm or um."""
     viewer = viewer_of(widget)
     small_sample(viewer, scale=(0.5, 2.0), units=("mm", "mm"))
     factor = {"mm": 1, "um": 1000}[unit]
@@ -130,13 +134,11 @@ def broken_labels(widget, small_sample):
     data = Breakable(np.array(old.data))
     lazy = Labels(da.from_array(old.data), name="lazy", metadata=old.metadata)
     widget.boundary = viewer_of(widget).add_layer(lazy)
-    lazy._data = data  # behind napari's back: it draws from what it has read
+    lazy._data = data  # Without an event, because napari draws from data that it has already read.
     return data
 
 
-def test_a_layer_that_breaks_while_painting_is_named_and_nothing_is_raised(
-    widget, small_sample, wait_for
-):
+def test_an_error_in_a_layer_during_painting_is_reported_by_name(widget, small_sample, wait_for):
     data = broken_labels(widget, small_sample)
     widget.live = True
     data.broken = True
@@ -149,7 +151,7 @@ def test_a_layer_that_breaks_while_painting_is_named_and_nothing_is_raised(
     assert "'lazy'" in widget.status
 
 
-def test_a_field_that_cannot_be_found_for_any_reason_is_told(
+def test_an_unexpected_error_during_the_solve_is_reported(
     widget, small_sample, wait_for, monkeypatch
 ):
     small_sample(viewer_of(widget))
@@ -163,7 +165,7 @@ def test_a_field_that_cannot_be_found_for_any_reason_is_told(
     wait_for(lambda: "no such arrow" in widget.status)
 
 
-def test_a_layer_that_breaks_during_the_solve_does_not_cost_the_result(
+def test_an_error_in_a_layer_during_the_solve_does_not_discard_the_result(
     widget, small_sample, busy_thread, wait_for
 ):
     data = broken_labels(widget, small_sample)
@@ -180,7 +182,7 @@ def test_a_layer_that_breaks_during_the_solve_does_not_cost_the_result(
     assert widget.solution is said[0].solution
 
 
-def test_whatever_goes_wrong_in_looking_again_is_told_and_the_result_stays(
+def test_an_unexpected_error_during_a_refresh_is_reported_and_the_result_remains(
     widget, small_sample, run, wait_for, monkeypatch
 ):
     small_sample(viewer_of(widget))
@@ -198,7 +200,7 @@ def test_whatever_goes_wrong_in_looking_again_is_told_and_the_result_stays(
     wait_for(lambda: widget.status.startswith("Tissue moved up to"))
 
 
-def test_nothing_is_said_to_have_changed_if_nothing_has(widget, small_sample, run):
+def test_an_unchanged_study_is_not_reported_as_changed(widget, small_sample, run):
     small_sample(viewer_of(widget))
     outputs = run(widget)
     assert "Changed" not in widget.status
@@ -209,8 +211,8 @@ def test_nothing_is_said_to_have_changed_if_nothing_has(widget, small_sample, ru
 # Results
 
 
-def test_a_part_that_has_moved_onto_another_is_told_and_marked(widget, small_sample, run, settle):
-    """The right part is pushed 6.5 pixels to the left, over 2 pixels of air."""
+def test_overlapping_tissue_is_reported_and_marked(widget, small_sample, run, settle):
+    """Push the right part to the left by 6.5 pixels, across 2 pixels of air."""
     _, tissue, boundary = small_sample(viewer_of(widget))
     tissue.data[:, 11:13] = 0
     boundary.data[2:-2, 2:-2] = 1
@@ -219,7 +221,7 @@ def test_a_part_that_has_moved_onto_another_is_told_and_marked(widget, small_sam
     outputs = run(widget)
     assert (
         outputs.overlaps == 16 * 4
-    )  # its sites from column 13 come to columns 6.5 and on; up to column 10
+    )  # Sites from column 13 move to column 6.5, and cover sites up to column 10.
     assert "at 64 pixels one part of the tissue has moved onto another" in widget.warning
     Screen(widget).press("⚠  Overlaps at 64 pixels: show where")
     settle(widget)
@@ -229,7 +231,9 @@ def test_a_part_that_has_moved_onto_another_is_told_and_marked(widget, small_sam
     widget.percent = 0
     settle(widget)
     (_, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps, paper"].data)
-    assert {*cols} == {7, 8, 9, 10, 13, 14, 15, 16, 17}, "both parts, before they move"
+    assert {*cols} == {7, 8, 9, 10, 13, 14, 15, 16, 17}, (
+        "the marks before the motion do not show both parts"
+    )
     widget.percent = 100
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -1.0)))
     assert run(widget).overlaps == 0
@@ -238,7 +242,9 @@ def test_a_part_that_has_moved_onto_another_is_told_and_marked(widget, small_sam
     assert "MR overlaps, paper" not in viewer_of(widget).layers
 
 
-def test_the_chip_shows_folds_and_then_overlaps_and_then_neither(widget, small_sample, run, settle):
+def test_the_warning_button_shows_folds_then_overlaps_then_neither(
+    widget, small_sample, run, settle
+):
     _, tissue, boundary = small_sample(viewer_of(widget))
     tissue.data[:, 11:13] = 0
     boundary.data[2:-2, 2:-2] = 1
@@ -258,7 +264,7 @@ def test_the_chip_shows_folds_and_then_overlaps_and_then_neither(widget, small_s
         assert widget.overlay == shown
 
 
-def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
+def test_results_are_removed_with_their_image_and_a_new_image_has_its_own(
     widget, small_sample, run, wait_for
 ):
     viewer = viewer_of(widget)
@@ -274,7 +280,7 @@ def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
 
 
 @pytest.mark.parametrize("opened", ["before", "after"])
-def test_the_sample_of_a_volume_is_deformed_whole(widget, opened):
+def test_the_sample_of_a_volume_is_deformed_as_a_whole(widget, opened):
     viewer = viewer_of(widget)
     made = [Layer.create(*data) for data in volume_layers(head_phantom(24))]
     if opened == "before":
@@ -288,7 +294,7 @@ def test_the_sample_of_a_volume_is_deformed_whole(widget, opened):
     assert widget.extent == "slice"
 
 
-def test_what_is_painted_for_one_image_is_not_taken_over_by_another(widget):
+def test_paint_of_one_image_is_not_selected_for_another_image(widget):
     viewer = viewer_of(widget)
     first = viewer.add_image(np.zeros((20, 24)), name="first")
     widget.make_layers()

@@ -1,4 +1,4 @@
-"""Live mode: whatever is edited, the newest edit is what is seen in the end."""
+"""Tests of live mode, in which the result of the newest edit is shown."""
 
 import threading
 
@@ -27,16 +27,16 @@ def by_name(widget, name):
     return viewer_of(widget).layers[name]
 
 
-def cold(widget):
-    """What a script finds for the same layers."""
+def cold_start(widget):
+    """Return the solution that a script computes for the same layers."""
     stated = build_problem(widget.study)
     near = Multigrid(1e-4) if isinstance(stated.optimizer, Multigrid) else stated.optimizer
     return solve(stated.problem, stated.prior, optimizer=near, backend="cpu")
 
 
 def assert_newest(widget):
-    """What is seen is what the layers say now."""
-    found, expected = widget.solution, cold(widget)
+    """Assert that the displayed result belongs to the current layers."""
+    found, expected = widget.solution, cold_start(widget)
     assert found.displacement == pytest.approx(expected.displacement, abs=0.02)
     for layer in viewer_of(widget).layers:
         known = metadata_of(layer)
@@ -47,8 +47,8 @@ def assert_newest(widget):
 
 
 @pytest.fixture
-def living(widget, small_sample, run):
-    """The dock with a result that follows, and the layers it follows."""
+def live_dock(widget, small_sample, run):
+    """Return the dock in live mode with a result, and the layers of its study."""
     layers = small_sample(viewer_of(widget))
     widget.model = "elastic"
     forget_choice(widget)
@@ -61,14 +61,16 @@ def paint(layer, places, label):
     layer.data_setitem(tuple(np.array(places).T), label)
 
 
-def test_paint_tables_and_model_are_followed_without_a_button(living, settle):
-    widget, (_, tissue, boundary) = living
+def test_live_mode_follows_paint_tables_and_model(live_dock, settle):
+    widget, (_, tissue, boundary) = live_dock
     before = widget.solution
     layers = [id(layer) for layer in viewer_of(widget).layers]
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
     assert widget.solution is not before
-    assert np.abs(widget.solution.displacement[10, 12]).max() < 1e-3, "it is held there now"
+    assert np.abs(widget.solution.displacement[10, 12]).max() < 1e-3, (
+        "the painted tissue is not fixed"
+    )
     assert_newest(widget)
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(2.0, 1.0)))
     settle(widget)
@@ -83,12 +85,14 @@ def test_paint_tables_and_model_are_followed_without_a_button(living, settle):
     widget.plane = "strain"
     settle(widget)
     assert_newest(widget)
-    assert [id(layer) for layer in viewer_of(widget).layers] == layers, "in place"
+    assert [id(layer) for layer in viewer_of(widget).layers] == layers, (
+        "layers of the result were replaced"
+    )
     assert widget.status.startswith("Tissue moved up to")
 
 
 @pytest.mark.parametrize("model", ["paper", "paper, converged"])
-def test_the_papers_energy_is_followed_too(widget, small_sample, run, settle, model):
+def test_live_mode_follows_edits_with_the_paper_model(widget, small_sample, run, settle, model):
     _, _, boundary = small_sample(viewer_of(widget))
     widget.model = model
     run(widget)
@@ -99,8 +103,8 @@ def test_the_papers_energy_is_followed_too(widget, small_sample, run, settle, mo
     assert_newest(widget)
 
 
-def test_a_stiffness_image_that_is_replaced_is_followed(living, settle):
-    widget, (_, tissue, _) = living
+def test_live_mode_follows_a_replaced_stiffness_image(live_dock, settle):
+    widget, (_, tissue, _) = live_dock
     stiff = np.where(tissue.data > 0, 5.0, 0.0).astype(np.float32)
     widget.tissue = viewer_of(widget).add_image(stiff, name="E")
     settle(widget)
@@ -111,14 +115,14 @@ def test_a_stiffness_image_that_is_replaced_is_followed(living, settle):
     settle(widget)
     assert widget.solution is not before
     assert_newest(widget)
-    widget.tissue.data[5:15, 12:16] *= 20  # in place, as a script may
+    widget.tissue.data[5:15, 12:16] *= 20  # In place, as a script may do.
     widget.tissue.refresh()
     settle(widget)
     assert_newest(widget)
 
 
-def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, at_rest):
-    widget, (_, _, boundary) = living
+def test_the_newest_of_many_edits_is_shown_last(live_dock, settle, at_rest):
+    widget, (_, _, boundary) = live_dock
     seen = []
     widget.result_drawn.connect(seen.append)
     for col in range(5, 20):
@@ -132,8 +136,8 @@ def test_of_many_edits_the_newest_is_shown_in_the_end(living, settle, at_rest):
     assert_newest(widget)
 
 
-def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkeypatch):
-    widget, _ = living
+def test_an_error_preserves_the_last_result_and_is_reported_once(live_dock, settle, monkeypatch):
+    widget, _ = live_dock
     popups = []
     for kind in ("show_error", "show_warning"):
         monkeypatch.setattr(f"napari_hmrf.ui.controller.{kind}", popups.append)
@@ -142,22 +146,22 @@ def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkey
     for amount in (1.0, 2.0, 3.0):
         widget.rules = (rules[0], BoundaryRule(2, "expand", amount=amount))
         settle(widget)
-        assert (widget.status == "Heard.") == (amount > 1), "once is enough"
+        assert (widget.status == "Heard.") == (amount > 1), "the same error was reported again"
         if amount == 1:
             assert widget.status.startswith(why)
             assert widget.status.endswith("The last result stays.")
         widget.show_message("Heard.")
     assert widget.solution is before
     assert np.array_equal(by_name(widget, "MR deformed, elastic").data, picture)
-    assert not popups, "nobody asked for anything"
+    assert not popups, "a pop-up was shown although no button was pressed"
     widget.rules = rules
     settle(widget)
     assert widget.status.startswith("Tissue moved up to")
     assert_newest(widget)
 
 
-def test_where_nothing_is_painted_any_more_tissue_is_where_it_was(living, settle):
-    widget, (image, _, boundary) = living
+def test_without_paint_the_undeformed_image_is_shown(live_dock, settle):
+    widget, (image, _, boundary) = live_dock
     painted = boundary.data.copy()
     boundary.data = np.zeros_like(painted)
     settle(widget)
@@ -172,8 +176,8 @@ def test_where_nothing_is_painted_any_more_tissue_is_where_it_was(living, settle
     assert_newest(widget)
 
 
-def test_what_the_solver_refuses_names_the_layer(living, settle):
-    widget, (_, _, boundary) = living
+def test_an_error_of_the_solver_names_the_layer(live_dock, settle):
+    widget, (_, _, boundary) = live_dock
     before = widget.solution
     data = np.zeros_like(boundary.data)
     data[10, 10] = 2
@@ -184,8 +188,8 @@ def test_what_the_solver_refuses_names_the_layer(living, settle):
     assert "could still move" in widget.status
 
 
-def test_cancel_gives_an_edit_up_and_the_next_one_is_followed(living, settle, busy_thread, qtbot):
-    widget, (_, _, boundary) = living
+def test_cancel_stops_a_solve_and_the_next_edit_is_followed(live_dock, settle, busy_thread, qtbot):
+    widget, (_, _, boundary) = live_dock
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     qtbot.waitUntil(lambda: widget._form.footer.cancel.enabled, timeout=LONG_MS)
@@ -201,7 +205,9 @@ def test_cancel_gives_an_edit_up_and_the_next_one_is_followed(living, settle, bu
     assert_newest(widget)
 
 
-def test_an_undo_that_is_cancelled_stays_and_all_say_so_until_deform(pulling_beside, settle, qtbot):
+def test_an_undo_with_a_cancelled_solve_remains_and_is_reported_until_deform(
+    pulling_beside, settle, qtbot
+):
     touch, widget = pulling_beside
     touch.drag((30, 30), (34, 34))
     settle(widget)
@@ -224,8 +230,8 @@ def test_an_undo_that_is_cancelled_stays_and_all_say_so_until_deform(pulling_bes
     assert widget.status == STILL
 
 
-def test_nothing_is_followed_while_it_is_off_and_all_is_once_it_is_on(living, settle):
-    widget, (_, _, boundary) = living
+def test_edits_are_followed_only_while_live_mode_is_on(live_dock, settle):
+    widget, (_, _, boundary) = live_dock
     widget.live = False
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
@@ -236,7 +242,7 @@ def test_nothing_is_followed_while_it_is_off_and_all_is_once_it_is_on(living, se
     assert_newest(widget)
 
 
-def test_what_comes_painted_is_followed_at_once(widget, small_sample, settle):
+def test_a_painted_sample_is_solved_at_once(widget, small_sample, settle):
     widget.live = True
     small_sample(viewer_of(widget))
     settle(widget)
@@ -245,8 +251,8 @@ def test_what_comes_painted_is_followed_at_once(widget, small_sample, settle):
     assert widget.status.startswith("Tissue moved up to")
 
 
-def test_that_the_image_is_gone_is_said(living, settle, at_rest):
-    widget, (image, *_) = living
+def test_the_removal_of_the_image_is_reported(live_dock, settle, at_rest):
+    widget, (image, *_) = live_dock
     viewer = viewer_of(widget)
     settle(widget)
     viewer.layers.remove(image)
@@ -265,25 +271,27 @@ def test_that_the_image_is_gone_is_said(living, settle, at_rest):
     assert widget.status.startswith("Open an image first")
 
 
-def test_another_image_is_followed_as_soon_as_it_is_chosen(living, small_sample, settle):
-    widget, (first, *_) = living
+def test_another_image_is_solved_as_soon_as_it_is_chosen(live_dock, small_sample, settle):
+    widget, (first, *_) = live_dock
     viewer = viewer_of(widget)
     image, other, boundary = small_sample(viewer)
-    assert widget.image is first, "work has begun on it"
+    assert widget.image is first, "an image with edits was deselected"
     widget.image = image
     assert (widget.image, widget.tissue) == (image, other)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
-    assert widget.solution.displacement == pytest.approx(cold(widget).displacement, abs=0.02)
+    assert widget.solution.displacement == pytest.approx(cold_start(widget).displacement, abs=0.02)
     there = widget.solution
     widget.image = first
     settle(widget)
-    expected = cold(widget).displacement
+    expected = cold_start(widget).displacement
     assert widget.solution.displacement == pytest.approx(expected, abs=0.02)
-    assert np.abs(expected - there.displacement).max() > 0.5, "it has a boundary of its own"
+    assert np.abs(expected - there.displacement).max() > 0.5, (
+        "the boundary of the other image was used"
+    )
 
 
-def test_for_a_large_image_it_is_off_unless_somebody_wants_it(
+def test_live_mode_is_off_for_a_large_image_until_the_user_switches_it_on(
     widget, small_sample, monkeypatch, at_rest
 ):
     monkeypatch.setattr("napari_hmrf.ui.footer.LARGEST", 300)
@@ -294,21 +302,19 @@ def test_for_a_large_image_it_is_off_unless_somebody_wants_it(
     assert not widget.live
     check.native.click()
     at_rest()
-    assert widget.live, "who wants it may have it"
+    assert widget.live, "the user cannot switch it on"
 
 
 @pytest.mark.parametrize(("size", "followed"), [((1200, 1200), True), ((1200, 1201), False)])
-def test_up_to_twelve_hundred_pixels_along_each_side_it_is_on(widget, at_rest, size, followed):
+def test_live_mode_is_on_up_to_1200_by_1200_pixels(widget, at_rest, size, followed):
     widget._form.footer.live._decided = False
     widget.image = viewer_of(widget).add_image(np.zeros(size, np.uint8))
     at_rest()
     assert widget.live is followed
 
 
-def test_layers_may_be_renamed_removed_and_replaced_in_mid_edit(
-    living, settle, busy_thread, at_rest
-):
-    widget, (image, tissue, boundary) = living
+def test_layers_can_be_renamed_and_removed_during_a_solve(live_dock, settle, busy_thread, at_rest):
+    widget, (image, tissue, boundary) = live_dock
     viewer = viewer_of(widget)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     at_rest(thread=False)
@@ -317,7 +323,7 @@ def test_layers_may_be_renamed_removed_and_replaced_in_mid_edit(
     busy_thread.set()
     settle(widget)
     assert_newest(widget)
-    assert "MR arrows, elastic" in names(widget), "it is made again"
+    assert "MR arrows, elastic" in names(widget), "the removed layer was not made again"
     paint(boundary, [(row, 15) for row in range(6, 14)], 1)
     viewer.layers.remove(boundary)
     settle(widget)
@@ -331,19 +337,19 @@ def test_layers_may_be_renamed_removed_and_replaced_in_mid_edit(
     assert tissue in viewer.layers
 
 
-def test_the_image_removed_in_mid_edit_is_not_shown_any_more(living, settle, busy_thread, at_rest):
-    widget, (image, _, boundary) = living
+def test_removing_the_image_during_a_solve_shows_no_result(live_dock, settle, busy_thread, at_rest):
+    widget, (image, _, boundary) = live_dock
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     at_rest(thread=False)
     viewer_of(widget).layers.remove(image)
     busy_thread.set()
     settle(widget)
-    assert not [name for name in names(widget) if name.startswith("MR")], "nor what it was"
+    assert not [name for name in names(widget) if name.startswith("MR")], (
+        "a layer of the removed image remains"
+    )
 
 
-def test_each_slice_of_a_stack_is_followed_where_it_is_painted(
-    widget, small_sample, run, settle, qtbot
-):
+def test_the_painted_slice_of_a_stack_is_followed(widget, small_sample, run, settle, qtbot):
     _, _, boundary = small_sample(viewer_of(widget), (3, 20, 24))
     boundary.data[0] = 0
     dims = viewer_of(widget).dims
@@ -367,10 +373,10 @@ def test_each_slice_of_a_stack_is_followed_where_it_is_painted(
     assert sum("deformed" in name for name in names(widget)) == 2
 
 
-def test_a_press_of_the_button_in_mid_edit_does_not_bring_an_older_result_back(
-    living, settle, busy_thread, qtbot, at_rest
+def test_a_press_of_deform_during_a_solve_does_not_restore_an_older_result(
+    live_dock, settle, busy_thread, qtbot, at_rest
 ):
-    widget, (_, _, boundary) = living
+    widget, (_, _, boundary) = live_dock
     widget.deform()
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     at_rest(thread=False)
@@ -380,7 +386,7 @@ def test_a_press_of_the_button_in_mid_edit_does_not_bring_an_older_result_back(
     assert_newest(widget)
 
 
-def test_two_viewers_follow_their_own(
+def test_two_viewers_have_independent_live_modes(
     unstyled, without_controls, make_napari_viewer, small_sample, settle, run
 ):
     docks = []
@@ -401,7 +407,7 @@ def test_two_viewers_follow_their_own(
     assert other.solution is untouched
 
 
-def test_a_closed_dock_follows_nothing(frame, small_sample, run, settle, at_rest):
+def test_a_closed_dock_follows_no_edit(frame, small_sample, run, settle, at_rest):
     _, _, boundary = small_sample(frame.viewer)
     dock = quick(frame.open())
     run(dock)
@@ -416,12 +422,14 @@ def test_a_closed_dock_follows_nothing(frame, small_sample, run, settle, at_rest
     assert not seen
 
 
-# With a real mouse
+# Painting with a mouse
 
 
 @pytest.fixture
-def at_work(unstyled, without_controls, make_napari_viewer, small_sample, run, qtbot, at_rest):
-    """A person with a brush before a real window, and a result that follows."""
+def user_in_live_mode(
+    unstyled, without_controls, make_napari_viewer, small_sample, run, qtbot, at_rest
+):
+    """Return a simulated user with a brush in a window, and a dock in live mode."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
     dock = dock_in(viewer)
@@ -432,8 +440,8 @@ def at_work(unstyled, without_controls, make_napari_viewer, small_sample, run, q
     return Person(viewer, qtbot), dock
 
 
-def test_tissue_follows_while_the_brush_is_down(at_work, settle):
-    person, dock = at_work
+def test_tissue_follows_during_a_stroke_of_the_brush(user_in_live_mode, settle):
+    person, dock = user_in_live_mode
     viewer = person.viewer
     boundary = viewer.layers["Boundary"]
     Cell(dock._form.motion.boundary.table, 0).click()
@@ -441,7 +449,7 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
     assert (boundary.mode, boundary.selected_label) == ("paint", 1)
     boundary.brush_size = 5
     deformed = viewer.layers["MR deformed, elastic"]
-    assert not deformed.visible, "paint lies where tissue was before it moved"
+    assert not deformed.visible, "the moved image is visible below the paint"
     found = []
     dock.deformation_changed.connect(found.append)
     places = [(row, 32) for row in range(14, 34, 2)]
@@ -453,16 +461,16 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
         shown.append(deformed.visible)
 
     person.paint(*places, between=look)
-    assert during[0] >= 1, "while the button is down"
+    assert during[0] >= 1, "no result was solved during the stroke"
     assert during[-1] > during[0]
-    assert not any(shown), "and the image is seen as it was"
+    assert not any(shown), "the moved image became visible during the stroke"
     settle(dock)
-    assert deformed.visible, "it is watched between two strokes"
+    assert deformed.visible, "the moved image is not shown after the stroke"
     assert (boundary.data == 1).sum() > 100
     assert_newest(dock)
     assert np.abs(dock.solution.displacement[24, 32]).max() < 1e-3
-    assert viewer.layers.selection.active is boundary, "the brush stays in the hand"
-    # Labels' own undo is followed as well.
+    assert viewer.layers.selection.active is boundary, "the brush was deactivated"
+    # Live mode follows the undo of the labels layer.
     person.key(Qt.Key.Key_Z, CTRL)
     settle(dock)
     assert np.abs(dock.solution.displacement[24, 32]).max() > 0.5
@@ -472,19 +480,19 @@ def test_tissue_follows_while_the_brush_is_down(at_work, settle):
 # Undo
 
 
-def test_tables_are_undone_and_followed(living, settle):
-    widget, (_, _, boundary) = living
+def test_edits_of_tables_are_undone_and_followed(live_dock, settle):
+    widget, (_, _, boundary) = live_dock
     footer = widget._form.footer
     assert not footer.undo.enabled
     rules, materials = widget.rules, widget.materials
     Cell(widget._form.motion.boundary.table, 1, 4).write("5")
-    assert footer.undo.tooltip == ("Take back: changed label 2 of 'Boundary' (Ctrl+Z)")
+    assert footer.undo.tooltip == ("Undo: changed label 2 of 'Boundary' (Ctrl+Z)")
     Cell(widget._form.tissue.table, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.undo.native.click()
     assert widget.materials == materials
-    assert widget.status == "Took back: changed label 1 of 'Tissue'."
+    assert widget.status == "Undone: changed label 1 of 'Tissue'."
     footer.undo.native.click()
     settle(widget)
     assert widget.rules == rules
@@ -497,8 +505,8 @@ def test_tables_are_undone_and_followed(living, settle):
     assert widget.rules != rules
 
 
-def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
-    widget, (_, tissue, _) = living
+def test_rows_added_for_painted_labels_are_no_undo_steps(live_dock, settle):
+    widget, (_, tissue, _) = live_dock
     paint(tissue, [(8, 8)], 5)
     settle(widget)
     widget._form.tissue.table.refresh()
@@ -510,7 +518,7 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
     assert [row.label for row in widget.materials] == [0, 1, 5]
 
 
-def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(
+def test_undo_keys_work_in_the_dock_and_a_removed_layer_removes_its_undo_steps(
     docked, small_sample
 ):
     widget, (_, _, boundary) = docked, small_sample(viewer_of(docked))
@@ -525,8 +533,8 @@ def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(
     assert not widget._form.footer.undo.enabled
 
 
-def test_a_layer_that_is_tissue_and_boundary_is_undone_in_the_table_that_was_edited(living):
-    widget, (_, tissue, _) = living
+def test_undo_restores_the_edited_table_of_a_layer_used_as_tissue_and_boundary(live_dock):
+    widget, (_, tissue, _) = live_dock
     widget.boundary = tissue
     before = widget.materials, widget.rules
     Cell(widget._form.tissue.table, 1, 2).write("33")
@@ -534,8 +542,8 @@ def test_a_layer_that_is_tissue_and_boundary_is_undone_in_the_table_that_was_edi
     assert (widget.materials, widget.rules) == before
 
 
-def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
-    widget, (_, tissue, _) = living
+def test_undo_of_a_hidden_table_changes_the_metadata_of_its_layer(live_dock):
+    widget, (_, tissue, _) = live_dock
     before = widget.materials
     Cell(widget._form.tissue.table, 1, 2).write("33")
     image, widget.image = widget.image, viewer_of(widget).add_image(np.ones((9, 9)))
@@ -546,7 +554,7 @@ def test_a_table_that_is_not_shown_is_undone_in_its_layer(living):
     assert widget.materials == before
 
 
-def test_a_curve_is_undone_with_what_it_shows(widget, small_sample, wait_for):
+def test_undo_of_a_curve_restores_its_stiffness_layer(widget, small_sample, wait_for):
     viewer = viewer_of(widget)
     small_sample(viewer)
     tissue = widget.tissue
@@ -566,11 +574,11 @@ def test_a_curve_is_undone_with_what_it_shows(widget, small_sample, wait_for):
     assert widget.curve not in (before, None)
     widget.tissue = tissue
     widget.undo()
-    assert widget.curve not in (before, None), "what is taken back is seen"
+    assert widget.curve not in (before, None), "redo did not restore the curve"
 
 
-def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):
-    widget, (_, _, boundary) = living
+def test_the_selected_result_is_the_newest_result(live_dock, settle):
+    widget, (_, _, boundary) = live_dock
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
     assert widget.result is by_name(widget, "MR arrows, elastic")
@@ -578,18 +586,20 @@ def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):
     assert_newest(widget)
 
 
-def test_what_came_of_deform_is_said_though_a_tool_is_in_the_hand(pulling_beside, settle, run):
+def test_deform_reports_its_result_while_a_tool_is_active(pulling_beside, settle, run):
     person, widget = pulling_beside
     person.drag((30, 30), (34, 32), (34, 34))
     settle(widget)
-    assert widget.status == widget.invitation, "while the mouse pulls, how it does is said"
+    assert widget.status == widget.invitation, "pulling replaced the hint of the tool"
     for _ in range(2):
         assert run(widget) is not None
         assert widget.active
         assert widget.status.startswith("Tissue moved up to")
 
 
-def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling_beside, settle):
+def test_an_error_is_shown_only_until_it_is_corrected_while_a_tool_is_active(
+    pulling_beside, settle
+):
     _, widget = pulling_beside
     viewer = viewer_of(widget)
     how = widget.status
@@ -597,7 +607,7 @@ def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling
     widget.start()
     widget.tissue.scale = (2, 1)
     settle(widget)
-    assert "'Tissue' lies elsewhere" in widget.status
+    assert "'Tissue' is not on the grid" in widget.status
     widget.tissue.scale = (1, 1)
     settle(widget)
     assert widget.active

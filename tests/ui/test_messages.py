@@ -1,4 +1,4 @@
-"""Messages about a result."""
+"""Tests of messages about a result."""
 
 import pytest
 
@@ -7,5 +7,5 @@ from napari_hmrf.ui.messages import marks_of
 
 
 @pytest.mark.parametrize(("folds", "marks"), [(0, {}), (5, {}), (6, {"folds": 6})])
-def test_a_handful_of_folded_pixels_is_rounding_and_more_are_a_warning(folds, marks):
+def test_a_few_folded_pixels_cause_no_warning_and_more_do(folds, marks):
     assert marks_of(Outputs(None, {}, folds)) == marks

@@ -1,4 +1,4 @@
-"""What tissue is taken to be, as the user chooses it beside the painted layers."""
+"""Tests of the choice of the tissue model in the dock."""
 
 from dataclasses import replace
 from typing import get_args
@@ -24,7 +24,7 @@ from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import viewer_of
 from tests.support.screen import Cell, Screen
 
-POISSON = 3  # the column of the table of tissues
+POISSON = 3  # Column of the table of tissues.
 
 
 def names(widget):
@@ -36,25 +36,25 @@ def elastic(widget):
 
 
 def solved(widget):
-    """The energy that is chosen, and how it is minimised."""
+    """Return the chosen prior and optimizer."""
     chosen = widget.study_model.model
     return chosen.prior, chosen.optimizer
 
 
-# What is chosen
+# Choosing a model
 
 
-def test_it_starts_with_elastic_tissue_and_has_the_papers_prior_and_schedule(qtbot, widget):
+def test_the_default_model_is_elastic_and_the_paper_model_has_its_schedule(qtbot, widget):
     begun = SoftTissue(ViewerModel())
     qtbot.addWidget(begun.native)
     assert solved(begun) == (ElasticPrior(), Multigrid())
     assert begun.model == "elastic"
-    widget.settings = replace(widget.settings, sweeps=70)  # tests are in a hurry otherwise
+    widget.settings = replace(widget.settings, sweeps=70)  # The tests use fewer sweeps.
     assert solved(widget) == (SeilerPrior(), ICM())
     assert widget.model == "paper"
 
 
-def test_the_papers_energy_can_be_taken_to_convergence(widget, small_sample, run):
+def test_the_paper_model_can_be_solved_to_convergence(widget, small_sample, run):
     small_sample(viewer_of(widget))
     widget.model = "paper, converged"
     prior, optimizer = solved(widget)
@@ -68,12 +68,12 @@ def test_the_papers_energy_can_be_taken_to_convergence(widget, small_sample, run
 
 
 def solve_again(widget, prior, optimizer=None):
-    """The study of the widget's layers, solved from a script."""
+    """Solve the study of the layers as a script would, and return the solution."""
     stated = build_problem(replace(widget.study, prior=prior))
     return solve(stated.problem, stated.prior, optimizer=optimizer, backend="cpu")
 
 
-def test_elastic_tissue_is_solved_as_a_script_would(widget, small_sample, run):
+def test_the_dock_and_a_script_solve_elastic_tissue_alike(widget, small_sample, run):
     small_sample(viewer_of(widget))
     elastic(widget)
     widget.plane = "strain"
@@ -84,24 +84,24 @@ def test_elastic_tissue_is_solved_as_a_script_would(widget, small_sample, run):
     assert np.abs(solution.displacement - stress.displacement).max() > 0.05
 
 
-def test_only_what_applies_is_asked(docked, small_sample):
+def test_only_settings_of_the_chosen_model_are_shown(docked, small_sample):
     image, *_ = small_sample(viewer_of(docked))
     form = docked._form.model
     always = {"device"}
     papers = {"reading", "penalty"}
     sweeps = {"method", "sweeps", "energy_change"}
 
-    def asked():
+    def visible_settings():
         return {field.name for field in form.in_detail if not field.native.isHidden()}
 
-    assert asked() == always | papers | sweeps
+    assert visible_settings() == always | papers | sweeps
     docked.model = "paper, converged"
-    assert asked() == always | papers | {"accuracy"}
+    assert visible_settings() == always | papers | {"accuracy"}
     assert form.plane.native.isHidden()
     elastic(docked)
-    assert asked() == always | {"accuracy", "grip"}
+    assert visible_settings() == always | {"accuracy", "grip"}
     assert not form.plane.native.isHidden()
-    assert form.poisson.native.isHidden()  # the table has them
+    assert form.poisson.native.isHidden()  # The table has the ratios.
     docked.tissue = image
     assert not form.poisson.native.isHidden()
     docked.model = "paper"
@@ -109,7 +109,7 @@ def test_only_what_applies_is_asked(docked, small_sample):
     assert form.poisson.native.isHidden()
 
 
-def test_what_lies_around_a_slice_is_chosen_by_its_picture(widget):
+def test_the_plane_condition_is_chosen_by_an_icon(widget):
     elastic(widget)
     first, second = (Screen(widget).button(PLANES[plane]) for plane in ("stress", "strain"))
     assert first.isChecked()
@@ -123,13 +123,15 @@ def test_what_lies_around_a_slice_is_chosen_by_its_picture(widget):
 RIGID = "'Tissue' has rigid tissue ('gel'), which the paper's model does not support"
 
 
-def be_rigid(widget):
+def make_rigid(widget):
     Cell(widget._form.tissue.table, 1, 2).write("rigid")
 
 
-def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sample, wait_for):
+def test_an_error_of_the_paper_model_with_rigid_tissue_is_shown_without_a_solve(
+    widget, small_sample, wait_for
+):
     small_sample(viewer_of(widget))
-    be_rigid(widget)
+    make_rigid(widget)
     wait_for(lambda: RIGID in widget.status)
     widget.model = "elastic"
     wait_for(lambda: widget.status == READY)
@@ -139,15 +141,15 @@ def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sa
     wait_for(lambda: widget.status == READY)
 
 
-def test_deform_refuses_rigid_tissue_of_the_paper_s_model_before_any_work(
+def test_deform_refuses_rigid_tissue_in_the_paper_model_before_the_solve(
     widget, small_sample, busy_thread
 ):
     small_sample(viewer_of(widget))
-    be_rigid(widget)
+    make_rigid(widget)
     said = []
     widget.finished.connect(said.append)
     widget.deform()
-    assert said == [None], "though the thread that would work is busy"
+    assert said == [None], "the error waited for the busy compute thread"
     assert widget.status.startswith("'Tissue' has rigid tissue ('gel'), which the paper's model")
 
 
@@ -161,7 +163,7 @@ def paint_bone(widget, *place):
     tissue.data = painted
 
 
-def test_painted_bone_moves_as_one(widget, small_sample, run):
+def test_painted_bone_moves_as_a_rigid_body(widget, small_sample, run):
     small_sample(viewer_of(widget))
     paint_bone(widget, slice(4, 8), slice(9, 14))
     elastic(widget)
@@ -170,11 +172,11 @@ def test_painted_bone_moves_as_one(widget, small_sample, run):
     turn = np.polyfit(cols[0], d[0, :, 0], 1)[0]
     still = d - turn * np.stack([cols, -rows], axis=-1)
     assert np.ptp(still, axis=(0, 1)).max() < 1e-4
-    assert abs(turn) > 1e-3, "it is not held in the middle of the tissue, so it turns"
+    assert abs(turn) > 1e-3, "the bone, which lies off the centre, does not rotate"
     assert d[..., 1].min() > 0.5
 
 
-def test_a_boundary_that_would_deform_bone_is_named(widget, small_sample, run):
+def test_a_boundary_that_would_deform_a_rigid_body_is_refused_by_name(widget, small_sample, run):
     small_sample(viewer_of(widget))
     paint_bone(widget, slice(4, 16), slice(2, -2))
     elastic(widget)
@@ -182,24 +184,24 @@ def test_a_boundary_that_would_deform_bone_is_named(widget, small_sample, run):
     assert widget.status.startswith("'Boundary' moves pixels of the rigid body around")
 
 
-def test_an_earlier_result_does_not_hide_what_is_wrong_now(widget, small_sample, run, wait_for):
+def test_a_new_error_is_shown_in_spite_of_an_earlier_result(widget, small_sample, run, wait_for):
     small_sample(viewer_of(widget))
     assert run(widget) is not None
-    be_rigid(widget)
+    make_rigid(widget)
     wait_for(lambda: RIGID in widget.status)
     widget.undo()
     wait_for(lambda: "Tissue moved up to" in widget.status)
 
 
 @pytest.mark.parametrize("model", ["elastic", "paper, converged"])
-def test_how_near_to_converged_can_be_chosen(widget, model):
+def test_the_tolerance_can_be_chosen(widget, model):
     widget.model = model
     assert solved(widget)[1] == Multigrid()
     widget.settings = replace(widget.settings, accuracy=0.1)
     assert solved(widget)[1] == Multigrid(0.1)
 
 
-def test_one_click_leads_back_to_the_paper(widget, small_sample, run):
+def test_choosing_the_paper_model_restores_the_settings_of_the_paper(widget, small_sample, run):
     small_sample(viewer_of(widget))
     widget.settings = replace(widget.settings, sweeps=70)
     papers = run(widget).solution
@@ -216,7 +218,7 @@ def test_one_click_leads_back_to_the_paper(widget, small_sample, run):
     np.testing.assert_array_equal(again.energy, papers.energy)
 
 
-def test_the_paper_s_own_numbers_are_back_when_it_is_chosen_again(widget):
+def test_choosing_the_same_model_again_restores_its_settings(widget):
     assert widget.settings.sweeps == 3
     menu = widget._form.model.model.native
     menu.activated.emit(menu.currentIndex())
@@ -224,7 +226,7 @@ def test_the_paper_s_own_numbers_are_back_when_it_is_chosen_again(widget):
 
 
 @pytest.mark.parametrize("plane", ["stress", "strain"])
-def test_every_choice_has_a_sentence_with_what_was_measured(plane):
+def test_every_model_has_a_description_with_a_measured_error(plane):
     said = {when_to_take(model, plane) for model in get_args(ModelName)}
     assert len(said) == 4
     assert all(
@@ -232,7 +234,7 @@ def test_every_choice_has_a_sentence_with_what_was_measured(plane):
     )
 
 
-def test_the_two_planes_differ_by_as_much_as_is_said():
+def test_the_plane_conditions_differ_by_the_stated_amount():
     said = when_to_take("elastic", "stress")
     assert "differ by a few per cent to more than half of the movement" in said
     assert "most where Poisson's ratio is near 0.5" in said
@@ -256,15 +258,17 @@ def test_the_two_planes_differ_by_as_much_as_is_said():
 # Poisson's ratio
 
 
-def test_the_table_has_a_poisson_ratio_only_for_what_deforms(widget, small_sample):
+def test_the_table_has_poisson_ratios_only_for_deformable_tissue_and_elastic_models(
+    widget, small_sample
+):
     small_sample(viewer_of(widget))
     table = widget._form.tissue.table
     assert [Cell(table, row, POISSON).text() for row in (0, 1)] == ["", "0.45"]
-    be_rigid(widget)
+    make_rigid(widget)
     assert table.isColumnHidden(POISSON)
 
 
-def test_a_poisson_ratio_that_is_typed_is_taken_over_or_put_back(widget, small_sample):
+def test_a_valid_poisson_ratio_is_accepted_and_an_invalid_one_is_reset(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
     elastic(widget)
     table = widget._form.tissue.table
@@ -277,7 +281,7 @@ def test_a_poisson_ratio_that_is_typed_is_taken_over_or_put_back(widget, small_s
         assert widget.status == "Poisson's ratio must be a number from 0 to 0.499; kept 0.3."
 
 
-def test_tables_of_before_poisson_ratios_still_open(widget, small_sample):
+def test_tables_without_poisson_ratios_can_be_opened(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
     kept = dict(tissue.metadata[METADATA])
     kept["materials"] = [{"label": 1, "name": "gel", "stiffness": 7.0}]
@@ -286,8 +290,8 @@ def test_tables_of_before_poisson_ratios_still_open(widget, small_sample):
     assert Material(1, "gel", 7.0, 0.45) in widget.materials
 
 
-def test_tissue_that_bulges_more_needs_more_room(widget, small_sample, run):
-    """Squeezed between two walls that let it slide, a block grows across by its ratio."""
+def test_tissue_with_a_larger_poisson_ratio_bulges_more(widget, small_sample, run):
+    """Squeeze a block between two sliding walls: it widens according to its ratio."""
     _, tissue, boundary = small_sample(viewer_of(widget))
     elastic(widget)
     widget.rules = (
@@ -328,7 +332,7 @@ def test_each_tissue_has_its_own_poisson_ratio(widget, small_sample, run):
     assert abs(mixed[right] - high[right]) < abs(mixed[right] - low[right])
 
 
-def test_a_preset_brings_its_poisson_ratios(widget, small_sample):
+def test_a_preset_sets_poisson_ratios(widget, small_sample):
     small_sample(viewer_of(widget))
     glia = PRESETS[1]
     widget.take_materials(glia)
@@ -338,7 +342,7 @@ def test_a_preset_brings_its_poisson_ratios(widget, small_sample):
         assert "Poisson" in preset.source
 
 
-def test_a_new_tissue_is_as_the_first_in_all_but_its_name(widget, small_sample):
+def test_a_new_tissue_has_the_values_of_the_first_tissue_except_its_name(widget, small_sample):
     small_sample(viewer_of(widget))
     widget.materials = (widget.materials[0], Material(1, "gel", 33.0, 0.2))
     widget._form.tissue.table.add()
@@ -359,10 +363,10 @@ def test_an_image_of_stiffness_has_one_poisson_ratio(widget, small_sample, run):
     np.testing.assert_array_equal(run(widget).solution.displacement, solution.displacement)
 
 
-# What comes of it
+# Results
 
 
-def test_results_say_which_model_made_them(widget, small_sample, run):
+def test_results_name_their_model(widget, small_sample, run):
     small_sample(viewer_of(widget))
     run(widget)
     assert "MR arrows, paper" in names(widget)
@@ -382,7 +386,7 @@ def test_results_say_which_model_made_them(widget, small_sample, run):
     assert "MR arrows, paper, converged" in names(widget)
 
 
-def test_a_name_of_the_users_stays(widget, small_sample, run):
+def test_a_layer_name_chosen_by_the_user_is_preserved(widget, small_sample, run):
     small_sample(viewer_of(widget))
     run(widget)
     viewer_of(widget).layers["MR arrows, paper"].name = "mine"
@@ -393,7 +397,7 @@ def test_a_name_of_the_users_stays(widget, small_sample, run):
     assert "MR deformed, elastic" in names(widget)
 
 
-def test_another_model_means_that_the_result_is_old(widget, small_sample, run, wait_for):
+def test_a_change_of_the_model_marks_the_result_as_outdated(widget, small_sample, run, wait_for):
     small_sample(viewer_of(widget))
     widget.settings = replace(widget.settings, sweeps=70)
     run(widget)
@@ -403,10 +407,10 @@ def test_another_model_means_that_the_result_is_old(widget, small_sample, run, w
     wait_for(lambda: widget.status.startswith("Tissue moved"))
 
 
-# What can go wrong
+# Errors
 
 
-def test_tissue_that_could_turn_is_refused_in_one_sentence(widget, small_sample, run):
+def test_tissue_that_could_rotate_is_refused_in_one_sentence(widget, small_sample, run):
     *_, boundary = small_sample(viewer_of(widget))
     boundary.data[:] = 0
     boundary.data[10, 10] = 1
@@ -421,19 +425,23 @@ def test_tissue_that_could_turn_is_refused_in_one_sentence(widget, small_sample,
     assert run(widget) is not None
 
 
-def test_what_does_not_converge_is_told_and_nothing_shown(widget, small_sample, run, monkeypatch):
+def test_a_solve_that_does_not_converge_is_reported_and_adds_no_layer(
+    widget, small_sample, run, monkeypatch
+):
     small_sample(viewer_of(widget))
     elastic(widget)
     hasty = property(lambda _: Multigrid(1e-3, max_iterations=1))
     monkeypatch.setattr(ModelChoice, "optimizer", hasty)
     assert run(widget) is None
     assert widget.status.startswith("No result: ")
-    assert "px from converged" in widget.status
+    assert "error of the field is still" in widget.status
     assert widget.status.endswith(".")
     assert not any("arrows" in name for name in names(widget))
 
 
-def test_what_is_doubted_may_slip_and_what_is_certain_does_not(widget, small_sample, run):
+def test_tissue_of_low_confidence_may_slip_and_certain_tissue_is_prescribed(
+    widget, small_sample, run
+):
     small_sample(viewer_of(widget))
     widget.rules = (
         widget.rules[0],
@@ -450,7 +458,7 @@ def test_what_is_doubted_may_slip_and_what_is_certain_does_not(widget, small_sam
     np.testing.assert_allclose(run(widget).solution.displacement[pushed], [[0, 3]] * 16, atol=1e-4)
 
 
-def test_a_boundary_with_little_grip_slips(widget, small_sample, run):
+def test_a_boundary_with_a_small_holding_force_slips(widget, small_sample, run):
     small_sample(viewer_of(widget))
     elastic(widget)
 
@@ -460,11 +468,11 @@ def test_a_boundary_with_little_grip_slips(widget, small_sample, run):
 
     assert stretched() == pytest.approx(3, abs=1e-3)
     widget.settings = replace(widget.settings, grip=0.05)
-    # Both sides grip alike: which of them slips is nobody's to say.
+    # Both sides slip alike, so only the difference is determined.
     assert 0.1 < stretched() < 2.9
 
 
-def test_a_boundary_too_thin_for_the_schedule_is_none_for_elastic_tissue():
+def test_a_boundary_too_thin_for_the_schedule_causes_no_note_for_elastic_tissue():
     from napari.layers import Labels
 
     from tests.support.study_reader import read_layers
@@ -484,7 +492,7 @@ def test_a_boundary_too_thin_for_the_schedule_is_none_for_elastic_tissue():
     assert not any("so thin" in note for note in notes)
 
 
-def test_digits_typed_as_a_force_are_all_taken(docked, qtbot):
+def test_all_typed_digits_of_a_force_are_accepted(docked, qtbot):
     field = docked._form.model.in_detail["grip"]
     field.native.selectAll()
     qtbot.keyClicks(field.native, "0.25")

@@ -1,4 +1,4 @@
-"""Left and right of the patient stand at the edges of the canvas, where an image says so."""
+"""Tests of anatomical letters at the canvas edges and in texts."""
 
 import re
 from dataclasses import replace
@@ -26,7 +26,7 @@ from tests.support.screen import head as table_head
 
 pytest.importorskip("SimpleITK")
 
-#: How files store the same head: as it is, mirrored, turned on its side.
+#: Directions in which files store the same head: unchanged, mirrored and with permuted axes.
 DIRECTIONS = {
     "LPS": np.eye(3),
     "RAS": np.diag([-1.0, -1.0, 1.0]),
@@ -35,10 +35,10 @@ DIRECTIONS = {
 
 
 def head(folder, direction=DIRECTIONS["LPS"]):
-    """A head in a file with something bright far to the patient's left, front and top."""
+    """Write a head with a bright mark at the patient's left, front and top; return the path."""
     place = Place((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), direction)
     pixels = np.full((24, 24, 24), 60, np.int16)
-    at = (direction.T @ [8, -8, 8] + 11.5).round().astype(int)  # x, y, z of the file
+    at = (direction.T @ [8, -8, 8] + 11.5).round().astype(int)  # In the order x, y, z of the file.
     pixels[tuple(at[::-1])] = 200
     centre = direction @ np.full(3, 11.5)
     place = place._replace(origin=tuple(-centre))
@@ -46,7 +46,7 @@ def head(folder, direction=DIRECTIONS["LPS"]):
 
 
 def add_head(viewer, folder, direction=DIRECTIONS["LPS"]):
-    """Open a head that is stored in some way."""
+    """Open a head with the given directions as an image layer."""
     path = head(folder, direction)
     ((data, attributes, _),) = open_scan(path)(path)
     return viewer.add_image(data, **attributes)
@@ -54,7 +54,7 @@ def add_head(viewer, folder, direction=DIRECTIONS["LPS"]):
 
 @pytest.fixture
 def window(unstyled, without_controls, make_napari_viewer, tmp_path, at_rest):
-    """A window with the dock beside a head."""
+    """Return a window, the dock and the image of a head."""
     viewer = make_napari_viewer(show=True)
     image = add_head(viewer, tmp_path)
     dock = quick(dock_in(viewer))
@@ -63,7 +63,7 @@ def window(unstyled, without_controls, make_napari_viewer, tmp_path, at_rest):
 
 
 def turned_views(viewer):
-    """See the planes of a viewer in many ways."""
+    """Yield the order of axes for many views of a viewer."""
     orders = ((0, 1, 2), (1, 0, 2), (2, 0, 1), (0, 2, 1))
     ways_round = (("down", "right"), ("up", "left"), ("up", "right"))
     for order, ways in product(orders, ways_round):
@@ -73,7 +73,7 @@ def turned_views(viewer):
 
 
 def edge_of_mark(viewer, image):
-    """Which edges of the canvas the bright pixel lies nearest to: vertical, horizontal."""
+    """Return the vertical and the horizontal canvas edge nearest to the bright mark."""
     (pixel,) = np.argwhere(np.asarray(image.data) == 200)
     world = np.asarray(image.data_to_world(pixel))[list(viewer.dims.displayed)]
     down, right = viewer.scene.camera.orientation2d
@@ -83,19 +83,19 @@ def edge_of_mark(viewer, image):
 
 
 @pytest.mark.parametrize("stored", DIRECTIONS)
-def test_letters_stand_where_that_side_of_the_patient_is_seen(tmp_path, stored):
+def test_a_letter_is_at_the_canvas_edge_of_its_side_of_the_patient(tmp_path, stored):
     viewer = ViewerModel()
     image = add_head(viewer, tmp_path, DIRECTIONS[stored])
     for order in turned_views(viewer):
         found = dict(zip(Sides._fields, Sides.of(image, viewer), strict=True))
-        # The mark lies to the left, to the front and to the top of the patient.
+        # The mark lies at the left, the front and the top of the patient.
         marked = {found[edge] for edge in edge_of_mark(viewer, image)}
         assert marked == {"SAL"[axis] for axis in order[1:]}
         for one, other in (("top", "bottom"), ("left", "right")):
             assert {found[one], found[other]} in ({"S", "I"}, {"A", "P"}, {"L", "R"})
 
 
-def test_an_axial_slice_is_seen_as_radiologists_see_it(window):
+def test_an_axial_slice_is_displayed_in_radiological_convention(window):
     _, dock, _ = window
     assert dock.sides == Sides(top="A", bottom="P", left="R", right="L")
     letters = {
@@ -107,7 +107,7 @@ def test_an_axial_slice_is_seen_as_radiologists_see_it(window):
     assert letters["R"].x() < letters["A"].x() < letters["L"].x()
 
 
-def test_letters_follow_the_view_and_in_3_d_there_are_none(window, at_rest):
+def test_letters_follow_the_view_and_are_hidden_in_three_dimensions(window, at_rest):
     viewer, dock, image = window
     seen = set()
     for _ in turned_views(viewer):
@@ -115,16 +115,16 @@ def test_letters_follow_the_view_and_in_3_d_there_are_none(window, at_rest):
         seen.add(dock.sides)
     assert len(seen) > 8
     viewer.dims.ndisplay = 3
-    at_rest(thread=False)  # each change is drawn: vispy may draw what is gone else
+    at_rest(thread=False)  # Draw each change; otherwise vispy may draw removed objects.
     assert dock.sides == Sides()
     viewer.dims.ndisplay = 2
     at_rest(thread=False)
     assert dock.sides in seen
 
 
-def test_where_nothing_is_known_and_without_a_dock_there_are_none(window, at_rest):
+def test_letters_are_hidden_for_an_image_without_patient_axes_and_without_a_dock(window, at_rest):
     viewer, dock, image = window
-    at_rest.until(lambda: not dock.busy)  # or else a picture of the image may come
+    at_rest.until(lambda: not dock.busy)  # Otherwise an image of the result may be added.
     dock.image = viewer.add_image(np.zeros((24, 24)), name="photo")
     assert dock.sides == Sides()
     dock.image = None
@@ -132,12 +132,12 @@ def test_where_nothing_is_known_and_without_a_dock_there_are_none(window, at_res
     dock.image = image
     at_rest(thread=False)
     assert dock.sides.right == "L"
-    # Neither is removed: where one of two images is, napari alone ends on Mesa's rasteriser, too.
+    # Remove neither image: napari alone exits on Mesa's rasterizer if one of two images is removed.
     viewer.window.remove_dock_widget(dock.native)
     assert dock.sides == Sides()
 
 
-def test_fields_and_table_speak_of_the_patient_as_the_status_bar_does(frame, tmp_path, wait_for):
+def test_fields_and_tables_use_the_anatomical_letters_of_the_status_bar(frame, tmp_path, wait_for):
     viewer = frame.viewer
     image = add_head(viewer, tmp_path)
     dock = quick(frame.open())
@@ -166,7 +166,7 @@ def test_fields_and_table_speak_of_the_patient_as_the_status_bar_does(frame, tmp
 
 
 def oblique(angle, mirrored):
-    """A head that lies turned in the scanner, its columns stored to the left or to the right."""
+    """Return an image of a head rotated in the scanner, optionally with mirrored columns."""
     turn, sign = np.eye(4), -1 if mirrored else 1
     cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     turn[1:3, 1:3] = [[cosine, -sine * sign], [sine, cosine * sign]]
@@ -175,7 +175,7 @@ def oblique(angle, mirrored):
 
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("angle", [0, 20, -40, 70, 90, 180, -110])
-def test_of_a_turned_or_mirrored_scan_the_letters_are_the_patient_s(angle, mirrored):
+def test_letters_of_a_rotated_or_mirrored_scan_refer_to_the_patient(angle, mirrored):
     image = oblique(angle, mirrored)
     ways = Directions.of(frame_of(image))
     towards = {"P": (1, 0), "A": (-1, 0), "L": (0, 1), "R": (0, -1)}
@@ -191,7 +191,7 @@ def test_of_a_turned_or_mirrored_scan_the_letters_are_the_patient_s(angle, mirro
 
 
 @pytest.mark.parametrize("stored", DIRECTIONS)
-def test_letters_do_not_depend_on_the_camera_or_on_how_a_file_is_stored(tmp_path, stored):
+def test_letters_depend_neither_on_the_camera_nor_on_the_storage_order(tmp_path, stored):
     viewer, path = ViewerModel(), head(tmp_path, DIRECTIONS[stored])
     ((data, attributes, _),) = open_scan(path)(path)
     image = viewer.add_image(data, **attributes)
@@ -200,14 +200,14 @@ def test_letters_do_not_depend_on_the_camera_or_on_how_a_file_is_stored(tmp_path
     camera = getattr(viewer, "scene", viewer).camera
     camera.orientation2d = ("up", "left")
     assert directions_of(frame, viewer) == ways
-    (at,) = np.argwhere(np.asarray(data) == 200)  # to the left, the front and the top
+    (at,) = np.argwhere(np.asarray(data) == 200)  # At the left, the front and the top.
     centre = np.array(data.shape) // 2
     said = ways.step(ways.to_display(tuple(np.sign(at - centre)[list(frame.plane)].astype(float))))
     assert {part.split()[1] for part in said.split(", ")} == {"A", "L"}
     assert Directions.of(frame_of(Image(np.zeros((4, 4))))).step((1.0, 1.0)) == "1 down, 1 right"
 
 
-def test_the_status_bar_says_it_of_what_is_under_the_cursor(qtbot, wait_for, tmp_path):
+def test_the_status_bar_describes_motion_by_anatomical_letters(qtbot, wait_for, tmp_path):
     viewer, path = ViewerModel(), head(tmp_path)
     ((data, attributes, _),) = open_scan(path)(path)
     image = viewer.add_image(data, **attributes)
@@ -222,11 +222,13 @@ def test_the_status_bar_says_it_of_what_is_under_the_cursor(qtbot, wait_for, tmp
     viewer.cursor.position = image.data_to_world((12, 12, 12))
     said = viewer.status["coordinates"]
     length = re.search(r"moves (\S+) mm", said)[1]
-    assert f"moves {length} mm ({length} R)" in said, "and not that it moves to the left"
-    assert dock.solution.frame["axis_labels"] == ("superior", "posterior", "left"), "kept in files"
+    assert f"moves {length} mm ({length} R)" in said, "the status bar uses directions of the canvas"
+    assert dock.solution.frame["axis_labels"] == ("superior", "posterior", "left"), (
+        "axis labels are missing in the stored frame"
+    )
 
 
-def test_a_slice_is_called_by_where_it_lies_before_it_is_saved_and_after(
+def test_a_slice_is_named_by_its_position_before_and_after_saving(
     qtbot, wait_for, tmp_path, monkeypatch
 ):
     proposed = []
@@ -246,7 +248,7 @@ def test_a_slice_is_called_by_where_it_lies_before_it_is_saved_and_after(
     first.drawing = Drawing((Arrow(at=(12, 12), by=(0.0, -3.0), radius=2.0),))
     wait_for(lambda: first.solution is not None and not first.busy)
     made = "a/b: head deformed, elastic (S 5.5 mm)"
-    assert made in viewer.layers, "it is the 18th of 24 slices 1 mm apart"
+    assert made in viewer.layers, "the name is not that of the 18th of 24 slices, 1 mm apart"
     assert first.status.startswith("S 5.5 mm: tissue moved")
     Screen(first).press("Save study ...")
     assert proposed == ["a-b- head S 5.5 mm.study"]
@@ -274,9 +276,7 @@ def test_a_slice_is_called_by_where_it_lies_before_it_is_saved_and_after(
 )
 @pytest.mark.parametrize("angle", [0, 15])
 @pytest.mark.filterwarnings("ignore:Non-orthogonal slicing")
-def test_slices_that_are_aslant_are_called_by_their_place_along_the_normal(
-    step, number, name, angle
-):
+def test_oblique_slices_are_named_by_their_position_along_the_normal(step, number, name, angle):
     matrix = np.eye(4)
     cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     matrix[:2, :2] = [[cosine * step, -sine], [sine * step, cosine]]
@@ -285,6 +285,8 @@ def test_slices_that_are_aslant_are_called_by_their_place_along_the_normal(
     image = Image(np.zeros((40, 4, 4)), affine=matrix, **known)
     frame = replace(frame_of(image), index=(number, 0, 0))
     assert frame.slice_seen == name
-    assert frame.slice_name == f"superior = {number}", "what files tell results apart by"
+    assert frame.slice_name == f"superior = {number}", (
+        "files would not distinguish results of different slices"
+    )
     unknown = replace(frame, units=("pixel",) * 3)
     assert unknown.slice_seen == f"superior = {number}"

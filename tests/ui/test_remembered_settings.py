@@ -1,4 +1,4 @@
-"""What a dock remembers from one session to the next, and within one."""
+"""Tests of the settings that a dock restores, in the same session and in a later one."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ from qtpy.QtCore import QSettings
 from napari_hmrf.study.models import SolverDetails
 
 
-def another(qtbot, viewer=None):
+def open_dock(qtbot, viewer=None):
     from napari.components import ViewerModel
 
     from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -17,44 +17,44 @@ def another(qtbot, viewer=None):
     return made
 
 
-def test_the_device_is_remembered(qtbot):
-    another(qtbot).settings = replace(another(qtbot).settings, device="cpu")
-    assert another(qtbot).settings.device == "cpu"
+def test_the_device_is_remembered_between_sessions(qtbot):
+    open_dock(qtbot).settings = replace(open_dock(qtbot).settings, device="cpu")
+    assert open_dock(qtbot).settings.device == "cpu"
 
 
-def test_a_session_begins_with_the_layers_of_the_first_minute(qtbot):
-    first = another(qtbot)
+def test_a_session_starts_without_an_overlay(qtbot):
+    first = open_dock(qtbot)
     first.overlay = "magnitude"
-    assert another(qtbot).overlay == "nothing"
+    assert open_dock(qtbot).overlay == "nothing"
 
 
-def test_what_is_computed_begins_with_elastic_tissue_each_time(qtbot):
-    first = another(qtbot)
+def test_a_session_starts_with_the_elastic_model(qtbot):
+    first = open_dock(qtbot)
     first.model = "paper"
     first.settings = replace(first.settings, sweeps=7)
-    second = another(qtbot)
+    second = open_dock(qtbot)
     assert (second.model, second.settings) == ("elastic", SolverDetails())
 
 
-def test_a_dock_that_is_opened_again_is_as_it_was_left(qtbot):
-    first = another(qtbot)
+def test_a_dock_opened_again_restores_its_settings(qtbot):
+    first = open_dock(qtbot)
     first.model = "elastic"
     first.plane = "strain"
     first.poisson = 0.3
     first.settings = replace(first.settings, accuracy=1e-4)
-    again = another(qtbot, first._viewer)
+    again = open_dock(qtbot, first._viewer)
     assert (again.model, again.plane, again.poisson) == ("elastic", "strain", 0.3)
     assert again.settings == SolverDetails(accuracy=1e-4)
     again.model = "paper"
     again.settings = replace(again.settings, sweeps=7)
-    last = another(qtbot, first._viewer)
+    last = open_dock(qtbot, first._viewer)
     assert (last.model, last.settings) == ("paper", SolverDetails(sweeps=7))
 
 
-def test_nonsense_in_the_file_is_left_alone(qtbot):
+def test_an_invalid_stored_setting_is_ignored(qtbot):
     store = QSettings(
         QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
     )
     store.setValue("deform/device", "abacus")
     store.sync()
-    assert another(qtbot).settings.device == "auto"
+    assert open_dock(qtbot).settings.device == "auto"

@@ -1,4 +1,4 @@
-"""What is done in the window is saved in one file, and is there again when that is opened."""
+"""Tests of studies that are saved and opened in the window."""
 
 import json
 from dataclasses import replace
@@ -43,8 +43,8 @@ DRAWING = Drawing(
 
 
 @pytest.fixture
-def made(qtbot, wait_for):
-    """A dock beside a viewer of its own, at rest."""
+def make_dock(qtbot, wait_for):
+    """Return a function that makes an idle dock beside a viewer."""
 
     def make(viewer):
         dock = SoftTissue(viewer)
@@ -56,7 +56,7 @@ def made(qtbot, wait_for):
 
 
 def stack():
-    """A painted slice of a turned stack in millimetres."""
+    """Return a viewer with a painted slice of a rotated stack in millimetres."""
     viewer = ViewerModel()
     place = {
         "scale": (3.0, 0.5, 0.8),
@@ -81,21 +81,21 @@ def stack():
     return viewer
 
 
-def test_a_study_that_is_opened_again_is_the_one_that_was_saved(made, wait_for, tmp_path):
-    first = made(stack())
+def test_a_study_is_opened_as_it_was_saved(make_dock, wait_for, tmp_path):
+    first = make_dock(stack())
     first.drawing, first.model, first.plane = DRAWING, "elastic", "strain"
     wait_for(lambda: not first.busy)
     path = first.save_study(tmp_path / "case")
     assert first.status == "Saved case.study."
     other = ViewerModel()
-    second = made(other)
+    second = make_dock(other)
     second.open_study(path)
     wait_for(lambda: not second.busy)
     assert {"t1", "Organs", "Probe"} <= {layer.name for layer in other.layers}
     assert second.materials == first.materials
     assert second.rules == first.rules
     assert second.drawing == DRAWING
-    assert second.active, "so that what is drawn is seen"
+    assert second.active, "the drawing is not displayed"
     assert (second.plane, second.hold_edge) == ("strain", first.hold_edge)
     one, again = first.study, second.study
     assert again.grid.spacing == pytest.approx(one.grid.spacing)
@@ -106,11 +106,11 @@ def test_a_study_that_is_opened_again_is_the_one_that_was_saved(made, wait_for, 
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2)])
-def test_studies_of_several_slices_open_each_in_its_own_place(made, wait_for, tmp_path, order):
+def test_studies_of_several_slices_are_opened_at_their_places(make_dock, wait_for, tmp_path, order):
     viewer, paths, drawings = ViewerModel(), {}, {}
     pixels = np.random.default_rng(0).random((30, 36, 44))
     viewer.add_image(pixels, name="t1", scale=(3.0, 0.5, 0.8), units=("mm",) * 3)
-    first = made(viewer)
+    first = make_dock(viewer)
     viewer.dims.order = order
     for at in (0, 2):
         viewer.dims.set_current_step(order[0], at)
@@ -120,7 +120,7 @@ def test_studies_of_several_slices_open_each_in_its_own_place(made, wait_for, tm
         wait_for(lambda: not first.busy)
         paths[at] = first.save_study(tmp_path / f"slice{at}")
     other = ViewerModel()
-    second = made(other)
+    second = make_dock(other)
     for at in (0, 2):
         second.open_study(paths[at])
         wait_for(lambda: not second.busy)
@@ -130,26 +130,28 @@ def test_studies_of_several_slices_open_each_in_its_own_place(made, wait_for, tm
     second.image = images[0]
     other.dims.set_point(order[0], images[0].data_to_world((0, 0, 0))[order[0]])
     wait_for(lambda: not second.busy)
-    assert second.drawing == drawings[0], "and stays on it"
+    assert second.drawing == drawings[0], "the drawing of the displayed slice was lost"
 
 
-def test_a_study_without_an_image_opens_beside_an_image(made, wait_for, tmp_path):
+def test_a_study_without_an_image_is_opened_beside_an_image(make_dock, wait_for, tmp_path):
     labels = np.ones(SHAPE, np.uint8)
     tissue = Tissue(labels=labels, materials=(Material(1, "gel", 1.0),))
     study = Study(Grid(SHAPE, (1.0, 1.0)), tissue, Motion(hold_edge=True, drawing=DRAWING))
     path = write_study(tmp_path / "gel", study)
     viewer = ViewerModel()
     viewer.add_image(np.random.default_rng(0).random(SHAPE), name="photo")
-    dock = made(viewer)
+    dock = make_dock(viewer)
     dock.open_study(path)
     wait_for(lambda: not dock.busy)
     assert (dock.image, dock.drawing) == (None, DRAWING)
     assert dock.shown.motion.drawing == DRAWING
 
 
-def test_a_study_read_right_after_the_slice_was_changed_has_its_own_drawing(made, wait_for):
+def test_a_study_read_directly_after_a_change_of_slice_has_the_drawing_of_that_slice(
+    make_dock, wait_for
+):
     viewer = stack()
-    dock = made(viewer)
+    dock = make_dock(viewer)
     dock.drawing = DRAWING
     wait_for(lambda: not dock.busy)
     viewer.dims.set_current_step(0, 2)
@@ -157,26 +159,26 @@ def test_a_study_read_right_after_the_slice_was_changed_has_its_own_drawing(made
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_what_is_opened_is_nothing_to_take_back_and_paint_is_seen_only_where_nothing_moves(
-    made, wait_for, tmp_path, moves
+def test_opening_a_study_adds_no_undo_step_and_shows_paint_only_without_motion(
+    make_dock, wait_for, tmp_path, moves
 ):
     viewer = ViewerModel()
     viewer.add_image(np.random.default_rng(0).random(SHAPE), name="photo")
-    first = made(viewer)
+    first = make_dock(viewer)
     first.tissue_from_intensity()
     if moves:
         first.drawing = DRAWING
     wait_for(lambda: not first.busy)
     path = first.save_study(tmp_path / "case")
     other = ViewerModel()
-    second = made(other)
+    second = make_dock(other)
     second.open_study(path)
     wait_for(lambda: not second.busy)
     assert second.curve == first.curve
     (map_of_stiffness,) = (each for each in other.layers if "stiffness" in each.name)
     assert map_of_stiffness.visible != moves
     second.undo()
-    assert second.status == "There is nothing to take back."
+    assert second.status == "There is nothing to undo."
     assert second.drawing == first.drawing
     labels = Tissue(labels=np.ones(SHAPE, np.uint8), materials=(Material(1, "gel", 1.0),))
     motion = Motion(hold_edge=True, drawing=DRAWING if moves else Drawing())
@@ -186,14 +188,16 @@ def test_what_is_opened_is_nothing_to_take_back_and_paint_is_seen_only_where_not
     assert other.layers["Tissue"].visible != moves
 
 
-def test_a_slice_that_is_opened_and_saved_again_still_lies_in_its_volume(
-    made, run, wait_for, tmp_path
+def test_a_slice_opened_and_saved_again_retains_its_place_in_the_volume(
+    make_dock, run, wait_for, tmp_path
 ):
-    first = made(stack())
+    first = make_dock(stack())
     run(first)
     path = first.save_study(tmp_path / "case")
-    assert read_study(path).study.grid.place.index[0] == 1, "of the stack that it was cut from"
-    second = made(ViewerModel())
+    assert read_study(path).study.grid.place.index[0] == 1, (
+        "the slice does not store its number in the stack"
+    )
+    second = make_dock(ViewerModel())
     second.open_study(path)
     wait_for(lambda: not second.busy)
     run(second)
@@ -205,8 +209,8 @@ def test_a_slice_that_is_opened_and_saved_again_still_lies_in_its_volume(
         np.testing.assert_allclose(place.spacing, (3.0, 0.5, 0.8))
 
 
-def test_a_field_from_nothing_is_replayed_bit_by_bit(made, run, wait_for, tmp_path):
-    dock = made(stack())
+def test_a_field_of_a_cold_start_is_replayed_bit_by_bit(make_dock, run, wait_for, tmp_path):
+    dock = make_dock(stack())
     run(dock)
     path = dock.save_study(tmp_path / "case")
     saved = read_study(path).solution
@@ -214,19 +218,19 @@ def test_a_field_from_nothing_is_replayed_bit_by_bit(made, run, wait_for, tmp_pa
     assert np.array_equal(replay(path).displacement, saved.displacement)
 
 
-def test_a_field_that_followed_a_hand_is_replayed_within_its_tolerance(
-    made, wait_for, tmp_path, capsys
+def test_a_field_of_a_warm_start_is_replayed_within_its_tolerance(
+    make_dock, wait_for, tmp_path, capsys
 ):
     viewer = ViewerModel()
     viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
-    dock = made(viewer)
+    dock = make_dock(viewer)
     for col in (14, 20, 23):
         dock.drawing = Drawing((Arrow(at=(18, col), by=(0.5, 2.0), radius=2.0),))
         wait_for(lambda: not dock.busy)
     path = dock.save_study(tmp_path / "case")
     study, saved = read_study(path)
     apart = np.abs(replay(path).displacement - saved.displacement).max()
-    assert 0 < apart < 0.002, "it began warm"
+    assert 0 < apart < 0.002, "the field of a warm start is equal or too different"
     assert main(["replay", str(path)]) == 0
     assert "the same field within its tolerance" in capsys.readouterr().out
     other = replace(saved, displacement=saved.displacement + np.float32(0.01))
@@ -246,12 +250,14 @@ def test_a_field_that_followed_a_hand_is_replayed_within_its_tolerance(
     ],
     ids=["curve", "stiffness", "image"],
 )
-def test_a_study_of_python_opens_in_the_window(made, wait_for, tmp_path, tissue, model):
+def test_a_study_made_in_python_is_opened_in_the_window(
+    make_dock, wait_for, tmp_path, tissue, model
+):
     image = np.random.default_rng(0).integers(50, 200, SHAPE, dtype=np.uint8)
     motion = Motion(hold_edge=True, drawing=Drawing(DRAWING.marks[:1]))
     grid = Grid(SHAPE, (0.5, 0.8), "millimeter")
     study = Study(grid, tissue, motion, model=model, pictures=Pictures(image, name="photo"))
-    dock = made(ViewerModel())
+    dock = make_dock(ViewerModel())
     dock.open_study(write_study(tmp_path / "case", study))
     wait_for(lambda: not dock.busy)
     assert dock.model == model
@@ -263,7 +269,7 @@ def test_a_study_of_python_opens_in_the_window(made, wait_for, tmp_path, tissue,
     np.testing.assert_array_equal(read.pictures.image, image)
 
 
-def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wait_for, tmp_path):
+def test_an_observed_field_is_opened_as_arrows_with_its_confidence(make_dock, wait_for, tmp_path):
     y = np.random.default_rng(1).normal(size=(*SHAPE, 2)).astype(np.float32)
     c = np.zeros(SHAPE, np.float32)
     c[::6, ::6] = 0.5
@@ -271,7 +277,7 @@ def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wai
     study = Study(
         Grid(SHAPE, (1.0, 1.0)), motion=Motion(observed=y, confidence=c), pictures=Pictures(image)
     )
-    dock = made(ViewerModel())
+    dock = make_dock(ViewerModel())
     dock.open_study(write_study(tmp_path / "case", study))
     wait_for(lambda: not dock.busy)
     read = dock.study.motion
@@ -281,7 +287,7 @@ def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wai
     assert not read.confidence[~there].any()
 
 
-def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):
+def test_a_study_with_an_invalid_place_adds_no_layer(make_dock, tmp_path):
     grid = Grid(SHAPE, (1.0, 1.0), "mm", Frame.at((1.0, 1.0), ("mm", "mm")))
     path = write_study(tmp_path / "case", Study(grid, pictures=Pictures(np.ones(SHAPE))))
     with np.load(path) as parts:
@@ -289,14 +295,14 @@ def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):
         header["grid"]["place"]["plane"] = [0, 7]
         with open(tmp_path / "case.study", "wb") as file:
             np.savez(file, **{**parts, "header": np.array(json.dumps(header))})
-    dock = made(ViewerModel())
+    dock = make_dock(ViewerModel())
     with pytest.raises(FileFormatError, match=r"case\.study: not a valid .*: not the place"):
         dock.open_study(path)
     assert not dock._viewer.layers
 
 
 @pytest.mark.usefixtures("unstyled", "without_controls")
-def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path):
+def test_opening_a_study_file_in_napari_fills_the_dock(make_napari_viewer, at_rest, tmp_path):
     study = Study(
         Grid(SHAPE, (1.0, 1.0)),
         motion=Motion(hold_edge=True, drawing=DRAWING),
@@ -312,16 +318,16 @@ def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path)
     assert Screen(dock).button("Save study ...").isEnabled()
 
 
-def test_landmarks_that_were_not_taken_are_not_in_the_file_and_that_is_said(made, tmp_path):
+def test_a_message_reports_landmarks_that_were_not_imported_before_saving(make_dock, tmp_path):
     viewer = ViewerModel()
     viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
-    dock = made(viewer)
+    dock = make_dock(viewer)
     dock.live = False
     viewer.add_points([[10, 10], [20, 30]], name="is")
     viewer.add_points([[11, 10], [20, 32]], name="ought")
     path = tmp_path / "case.study"
     dock.save_study(path)
-    assert "Landmarks" not in dock.status, "none are chosen"
+    assert "Landmarks" not in dock.status, "landmarks are reported although none are chosen"
     screen = Screen(dock)
     screen.choose("is")
     dock.save_study(path)
@@ -332,14 +338,14 @@ def test_landmarks_that_were_not_taken_are_not_in_the_file_and_that_is_said(made
     assert len(read_study(path).study.motion.drawing.marks) == 2
     viewer.layers["ought"].data = [[11, 10], [20, 33]]
     dock.save_study(path)
-    assert "Landmarks of 'is' are not in it" in dock.status, "the layers say something else now"
+    assert "Landmarks of 'is' are not in it" in dock.status, (
+        "landmarks changed after the import are not reported"
+    )
 
 
-def test_what_was_done_so_far_is_saved_before_there_is_a_result(
-    made, wait_for, tmp_path, monkeypatch
-):
+def test_a_study_is_saved_before_it_has_a_result(make_dock, wait_for, tmp_path, monkeypatch):
     viewer, path = ViewerModel(), tmp_path / "begun.study"
-    dock = made(viewer)
+    dock = make_dock(viewer)
     screen = Screen(dock)
     assert not screen.button("Save study ...").isEnabled()
     viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")

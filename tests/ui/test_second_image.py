@@ -1,4 +1,4 @@
-"""A second image lies over the one that moves, and landmarks say how far apart they still are."""
+"""Tests of the comparison with a second image and of landmark residuals."""
 
 import re
 
@@ -22,7 +22,7 @@ BY = np.array([[0.0, 2.0], [2.0, 1.0], [-1.0, 1.0]])
 
 @pytest.fixture
 def compared(qtbot, wait_for):
-    """A dock beside two images of one tissue, with points on both."""
+    """Return a viewer with two images of one tissue and points on both, the dock and the images."""
     viewer = ViewerModel()
     place = {"scale": SIZE, "units": ("mm", "mm")}
     rows, cols = np.indices(SHAPE)
@@ -49,7 +49,7 @@ def numbers(said):
     return float(before), float(now), int(count)
 
 
-def test_taken_landmarks_are_where_they_belong_and_each_says_how_far_it_is(compared, wait_for):
+def test_imported_landmarks_reach_their_targets_and_have_residuals(compared, wait_for):
     viewer, dock, _, _ = compared
     screen = Screen(dock)
     screen.choose("is")
@@ -64,9 +64,7 @@ def test_taken_landmarks_are_where_they_belong_and_each_says_how_far_it_is(compa
     assert (viewer.layers["is"].features["residual (mm)"] < 0.01).all()
 
 
-def test_landmarks_that_are_taken_back_leave_no_numbers_and_nothing_to_compare_with(
-    compared, wait_for
-):
+def test_undo_of_landmarks_removes_residuals_and_references(compared, wait_for):
     viewer, dock, _, _ = compared
     Screen(dock).choose("is")
     dock.take_landmarks(viewer.layers["is"], viewer.layers["ought"])
@@ -75,12 +73,12 @@ def test_landmarks_that_are_taken_back_leave_no_numbers_and_nothing_to_compare_w
     wait_for(lambda: not dock.residual and not dock.busy)
     assert "residual (mm)" not in viewer.layers["is"].features
     dock._form.result.reference.reset_choices()
-    assert dock._form.result.reference.offered == [], "the result is none any more"
+    assert dock._form.result.reference.offered == [], "the removed result is offered as a reference"
     dock.redo()
     wait_for(lambda: "apart before" in dock.residual)
 
 
-def test_points_that_are_moved_are_measured_anew(compared, wait_for):
+def test_residuals_are_updated_if_points_move(compared, wait_for):
     viewer, dock, _, _ = compared
     Screen(dock).choose("is")
     dock.take_landmarks(viewer.layers["is"], viewer.layers["ought"])
@@ -90,13 +88,11 @@ def test_points_that_are_moved_are_measured_anew(compared, wait_for):
     left = viewer.layers["is"].features["residual (mm)"].to_numpy()
     np.testing.assert_allclose(left, [8.0, 0, 0], atol=0.02)
     viewer.layers["ought"].data = further[:2]
-    assert not dock.residual, "they are no pairs any more"
+    assert not dock.residual, "residuals are shown for unpaired points"
     assert "residual (mm)" not in viewer.layers["is"].features
 
 
-def test_a_second_image_is_seen_although_nothing_moves_yet_and_when_nothing_does_again(
-    compared, wait_for
-):
+def test_a_second_image_is_displayed_before_the_first_motion_and_after_its_undo(compared, wait_for):
     viewer, dock, before, after = compared
     dock.start()
     wait_for(lambda: not dock.busy)
@@ -115,7 +111,7 @@ def test_a_second_image_is_seen_although_nothing_moves_yet_and_when_nothing_does
     assert {before.colormap.name, shown.colormap.name} == {"gray"}
 
 
-def test_landmarks_that_the_field_does_not_know_test_it(compared, wait_for):
+def test_landmarks_that_are_not_observed_have_residuals_of_the_field(compared, wait_for):
     viewer, dock, _, _ = compared
     Screen(dock).choose("is")
     dock.drawing = Drawing((Arrow(at=tuple(WHERE[0]), by=tuple(BY[0] * SIZE), radius=2.0),))
@@ -129,21 +125,21 @@ def test_landmarks_that_the_field_does_not_know_test_it(compared, wait_for):
     assert numbers(dock.residual)[1] == pytest.approx(rms(left), rel=1e-2)
 
 
-def test_a_layer_that_is_chosen_for_both_ends_of_landmarks_changes_places(compared):
+def test_choosing_the_target_layer_as_source_swaps_the_layers(compared):
     viewer, dock, *_ = compared
     pair = dock._form.motion.boundary.landmarks
     there, ought = viewer.layers["is"], viewer.layers["ought"]
     pair.sources.value = there
-    assert pair.targets.value is ought, "the only other one"
+    assert pair.targets.value is ought, "the only other layer was not selected"
     pair.sources.value = ought
     assert (pair.sources.value, pair.targets.value) == (ought, there)
     third = viewer.add_points(WHERE, name="third")
-    assert pair.targets.offered == [there, third], "the same one is not offered"
+    assert pair.targets.offered == [there, third], "the source layer is offered as target"
     pair.sources.value = there
-    assert pair.targets.value is None, "of two others nobody knows which"
+    assert pair.targets.value is None, "one of two possible targets was selected"
 
 
-def test_landmarks_that_were_clicked_are_measured_where_no_layer_is_chosen(compared, wait_for):
+def test_drawn_landmarks_have_residuals_without_a_layer_of_points(compared, wait_for):
     _, dock, _, _ = compared
     dock.drawing = Drawing((Landmark((20, 20), (22.0, 20.0), 2.0),))
     wait_for(lambda: "apart before" in dock.residual and not dock.busy)
@@ -152,7 +148,7 @@ def test_landmarks_that_were_clicked_are_measured_where_no_layer_is_chosen(compa
     assert now < 0.01
 
 
-def test_the_second_image_is_seen_over_the_moved_first_until_it_is_compared_no_more(
+def test_the_second_image_is_overlaid_on_the_moved_image_until_the_comparison_ends(
     compared, wait_for
 ):
     viewer, dock, before, after = compared
@@ -164,7 +160,7 @@ def test_the_second_image_is_seen_over_the_moved_first_until_it_is_compared_no_m
     shown = [each for each in viewer.layers if each.name.startswith("before") and each.visible]
     pictures = [each for each in shown if hasattr(each, "colormap")]
     assert {each.colormap.name for each in pictures} == {"magenta"}
-    assert len(pictures) == 2, "as it was, and as it has moved"
+    assert len(pictures) == 2, "the original or the moved image is not displayed"
     assert all(viewer.layers.index(each) < viewer.layers.index(after) for each in pictures)
     dock.drawing = Drawing((Arrow(at=(24, 28), by=(0.0, -2.0), radius=2.0),))
     wait_for(lambda: not dock.busy)
@@ -174,7 +170,7 @@ def test_the_second_image_is_seen_over_the_moved_first_until_it_is_compared_no_m
     assert {each.colormap.name for each in pictures} == {"gray"}
 
 
-def test_what_cannot_be_compared_is_not_offered_and_an_image_may_go(compared, wait_for):
+def test_a_removed_second_image_ends_the_comparison(compared, wait_for):
     viewer, dock, before, after = compared
     dock.compare_with = after
     viewer.layers.remove(after)
@@ -184,9 +180,7 @@ def test_what_cannot_be_compared_is_not_offered_and_an_image_may_go(compared, wa
     assert dock.image is before
 
 
-def test_an_image_that_is_left_has_its_colours_back_and_its_landmarks_are_said_no_more(
-    compared, wait_for
-):
+def test_choosing_another_image_restores_colours_and_hides_residuals(compared, wait_for):
     viewer, dock, before, after = compared
     dock.drawing = Drawing((Landmark((20, 20), (22.0, 20.0), 2.0),))
     dock.compare_with = after
@@ -195,7 +189,7 @@ def test_an_image_that_is_left_has_its_colours_back_and_its_landmarks_are_said_n
     dock.image = third
     wait_for(lambda: not dock.busy)
     assert (before.colormap.name, third.colormap.name) == ("gray", "gray")
-    assert dock.compare_with is None, "each image is compared with what was chosen for it"
+    assert dock.compare_with is None, "the second image of the other image was selected"
     assert dock.residual == ""
     dock.image = before
     wait_for(lambda: not dock.busy)
@@ -204,7 +198,7 @@ def test_an_image_that_is_left_has_its_colours_back_and_its_landmarks_are_said_n
     assert "apart before" in dock.residual
 
 
-def test_landmarks_of_one_image_measure_no_result_of_another(frame, settle):
+def test_landmarks_of_one_image_are_not_compared_with_a_result_of_another_image(frame, settle):
     viewer = frame.viewer
     head = open_sample(viewer, volume_layers(head_phantom(24)))
     dock = frame.open()

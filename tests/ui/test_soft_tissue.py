@@ -1,4 +1,4 @@
-"""What the user does with *Soft tissue*, and what then happens."""
+"""Tests of the dock *Soft tissue*: painting, tables, Deform, messages and cancellation."""
 
 import re
 from dataclasses import replace
@@ -42,7 +42,7 @@ def names(viewer):
 
 
 def state(viewer):
-    """Everything an error must leave as it was."""
+    """Return the name, identity and data of each layer, which an error must not change."""
     return [(layer.name, id(layer), np.array(layer.data).tobytes()) for layer in viewer.layers]
 
 
@@ -51,25 +51,25 @@ def by_name(widget, name):
 
 
 def results_of(widget):
-    """Layers that hold a result, lowest first."""
+    """Return the layers of results, lowest first."""
     return [layer for layer in viewer_of(widget).layers if "provenance" in metadata_of(layer)]
 
 
 @pytest.fixture
-def popped_up():
-    """What napari's notifications say meanwhile."""
+def notified():
+    """Return a list of napari's notifications during the test."""
     found = []
     notification_manager.notification_ready.connect(found.append)
     yield found
     notification_manager.notification_ready.disconnect(found.append)
 
 
-# The main path
+# Deform
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-def test_opening_a_sample_leaves_one_button_to_press(widget, run, at_rest, name):
-    PluginManager.instance().discover()  # as a window does
+def test_a_sample_is_deformed_by_one_button(widget, run, at_rest, name):
+    PluginManager.instance().discover()  # A window discovers plugins at its start.
     viewer = viewer_of(widget)
     viewer.open_sample("napari-hmrf", name)
     at_rest()
@@ -85,7 +85,7 @@ def test_opening_a_sample_leaves_one_button_to_press(widget, run, at_rest, name)
     assert "iterations in" in widget.details
 
 
-def test_the_widget_opens_on_a_sample_that_is_already_there(frame, small_sample):
+def test_the_dock_selects_a_sample_that_is_already_open(frame, small_sample):
     image, tissue, boundary = small_sample(frame.viewer)
     widget = frame.open()
     assert (widget.image, widget.tissue, widget.boundary) == (image, tissue, boundary)
@@ -93,7 +93,7 @@ def test_the_widget_opens_on_a_sample_that_is_already_there(frame, small_sample)
     assert widget.status == widget.invitation
 
 
-def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_sample, run):
+def test_tissue_and_image_move_in_the_direction_of_the_pushed_boundary(widget, small_sample, run):
     small_sample(viewer_of(widget))
     widget.settings = replace(widget.settings, sweeps=200)
     outputs = run(widget)
@@ -107,16 +107,16 @@ def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_samp
     assert picture[tissue_before.max() + 2] != 0 or picture[tissue_before.max() + 3] != 0
 
 
-def see_all(widget, at_rest):
-    """Have all be drawn that can be seen of a result at once."""
+def show_all(widget, at_rest):
+    """Show an overlay and wait until it is drawn."""
     widget.overlay = "magnitude"
     at_rest.until(lambda: not widget.busy)
 
 
-def test_all_of_a_result_can_be_seen(widget, small_sample, run, at_rest):
+def test_all_layers_of_a_result_can_be_shown(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
     run(widget)
-    see_all(widget, at_rest)
+    show_all(widget, at_rest)
     assert [name for name in names(viewer_of(widget)) if name != "Motion"] == [
         "MR",
         "MR deformed, paper",
@@ -131,10 +131,10 @@ def test_all_of_a_result_can_be_seen(widget, small_sample, run, at_rest):
         widget.overlay = "hologram"
 
 
-def test_running_again_updates_the_layers_in_place(widget, small_sample, run, at_rest):
+def test_a_second_press_of_deform_updates_the_layers_in_place(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
     run(widget)
-    see_all(widget, at_rest)
+    show_all(widget, at_rest)
     before = state(viewer_of(widget))
     arrows = by_name(widget, "MR arrows, paper")
     arrows.edge_color = "red"
@@ -151,7 +151,7 @@ def test_running_again_updates_the_layers_in_place(widget, small_sample, run, at
     assert by_name(widget, "MR displacement (px), paper").contrast_limits[1] > 4
 
 
-def test_a_deleted_result_is_made_again(widget, small_sample, run):
+def test_a_removed_result_layer_is_made_again(widget, small_sample, run):
     viewer = viewer_of(widget)
     small_sample(viewer)
     run(widget)
@@ -161,7 +161,7 @@ def test_a_deleted_result_is_made_again(widget, small_sample, run):
     assert names(viewer).count("MR deformed, paper") == 1
 
 
-def test_painting_goes_on_with_the_same_brush(widget, small_sample, run):
+def test_deform_does_not_change_the_active_layer(widget, small_sample, run):
     viewer = viewer_of(widget)
     _, tissue, _ = small_sample(viewer)
     viewer.layers.selection.active = tissue
@@ -169,7 +169,7 @@ def test_painting_goes_on_with_the_same_brush(widget, small_sample, run):
     assert viewer.layers.selection.active is tissue
 
 
-def test_the_result_is_seen_and_then_what_is_painted_next(widget, small_sample, run):
+def test_deform_shows_the_result_and_painting_shows_the_original_image(widget, small_sample, run):
     viewer = viewer_of(widget)
     _, tissue, boundary = small_sample(viewer)
     run(widget)
@@ -184,7 +184,7 @@ def test_the_result_is_seen_and_then_what_is_painted_next(widget, small_sample, 
     assert (deformed.visible, tissue.visible) == (True, False)
 
 
-def test_a_motion_without_an_image_is_shown_all_the_same(widget, small_sample, run):
+def test_motion_without_an_image_is_shown_as_arrows(widget, small_sample, run):
     _, tissue, boundary = small_sample(ViewerModel())
     for layer in (tissue, boundary):
         viewer_of(widget).add_layer(layer)
@@ -195,7 +195,7 @@ def test_a_motion_without_an_image_is_shown_all_the_same(widget, small_sample, r
 # Tables
 
 
-def test_new_labels_appear_when_they_are_painted(widget, small_sample, wait_for):
+def test_a_newly_painted_label_is_added_to_the_table(widget, small_sample, wait_for):
     _, tissue, boundary = small_sample(viewer_of(widget))
     assert [material.label for material in widget.materials] == [0, 1]
     tissue.brush_size = 3
@@ -206,13 +206,13 @@ def test_new_labels_appear_when_they_are_painted(widget, small_sample, wait_for)
     assert widget.rules[-1].action == "fixed"
 
 
-def test_a_label_painted_just_before_the_button_is_pressed_counts(widget, small_sample, run):
+def test_a_label_painted_directly_before_deform_is_used(widget, small_sample, run):
     _, tissue, _ = small_sample(viewer_of(widget))
     tissue.paint((8, 8), 5)
     assert run(widget) is not None
 
 
-def test_tables_stay_with_their_layer(widget, small_sample):
+def test_tables_belong_to_their_layer(widget, small_sample):
     viewer = viewer_of(widget)
     _, tissue, _ = small_sample(viewer)
     other = viewer.add_labels(np.full((20, 24), 3, np.uint8), name="other")
@@ -224,7 +224,7 @@ def test_tables_stay_with_their_layer(widget, small_sample):
     assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == 33.0
 
 
-def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
+def test_a_valid_stiffness_is_accepted_and_an_invalid_stiffness_is_reset(widget, small_sample):
     small_sample(viewer_of(widget))
     table = widget._form.tissue.table
     Cell(table, 1, 2).write("12,5")
@@ -240,13 +240,13 @@ def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
 
 
 @pytest.mark.parametrize("typed", ["rigid", " Rigid", "inf"])
-def test_rigid_is_typed_and_shown_as_a_word_and_can_be_taken_back(widget, small_sample, typed):
+def test_rigid_is_typed_and_shown_as_a_word_and_can_be_undone(widget, small_sample, typed):
     small_sample(viewer_of(widget))
-    widget.model = "elastic"  # the paper's has no Poisson's ratios
+    widget.model = "elastic"  # The paper's model has no Poisson's ratios.
     table = widget._form.tissue.table
 
     def shown():
-        """Stiffness and Poisson's ratio, and whether the latter can be typed."""
+        """Return stiffness, Poisson's ratio and whether the ratio can be edited."""
         stiffness, poisson = Cell(table, 1, 2), Cell(table, 1, 3)
         return stiffness.text(), poisson.text(), poisson.can_be_typed()
 
@@ -261,7 +261,7 @@ def test_rigid_is_typed_and_shown_as_a_word_and_can_be_taken_back(widget, small_
     assert shown() == ("12", "0.45", True)
 
 
-def test_boundary_cells_follow_the_action(widget, small_sample):
+def test_cells_of_a_boundary_depend_on_its_action(widget, small_sample):
     small_sample(viewer_of(widget))
     table = widget._form.motion.boundary.table
     assert [Cell(table, 1, column).text() for column in (3, 4)] == ["0", "3"]
@@ -276,7 +276,7 @@ def test_boundary_cells_follow_the_action(widget, small_sample):
     Cell(table, 1, 5).write("-2")
     assert widget.rules[1].amount == -2.0
     Cell(table, 1, 6).write("0.5 / 1")
-    Cell(table, 1, 6).write("2")  # out of range: put back
+    Cell(table, 1, 6).write("2")  # Out of range, so the value is reset.
     assert widget.rules[1].confidence == (0.5, 1.0)
     assert widget.status == (
         "Confidence must be a number from 0 to 1, or two: 1 / 0.5; kept 0.5 / 1."
@@ -291,7 +291,7 @@ def highlighted(table):
     return sorted({index.row() for index in table.selectedIndexes()})
 
 
-def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
+def test_a_click_on_a_row_activates_its_label_as_brush(widget, small_sample):
     viewer = viewer_of(widget)
     _, tissue, boundary = small_sample(viewer)
     tissues, boundaries = widget._form.tissue.table, widget._form.motion.boundary.table
@@ -299,7 +299,7 @@ def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
         (tissues, tissue, 1, 1),
         (boundaries, boundary, 1, 2),
         (boundaries, boundary, 0, 1),
-        (tissues, tissue, 1, 1),  # the row that was the current one all the while
+        (tissues, tissue, 1, 1),  # This row was the current row before the click.
     ]:
         layer.visible = False
         Cell(table, row).click()
@@ -311,7 +311,7 @@ def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
     assert boundary.selected_label == 3
 
 
-def test_choosing_a_label_finds_its_row(widget, small_sample):
+def test_selecting_a_label_highlights_its_row(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
     table = widget._form.tissue.table
     for label, rows in ((0, [0]), (1, [1]), (9, [])):
@@ -319,9 +319,7 @@ def test_choosing_a_label_finds_its_row(widget, small_sample):
         assert highlighted(table) == rows
 
 
-def test_a_row_that_is_typed_in_is_the_brush_s_next_and_nothing_is_hidden_for_it(
-    widget, small_sample, run
-):
+def test_editing_a_cell_selects_its_label_and_hides_no_layer(widget, small_sample, run):
     viewer = viewer_of(widget)
     _, tissue, _ = small_sample(viewer)
     run(widget)
@@ -331,7 +329,7 @@ def test_a_row_that_is_typed_in_is_the_brush_s_next_and_nothing_is_hidden_for_it
     assert (tissue.visible, tissue.mode) == (False, "pan_zoom")
 
 
-def test_letters_after_a_click_on_a_row_are_the_canvas_s_and_no_name(widget, small_sample):
+def test_letters_typed_after_a_click_on_a_row_do_not_edit_its_name(widget, small_sample):
     small_sample(viewer_of(widget))
     table = widget._form.tissue.table
     name = Cell(table, 1)
@@ -344,7 +342,7 @@ def test_letters_after_a_click_on_a_row_are_the_canvas_s_and_no_name(widget, sma
     assert name.text() == "liver"
 
 
-def test_what_comes_of_something_typed_is_seen_with_a_brush_in_the_hand(
+def test_an_edited_cell_shows_the_result_while_a_brush_is_active(
     widget, small_sample, run, wait_for
 ):
     small_sample(viewer_of(widget))
@@ -355,7 +353,7 @@ def test_what_comes_of_something_typed_is_seen_with_a_brush_in_the_hand(
     assert not widget.before
 
 
-def test_rows_wear_the_colour_of_their_label(widget, small_sample):
+def test_rows_have_the_colour_of_their_label(widget, small_sample):
     _, tissue, _ = small_sample(viewer_of(widget))
     label = Cell(widget._form.tissue.table, 1, 0)
     for selected in (False, True):
@@ -364,18 +362,20 @@ def test_rows_wear_the_colour_of_their_label(widget, small_sample):
 
 
 @pytest.mark.parametrize("preset", PRESETS, ids=lambda preset: preset.name.partition(":")[0])
-def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sample, preset):
+def test_a_preset_replaces_all_stiffnesses_and_shows_its_unit(widget, small_sample, preset):
     small_sample(viewer_of(widget))
     widget.materials = (*widget.materials, Material(9, "odd", 1e6))
     widget.take_materials(preset)
     by_label = {material.label: material for material in widget.materials}
-    assert by_label[0].stiffness == 0  # void stays void
+    assert by_label[0].stiffness == 0  # Void remains void.
     assert by_label[1] == preset.materials[0]
-    assert by_label[9].stiffness == preset.materials[0].stiffness  # units are never mixed
+    assert (
+        by_label[9].stiffness == preset.materials[0].stiffness
+    )  # Values of different units must not be mixed.
     assert preset.unit in head(widget._form.tissue.table, 2)
 
 
-def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, run):
+def test_new_layers_to_paint_on_have_the_place_of_the_image_and_the_brush_active(widget, run):
     viewer = viewer_of(widget)
     viewer.add_image(
         np.random.default_rng(0).random((30, 40)), name="T1", scale=(0.5, 2), units=("mm", "mm")
@@ -397,7 +397,7 @@ def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, 
 
 
 @pytest.mark.parametrize("gone", ["Tissue", "Boundary"])
-def test_of_the_layers_to_paint_on_only_the_missing_one_is_made(widget, small_sample, gone):
+def test_only_the_missing_layer_to_paint_on_is_made(widget, small_sample, gone):
     viewer = viewer_of(widget)
     _, tissue, boundary = small_sample(viewer)
     viewer.layers.remove(gone)
@@ -411,12 +411,12 @@ def test_of_the_layers_to_paint_on_only_the_missing_one_is_made(widget, small_sa
     assert not made.data.any()
     assert viewer.layers.selection.active is made
     assert made.mode == "paint"
-    assert names(viewer)[-1] == "Boundary", "and what holds is seen on top"
+    assert names(viewer)[-1] == "Boundary", "the boundary is not the topmost layer"
     widget.make_layers()
     assert len(viewer.layers) == 3
 
 
-def test_paint_on_another_image_is_not_taken_for_paint_on_this_one(widget, small_sample):
+def test_paint_of_another_image_is_not_selected(widget, small_sample):
     viewer = viewer_of(widget)
     small_sample(viewer)
     widget.image = viewer.add_image(np.ones((30, 40)), name="T1")
@@ -424,7 +424,7 @@ def test_paint_on_another_image_is_not_taken_for_paint_on_this_one(widget, small
     assert (widget.tissue.data.shape, widget.boundary.data.shape) == ((30, 40), (30, 40))
 
 
-def test_without_an_image_there_is_nothing_to_paint_on(widget, run):
+def test_layers_to_paint_on_require_an_image(widget, run):
     assert not widget._form.make.enabled
     with pytest.raises(HmrfError, match=r"^Open an image first \(File > Open\), or a sample"):
         widget.make_layers()
@@ -433,9 +433,7 @@ def test_without_an_image_there_is_nothing_to_paint_on(widget, run):
     assert names(viewer_of(widget)) == []
 
 
-def test_a_boundary_that_cannot_be_drawn_is_explained_while_painting(
-    widget, small_sample, wait_for
-):
+def test_an_invalid_boundary_is_reported_while_painting(widget, small_sample, wait_for):
     small_sample(viewer_of(widget))
     widget.live = True
     widget.rules = (widget.rules[0], BoundaryRule(2, "expand", amount=1.0))
@@ -445,7 +443,7 @@ def test_a_boundary_that_cannot_be_drawn_is_explained_while_painting(
 # Choices
 
 
-def test_layers_that_go_are_no_longer_chosen(widget, small_sample):
+def test_removed_layers_are_deselected(widget, small_sample):
     viewer = viewer_of(widget)
     small_sample(viewer)
     viewer.add_image(np.zeros((20, 24)), name="another")
@@ -457,14 +455,14 @@ def test_layers_that_go_are_no_longer_chosen(widget, small_sample):
     assert (widget.image, widget.boundary, widget.confidence) == (None, None, None)
 
 
-def test_what_cannot_be_chosen_is_refused(widget, small_sample):
+def test_an_invalid_choice_is_refused(widget, small_sample):
     viewer = viewer_of(widget)
     small_sample(viewer)
     with pytest.raises(ValueError, match="not a valid choice"):
         widget.boundary = viewer.add_points([(1, 1)])
 
 
-def test_images_and_arrows_can_take_the_place_of_paint(widget, small_sample, run):
+def test_images_and_arrows_can_replace_painted_layers(widget, small_sample, run):
     viewer = viewer_of(widget)
     small_sample(viewer)
     m = viewer.add_image(np.ones((20, 24)), name="stiffness")
@@ -476,7 +474,7 @@ def test_images_and_arrows_can_take_the_place_of_paint(widget, small_sample, run
     assert outputs.solution.displacement[5, 20, 1] == pytest.approx(2, abs=0.01)
 
 
-def test_settings_become_prior_and_optimizer(widget):
+def test_settings_determine_prior_and_optimizer(widget):
     widget.settings = replace(
         widget.settings,
         reading="blanket",
@@ -501,7 +499,7 @@ def test_every_device_is_offered(widget):
     assert set(widget._form.model.in_detail["device"].choices) == set(BACKEND_NAMES)
 
 
-def test_untouched_settings_are_those_of_elastic_tissue_and_the_paper_s_are_a_click_away(qtbot):
+def test_the_default_settings_are_elastic_and_one_click_selects_the_paper_model(qtbot):
     widget = SoftTissue(ViewerModel())
     qtbot.addWidget(widget.native)
     chosen = widget.study_model.model
@@ -515,7 +513,7 @@ def test_untouched_settings_are_those_of_elastic_tissue_and_the_paper_s_are_a_cl
 # Place
 
 
-def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample, run, at_rest):
+def test_results_have_the_place_and_the_units_of_the_image(widget, small_sample, run, at_rest):
     place = {
         "scale": (0.5, 2.0),
         "translate": (3.0, 4.0),
@@ -525,20 +523,20 @@ def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample
     }
     image, _, _ = small_sample(viewer_of(widget), **place)
     outputs = run(widget)
-    see_all(widget, at_rest)
+    show_all(widget, at_rest)
     assert outputs.solution.spacing == pytest.approx((0.5, 2.0))
     farthest = widget.status.removesuffix(".")
-    assert farthest.endswith(" mm"), "there is no one length of a pixel"
+    assert farthest.endswith(" mm"), "a length in pixels is undefined for non-square pixels"
     assert "px" not in farthest
     for layer in results_of(widget):
         assert layer.units == image.units
         assert layer.axis_labels == image.axis_labels
         np.testing.assert_allclose(layer.data_to_world((4, 5)), image.data_to_world((4, 5)))
     arrows = by_name(widget, "MR arrows, paper").data
-    assert arrows[:, 1, 1].max() < 3.1 / 2.0 + 0.1  # 3 mm are 1.5 pixels
+    assert arrows[:, 1, 1].max() < 3.1 / 2.0 + 0.1  # 3 mm are 1.5 pixels.
 
 
-def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, run, wait_for):
+def test_the_displayed_slice_of_a_stack_is_deformed_and_named(widget, small_sample, run, wait_for):
     viewer = viewer_of(widget)
     small_sample(viewer, (5, 20, 24), scale=(4.0, 1.0, 1.0), axis_labels=("z", "y", "x"))
     viewer.dims.set_current_step(0, 3)
@@ -573,7 +571,7 @@ def test_a_colour_image_is_deformed_in_all_channels(widget, small_sample, run):
     assert moved.data.shape == (20, 24, 3)
 
 
-# Words
+# Messages
 
 
 def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, run, wait_for):
@@ -585,7 +583,7 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     assert "5 boundary pixels outside tissue were ignored." in widget.warning
     assert outputs.folds > 0
     assert f"at {outputs.folds} pixels the tissue is pushed" in widget.warning
-    # All is listed on the chip; folds can be seen, without solving again.
+    # The tool tip lists all warnings; marking folds does not solve again.
     chip = Screen(widget).button(f"⚠  Folds at {outputs.folds} pixels: show where")
     assert chip.toolTip() == widget.warning
     chip.click()
@@ -596,7 +594,7 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     assert widget.overlay == "nothing"
 
 
-def test_what_moves_tissue_too_far_is_called_what_it_is(widget, small_sample):
+def test_an_error_names_the_mark_or_layer_with_too_large_a_motion(widget, small_sample):
     small_sample(viewer_of(widget))
     widget.drawing = Drawing((Landmark((10, 12), (10, 900), 2.0),))
     with pytest.raises(ProblemError, match="'Landmark' moves tissue by up to 888"):
@@ -607,7 +605,9 @@ def test_what_moves_tissue_too_far_is_called_what_it_is(widget, small_sample):
         build_problem(widget.study)
 
 
-def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thread, wait_for):
+def test_painting_during_a_solve_marks_the_result_as_outdated(
+    widget, small_sample, busy_thread, wait_for
+):
     viewer = viewer_of(widget)
     _, tissue, _ = small_sample(viewer)
     widget.deform()
@@ -620,7 +620,9 @@ def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thr
     assert viewer.layers["MR arrows, paper"].metadata[METADATA]["inputs_changed"]
 
 
-def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, run, wait_for):
+def test_the_message_of_a_result_is_shown_while_the_result_is_current(
+    widget, small_sample, run, wait_for
+):
     viewer = viewer_of(widget)
     _, _, boundary = small_sample(viewer)
     run(widget)
@@ -634,9 +636,7 @@ def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, 
     run(widget)
     before = widget.solution
     widget.overlay = "labels"
-    wait_for(
-        lambda: "Tissue deformed, paper" in names(viewer)
-    )  # drawn at once, from the same solution
+    wait_for(lambda: "Tissue deformed, paper" in names(viewer))  # Drawn from the same solution.
     assert widget.solution.provenance == before.provenance
     while viewer.layers:
         viewer.layers.pop()
@@ -644,7 +644,7 @@ def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, 
     assert widget.solution is None
 
 
-def test_a_new_label_is_spoken_of(widget, small_sample, wait_for):
+def test_a_new_label_is_reported(widget, small_sample, wait_for):
     _, tissue, _ = small_sample(viewer_of(widget))
     tissue.paint((8, 8), 5)
     wait_for(lambda: "New in 'Tissue': label 5" in widget.status)
@@ -653,7 +653,9 @@ def test_a_new_label_is_spoken_of(widget, small_sample, wait_for):
 # Errors
 
 
-def test_that_nothing_holds_or_moves_is_said_without_a_boundary(widget, small_sample, run):
+def test_missing_boundary_conditions_are_reported_without_a_boundary_layer(
+    widget, small_sample, run
+):
     viewer = viewer_of(widget)
     small_sample(viewer)
     viewer.layers.remove("Boundary")
@@ -665,9 +667,7 @@ def test_that_nothing_holds_or_moves_is_said_without_a_boundary(widget, small_sa
     assert widget.status.startswith("Nothing moves yet")
 
 
-def test_the_edge_is_let_go_for_a_boundary_that_comes_painted_and_held_for_the_next(
-    widget, small_sample
-):
+def test_a_painted_boundary_releases_the_edge_and_a_new_boundary_fixes_it(widget, small_sample):
     viewer = viewer_of(widget)
     viewer.add_image(np.ones((20, 24)), name="T1")
     assert widget.hold_edge
@@ -684,14 +684,14 @@ def test_the_edge_is_let_go_for_a_boundary_that_comes_painted_and_held_for_the_n
     [
         (lambda v: v.layers["Boundary"].data.fill(0), "'Boundary'"),
         (lambda v: v.layers["Tissue"].data.fill(0), "'Tissue'"),
-        (lambda v: setattr(v.layers["Tissue"], "scale", (2, 1)), "lies elsewhere"),
+        (lambda v: setattr(v.layers["Tissue"], "scale", (2, 1)), "is not on the grid"),
         (lambda v: setattr(v.layers["Tissue"], "data", np.ones((7, 7), int)), "7 x 7"),
         (lambda v: setattr(v.layers["MR"], "data", np.zeros((9, 9))), "9 x 9"),
     ],
     ids=["unpainted", "all void", "elsewhere", "size", "image size"],
 )
-def test_bad_input_is_one_error_and_changes_nothing(
-    widget, small_sample, run, spoil, said, popped_up
+def test_invalid_input_causes_one_error_and_changes_no_layer(
+    widget, small_sample, run, spoil, said, notified
 ):
     viewer = viewer_of(widget)
     small_sample(viewer)
@@ -699,14 +699,16 @@ def test_bad_input_is_one_error_and_changes_nothing(
     spoil(viewer)
     before = state(viewer)
     assert run(widget) is None
-    assert [each.severity for each in popped_up] == ["warning"], "it goes by itself"
+    assert [each.severity for each in notified] == ["warning"], (
+        "the notification is not a warning, which disappears by itself"
+    )
     assert said in widget.status
     assert widget.idle
     assert state(viewer) == before
 
 
-def test_a_failure_while_computing_is_told_and_changes_nothing(
-    widget, small_sample, run, monkeypatch, popped_up
+def test_an_error_during_the_solve_is_reported_and_changes_no_layer(
+    widget, small_sample, run, monkeypatch, notified
 ):
     viewer = viewer_of(widget)
     small_sample(viewer)
@@ -718,11 +720,13 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
     monkeypatch.setattr("napari_hmrf.solver.live_solver.run_here", fail)
     assert run(widget) is None
     assert "MemoryError: no room" in widget.status
-    assert [each.severity for each in popped_up] == ["error"], "it stays"
+    assert [each.severity for each in notified] == ["error"], (
+        "the notification is not an error, which remains"
+    )
     assert state(viewer) == before
 
 
-def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_for):
+def test_a_solve_or_a_long_message_moves_no_button(docked, small_sample, busy_thread, wait_for):
     small_sample(viewer_of(docked))
     docked.native.show()
 
@@ -742,7 +746,7 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
     assert places() == before
 
 
-def test_how_far_work_is_and_that_it_waits_for_the_compiler_is_said():
+def test_progress_is_described_with_a_percentage_or_the_state_of_compiling():
     from napari_hmrf.solver.optimizers import Monitor
     from napari_hmrf.ui.messages import progress
 
@@ -750,13 +754,11 @@ def test_how_far_work_is_and_that_it_waits_for_the_compiler_is_said():
     assert progress(preparing) == "Deforming ..."
     compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
     edit = "Following the last edit"
-    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit}: 60 %"
+    assert progress(Monitor("cycle 8, error 0.0032 px", 0.6), edit) == f"{edit}: 60 %"
     assert progress(compiling) == "Deforming: compiling loops (3 of 10), about 18 s left."
 
 
-def test_how_far_a_solve_is_is_said_in_per_cent_and_the_rest_where_the_mouse_rests(
-    widget, small_sample, wait_for
-):
+def test_progress_is_shown_in_per_cent_with_details_in_the_tool_tip(widget, small_sample, wait_for):
     small_sample(viewer_of(widget))
     widget.settings = replace(widget.settings, sweeps=100_000)
     widget.deform()
@@ -771,23 +773,23 @@ def test_how_far_a_solve_is_is_said_in_per_cent_and_the_rest_where_the_mouse_res
     widget.cancel()
 
 
-def test_the_window_does_not_wait_for_what_is_painted_to_be_understood(
+def test_painted_labels_are_checked_on_the_compute_thread(
     widget, small_sample, busy_thread, wait_for
 ):
     viewer = viewer_of(widget)
     small_sample(viewer)
     viewer.layers["Tissue"].data.fill(0)
     widget.deform()
-    assert not widget.idle  # it is the compute thread that finds out
+    assert not widget.idle  # The check runs on the compute thread.
     busy_thread.set()
     wait_for(lambda: widget.idle)
     assert widget.status.startswith("'Tissue' is 0 everywhere: there is no tissue")
 
 
-# Cancel, removal, closing
+# Cancelling, removing and closing
 
 
-def test_cancel_is_immediate_even_when_the_thread_is_not(
+def test_cancel_has_an_immediate_effect_while_the_thread_is_busy(
     widget, small_sample, busy_thread, wait_for, at_rest
 ):
     viewer = viewer_of(widget)
@@ -808,9 +810,7 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
     assert state(viewer) == before
 
 
-def test_cancel_stops_a_long_solve_long_before_its_end(
-    widget, small_sample, run, wait_for, monkeypatch
-):
+def test_cancel_stops_a_long_solve_early(widget, small_sample, run, wait_for, monkeypatch):
     from napari_hmrf.solver.backends.cpu import kernels
 
     swept, sweep = [], kernels.sweeps
@@ -830,11 +830,13 @@ def test_cancel_stops_a_long_solve_long_before_its_end(
     wait_for(lambda: bool(swept))
     widget.cancel()
     compute_thread.submit(lambda: None).result(timeout=LONG)
-    assert sum(swept) < 100_000, "of as many on each level"
+    assert sum(swept) < 100_000, "all sweeps of a level were computed"
     assert state(viewer) == before
 
 
-def test_a_second_press_while_working_does_nothing(widget, small_sample, busy_thread, wait_for):
+def test_a_second_press_of_deform_during_a_solve_has_no_effect(
+    widget, small_sample, busy_thread, wait_for
+):
     small_sample(viewer_of(widget))
     said = []
     widget.finished.connect(said.append)
@@ -845,7 +847,9 @@ def test_a_second_press_while_working_does_nothing(widget, small_sample, busy_th
     assert len(said) == 1
 
 
-def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_thread, at_rest):
+def test_removing_a_layer_during_a_solve_cancels_the_solve(
+    widget, small_sample, busy_thread, at_rest
+):
     viewer = viewer_of(widget)
     small_sample(viewer)
     widget.deform()
@@ -857,7 +861,7 @@ def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_
     assert not any("arrows" in name for name in names(viewer))
 
 
-def test_closing_the_viewer_while_working_is_quick_and_quiet(
+def test_closing_the_viewer_during_a_solve_does_not_wait(
     unstyled, without_controls, make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
@@ -867,13 +871,13 @@ def test_closing_the_viewer_while_working_is_quick_and_quiet(
     widget.deform()
     after_it = compute_thread.submit(lambda: None)
     viewer.close()
-    assert not after_it.done(), "nobody waited for the solve"
+    assert not after_it.done(), "closing waited for the solve"
     at_rest(thread=False)
     busy_thread.set()
     at_rest()
 
 
-def test_closing_the_dock_while_working_leaves_the_viewer_alone(
+def test_closing_the_dock_during_a_solve_adds_no_layer(
     unstyled, without_controls, make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
@@ -885,13 +889,13 @@ def test_closing_the_dock_while_working_leaves_the_viewer_alone(
     del dock, widget
     at_rest(thread=False)
     busy_thread.set()
-    viewer.add_image(np.zeros((20, 24)))  # events that nothing dead may answer
+    viewer.add_image(np.zeros((20, 24)))  # Events to which the closed dock must not respond.
     viewer.layers["Tissue"].paint((3, 3), 2)
     at_rest()
     assert not any("arrows" in name for name in names(viewer))
 
 
-def test_two_widgets_queue_and_both_finish(qtbot, small_sample, wait_for):
+def test_two_docks_solve_one_after_the_other(qtbot, small_sample, wait_for):
     frames = [Frame(qtbot), Frame(qtbot)]
     widgets = []
     for frame in frames:
@@ -905,15 +909,15 @@ def test_two_widgets_queue_and_both_finish(qtbot, small_sample, wait_for):
         assert "MR arrows, paper" in names(frame.viewer)
 
 
-def test_the_kinds_of_result_layers(widget, small_sample, run, at_rest):
+def test_result_layers_have_the_expected_types(widget, small_sample, run, at_rest):
     small_sample(viewer_of(widget))
     run(widget)
-    see_all(widget, at_rest)
+    show_all(widget, at_rest)
     kinds = [type(layer) for layer in results_of(widget)]
     assert kinds == [Image, Image, Vectors]
 
 
-def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, at_rest):
+def test_delete_in_a_table_does_not_delete_points_of_a_layer(widget, small_sample, at_rest):
     viewer = viewer_of(widget)
     small_sample(viewer)
     points = viewer.add_points([[5.0, 5.0], [9.0, 9.0]], name="points")

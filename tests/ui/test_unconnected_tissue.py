@@ -1,4 +1,4 @@
-"""Scraps of tissue that hang on nothing stay where they are, and keep nobody waiting."""
+"""Tests of unconnected pieces of tissue, which are excluded from the solve."""
 
 from dataclasses import replace
 
@@ -22,7 +22,8 @@ from tests.support.study_reader import read_ground
 
 
 def block_and_specks(size=24):
-    """A block of tissue; a speck hangs at its corner and could turn, another lies beside it."""
+    """Return a block of tissue with a speck at its corner and a separate speck, and the
+    constraints."""
     tissue = np.zeros((size, size), dtype=bool)
     tissue[4:18, 4:18] = True
     tissue[17:19, 17:19] = True
@@ -32,15 +33,15 @@ def block_and_specks(size=24):
     return tissue, held
 
 
-def test_what_could_turn_or_drift_is_a_scrap_and_what_it_hangs_on_is_not():
+def test_pieces_that_could_rotate_or_translate_are_excluded():
     tissue, held = block_and_specks()
     found = scraps(tissue, held)
-    assert found[21:23, 2:5].all(), "nothing holds it"
-    assert found[18, 18], "it could turn"
-    assert not found[17, 17], "the corner it hangs on is the block's"
+    assert found[21:23, 2:5].all(), "the separate piece is not excluded"
+    assert found[18, 18], "the piece at the corner, which could rotate, is not excluded"
+    assert not found[17, 17], "the corner of the block is excluded"
     assert found.sum() == 6 + 3
     assert left_at_rest(found).startswith(
-        "2 pieces of tissue that too little holds stay where they"
+        "2 pieces of tissue with too few constraints stay at rest"
     )
     solution = solve(Problem(0.0 * held, 1.0 * held, 1.0 * (tissue & ~found)), ElasticPrior())
     assert not solution.displacement.any()
@@ -48,31 +49,33 @@ def test_what_could_turn_or_drift_is_a_scrap_and_what_it_hangs_on_is_not():
         solve(Problem(0.0 * held, 1.0 * held, 1.0 * tissue), ElasticPrior())
 
 
-def test_tissue_that_is_meant_is_no_scrap():
+def test_a_large_piece_with_few_observations_is_not_excluded():
     tissue, held = block_and_specks()
     held[:] = False
     held[10, 10] = True
     found = scraps(tissue, held)
-    assert not found[4:17, 4:17].any(), "the block could turn: that is for the solver to refuse"
+    assert not found[4:17, 4:17].any(), (
+        "the block is excluded, although the solver should refuse its rotation"
+    )
     assert not scraps(tissue, np.zeros_like(held)).any()
 
 
 @pytest.mark.parametrize(("pixels", "meant"), [(9, False), (10, True)])
-def test_what_is_observed_of_a_hundredth_of_all_tissue_is_meant(pixels, meant):
+def test_a_constrained_piece_of_a_hundredth_of_the_tissue_is_not_excluded(pixels, meant):
     tissue = np.zeros((40, 40), dtype=bool)
     tissue[:33, :30] = True
     tissue[36:38, 10:15] = True
     if pixels < 10:
         tissue[37, 14] = False
-        tissue[0, 30] = True  # all tissue together is the same
+        tissue[0, 30] = True  # The amount of tissue remains the same.
     assert tissue.sum() == 1000
     held = np.zeros((40, 40, 2), dtype=bool)
     held[:33, 0] = True
-    held[36, 10] = True  # about this pixel the piece could turn
+    held[36, 10] = True  # The piece could rotate about this pixel.
     assert scraps(tissue, held)[36, 10] != meant
 
 
-def test_a_scrap_that_is_taken_hold_of_is_one_no_more():
+def test_a_fully_constrained_piece_is_not_excluded():
     tissue, held = block_and_specks()
     assert scraps(tissue, held)[21, 2]
     held[21:23, 2:5] = True
@@ -86,7 +89,7 @@ def stiffness_with_specks():
     return picture, Image(tissue.astype(np.float32), name="stiffness", metadata=metadata)
 
 
-def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
+def test_tissue_with_specks_can_be_pulled(open_window, settle):
     picture, stiffness = stiffness_with_specks()
     person, widget = open_window(picture)
     person.viewer.add_layer(stiffness)
@@ -98,13 +101,11 @@ def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
     field = widget.solution.displacement
     assert field[10, 10] == pytest.approx((0, 2), abs=0.02)
     assert not field[22, 3].any()
-    assert (
-        "2 pieces of tissue that too little holds stay where they are (9 pixels)" in widget.warning
-    )
+    assert "2 pieces of tissue with too few constraints stay at rest (9 pixels)" in widget.warning
     assert by_name(person.viewer, "MR deformed, elastic").visible
 
 
-def test_what_cannot_be_pulled_is_said_of_the_layer():
+def test_an_error_about_unconstrained_tissue_names_the_layer():
     picture, stiffness = stiffness_with_specks()
     ground = read_ground(Image(picture, name="MR"), stiffness, hold_edge=False)
     canvas = Drawing((Arrow((10, 10), (0, 2), 0.5),)).render(ground.base)
@@ -116,7 +117,7 @@ def test_what_cannot_be_pulled_is_said_of_the_layer():
 
 
 def painted(qtbot, wall=True, moves=True):
-    """The dock with elastic tissue, specks, a wall and something that is pushed."""
+    """Return the dock with elastic tissue, specks, a fixed wall and a moving region."""
     viewer = ViewerModel()
     picture, stiffness = stiffness_with_specks()
     viewer.add_image(picture, name="MR")
@@ -133,27 +134,25 @@ def painted(qtbot, wall=True, moves=True):
     return widget
 
 
-def test_specks_do_not_keep_elastic_tissue_from_deforming(qtbot, run):
+def test_tissue_with_specks_is_deformed(qtbot, run):
     widget = painted(qtbot)
     widget.model = "elastic"
     outputs = run(widget)
     assert outputs is not None
-    assert (
-        "2 pieces of tissue that too little holds stay where they are (9 pixels)." in widget.warning
-    )
+    assert "2 pieces of tissue with too few constraints stay at rest (9 pixels)." in widget.warning
 
 
-def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):
+def test_missing_motion_or_missing_constraints_are_reported(qtbot, run):
     widget = painted(qtbot, moves=False)
     run(widget)
     assert widget.status == STILL
-    assert widget.warning.startswith("Nothing moves: have something on tissue move")
+    assert widget.warning.startswith("Nothing moves: mark tissue that moves")
     widget = painted(qtbot)
     moved = widget.rules[1]
     widget.rules = (widget.rules[0], replace(moved, confidence=(0.0, 0.0)))
     run(widget)
     assert widget.status == STILL
-    assert "Nothing moves: have something on tissue move" in widget.warning
+    assert "Nothing moves: mark tissue that moves" in widget.warning
     widget.rules = (widget.rules[0], moved)
     widget.tissue.data[8:13, 11:16] = 0
     widget.tissue.refresh()
@@ -168,7 +167,7 @@ def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):
     assert "othing" not in widget.warning.split("pieces")[0]
 
 
-def test_that_a_pull_moves_all_of_the_tissue_as_nothing_holds_it_is_read(pulling_beside, settle):
+def test_a_pull_of_unconstrained_tissue_reports_its_rigid_motion(pulling_beside, settle):
     touch, widget = pulling_beside
     widget.hold_edge = False
     settle(widget)
@@ -177,7 +176,7 @@ def test_that_a_pull_moves_all_of_the_tissue_as_nothing_holds_it_is_read(pulling
     said = "Nothing holds the tissue, so that all of it moves as one: hold its edge, or paint what"
     assert widget.active
     assert widget.status.startswith(said)
-    assert widget.status.endswith(BY_NAME["pull"].hint), "and what can be done next"
+    assert widget.status.endswith(BY_NAME["pull"].hint), "the hint of the tool is missing"
     assert widget.warning.startswith(said)
     field = widget.solution.displacement
     np.testing.assert_allclose(field, np.broadcast_to((0, 4), field.shape), atol=0.02)

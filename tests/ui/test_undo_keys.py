@@ -1,4 +1,4 @@
-"""One key takes back what was done last, whether it was painted, drawn or typed."""
+"""Tests of the undo keys, which undo the last edit: painted, drawn or typed."""
 
 import pytest
 from napari.components import ViewerModel
@@ -15,8 +15,8 @@ Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
 
 
 @pytest.fixture
-def at_hand(frame, small_sample, at_rest):
-    """A hand at a small sample in a viewer without a canvas, and its dock."""
+def pointer_and_dock(frame, small_sample, at_rest):
+    """Return a simulated pointer at a small sample without a window, and the dock."""
     small_sample(frame.viewer)
     dock = quick(frame.open())
     at_rest()
@@ -24,8 +24,8 @@ def at_hand(frame, small_sample, at_rest):
 
 
 @pytest.fixture
-def seated(unstyled, without_controls, make_napari_viewer, small_sample, qtbot, at_rest):
-    """Somebody before a window with a small sample, and its dock."""
+def user_in_window(unstyled, without_controls, make_napari_viewer, small_sample, qtbot, at_rest):
+    """Return a simulated user before a window with a small sample, and the dock."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer)
     dock = quick(dock_in(viewer))
@@ -33,8 +33,8 @@ def seated(unstyled, without_controls, make_napari_viewer, small_sample, qtbot, 
     return Person(viewer, qtbot), dock
 
 
-def test_a_number_that_was_typed_is_taken_back_by_the_key_over_the_image(seated):
-    person, dock = seated
+def test_a_typed_number_is_undone_by_the_key_on_the_canvas(user_in_window):
+    person, dock = user_in_window
     tissue, materials = dock.tissue, dock.materials
     screen = Screen(dock)
     screen.click_row("gel")
@@ -42,16 +42,16 @@ def test_a_number_that_was_typed_is_taken_back_by_the_key_over_the_image(seated)
     screen.cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
-    assert dock.status == "Took back: changed label 1 of 'Tissue'."
+    assert dock.status == "Undone: changed label 1 of 'Tissue'."
     person.key(Y, CTRL)
     assert dock.materials[1].stiffness == 33
     person.key(Z, CTRL)
     person.key(Z, CTRL)
-    assert dock.status == "There is nothing to take back."
+    assert dock.status == "There is nothing to undo."
 
 
-def test_paint_and_numbers_are_taken_back_from_the_last_to_the_first(seated):
-    person, dock = seated
+def test_paint_and_typed_numbers_are_undone_in_reverse_order(user_in_window):
+    person, dock = user_in_window
     tissue, materials = dock.tissue, dock.materials
     screen = Screen(dock)
     clean = tissue.data.copy()
@@ -62,18 +62,18 @@ def test_paint_and_numbers_are_taken_back_from_the_last_to_the_first(seated):
     screen.cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
-    assert (tissue.data == painted).all(), "the number came later"
+    assert (tissue.data == painted).all(), "the earlier paint was undone instead of the number"
     screen.cell("gel", "Stiffness").write("44")
     person.paint((18, 1), (18, 4), (18, 8))
     person.key(Z, CTRL)
     assert (tissue.data == painted).all()
-    assert dock.materials[1].stiffness == 44, "the stroke came later"
+    assert dock.materials[1].stiffness == 44, "the earlier number was undone instead of the paint"
     person.key(Z, CTRL | SHIFT)
     assert (tissue.data != painted).any()
 
 
-def test_the_buttons_take_back_what_napari_painted_in_its_turn_and_say_so(at_hand):
-    person, dock = at_hand
+def test_the_undo_button_undoes_paint_in_order_and_reports_it(pointer_and_dock):
+    person, dock = pointer_and_dock
     tissue, screen = dock.tissue, Screen(dock)
     clean = tissue.data.copy()
     screen.click_row("gel")
@@ -81,11 +81,11 @@ def test_the_buttons_take_back_what_napari_painted_in_its_turn_and_say_so(at_han
     painted = tissue.data.copy()
     screen.cell("gel", "Stiffness").write("33")
     person.paint((18, 1), (18, 4), (18, 8))
-    assert screen.button("Undo").toolTip() == "Take back: painted in 'Tissue' (Ctrl+Z)"
+    assert screen.button("Undo").toolTip() == "Undo: painted in 'Tissue' (Ctrl+Z)"
     assert not screen.button("Redo").isEnabled()
     screen.press("Undo")
     assert (tissue.data == painted).all()
-    assert dock.status == "Took back: painted in 'Tissue'."
+    assert dock.status == "Undone: painted in 'Tissue'."
     screen.press("Undo")
     assert dock.materials[1].stiffness != 33
     screen.press("Undo")
@@ -94,12 +94,10 @@ def test_the_buttons_take_back_what_napari_painted_in_its_turn_and_say_so(at_han
         screen.press("Redo")
     assert dock.materials[1].stiffness == 33
     person.paint((10, 1), (10, 4), (10, 8))
-    assert not screen.button("Redo").isEnabled(), "something new was done"
+    assert not screen.button("Redo").isEnabled(), "redo is possible after a new edit"
 
 
-def test_paint_that_was_there_before_the_dock_is_taken_back_after_all_else(
-    frame, small_sample, at_rest
-):
+def test_paint_from_before_the_dock_is_undone_after_later_edits(frame, small_sample, at_rest):
     viewer = frame.viewer
     _, tissue, _ = small_sample(viewer)
     clean = tissue.data.copy()
@@ -114,8 +112,8 @@ def test_paint_that_was_there_before_the_dock_is_taken_back_after_all_else(
     assert (tissue.data == clean).all()
 
 
-def test_a_closed_dock_leaves_the_keys_to_napari(at_hand, frame):
-    _, dock = at_hand
+def test_a_closed_dock_releases_the_undo_keys(pointer_and_dock, frame):
+    _, dock = pointer_and_dock
     viewer = frame.viewer
     tissue = dock.tissue
     Screen(dock).click_row("gel")
@@ -129,7 +127,7 @@ def test_a_closed_dock_leaves_the_keys_to_napari(at_hand, frame):
     assert not viewer.keymap
 
 
-def test_the_keys_of_who_is_gone_without_a_word_are_not_bound_twice():
+def test_undo_keys_of_a_deleted_owner_are_released():
     class Owner:
         def interrupt(self):
             return False
@@ -143,19 +141,19 @@ def test_the_keys_of_who_is_gone_without_a_word_are_not_bound_twice():
     assert not viewer.keymap
 
 
-def test_undo_keys_stay_while_one_of_two_docks_is_open(at_hand, frame):
-    _, first = at_hand
+def test_undo_keys_remain_bound_while_one_of_two_docks_is_open(pointer_and_dock, frame):
+    _, first = pointer_and_dock
     keys = {each for each in frame.viewer.keymap if str(each) in ("Ctrl+Z", "Ctrl+Y")}
     assert len(keys) == 2
     second = quick(frame.open())
     frame.close(second)
-    assert keys <= frame.viewer.keymap.keys(), "the first dock uses them"
+    assert keys <= frame.viewer.keymap.keys(), "the keys of the open dock were released"
     frame.close(first)
     assert not keys & frame.viewer.keymap.keys()
 
 
-def test_arrows_and_numbers_are_taken_back_from_the_last_to_the_first(at_hand, at_rest):
-    person, dock = at_hand
+def test_arrows_and_typed_numbers_are_undone_in_reverse_order(pointer_and_dock, at_rest):
+    person, dock = pointer_and_dock
     materials = dock.materials
     dock.start()
     at_rest.until(lambda: not dock.busy)
@@ -163,7 +161,7 @@ def test_arrows_and_numbers_are_taken_back_from_the_last_to_the_first(at_hand, a
     Screen(dock).cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
-    assert dock.drawing.marks, "the number came later"
+    assert dock.drawing.marks, "the earlier arrow was undone instead of the number"
     person.key(Z, CTRL)
     assert not dock.drawing.marks
-    assert dock.status == "Took back: took over a drawing."
+    assert dock.status == "Undone: took over a drawing."

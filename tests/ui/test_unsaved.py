@@ -1,4 +1,4 @@
-"""What was done and is in no file is asked for before a window closes, and outlives a crash."""
+"""Tests of unsaved work: the question before closing, autosave and crash recovery."""
 
 import os
 import signal
@@ -26,8 +26,8 @@ DRAWING = Drawing((Arrow(at=(30, 30), by=(2.0, 5.0), radius=4.0),))
 OTHER = Drawing((Arrow(at=(20, 40), by=(-3.0, 1.0), radius=4.0),))
 
 
-class Asked:
-    """Somebody who is asked, and what they answer."""
+class Answers:
+    """Simulated answers to the questions of a dock."""
 
     def __init__(self, dock, *answers):
         self.questions, self._answers = [], list(answers)
@@ -39,15 +39,15 @@ class Asked:
 
 
 @pytest.fixture(autouse=True)
-def nobody_is_asked_by_napari():
+def no_question_of_napari():
     before = get_settings().application.confirm_close_window
     get_settings().application.confirm_close_window = False
     yield
     get_settings().application.confirm_close_window = before
 
 
-class Door(QObject):
-    """Stands between a window and its end, as napari's fixture wants to be who closes it."""
+class CloseBlocker(QObject):
+    """Event filter that blocks and counts closing, because napari's fixture closes the window."""
 
     def __init__(self, window):
         super().__init__()
@@ -69,15 +69,15 @@ class Door(QObject):
 
 @pytest.fixture
 def window(unstyled, without_controls, make_napari_viewer, at_rest):
-    """A window with the dock beside an image of several slices, and the door it has to go by.
+    """Return a function that opens a window with an image of several slices, and the dock.
 
-    One that is not `shown` is closed as any other, but nothing of it is drawn.
+    The close events of the window are counted and blocked. With `shown=False` nothing is drawn.
     """
     doors = []
 
     def opened(name="MR", slices=3, shown=False):
         viewer = make_napari_viewer(show=shown)
-        doors.append(Door(viewer.window._qt_window))
+        doors.append(CloseBlocker(viewer.window._qt_window))
         rows, cols = np.indices((64, 64))
         data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
         viewer.add_image(np.stack([data] * slices) if slices else data, name=name)
@@ -93,8 +93,8 @@ def window(unstyled, without_controls, make_napari_viewer, at_rest):
 
 
 @pytest.fixture
-def close(at_rest):
-    """Press the X of a window; whether it goes then."""
+def press_close(at_rest):
+    """Return a function that presses X and returns whether the window would close."""
 
     def pressed(dock):
         before = dock.door.passed
@@ -107,8 +107,8 @@ def close(at_rest):
 
 
 @pytest.fixture
-def beside(qtbot, wait_for):
-    """A dock beside a viewer without a window, at rest."""
+def dock_beside(qtbot, wait_for):
+    """Return a function that makes an idle dock beside a viewer without a window."""
 
     def made(viewer):
         dock = SoftTissue(viewer)
@@ -121,73 +121,73 @@ def beside(qtbot, wait_for):
 
 
 def settings():
-    """Where is what is remembered for good."""
+    """Return the folder of the persistent settings."""
     kind = QSettings.Format.IniFormat, QSettings.Scope.UserScope
     return Path(QSettings(*kind, "napari-hmrf", "napari-hmrf").fileName()).parent
 
 
-def kept(place=None):
-    """The files that work is kept in against a crash, beside what is remembered for good."""
+def autosaved_files(place=None):
+    """Return the autosaved files, which lie beside the persistent settings."""
     return sorted(((place or settings()) / "unsaved").glob("*.study"))
 
 
-def test_nobody_is_asked_where_nothing_was_done(window, close):
+def test_closing_without_edits_asks_no_question(window, press_close):
     _, dock = window()
-    asked = Asked(dock)
+    asked = Answers(dock)
     assert not dock.unsaved
-    assert close(dock)
+    assert press_close(dock)
     assert asked.questions == []
 
 
-def test_cancel_keeps_the_window_with_all_that_was_done(window, close, at_rest):
+def test_cancel_leaves_the_window_open_with_all_edits(window, press_close, at_rest):
     _, dock = window(shown=True)
     dock.drawing = DRAWING
     at_rest()
-    asked = Asked(dock, "cancel", "cancel", "discard")
-    assert not close(dock)
+    asked = Answers(dock, "cancel", "cancel", "discard")
+    assert not press_close(dock)
     assert dock.drawing == DRAWING
     assert dock.unsaved
-    dock.native.window().close()  # as File > Close Window does
+    dock.native.window().close()  # File > Close Window calls this method.
     at_rest()
     assert dock.door.passed == 0
-    assert close(dock)
-    assert len(asked.questions) == 3, "once each time"
+    assert press_close(dock)
+    assert len(asked.questions) == 3, "a press of X asked more or fewer than one question"
     assert "'MR slice 1'" in asked.questions[0]
-    assert not kept()
+    assert not autosaved_files()
 
 
-def test_a_window_that_is_closed_by_a_script_asks_nobody(window, at_rest):
+def test_a_window_closed_by_a_script_asks_no_question(window, at_rest):
     viewer, dock = window()
     dock.drawing = DRAWING
     at_rest()
-    asked = Asked(dock)
+    asked = Answers(dock)
     dock.door.remove()
     viewer.close()
     assert asked.questions == []
-    assert not kept()
+    assert not autosaved_files()
 
 
-def test_save_saves_where_somebody_says_and_then_where_it_was_saved(
-    window, close, at_rest, tmp_path, monkeypatch
+def test_save_asks_for_a_file_name_once_and_saves_there_again(
+    window, press_close, at_rest, tmp_path, monkeypatch
 ):
     path, chosen = tmp_path / "case.study", ["", tmp_path / "case.study"]
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(chosen.pop(0)), ""))
     _, dock = window()
     dock.drawing = DRAWING
-    Asked(dock, "save", "save", "save")
-    assert not close(dock), "no file was chosen"
+    Answers(dock, "save", "save", "save")
+    assert not press_close(dock), "the window closed without a file name"
     dock.save_study(path)
     assert not dock.unsaved
     dock.undo()
     dock.redo()
-    assert not dock.unsaved, "it is as it was saved"
+    assert not dock.unsaved, "undo and redo changed the saved state"
     dock.drawing = OTHER
-    assert close(dock)
+    assert press_close(dock)
     assert read_study(path).study.motion.drawing == OTHER
-    assert not kept()
+    assert not autosaved_files()
 
 
-def test_what_was_taken_back_is_not_asked_for_and_what_was_painted_is(window, close, at_rest):
+def test_undone_edits_are_not_unsaved_and_paint_is(window, press_close, at_rest):
     viewer, dock = window()
     dock.drawing = DRAWING
     dock.undo()
@@ -202,12 +202,12 @@ def test_what_was_taken_back_is_not_asked_for_and_what_was_painted_is(window, cl
     assert not dock.unsaved
     dock.redo()
     assert dock.unsaved
-    asked = Asked(dock, "discard")
-    assert close(dock)
+    asked = Answers(dock, "discard")
+    assert press_close(dock)
     assert len(asked.questions) == 1
 
 
-def test_all_slices_are_saved_by_one_answer(window, close, at_rest, tmp_path, monkeypatch):
+def test_one_answer_saves_all_slices(window, press_close, at_rest, tmp_path, monkeypatch):
     names = []
 
     def choose(*given):
@@ -220,16 +220,16 @@ def test_all_slices_are_saved_by_one_answer(window, close, at_rest, tmp_path, mo
         viewer.dims.set_current_step(0, number)
         dock.drawing = drawing
     viewer.dims.set_current_step(0, 1)
-    asked = Asked(dock, "save")
-    assert close(dock)
+    asked = Answers(dock, "save")
+    assert press_close(dock)
     assert len(asked.questions) == 1
     assert names == ["MR slice 0.study", "MR slice 2.study"]
     for name, drawing in zip(names, (DRAWING, OTHER), strict=True):
         assert read_study(tmp_path / name).study.motion.drawing == drawing
 
 
-def test_slices_of_two_orientations_are_saved_by_one_answer(
-    window, close, at_rest, tmp_path, monkeypatch
+def test_one_answer_saves_slices_of_two_orientations(
+    window, press_close, at_rest, tmp_path, monkeypatch
 ):
     names = iter(["axial.study", "coronal.study"])
     monkeypatch.setattr(
@@ -240,30 +240,30 @@ def test_slices_of_two_orientations_are_saved_by_one_answer(
     viewer.dims.order = (1, 0, 2)
     at_rest()
     dock.drawing = OTHER
-    asked = Asked(dock, "save")
-    assert close(dock)
+    asked = Answers(dock, "save")
+    assert press_close(dock)
     assert len(asked.questions) == 1
     axial, coronal = (read_study(tmp_path / f"{each}.study").study for each in ("axial", "coronal"))
     assert (axial.grid.shape, axial.motion.drawing) == ((64, 64), DRAWING)
     assert (coronal.grid.shape, coronal.motion.drawing) == ((40, 64), OTHER)
 
 
-def test_of_two_windows_the_one_with_work_asks_and_quitting_asks_before_either_goes(
-    window, close, at_rest
+def test_only_the_window_with_edits_asks_and_quitting_asks_before_any_window_closes(
+    window, press_close, at_rest
 ):
     (_, first), (_, second) = window("one", shown=True), window("two", shown=True)
     first.drawing = DRAWING
-    mine, other = Asked(first, "cancel", "discard"), Asked(second)
+    mine, other = Answers(first, "cancel", "discard"), Answers(second)
     second.native.window().close(quit_app=True)
     at_rest()
     assert first.door.passed == second.door.passed == 0
-    assert close(second)
-    assert close(first)
+    assert press_close(second)
+    assert press_close(first)
     assert len(mine.questions) == 2
     assert other.questions == []
 
 
-def test_a_person_is_asked_by_a_box_with_three_answers(window, close, monkeypatch):
+def test_the_question_has_three_answers(window, press_close, monkeypatch):
     _, dock = window()
     dock.drawing = DRAWING
     shown = []
@@ -273,16 +273,18 @@ def test_a_person_is_asked_by_a_box_with_three_answers(window, close, monkeypatc
         return QMessageBox.StandardButton.Cancel
 
     monkeypatch.setattr(QMessageBox, "question", answer)
-    assert not close(dock)
+    assert not press_close(dock)
     ((question, offered),) = shown
     assert question == "What was done on 'MR slice 1' is in no file yet. Save it before closing?"
     buttons = QMessageBox.StandardButton
     assert offered == buttons.Save | buttons.Discard | buttons.Cancel
-    Asked(dock, "discard")
-    assert close(dock)
+    Answers(dock, "discard")
+    assert press_close(dock)
 
 
-def test_the_question_names_the_file_that_saving_replaces(window, close, tmp_path, monkeypatch):
+def test_the_question_names_the_file_that_saving_replaces(
+    window, press_close, tmp_path, monkeypatch
+):
     _, dock = window()
     dock.drawing = DRAWING
     path = dock.save_study(tmp_path / "case")
@@ -293,26 +295,28 @@ def test_the_question_names_the_file_that_saving_replaces(window, close, tmp_pat
     )
     Screen(dock).press("Save study ...")
     assert offered == [str(path)]
-    asked = Asked(dock, "discard")
-    assert close(dock)
+    asked = Answers(dock, "discard")
+    assert press_close(dock)
     assert asked.questions[0].endswith("Save it before closing? Saving replaces 'case.study'.")
 
 
-def test_opening_a_study_loses_nothing_of_the_one_before(beside, wait_for, tmp_path):
+def test_opening_a_study_preserves_the_unsaved_edits_of_another_image(
+    dock_beside, wait_for, tmp_path
+):
     viewer, other = ViewerModel(), ViewerModel()
     other.add_image(np.full((40, 44), 90, np.uint8), name="saved")
-    first = beside(other)
+    first = dock_beside(other)
     wait_for(lambda: not first.busy)
     first.drawing = OTHER
     path = first.save_study(tmp_path / "other")
-    dock = beside(viewer)
+    dock = dock_beside(viewer)
     image = viewer.add_image(np.full((64, 64), 100, np.uint8), name="photo")
     wait_for(lambda: not dock.busy)
     dock.drawing = DRAWING
     dock.open_study(path)
     wait_for(lambda: not dock.busy)
     assert dock.drawing == OTHER
-    assert dock.unsaved, "what was drawn before is in no file yet"
+    assert dock.unsaved, "the earlier drawing is not unsaved"
     dock.image = image
     wait_for(lambda: not dock.busy)
     assert dock.drawing == DRAWING
@@ -320,26 +324,26 @@ def test_opening_a_study_loses_nothing_of_the_one_before(beside, wait_for, tmp_p
     assert not dock.unsaved
 
 
-def test_work_is_kept_at_rest_and_never_while_a_button_is_down(window, at_rest, wait_for):
+def test_edits_are_autosaved_but_not_during_a_drag(window, at_rest, wait_for):
     viewer, dock = window(slices=0, shown=True)
     person = Person(viewer, None)
     dock.start()
     at_rest()
-    assert not kept()
+    assert not autosaved_files()
     person.press(30, 30)
     person.move(36, 38)
     at_rest()
-    assert not kept()
+    assert not autosaved_files()
     person.release(36, 38)
-    at_rest.until(lambda: len(kept()) == 1)
-    study, _ = read_study(kept()[0])
+    at_rest.until(lambda: len(autosaved_files()) == 1)
+    study, _ = read_study(autosaved_files()[0])
     assert study.motion.drawing == dock.drawing
     dock.clear()
     dock.undo()
-    at_rest.until(lambda: read_study(kept()[0]).study.motion.drawing == dock.drawing)
+    at_rest.until(lambda: read_study(autosaved_files()[0]).study.motion.drawing == dock.drawing)
     person.key(Qt.Key.Key_Z, CTRL)
     assert not dock.drawing.marks
-    at_rest.until(lambda: not kept())
+    at_rest.until(lambda: not autosaved_files())
 
 
 CRASHED = """
@@ -364,8 +368,8 @@ app.exec()
 
 
 @pytest.fixture
-def killed(wait_for):
-    """A process with work that nobody has saved; it is killed in the end."""
+def killed_process(wait_for):
+    """Return a context with a process that has unsaved work; the process is killed at the end."""
 
     @contextmanager
     def living():
@@ -373,7 +377,7 @@ def killed(wait_for):
         command = [sys.executable, "-c", CRASHED, str(place.parent)]
         process = subprocess.Popen(command, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"})
         try:
-            wait_for(lambda: bool(kept(place)) or process.poll() is not None)
+            wait_for(lambda: bool(autosaved_files(place)) or process.poll() is not None)
             assert process.poll() is None
             yield
         finally:
@@ -381,20 +385,22 @@ def killed(wait_for):
             process.wait(LONG)
 
     if not hasattr(signal, "SIGKILL"):
-        pytest.skip("no such way to end a process")
+        pytest.skip("needs SIGKILL")
     return living
 
 
 LEFT = "was not saved when napari ended"
 
 
-def test_what_a_killed_process_left_is_opened_and_kept_until_it_is_saved(
-    killed, beside, wait_for, tmp_path
+def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
+    killed_process, dock_beside, wait_for, tmp_path
 ):
-    with killed():
-        assert LEFT not in Screen(beside(ViewerModel())).words, "whoever lives has its work itself"
-    (file,) = kept()
-    dock = beside(ViewerModel())
+    with killed_process():
+        assert LEFT not in Screen(dock_beside(ViewerModel())).words, (
+            "work of a running process is offered"
+        )
+    (file,) = autosaved_files()
+    dock = dock_beside(ViewerModel())
     assert f" on 'photo' {LEFT}" in Screen(dock).words
     Screen(dock).press("Open it")
     wait_for(lambda: not dock.busy)
@@ -402,14 +408,14 @@ def test_what_a_killed_process_left_is_opened_and_kept_until_it_is_saved(
     assert dock.drawing == DRAWING
     assert dock.image.name == "photo"
     assert dock.unsaved
-    (own,) = kept()
+    (own,) = autosaved_files()
     assert own != file
-    assert LEFT not in Screen(beside(ViewerModel())).words, "it has an owner again"
+    assert LEFT not in Screen(dock_beside(ViewerModel())).words, "recovered work is offered again"
     dock.save_study(tmp_path / "case")
-    assert not kept()
+    assert not autosaved_files()
 
 
-def test_what_a_killed_process_left_is_thrown_away_also_if_it_cannot_be_read(beside, monkeypatch):
+def test_unreadable_work_of_a_killed_process_can_be_discarded(dock_beside, monkeypatch):
     over = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
     over.wait(LONG)
     with monkeypatch.context() as its:
@@ -417,13 +423,13 @@ def test_what_a_killed_process_left_is_thrown_away_also_if_it_cannot_be_read(bes
         file = recovery.new_file(settings() / "unsaved")
     study = Study(Grid((20, 24), (1.0, 1.0)), motion=Motion(drawing=DRAWING))
     file.write_bytes(write_study(file, study).read_bytes()[:200])
-    dock = beside(ViewerModel())
+    dock = dock_beside(ViewerModel())
     thrown = []
     monkeypatch.setattr(QFile, "moveToTrash", lambda each: bool(thrown.append(each.fileName())))
     Screen(dock).press("Open it")
     assert "damaged" in dock.status
-    assert kept() == [file]
+    assert autosaved_files() == [file]
     Screen(dock).press("Discard")
-    assert thrown == [str(file)], "where it can be had back from, if there is such a place"
-    assert not kept()
+    assert thrown == [str(file)], "the file was not moved to the trash"
+    assert not autosaved_files()
     assert LEFT not in Screen(dock).words

@@ -1,4 +1,4 @@
-"""A volume is pulled in a slice with the mouse, in a real window and without one, and follows."""
+"""Tests of pulling a volume in its slices, in a window and without one."""
 
 import threading
 
@@ -16,7 +16,7 @@ from tests.support.person import CTRL, by_name, only
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG, LONG_MS
 
-#: What is seen of a result in the tests of extents.
+#: Kinds of result layers that are shown in the tests of extents.
 EVERYTHING = {"image", "arrows", "magnitude"}
 SHAPE, SCALE = (24, 32, 32), (1.5, 1.0, 1.0)
 
@@ -24,16 +24,16 @@ pytestmark = pytest.mark.usefixtures("without_controls")
 
 
 def blocks():
-    """A volume of bright and dark blocks."""
+    """Return a volume of bright and dark blocks."""
     planes, rows, cols = np.indices(SHAPE)
     return (120 + 60 * ((planes // 4 + rows // 4 + cols // 4) % 2)).astype(np.uint8)
 
 
 @pytest.fixture
-def in_the_middle(settle):
-    """Have somebody look at the middle slice of a volume, with *Pull* in the hand."""
+def show_middle_slice(settle):
+    """Return a function that shows the middle slice of a volume with the *Pull* tool active."""
 
-    def looking(person, widget):
+    def show(person, widget):
         person.viewer.dims.set_point(0, 12 * SCALE[0])
         Screen(widget).choose("the whole volume")
         settle(widget)
@@ -42,19 +42,19 @@ def in_the_middle(settle):
         settle(widget)
         return person, widget
 
-    return looking
+    return show
 
 
 @pytest.fixture
-def volume(open_window, in_the_middle):
-    """Somebody before a window that shows a slice of a volume."""
-    return in_the_middle(*open_window(blocks(), scale=SCALE))
+def volume(open_window, show_middle_slice):
+    """Return a simulated user before a window with a slice of a volume, and the dock."""
+    return show_middle_slice(*open_window(blocks(), scale=SCALE))
 
 
 @pytest.fixture
-def volume_beside(open_beside, in_the_middle):
-    """The same without a window."""
-    return in_the_middle(*open_beside(blocks(), scale=SCALE))
+def volume_beside(open_beside, show_middle_slice):
+    """Return a simulated user at a slice of a volume without a window, and the dock."""
+    return show_middle_slice(*open_beside(blocks(), scale=SCALE))
 
 
 def go_to(person, number):
@@ -75,7 +75,7 @@ def test_an_image_without_slices_offers_no_volume(open_beside):
     assert not widget._form.extent.visible
 
 
-def test_a_pull_in_a_slice_moves_the_slices_beside_it(volume, settle, qtbot):
+def test_a_pull_in_a_slice_moves_neighbouring_slices(volume, settle, qtbot):
     person, widget = volume
     seen = []
     widget.deformation_changed.connect(seen.append)
@@ -95,7 +95,7 @@ def test_a_pull_in_a_slice_moves_the_slices_beside_it(volume, settle, qtbot):
     assert field.shape == (*SHAPE, 3)
     assert field[12, 16, 16] == pytest.approx(arrow.by, abs=0.05)
     assert 0.2 < field[14, 16, 16, 2] < arrow.by[2]
-    assert not field[0].any(), "the edge is held"
+    assert not field[0].any(), "the edge moves"
     picture = by_name(person.viewer, "MR deformed, elastic")
     still = by_name(person.viewer, "MR").data
     assert picture.data.shape == SHAPE
@@ -105,7 +105,7 @@ def test_a_pull_in_a_slice_moves_the_slices_beside_it(volume, settle, qtbot):
     assert picture.scale.tolist() == list(SCALE)
 
 
-def test_while_a_hand_pulls_the_slice_that_is_seen_follows(volume, settle, qtbot):
+def test_the_displayed_slice_follows_during_a_drag(volume, settle, qtbot):
     person, widget = volume
     seen = []
     widget.deformation_changed.connect(seen.append)
@@ -118,13 +118,13 @@ def test_while_a_hand_pulls_the_slice_that_is_seen_follows(volume, settle, qtbot
     still = by_name(person.viewer, "MR").data
     assert widget.study_model.drawing_in_progress
     assert (picture.data[12] != still[12]).mean() > 0.02
-    assert np.array_equal(picture.data[5], still[5]), "what is not seen waits"
+    assert np.array_equal(picture.data[5], still[5]), "a hidden slice was updated during the drag"
     person.release(19, 19)
     settle(widget)
     assert not np.array_equal(picture.data[11], still[11])
 
 
-def test_what_is_held_goes_along_to_another_slice(volume_beside, settle):
+def test_a_drag_continues_on_another_slice(volume_beside, settle):
     person, widget = volume_beside
     person.press(16, 16)
     person.move(17, 17)
@@ -136,7 +136,7 @@ def test_what_is_held_goes_along_to_another_slice(volume_beside, settle):
     assert widget.solution.displacement[12, 16, 16, 0] == pytest.approx(3, abs=0.05)
 
 
-def test_a_pull_in_a_slice_across_another_axis(volume_beside, settle):
+def test_a_pull_in_a_coronal_slice_moves_tissue_in_that_plane(volume_beside, settle):
     person, widget = volume_beside
     person.viewer.dims.order = (1, 0, 2)
     person.viewer.dims.set_point(1, 16)
@@ -150,7 +150,7 @@ def test_a_pull_in_a_slice_across_another_axis(volume_beside, settle):
     assert widget.solution.displacement[12, 16, 16] == pytest.approx(arrow.by, abs=0.1)
 
 
-def test_pulls_of_a_slice_and_of_the_volume_are_two_drawings(volume_beside, settle):
+def test_a_slice_and_its_volume_have_separate_drawings(volume_beside, settle):
     person, widget = volume_beside
     person.drag((16, 16), (18, 18))
     settle(widget)
@@ -162,7 +162,7 @@ def test_pulls_of_a_slice_and_of_the_volume_are_two_drawings(volume_beside, sett
     assert only(widget).by == pytest.approx((0, 2, 2), abs=0.6)
 
 
-def test_undo_takes_a_pull_of_a_volume_back(volume_beside, settle):
+def test_undo_removes_a_pull_of_a_volume(volume_beside, settle):
     person, widget = volume_beside
     person.drag((16, 16), (18, 18))
     settle(widget)
@@ -173,7 +173,7 @@ def test_undo_takes_a_pull_of_a_volume_back(volume_beside, settle):
     assert not picture.visible or np.array_equal(picture.data, by_name(person.viewer, "MR").data)
 
 
-def test_a_brush_paints_a_ball(volume, settle):
+def test_a_brush_paints_a_ball_in_a_volume(volume, settle):
     person, widget = volume
     widget.tool = "pin"
     widget.fields.radius.value = 4.0
@@ -191,7 +191,7 @@ def test_a_brush_paints_a_ball(volume, settle):
     assert widget.solution.displacement[12, 16, 18] == pytest.approx((0, 0, 0), abs=1e-3)
 
 
-def test_tissue_painted_in_a_volume_says_how_stiff_it_is(volume_beside, settle):
+def test_tissue_painted_in_a_volume_sets_the_stiffness(volume_beside, settle):
     person, widget = volume_beside
     labels = np.ones(SHAPE, int)
     labels[10:15, 12:20, 20:28] = 2
@@ -207,10 +207,10 @@ def test_tissue_painted_in_a_volume_says_how_stiff_it_is(volume_beside, settle):
     person.drag((16, 12), (16, 15))
     settle(widget)
     field = widget.solution.displacement[10:15, 12:20, 20:28]
-    assert np.ptp(field[..., 2]) < 0.1, "what is stiff keeps its shape"
+    assert np.ptp(field[..., 2]) < 0.1, "the stiff inclusion is deformed"
 
 
-def test_the_slider_shows_a_volume_on_its_way(volume_beside, settle):
+def test_the_slider_shows_a_part_of_the_motion_of_a_volume(volume_beside, settle):
     person, widget = volume_beside
     person.drag((16, 16), (16, 22))
     settle(widget)
@@ -224,7 +224,7 @@ def test_the_slider_shows_a_volume_on_its_way(volume_beside, settle):
     assert np.array_equal(by_name(person.viewer, "MR deformed, elastic").data[12], whole[12])
 
 
-def test_what_lies_over_a_volume_is_a_volume(volume, settle):
+def test_overlays_of_a_volume_are_volumes(volume, settle):
     person, widget = volume
     person.drag((16, 16), (16, 22))
     settle(widget)
@@ -240,7 +240,7 @@ def test_what_lies_over_a_volume_is_a_volume(volume, settle):
     widget.overlay = "nothing"
 
 
-def test_measurements_of_a_volume_are_called_so_and_saved_so(
+def test_measurements_of_a_volume_have_columns_for_voxels_and_volumes(
     volume_beside, settle, tmp_path, monkeypatch
 ):
     person, widget = volume_beside
@@ -259,7 +259,7 @@ def test_measurements_of_a_volume_are_called_so_and_saved_so(
     assert path.read_text().startswith("label,name,voxels,volume,volume_change_percent")
 
 
-def test_the_readout_in_a_volume_names_all_three_ways(volume_beside, settle):
+def test_the_status_bar_reads_three_components_in_a_volume(volume_beside, settle):
     person, widget = volume_beside
     person.drag((16, 16), (16, 22))
     settle(widget)
@@ -268,7 +268,7 @@ def test_the_readout_in_a_volume_names_all_three_ways(volume_beside, settle):
     assert len(probe.displacement) == 3
 
 
-def test_a_volume_is_saved_and_opened_again(volume_beside, settle, tmp_path):
+def test_a_study_of_a_volume_is_saved_and_opened_again(volume_beside, settle, tmp_path):
     person, widget = volume_beside
     person.drag((16, 16), (16, 20))
     settle(widget)
@@ -282,7 +282,7 @@ def test_a_volume_is_saved_and_opened_again(volume_beside, settle, tmp_path):
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
-def test_the_chip_goes_to_the_slice_in_which_most_of_it_folds(volume_beside, settle, order):
+def test_the_warning_button_shows_the_slice_with_the_most_folds(volume_beside, settle, order):
     person, widget = volume_beside
     dims = person.viewer.dims
     go_to(person, 6)
@@ -304,7 +304,7 @@ def test_the_chip_goes_to_the_slice_in_which_most_of_it_folds(volume_beside, set
     assert widget.status.startswith(widget.warning)
 
 
-def test_deform_solves_a_volume_from_nothing(volume_beside, settle):
+def test_deform_solves_a_volume_with_a_cold_start(volume_beside, settle):
     person, widget = volume_beside
     person.drag((16, 16), (16, 20))
     settle(widget)
@@ -316,7 +316,7 @@ def test_deform_solves_a_volume_from_nothing(volume_beside, settle):
     assert known["slice"] == ""
 
 
-def test_a_hand_that_pulls_again_waits_for_no_volume(volume_beside, settle, qtbot):
+def test_a_new_drag_does_not_wait_for_the_solve_of_a_volume(volume_beside, settle, qtbot):
     person, widget = volume_beside
     person.drag((16, 16), (18, 18))
     settle(widget)
@@ -335,55 +335,57 @@ def test_a_hand_that_pulls_again_waits_for_no_volume(volume_beside, settle, qtbo
 
 @pytest.fixture
 def both_extents(volume_beside, settle):
-    """A volume with a result, as is its middle slice, which is worked on."""
+    """Return a volume with a result whose middle slice has a result, too, and is chosen."""
     person, widget = volume_beside
     person.drag((16, 16), (18, 18))
     widget.overlay = "magnitude"
     settle(widget)
     Screen(widget).choose("this slice")
     settle(widget)
-    assert seen_of(person.viewer) <= {"slice 12"}, "nothing of it has moved"
+    assert visible_slices(person.viewer) <= {"slice 12"}, (
+        "the result of the volume is displayed for its slice"
+    )
     assert widget.result is None
     person.drag((12, 12), (12, 15))
     settle(widget)
     return person, widget
 
 
-def seen_of(viewer):
-    """The slices of the results of which anything is seen, "" for the volume."""
+def visible_slices(viewer):
+    """Return the slices of visible results, with "" for the volume."""
     made = [layer for layer in viewer.layers if layer.visible and "source" in metadata_of(layer)]
     return {metadata_of(layer)["slice"] for layer in made}
 
 
-def kinds_seen(viewer):
-    """What is seen of results."""
+def visible_kinds(viewer):
+    """Return the kinds of visible result layers."""
     return {metadata_of(layer).get("kind") for layer in viewer.layers if layer.visible} & {
         *EVERYTHING
     }
 
 
-def test_of_a_volume_and_its_slice_the_result_that_is_worked_on_is_seen(both_extents, settle):
+def test_the_result_of_the_chosen_extent_is_displayed(both_extents, settle):
     person, widget = both_extents
     viewer = person.viewer
     for extent, where in (("slice", "slice 12"), ("volume", ""), ("slice", "slice 12")):
         widget.extent = extent
         settle(widget)
-        assert seen_of(viewer) == {where}
-        assert kinds_seen(viewer) == EVERYTHING
+        assert visible_slices(viewer) == {where}
+        assert visible_kinds(viewer) == EVERYTHING
         assert metadata_of(widget.result)["slice"] == where
         widget.before = True
-        assert seen_of(viewer) == set()
+        assert visible_slices(viewer) == set()
         widget.before = False
         widget.percent = 50
         settle(widget)
-        assert seen_of(viewer) == {where}
+        assert visible_slices(viewer) == {where}
     widget.undo()
     settle(widget)
-    assert seen_of(viewer) == {""}
-    assert kinds_seen(viewer) == EVERYTHING
+    assert visible_slices(viewer) == {""}
+    assert visible_kinds(viewer) == EVERYTHING
 
 
-def test_a_result_that_is_not_worked_on_is_not_shown_by_its_arrows(both_extents, settle):
+def test_selecting_the_arrows_of_another_extent_does_not_show_its_result(both_extents, settle):
     person, widget = both_extents
     viewer = person.viewer
     held = {
@@ -392,22 +394,22 @@ def test_a_result_that_is_not_worked_on_is_not_shown_by_its_arrows(both_extents,
     viewer.layers.selection.active = held[""]
     settle(widget)
     assert metadata_of(widget.result)["slice"] == "slice 12"
-    assert seen_of(viewer) == {"slice 12"}
+    assert visible_slices(viewer) == {"slice 12"}
 
 
-def test_what_is_seen_while_one_paints_is_the_image_as_it_was(both_extents, settle):
+def test_painting_on_a_volume_shows_the_original_image(both_extents, settle):
     person, widget = both_extents
     viewer = person.viewer
     widget.make_layers()
     settle(widget)
     widget.hand_brush(widget.boundary)
-    assert seen_of(viewer) == set()
+    assert visible_slices(viewer) == set()
     assert widget.status == MEANWHILE
 
 
 @pytest.fixture
 def cancelled(volume_beside, settle, qtbot):
-    """Have a volume be dragged, and cancelled as it follows what was let go."""
+    """Return a function that drags in a volume and cancels the solve after the release."""
     person, widget = volume_beside
 
     def cancel():
@@ -428,7 +430,7 @@ def cancelled(volume_beside, settle, qtbot):
     return person, widget, cancel
 
 
-def test_a_volume_that_is_cancelled_is_seen_as_it_came_to_rest_last(cancelled, settle):
+def test_a_cancelled_solve_of_a_volume_restores_the_last_result(cancelled, settle):
     person, widget, cancel = cancelled
     person.drag((10, 10), (11, 12))
     widget.overlay = "magnitude"
@@ -437,7 +439,7 @@ def test_a_volume_that_is_cancelled_is_seen_as_it_came_to_rest_last(cancelled, s
     before = picture.data.copy()
     cancel()
     assert np.array_equal(picture.data, before)
-    assert kinds_seen(person.viewer) == EVERYTHING
+    assert visible_kinds(person.viewer) == EVERYTHING
     assert metadata_of(picture)["inputs_changed"]
     assert len(widget.drawing.marks) == 2
     assert widget.status.startswith("Cancelled")
@@ -449,17 +451,17 @@ def test_a_volume_that_is_cancelled_is_seen_as_it_came_to_rest_last(cancelled, s
     assert not np.array_equal(picture.data, before)
 
 
-def test_a_volume_whose_first_pull_is_cancelled_is_seen_as_it_was(cancelled, settle):
+def test_a_cancelled_first_pull_of_a_volume_shows_no_result(cancelled, settle):
     person, widget, cancel = cancelled
     cancel()
-    assert kinds_seen(person.viewer) == set()
+    assert visible_kinds(person.viewer) == set()
     person.drag((20, 20), (21, 21))
     settle(widget)
     assert len(widget.drawing.marks) == 2
-    assert kinds_seen(person.viewer) == {"image", "arrows"}
+    assert visible_kinds(person.viewer) == {"image", "arrows"}
 
 
-def test_while_a_volume_is_dragged_nothing_is_said_of_an_earlier_result(
+def test_the_status_bar_reads_no_earlier_result_during_a_drag_in_a_volume(
     volume_beside, settle, qtbot
 ):
     person, widget = volume_beside

@@ -1,21 +1,21 @@
-"""Devices that run the kernels, and the choice between them.
+"""Backends: devices that run the kernels, and the choice between them.
 
-Data passes through a backend in five steps:
+A solve uses a backend in five steps:
 
-1. *Choice.* `job` describes the requirements of a solve, and `open_backend` picks the device that
-   supports it. `compile_cache` compiles the loops of the processor and keeps them on disk.
+1. *Choice.* `job` describes the requirements of a solve, and `open_backend` chooses a device that
+   meets them. `compile_cache` compiles the loops for the processor and stores them on disk.
 2. *Model.* A backend (protocol: `base`) copies the tissue to its device: `cpu` as arrays, `opengl`
-   as textures or buffers. `arrays` does the host's part in NumPy until the loops are compiled. The
-   result is a `linear` model, or a `finite` one for large motion.
-3. *Levels.* The model builds its coarser levels. Vectors and scalars stay on the device; fields on
-   the host are `planes`, and `host` keeps the displacement there in double precision.
-4. *Kernels.* An optimizer calls the methods of a level, and each of them runs one or two kernels:
+   as textures or buffers. Until the loops are compiled, `arrays` does the work of the host in
+   NumPy. The result is a `linear` model, or a `finite` model for large motion.
+3. *Levels.* The model builds its coarser levels. Vectors and scalars are stored on the device.
+   Fields on the host are `planes`, and `host` processes the displacement there in double precision.
+4. *Kernels.* An optimizer calls the methods of a level. Each method runs one or two kernels:
    compiled loops in `cpu`, shaders from the folder `shaders/` in `opengl`. `rigid` constrains the
-   motion of rigid bodies, and `direct` factorizes the system where cycles cannot be trusted.
-5. *Result.* The optimizer reads the displacement back as planes. `earlier_results` keeps what is
-   known of the system for later solves.
+   motion of rigid bodies, and `direct` factorises the system if cycles are not reliable.
+5. *Result.* The optimizer reads the displacement back as planes. `earlier_results` stores
+   properties of the system for later solves.
 
-All of this runs on one thread (`thread`), because OpenGL and numba both require it.
+All of these steps run on one thread (`thread`), because OpenGL and numba both require it.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.thread import compute_thread
 
-#: Names of the backends. "opengl" uses compute shaders if the driver has them, else fragment
-#: shaders.
+#: Names of the backends. "opengl" uses compute shaders if the driver supports them, and fragment
+#: shaders otherwise.
 BackendName = Literal["auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"]
 BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
 
 #: Reason for the choice of a software rasteriser by "auto".
 COMPILING = "until the loops for the processor are compiled"
-#: Number of voxels above which waiting for the compiled loops is faster than a solve on a software
-#: rasteriser.
+#: Number of voxels above which it is faster to wait for the compiled loops than to solve on a
+#: software rasteriser.
 LARGE_VOLUME = 1_000_000
 
 __all__ = [
@@ -58,13 +58,13 @@ __all__ = [
 
 
 class Choice(NamedTuple):
-    """Backend that runs a solve.
+    """Backend that runs a solve, and the reason for its choice.
 
     Attributes
     ----------
     backend : Backend
     reason : str
-        Reason for the choice, in words.
+        Reason for the choice, for display.
     """
 
     backend: Backend[Any]
@@ -77,21 +77,21 @@ def open_backend(
     checkpoint: Checkpoint,
     provide_loops: Callable[[], None] = loops.use,
 ) -> Choice:
-    """Choose a backend and open it; on the compute thread only.
+    """Choose a backend and open it, on the compute thread only.
 
     Parameters
     ----------
     job : SolveJob
     name : str
-        One of `BACKEND_NAMES`. "auto" takes the shaders on a real GPU, and the compiled loops
-        where there is only a software rasteriser (ten times slower than the loops) or no OpenGL,
-        or where the shaders do not support the job. Until another process has compiled the loops,
-        it takes the rasteriser, except that a volume of more than `LARGE_VOLUME` voxels waits for
-        the loops.
+        One of `BACKEND_NAMES`. "auto" selects the shaders on a real GPU. It selects the compiled
+        loops if there is no OpenGL or only a software rasteriser, which is ten times slower than
+        the loops, or if the shaders do not support the job. While another process compiles the
+        loops, "auto" selects the rasteriser, but a volume of more than `LARGE_VOLUME` voxels waits
+        for the loops.
     checkpoint : callable
-        Called by the backend at least every `BATCH_SECONDS`; raises to stop the work.
+        Called by the backend at least every `BATCH_SECONDS`; raises an exception to stop the work.
     provide_loops : callable
-        Called before the loops are used; returns once they are compiled. By default each loop is
+        Called before the loops are used; returns once they are compiled. By default, each loop is
         compiled at its first call.
 
     Returns
@@ -122,7 +122,7 @@ def open_backend(
 
 
 def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], None]) -> Choice:
-    """Choose between shaders and loops; both support the job, except perhaps its size."""
+    """Choose between shaders and loops; both support the job, but maybe not its size."""
     from napari_hmrf.solver.backends.opengl import (  # heavy: opengl
         OpenGLBackend,
         is_software_renderer,
@@ -157,10 +157,10 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
 
 
 def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Backend[Any]:
-    """Return the shader backend of a name; raise `BackendError` if it cannot solve the job."""
+    """Return the requested shader backend; raise an error if it does not support the job."""
     from napari_hmrf.solver.backends.opengl import OpenGLBackend  # heavy: opengl
 
-    _loops_are_ready(job)  # starts to load them for a later solve
+    _loops_are_ready(job)  # this call starts to load them for a later solve
     _compile_meanwhile(job)
     shaders = OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None)
     refusal = shaders.supports(job)
@@ -171,12 +171,12 @@ def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Back
 
 
 def _loops_are_ready(job: SolveJob) -> bool:
-    """Return whether the loops for a job are compiled and can be used now."""
+    """Return whether the loops for a job can be used without a delay."""
     return loops.ready_for_volumes() if job.is_volume else loops.ready()
 
 
 def _compile_meanwhile(job: SolveJob) -> None:
-    """Start another process that compiles the usual loops; loops for volumes are left out."""
+    """Start another process that compiles the usual loops, except the loops for volumes."""
     if not job.is_volume:
         compiler.compile_meanwhile()
 

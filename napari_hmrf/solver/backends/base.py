@@ -1,8 +1,8 @@
-"""Protocol of a backend: the fields on its device, and the kernels that run on them.
+"""Protocol of a backend: the fields on its device, and the kernels that process these fields.
 
 A kernel is a pure function from a site to its new value. It has the same name and meaning on every
 backend; `solver.priors` defines it. All lengths are in pixels (``Problem.unit``), and all values
-are float32. Displacement is zero in void. Only the compute thread uses a backend.
+are float32. The displacement is zero in void. Only the compute thread uses a backend.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from napari_hmrf.solver.quadtree import Level
 FloatArray = npt.NDArray[np.float32]
 EnergyArray = npt.NDArray[np.float64]
 
-#: Called by a backend at least every `BATCH_SECONDS`; raises to stop the work.
+#: Callback that a backend calls at least every `BATCH_SECONDS`; raises an exception to cancel.
 Checkpoint = Callable[[], None]
 
-#: Longest time, in seconds, that a backend computes between two checks for a cancellation.
+#: Longest time, in seconds, that a backend computes between two checks for cancellation.
 BATCH_SECONDS = 0.05
 
 
 class Field(Protocol):
-    """Values on the sites of one level, kept on the backend's device."""
+    """Values on the sites of one level, stored on the device of a backend."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -51,16 +51,15 @@ class SiteRule:
     Attributes
     ----------
     blanket : bool
-        True if the local energy also includes the cliques that have the site at an end.
+        True if the local energy also includes the cliques with the site at one end.
     relaxation : float
-        Damping g in (0, 1]: the curvature of the local energy is divided by g, so a site without
-        an observation moves by g times its distance to the minimum.
+        Damping g in (0, 1]. The curvature of the local energy is divided by g, so a site without an
+        observation moves by g times its distance from the minimum.
     steps : tuple of float
-        Candidate set Gamma of moves: 0, and ``{-e, 0, e} x {-e, 0, e}`` for each step e, in
-        pixels; in a volume each move has three components. If empty, a site moves to the exact
-        minimiser in closed form.
+        Step sizes e, in pixels, of the candidate set Gamma: a site may stay, or each component may
+        change by -e, 0 or e. If empty, a site moves to the exact minimiser in closed form.
     weights : ndarray, shape (4, 2) or (13, 3)
-        Weight of each line of cliques for each component: `priors.line_weights`.
+        Weight of each line of cliques for each component, as returned by `priors.line_weights`.
     """
 
     blanket: bool
@@ -70,7 +69,7 @@ class SiteRule:
 
 
 class Backend(Protocol[FieldType]):
-    """Kernels on one device. Fields have the layouts of the arrays given to `upload`."""
+    """Kernels on one device. Fields have the layout of the arrays that `upload` accepts."""
 
     #: "cpu", "opengl:fragment" or "opengl:compute".
     name: str
@@ -78,7 +77,7 @@ class Backend(Protocol[FieldType]):
     renderer: str
 
     def supports(self, job: SolveJob) -> str | None:
-        """Return None if the backend can solve a job, else the reason as a sentence."""
+        """Return None if the backend can solve a job; otherwise the reason, as a sentence."""
         ...
 
     def upload(self, values: FloatArray) -> FieldType:
@@ -87,9 +86,9 @@ class Backend(Protocol[FieldType]):
         Parameters
         ----------
         values : ndarray, shape (H, W, C) or (D, H, W, C)
-            C = 2: displacement (row, col), or stiffness (m, 1/m with 0 in void).
-            C = 4: observation (y_row, y_col, p_row, p_col) with p = K c, eq. 19.
-            In a volume C = 3 for displacement, and C = 6 for observation.
+            In an image, C = 2 for displacement (row, col) and for stiffness (m, 1/m, and 0 in
+            void), and C = 4 for observation (y_row, y_col, p_row, p_col) with p = K c, eq. 19. In a
+            volume, C = 3 for displacement, and C = 6 for observation.
         """
         ...
 
@@ -118,9 +117,10 @@ class Backend(Protocol[FieldType]):
     ) -> FieldType:
         """Interpolate displacement linearly to the next finer level (line 3).
 
-        Along each axis, the two nearest coarse sites have the weights 3/4 and 1/4; border sites are
-        repeated outwards. Coarse sites in void have weight 0, and the other weights are scaled to
-        a sum of 1. A fine site in void, or without a coarse neighbour in tissue, gets zero.
+        Along each axis, the two nearest coarse sites have the weights 3/4 and 1/4; the grid is
+        extended by repeating its border sites. Coarse sites in void have weight 0, and the other
+        weights are scaled to a sum of 1. The displacement is zero at a fine site in void, or
+        without a coarse neighbour in tissue.
 
         Parameters
         ----------
@@ -144,9 +144,9 @@ class Backend(Protocol[FieldType]):
         Parameters
         ----------
         displacement : field
-            Displacement in pixels; it is released and must not be used again.
+            Displacement, in pixels; the call releases this field.
         stiffness, observation : field
-            Tissue and observations on the same level; see `upload`.
+            Stiffness and observation on the same level; see `upload`.
         rule : SiteRule
         sweeps : int
             Number of sweeps.
@@ -154,7 +154,7 @@ class Backend(Protocol[FieldType]):
         Returns
         -------
         field
-            Displacement after the last sweep.
+            Displacement after the last sweep, in pixels.
         ndarray, shape (sweeps,)
             U_total before each sweep, in pixels squared.
         """
@@ -163,25 +163,25 @@ class Backend(Protocol[FieldType]):
     def energy(
         self, displacement: FieldType, stiffness: FieldType, observation: FieldType, rule: SiteRule
     ) -> float:
-        """Return U_total of a displacement, in pixels squared; the arguments are as in `relax`."""
+        """Return U_total of a displacement, in pixels squared; arguments as for `relax`."""
         ...
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
-        """Build the model of elastic tissue on the device, on all levels of multigrid."""
+        """Build the model of elastic tissue on the device, with all multigrid levels."""
         ...
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
-        """Build the model of the paper's cliques on the device, on all levels of multigrid."""
+        """Build the model of the paper's cliques on the device, with all multigrid levels."""
         ...
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
-        """Build the model of large motion; only the processor's backend supports it."""
+        """Build the model of large motion; only the CPU backend supports it."""
         ...
 
     def release(self, *fields: FieldType) -> None:
-        """Free fields; a released field must not be used again."""
+        """Release fields; the caller must not use them again."""
         ...
 
     def close(self) -> None:
-        """Free all resources of the backend."""
+        """Release all resources of the backend."""
         ...

@@ -1,7 +1,7 @@
-"""Start of a solve, and the known quality of that start.
+"""Start of a solve, and the known quality of this start.
 
-The system is linear: a weighted sum of its solutions is the solution for the same sum of
-observations and loads. The error of the sum is at most the sum of the errors of its parts.
+The system is linear. A weighted sum of solutions is therefore the solution for the same weighted
+sum of observations and loads, and its error is at most the weighted sum of the errors.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ class StartQuality(NamedTuple):
     Attributes
     ----------
     least : float
-        Least eigenvalue of the preconditioned system that the iterations have found; at most 1.
+        Least eigenvalue of the preconditioned system found by the iterations; at most 1.
     error : float
-        Estimated error of the start, in pixels: its largest distance from the converged field.
+        Estimated largest distance of the start from the converged field, in pixels.
     """
 
     least: float
     error: float
 
 
-# Displacements, each with its properties; used on the compute thread only.
+# Displacements with their properties; used on the compute thread only.
 _start_qualities: list[tuple[weakref.ref[Any], StartQuality]] = []
 
 
 def remember(displacement: npt.NDArray[Any], quality: StartQuality) -> None:
-    """Remember the least eigenvalue and the error of the solve of a displacement.
+    """Store the quality of a displacement for later warm starts.
 
     Parameters
     ----------
     displacement : ndarray
-        Displacement; only a weak reference to this array is kept.
+        Displacement; only a weak reference to this array is stored.
     quality : StartQuality
-        Properties found by its solve.
+        Properties found by the solve of this displacement.
     """
     _start_qualities[:] = [each for each in _start_qualities if each[0]() is not None]
     _start_qualities.append((weakref.ref(displacement), quality))
@@ -56,8 +56,8 @@ def remember(displacement: npt.NDArray[Any], quality: StartQuality) -> None:
 def start_quality_of(start: WarmStart) -> StartQuality:
     """Combine the known properties of the parts of a warm start.
 
-    A warm start is nearly converged, except for motions that cycles hardly reduce. The iteration
-    detects these motions late, so its own estimate of the error would be too small.
+    A warm start has nearly converged, except for motions that cycles hardly reduce. The iteration
+    finds these motions late, so its error estimate alone would be too small.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def start_quality_of(start: WarmStart) -> StartQuality:
     Returns
     -------
     StartQuality
-        Least eigenvalue of all parts, and sum of their weighted errors.
+        Least eigenvalue of all parts, and weighted sum of their errors.
     """
     least, error = 1.0, 0.0
     for share, part in zip(start.shares, start.displacements, strict=True):
@@ -76,26 +76,26 @@ def start_quality_of(start: WarmStart) -> StartQuality:
     return StartQuality(least, error)
 
 
-# A residual may exceed its known value by this factor, because stored fields are rounded.
+# Largest accepted ratio of a residual to its stored value; stored fields are rounded.
 _ROUNDED = 4.0
 _TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Sum of displacements, computed only when needed.
+    """Weighted sum of displacements, computed on demand.
 
     Attributes
     ----------
     displacements : tuple of ndarray, each of shape (H, W, 2)
         One or more displacements.
     shares : tuple of float
-        Factor of each displacement.
+        Weight of each displacement.
     unit : float
         Length of a pixel in the unit of the displacements.
     missing : float
-        Largest distance of the sum from the observations, in pixels; or of its loads from the
-        given loads, relative to the largest motion.
+        Largest deviation of the weighted sum from the observations, in pixels, or of its loads from
+        the given loads, relative to the largest motion.
     """
 
     displacements: tuple[FloatArray, ...]
@@ -105,7 +105,7 @@ class WarmStart:
 
     @property
     def weighted(self) -> list[tuple[FloatArray, float]]:
-        """Displacements, each with its factor in the sum in pixels."""
+        """Displacements, and the weight of each in a sum in pixels."""
         weights = (share / self.unit for share in self.shares)
         return list(zip(self.displacements, weights, strict=True))
 
@@ -127,7 +127,8 @@ class Quality(NamedTuple):
     def suffices(self, tolerance: float, residual: float) -> bool:
         """Return whether the error is at most a tolerance, in pixels.
 
-        Also return False if the present residual exceeds the known one by more than rounding.
+        The result is False if the present residual exceeds the stored residual by more than
+        rounding errors.
         """
         if residual > _ROUNDED * self.residual:
             return False
@@ -138,25 +139,25 @@ class Quality(NamedTuple):
 class EarlierResults:
     """Results of earlier solves of one system.
 
-    Displacements are kept by weak reference.
+    Displacements are stored as weak references.
 
     Attributes
     ----------
     underestimate : float or None
-        Factor by which cycles underestimate the error; None until it is known.
+        Factor by which cycles underestimate the error, or None if it is unknown.
     least : float
-        Least eigenvalue of the preconditioned system that the iterations have found.
+        Least eigenvalue of the preconditioned system found by the iterations.
     slow : bool
         True if the iterations have found a motion that cycles hardly reduce.
     care : int
-        Number of times that the number of smoothing steps was raised for that reason.
+        Number of switches to better cycles or to double precision.
     factors : Factors or None
-        Factors of the system, where cycles cannot be trusted.
+        Factorization of the system, or None if cycles are used.
     deflation : Deflation or None
-        Motions that rigid bodies induce in the tissue around them, if there are any bodies.
+        Motions that rigid bodies induce in the surrounding tissue, or None without rigid bodies.
     idle : ndarray of int or None
-        Indices in planes of tissue that is not observed and bears no load; None until the search
-        for such tissue has run.
+        Indices (in the flattened planes) of tissue without observations and loads; None until they
+        are computed.
     """
 
     def __init__(self) -> None:
@@ -170,14 +171,14 @@ class EarlierResults:
         self._qualities: list[tuple[weakref.ref[Any], Quality]] = []
 
     def add(self, displacement: FloatArray, quality: Quality) -> None:
-        """Remember a displacement, by weak reference."""
+        """Store a displacement, as a weak reference, with its quality."""
         self._qualities = [each for each in self._qualities if each[0]() is not None]
         self._qualities.append((weakref.ref(displacement), quality))
 
     def quality(self, start: WarmStart) -> Quality | None:
-        """Return the quality of a start that matches the observations.
+        """Return the quality of a start that satisfies the observations.
 
-        Return None if the quality of one of its displacements is unknown.
+        The result is None if the quality of one of its displacements is unknown.
         """
         parts = [self._quality_of(each) for each in start.displacements]
         error = residual = 0.0

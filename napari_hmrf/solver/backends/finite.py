@@ -15,7 +15,7 @@ from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 
 
 class FiniteModel(Protocol):
-    """Model of tissue in large motion, with lengths in pixels."""
+    """Model of tissue in large motion; all lengths are in pixels."""
 
     @property
     def levels(self) -> Sequence[Any]:
@@ -27,21 +27,22 @@ class FiniteModel(Protocol):
         """Upper bounds of the spectrum, as in `LinearModel.bounds`."""
         ...
 
-    #: Held components, and the factor by which cycles underestimate the error; None if unknown.
+    #: Constrained components and, for these, the factor by which cycles underestimate the error;
+    #: None if unknown.
     rehearsed: tuple[HeldPlanes, float] | None
 
     def assemble(self, material: FiniteMaterial) -> None:
-        """Replace the material by another one on the same grid."""
+        """Replace the material; the grid must stay the same."""
         ...
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Grid, (H, W)."""
+        """Shape of the grid, (H, W)."""
         ...
 
     @property
     def moves(self) -> HeldPlanes:
-        """Mask of the unknown components of the linear model."""
+        """Mask of the free components of the linear model."""
         ...
 
     @property
@@ -68,19 +69,19 @@ class FiniteModel(Protocol):
         positive: float = 0.0,
         springs: Planes | None = None,
     ) -> None:
-        """Build the linear model of small motion around a displacement.
+        """Assemble the linear model of small motion around a displacement.
 
         Parameters
         ----------
         d : ndarray, planes
             Displacement, in pixels.
         held : ndarray of bool, planes
-            Components that do not move.
+            Mask of the constrained components.
         forces : ndarray, planes
-            Gradient of the total energy. Its moments add to the rotational stiffness of rigid
-            bodies.
+            Gradient of the total energy. Its moments contribute to the rotational stiffness of
+            rigid bodies.
         positive : float
-            Part of the indefinite terms that is left out, from 0 to 1; with 1 the matrix is
+            Fraction of the indefinite terms to leave out, from 0 to 1. If it is 1, the matrix is
             positive definite.
         springs : ndarray, planes, optional
             Values added to the diagonal.
@@ -98,7 +99,7 @@ class FiniteModel(Protocol):
         ...
 
     def poses(self, held: HeldPlanes) -> Poses:
-        """Return the poses of bodies, with their held components."""
+        """Return the poses of the bodies for the constrained components `held`."""
         ...
 
     def project(self, values: Planes) -> None:
@@ -106,38 +107,39 @@ class FiniteModel(Protocol):
         ...
 
     def balance(self, load: Planes) -> Balance:
-        """Return the load of an iteration: 0 at fixed components, projected for rigid bodies."""
+        """Return the residual of a load, 0 at fixed components and projected for rigid bodies."""
         ...
 
     def image(self, way: Planes) -> Planes:
-        """Return A `way` of the linear model; 0 at fixed components."""
+        """Return ``A @ way`` for the matrix A of the linear model; 0 at fixed components."""
         ...
 
     def length(
         self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
     ) -> tuple[float, npt.NDArray[np.float64]]:
-        """Return the largest step along `way` that keeps the Jacobians of all element corners.
+        """Return the largest step along `way` that satisfies limits on the corners' Jacobians.
 
         Parameters
         ----------
         d, way : ndarray, planes
             Displacement and search direction, in pixels.
         part : float
-            Least ratio of a corner's Jacobian to its present value.
+            Least ratio of a corner's Jacobian after the step to its present value.
         floor : float
-            Least Jacobian of a corner; a corner below it must keep its present value.
+            Least Jacobian of a corner after the step. A corner that is already below must keep
+            at least its present value.
         each : bool
             True to compute the largest step of each element, too.
 
         Returns
         -------
         float
-            Largest step, as a factor of `way`; may be infinite.
+            Largest step, as a multiple of `way`; may be infinite.
         ndarray, shape (H - 1, W - 1)
-            Largest step of each element; empty unless `each`.
+            Largest step of each element; empty unless `each` is True.
         """
         ...
 
     def clear(self) -> None:
-        """Set all corrections to zero, because they may not be finite."""
+        """Reset all corrections to zero, because they may contain values that are not finite."""
         ...

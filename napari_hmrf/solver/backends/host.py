@@ -1,6 +1,7 @@
-"""Displacements in double precision, which every backend keeps on the host: see `linear`.
+"""Displacements on the host in double precision, for all backends.
 
-The docstrings give the shapes for images, (H, W, 2); for volumes they are (D, H, W, 3).
+The docstrings give the shapes for images, such as (H, W, 2); for volumes the shapes are
+(D, H, W, 3). `linear` defines planes.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ volume_caches.register(_spare.clear)
 
 
 def _exact(axes: int = 2) -> Any:
-    """Return the module of compiled loops, or its twin in NumPy.
+    """Return the module of compiled loops, or the same functions in NumPy.
 
-    The twin is used until the loops are compiled, and for volumes.
+    The NumPy module is used until the loops are compiled, and for volumes.
     """
     if loops.in_use() and axes == 2:
         from napari_hmrf.solver.backends.cpu import exact  # heavy: numba
@@ -45,10 +46,10 @@ def _exact(axes: int = 2) -> Any:
 
 
 def prescribed(problem: Problem, start: WarmStart | None = None) -> tuple[Planes, HeldPlanes]:
-    """Return the first displacement of a solve, and the mask of its held components, as planes.
+    """Return the initial displacement of a solve and the mask of constrained components, as planes.
 
-    Observed components have the observed displacement, in pixels, and are held. The others have
-    that of `start`, or zero.
+    Observed components have the observed displacement, in pixels, and are constrained. Other
+    components have the displacement of `start`, or zero.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def prescribed(problem: Problem, start: WarmStart | None = None) -> tuple[Planes
         d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
     given = [] if start is None else start.weighted
     terms = [(loops.only_read(values), weight) for values, weight in given]
-    # The loops add exactly two terms; a missing term has the weight 0.
+    # The loops add exactly two terms, so a missing term gets the weight 0.
     nothing = problem.observed, 0.0
     (first, one), (second, two) = [*terms, nothing, nothing][:2]
     for at in slices(problem.shape):
@@ -79,7 +80,7 @@ def prescribed(problem: Problem, start: WarmStart | None = None) -> tuple[Planes
 
 
 class Slice(NamedTuple):
-    """Index of a slice of a volume, in arrays (D, H, W, ...) and in planes."""
+    """Index of a slice of a volume, for arrays (D, H, W, ...) and for planes."""
 
     sites: Any
     planes: Any
@@ -88,7 +89,7 @@ class Slice(NamedTuple):
 def slices(grid: tuple[int, ...]) -> Iterator[Slice]:
     """Yield the index of the whole image, or of each slice of a volume.
 
-    Slices limit the memory of temporary arrays in NumPy. Cancellation is checked before each slice.
+    Slices limit the memory of temporary arrays. Cancellation is checked before each slice.
     """
     if len(grid) == 2:
         yield Slice(..., ...)
@@ -99,16 +100,16 @@ def slices(grid: tuple[int, ...]) -> Iterator[Slice]:
 
 
 def reuse(d: Planes, held: HeldPlanes) -> None:
-    """Keep the arrays of `prescribed` for its next call: allocating takes longer than filling.
+    """Store the arrays of `prescribed` for its next call, because allocation is slow.
 
-    Arrays of volumes are not kept, because memory limits volumes. Call it on the compute thread
-    only.
+    Arrays of volumes are not stored, because memory limits the size of volumes. Must be called on
+    the compute thread.
     """
     _spare[:] = [(d, held)] if d.ndim == 3 else []
 
 
 def noise(shape: tuple[int, ...]) -> Planes:
-    """Return a reproducible random displacement with components of all wavelengths.
+    """Return a reproducible random displacement that contains all wavelengths.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def noise(shape: tuple[int, ...]) -> Planes:
 
 
 def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float) -> bool:
-    """Convert displacement from pixels to lengths, in place, and set void to 0.
+    """Convert a displacement from pixels to lengths, in place, and set void to 0.
 
     Parameters
     ----------
@@ -164,12 +165,12 @@ def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float)
 
 
 def combined(start: WarmStart) -> Planes:
-    """Return the weighted sum of a start as planes, in pixels."""
+    """Return the weighted sum of a warm start as planes, in pixels."""
     return planes(np.sum([weight * each for each, weight in start.weighted], axis=0))
 
 
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
-    """Add scale * correction to a displacement, in place."""
+    """Add ``scale * correction`` to a displacement, in place."""
     exact = _exact(d.ndim - 1)
     for at in slices(tuple(size - 4 for size in d.shape[1:])):
         exact.add(d[at.planes], correction[at.planes], scale)
@@ -185,14 +186,15 @@ def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], flo
     d : ndarray, planes
         Displacement, in pixels.
     tolerance : float
-        Largest rounding error, in pixels.
+        Largest accepted rounding error, in pixels.
 
     Returns
     -------
     ndarray, shape (H, W, 2)
         Displacement, in pixels.
     float
-        Bound on the rounding error of a vector, in pixels, including the rounding in `settle`.
+        Bound on the rounding error of a displacement vector, in pixels, including the rounding in
+        `settle`.
     """
     most = math.sqrt(len(d)) * max(float(d.max()), -float(d.min()))
     single = np.finfo(np.float32)

@@ -15,7 +15,7 @@ from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
 from napari_hmrf.solver.backends.thread import compute_thread
 
-# Squares of values between these bounds neither overflow nor underflow in single precision.
+# The squares of values between these bounds are representable in single precision.
 _SMALL, _GREAT = 1e-6, 1e6
 
 
@@ -25,13 +25,13 @@ class HostModel:
     Attributes
     ----------
     levels : sequence
-        Levels, finest first; the finest has ``hold(held)``, the others ``hold_as(finer)``.
+        Levels, finest first. The finest level has ``hold(held)``, the others ``hold_as(finer)``.
     bodies : Bodies or None
-        Rigid bodies with the present held components; None without rigid tissue.
+        Rigid bodies under the present constraints; None without rigid tissue.
     iterates : bool
         True if cycles can be used with such tissue.
     earlier : EarlierResults
-        Results of earlier solves with the present held components.
+        Results of earlier solves with the present constraints.
     """
 
     levels: Sequence[Any]
@@ -39,12 +39,13 @@ class HostModel:
     earlier: EarlierResults
     bodies: Bodies | None = None
     iterates: bool = True
-    #: Finest level for an iteration in double precision; only volumes have one.
+    #: Finest level for an iteration in double precision; only volumes have such a level.
     double_level: Any = None
-    #: True if direct factors are faster than cycles; a cycle takes a hundredth of their time.
+    #: True if a direct factorization is faster than cycles. By default, a cycle is faster by a
+    #: factor of a hundred.
     slow = False
     _held: HeldPlanes | None
-    #: Residual of a load; 0 at held components.
+    #: Residual of a load; 0 at constrained components.
     _rest: npt.NDArray[np.float32]
 
     @property
@@ -54,7 +55,7 @@ class HostModel:
 
     @property
     def moves(self) -> HeldPlanes:
-        """Mask of the unknown components of the finest level."""
+        """Mask of the free components of the finest level."""
         moves: HeldPlanes = self.levels[0].inverse > 0
         return moves
 
@@ -64,10 +65,10 @@ class HostModel:
         return tuple(self.levels[0].grid)
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components on all levels."""
+        """Set the constrained components on all levels."""
         if self._held is not None and np.array_equal(held, self._held):
             return
-        self._held = None  # set last, because a cancellation may interrupt the update
+        self._held = None  # set only at the end, because a cancellation may interrupt the update
         self.earlier = EarlierResults()
         self._rest.fill(0)
         compute_thread.check_cancelled()
@@ -79,10 +80,10 @@ class HostModel:
         self._held = held.copy() if len(held) == 2 else held  # the mask of a volume never changes
 
     def _begin(self) -> None:
-        """Reset results that depend on the held components; the base class has none."""
+        """Reset results that depend on the constraints; the base class has no such results."""
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
-        """Return the residual of a load for a displacement."""
+        """Return the residual of a load at a displacement."""
         compute_thread.check_cancelled()
         most, norm = self._balance(d, load, unit)
         if most > 0 and not _SMALL < most < _GREAT:
@@ -105,7 +106,7 @@ class HostModel:
         raise NotImplementedError
 
     def clear(self) -> None:
-        """Set all corrections to zero."""
+        """Reset all corrections to zero."""
         for level in self.levels:
             level.clear()
 

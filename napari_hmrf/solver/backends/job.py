@@ -1,4 +1,4 @@
-"""Requirements of a solve, from which its backend and its compiled loops are chosen."""
+"""Requirements of a solve, which determine its backend and its compiled loops."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Schedule(Protocol):
-    """Part of an optimizer that the choice of loops depends on."""
+    """Part of an optimizer that determines the compiled loops."""
 
     @property
     def kernels(self) -> str:
@@ -32,7 +32,7 @@ class SolveJob:
     spacing : tuple of float
         Size of a pixel or voxel along each axis.
     prior : Prior
-        Prior as returned by its `resolved`.
+        Prior, as returned by its method `resolved`.
     optimizer : Schedule
     has_loads : bool
         True if growth of tissue or external forces are given.
@@ -66,17 +66,17 @@ class SolveJob:
 
     @property
     def has_large_motion(self) -> bool:
-        """True if the prior is one of large motion."""
+        """True if the prior describes large motion."""
         return isinstance(self.prior, NeoHookeanPrior)
 
     @property
     def can_slip(self) -> bool:
-        """True if observations may be violated: the penalty is finite."""
+        """True if the penalty is finite, so that observations may be violated."""
         return not isinstance(self.prior, SeilerPrior) and self.prior.penalty != math.inf
 
     @property
     def loops(self) -> str:
-        """Name of the set of loops that contains most of the needed ones: a job of the compiler."""
+        """Name of the set of compiled loops that contains most of the required loops."""
         if self.has_large_motion:
             return "large-motion"
         if isinstance(self.prior, ElasticPrior):

@@ -1,9 +1,9 @@
 """Protocol of a linear model, A d = load, on a hierarchy of levels.
 
-A *vector* is a displacement or a force on the sites of one level, kept on the device. A *scalar* is
-a number on the device: kernels pass it on without the host, which waits for the device in
-`LinearLevel.read` only. A component that is held, or has no neighbours, is fixed: its correction is
-zero.
+A *vector* is a displacement or a force on the sites of one level, stored on the device. A *scalar*
+is a number on the device, which kernels use without the host. Only `LinearLevel.read` makes the
+host wait for the device. A component that is constrained or has no neighbours is *fixed*: its
+correction is zero.
 
 On the host, fields are *planes*: float64 arrays (2, H + 4, W + 4), with the component as the first
 axis and a border of zeros, two sites wide. D is the diagonal of A.
@@ -28,16 +28,16 @@ Steps = tuple[tuple[float, float], ...]
 
 
 class Balance(NamedTuple):
-    """Residual load - A d, computed in double precision; 0 at held components.
+    """Residual load - A d, computed in double precision; 0 at constrained components.
 
     Attributes
     ----------
     rest : ndarray of float32, planes
-        Residual divided by `unit`. The caller may change it; valid until the next call.
+        Residual divided by `unit`. The array is valid until the next call, and may be modified.
     unit : float
         Scale of `rest`, in the model's units.
     most, norm : float
-        Largest absolute value and norm of the residual, in the model's units.
+        Largest absolute value and Euclidean norm of the residual, in the model's units.
     """
 
     rest: npt.NDArray[np.float32]
@@ -49,9 +49,9 @@ class Balance(NamedTuple):
 class LinearLevel(Protocol):
     """One level of the model."""
 
-    #: Right-hand side of the level's system; the caller assigns a vector on the finest level.
+    #: Right-hand side of the level's system; on the finest level, the caller assigns a vector.
     load: Any
-    #: Correction that `descend` and `ascend` change.
+    #: Correction, which `descend` and `ascend` update.
     correction: Any
 
     @property
@@ -60,29 +60,29 @@ class LinearLevel(Protocol):
         ...
 
     def descend(self, steps: Steps, coarse: Any | None, again: bool = False) -> None:
-        """Smooth from a correction of zero, and restrict the residual to the load of `coarse`.
+        """Smooth, starting from zero, and restrict the residual to the load of `coarse`.
 
-        Each step of smoothing is step = scale D^-1 (load - A d) + momentum step, d += step.
+        A smoothing step is ``step = scale D^-1 (load - A d) + momentum step; d += step``.
 
         Parameters
         ----------
         steps : tuple of (float, float)
             Scale and momentum of each step.
         coarse : LinearLevel or None
-            Next coarser level; None for the last level.
+            Next coarser level, or None for the coarsest level.
         again : bool
-            True to start from the present correction.
+            True to start from the present correction instead of zero.
         """
         ...
 
-    #: True if `finish` visits all coarser levels, too.
+    #: True if `finish` also processes all coarser levels.
     finishes_cycle: bool
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Compute a correction for the load from zero.
+        """Compute a correction for the load, starting from zero.
 
-        If `finishes_cycle`, all coarser levels are visited: with `steps`, and `coarsest` on the
-        last level. Otherwise this level is smoothed with `coarsest` steps.
+        If `finishes_cycle`, all coarser levels are visited with `steps`, and the last level is
+        smoothed with the steps `coarsest`. Otherwise this level is smoothed with `coarsest`.
         """
         ...
 
@@ -91,7 +91,7 @@ class LinearLevel(Protocol):
         ...
 
     def vector(self, values: npt.NDArray[np.float32] | None = None) -> Any:
-        """Return a new vector of zeros, or of `values`, which may then be overwritten."""
+        """Return a new vector of zeros, or of `values`, which the call may overwrite."""
         ...
 
     def scratch_vector(self) -> Any:
@@ -115,7 +115,7 @@ class LinearLevel(Protocol):
         ...
 
     def weigh(self, a: Any, b: Any) -> tuple[Any, Any]:
-        """Return the largest absolute value of `a`, and the scalar product of both."""
+        """Return the largest absolute value of `a`, and the scalar product of `a` and `b`."""
         ...
 
     def ratio(self, a: Any, b: Any) -> Any:
@@ -164,7 +164,7 @@ class UnsymmetricLevel(LinearLevel, Protocol):
 
 
 class Hierarchy(Protocol):
-    """Levels of a model, and the bounds of its spectrum."""
+    """Levels of a model, and upper bounds of its spectrum."""
 
     @property
     def levels(self) -> Sequence[Any]:
@@ -197,7 +197,7 @@ class LinearModel(Protocol):
 
     @property
     def slow(self) -> bool:
-        """True if direct factors are faster than cycles on this device."""
+        """True if a direct factorization is faster than cycles on this device."""
         ...
 
     @property
@@ -207,7 +207,7 @@ class LinearModel(Protocol):
 
     @property
     def moves(self) -> HeldPlanes:
-        """Mask of the unknown components of the finest level, given the held ones."""
+        """Mask of the free components of the finest level."""
         ...
 
     @property
@@ -217,7 +217,7 @@ class LinearModel(Protocol):
 
     @property
     def bodies(self) -> Bodies | None:
-        """Rigid bodies with the present held components; None without rigid tissue."""
+        """Rigid bodies under the present constraints; None without rigid tissue."""
         ...
 
     @property
@@ -227,7 +227,7 @@ class LinearModel(Protocol):
 
     @property
     def earlier(self) -> EarlierResults:
-        """Results of earlier solves with the present held components."""
+        """Results of earlier solves with the present constraints."""
         ...
 
     @property
@@ -236,16 +236,16 @@ class LinearModel(Protocol):
         ...
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components of the finest level, and update the coarser levels."""
+        """Set the constrained components of the finest level, and update the coarser levels."""
         ...
 
     def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
-        """Return the fields of rigid bodies' motions for deflation; None if there are none.
+        """Return the fields of the rigid bodies' motions for deflation; None if there are none.
 
         Parameters
         ----------
         steps, coarsest : tuple of (float, float)
-            Smoothing steps with which the fields are computed, the latter on the coarsest level.
+            Smoothing steps for computing the fields; `coarsest` is used on the coarsest level.
         """
         ...
 
@@ -257,15 +257,15 @@ class LinearModel(Protocol):
         d : ndarray, planes
             Displacement, in pixels.
         load : ndarray, planes, or None
-            Load, in the model's units; None for no load.
+            Load, in the model's units, or None if there is no load.
         unit : float
-            Estimate of the largest value of the residual. An error of a few powers of ten does no
-            harm.
+            Estimate of the largest value of the residual; a few orders of magnitude of error are
+            harmless.
         """
         ...
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return the force of the tissue on every component: -A d, in double precision.
+        """Return the force of the tissue on every component, -A d, in double precision.
 
         The result is valid until the next call.
 
@@ -274,7 +274,7 @@ class LinearModel(Protocol):
         d : ndarray, planes
             Displacement, in pixels.
         low : ndarray, planes, optional
-            Part of the displacement that was rounded off in `d`.
+            Rounding error of `d`: the displacement is `d` + `low`.
         """
         ...
 
@@ -284,15 +284,15 @@ class LinearModel(Protocol):
 
     @property
     def steepness(self) -> Planes:
-        """Diagonal of A on the finest level, including held components."""
+        """Diagonal of A on the finest level, including constrained components."""
         ...
 
     def clear(self) -> None:
-        """Set all corrections to zero, because they may not be finite."""
+        """Reset all corrections to zero, because they may contain values that are not finite."""
         ...
 
     def clear_cache(self) -> None:
-        """Remove the model from the cache, after an overflow."""
+        """Remove the model from the cache, because of an overflow."""
         ...
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Fields on the host as planes: float64 arrays with a border of zeros, two sites wide."""
+"""Planes: fields on the host as float64 arrays with a border of zeros, two sites wide."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: Displacement or forces, shape (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4).
+#: Displacement or force, shape (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4).
 Planes = npt.NDArray[np.float64]
 #: Mask with one value for each component of each site, in the shape of `Planes`.
 HeldPlanes = npt.NDArray[np.bool_]
 
 
 def planes(values: npt.NDArray[Any]) -> Planes:
-    """Return planes with a copy of values (H, W, 2) or (D, H, W, 3)."""
+    """Copy values, shape (H, W, 2) or (D, H, W, 3), to new planes."""
     made = np.zeros((values.shape[-1], *(size + 4 for size in values.shape[:-1])))
     inside(made)[...] = np.moveaxis(values, -1, 0)
     return made
 
 
 def inside(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a view of planes without their border."""
+    """Return a view of planes without the border."""
     return values[(slice(None), *[slice(2, -2)] * (values.ndim - 1))]
 
 
 def field(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a view of planes as values (H, W, 2) or (D, H, W, 3)."""
+    """Return a view of planes as a field without the border, shape (H, W, 2) or (D, H, W, 3)."""
     return np.moveaxis(inside(values), 0, -1)

@@ -1,9 +1,9 @@
-"""Compute thread: the one thread on which the kernels of all backends run.
+"""Compute thread: the single thread on which the kernels of all backends run.
 
 An OpenGL context belongs to the thread that made it current. No other thread may use it, least of
-all the GUI thread, which has napari's own context. Numba's thread pool must not be entered from two
-threads at once either. Each process therefore has one compute thread, started by the first job, and
-a queue of jobs. After a fork, the child process starts a compute thread of its own.
+all the GUI thread, which has napari's own context. Numba's thread pool must not be used by two
+threads at once either. Each process therefore has one compute thread with a queue of jobs. The
+first job starts the thread. After a fork, the child process starts its own compute thread.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from napari_hmrf.errors import BackendError, Cancelled
 
 T = TypeVar("T")
 _log = logging.getLogger("napari_hmrf")
-#: Description of the running work and how to stop it; a callable returns the present one.
+#: Description of the running work and how to stop it, or a function that returns the description.
 Doing = str | Callable[[], str]
 _Job = tuple[Callable[[], Any], "Future[Any]", Doing]
 
-#: Description of cancelled work, shown to callers that wait for it.
-STOPPED = "what was cancelled to come to its end, which happens by itself"
-# Longest time until Ctrl-C interrupts a caller that waits for a job, in seconds.
+#: Description of cancelled work, for callers that wait for the compute thread.
+STOPPED = "cancelled work to stop, which needs no action"
+# Interval, in seconds, at which a waiting caller can be interrupted by Ctrl-C.
 _TICK = 0.1
-_SOMETHING = "a computation that a script or another plugin asked for, which only that can stop"
+_SOMETHING = "a computation of a script or another plugin, which only that program can stop"
 
 
 class ComputeThread:
@@ -54,19 +54,19 @@ class ComputeThread:
         self._stops: list[Callable[[], bool]] = []
 
     def submit(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> Future[T]:
-        """Queue a job; its future receives the result or the error.
+        """Queue a job, and return a future for its result or error.
 
         Parameters
         ----------
         job : callable
         doing : str or callable
-            Description for callers that wait: the work, and how to stop it. It completes a
-            sentence that begins with "waiting for".
+            Description of the work and how to stop it, for callers that wait. It completes a
+            sentence that starts with "waiting for".
 
         Raises
         ------
         BackendError
-            In the child of a fork that happened while another thread's job was running.
+            In a child process that was forked while another thread's job was running.
         """
         if self._is_inconsistent:
             raise BackendError(
@@ -87,8 +87,8 @@ class ComputeThread:
     def result_of(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> T:
         """Run a job like `submit`, and wait for its result.
 
-        On the compute thread itself the job runs at once. If the wait is interrupted, as by Ctrl-C,
-        the job stops at its next `check_cancelled`.
+        If the caller is the compute thread, the job runs immediately. If the wait is interrupted,
+        for example by Ctrl-C, the job stops at its next `check_cancelled`.
         """
         if self.is_current():
             return job()
@@ -112,12 +112,12 @@ class ComputeThread:
 
     @contextmanager
     def unless(self, stop: Callable[[], bool]) -> Iterator[None]:
-        """Let the running job stop at its next `check_cancelled` once `stop` returns True.
+        """Stop the running job at its next `check_cancelled` once `stop` returns True.
 
         Parameters
         ----------
         stop : callable
-            Called on this thread, several times a second; returns whether to stop.
+            Called on this thread several times a second; returns whether to stop.
         """
         self._stops.append(stop)
         try:
@@ -128,7 +128,8 @@ class ComputeThread:
     def check_cancelled(self) -> None:
         """Raise `Cancelled` if the running job has been cancelled.
 
-        Long work calls this several times a second. On other threads it does nothing.
+        A long job must call this method several times a second. On other threads, the method does
+        nothing.
 
         Raises
         ------
@@ -138,21 +139,21 @@ class ComputeThread:
             raise Cancelled
 
     def delays(self, future: Future[Any]) -> str:
-        """Describe the work that a queued job waits for, and how to stop it; "" once it runs."""
+        """Describe the work that delays a queued job, and how to stop it; "" once the job runs."""
         if future.running() or future.done():
             return ""
-        doing = self._doing  # read once, as the compute thread may reset it
+        doing = self._doing  # read only once, as the compute thread may reset it
         doing = doing() if callable(doing) else doing
-        # Only compilation is slow enough that a waiting caller needs its progress.
+        # Only compilation is so slow that a waiting caller needs its progress.
         stage = f" ({self.stage})" if self.stage.startswith("compiling") else ""
         return f"waiting for {doing}{stage}" if doing else "starting"
 
     def is_current(self) -> bool:
-        """Return whether the caller is on the compute thread itself."""
+        """Return whether the current thread is the compute thread."""
         return threading.current_thread() is self._thread
 
     def at_end(self, release: Callable[[], None]) -> None:
-        """Register a callback that releases a resource on the compute thread before it ends."""
+        """Register a callback that releases a resource, called on the thread before it ends."""
         self._at_end.append(release)
 
     def stop(self, timeout: float = 2.0) -> bool:
@@ -166,8 +167,8 @@ class ComputeThread:
         Returns
         -------
         bool
-            True if the thread ended in time; otherwise it ends after its job. A job submitted
-            before the end keeps the thread running; a later job starts a new thread.
+            True if the thread ended in time. Otherwise it ends after its running job. A job that is
+            submitted before the end keeps the thread running; a later job starts a new thread.
         """
         with self._lock:
             thread = self._thread
@@ -178,7 +179,7 @@ class ComputeThread:
         return not thread.is_alive()
 
     def after_fork(self) -> None:
-        """Reset to a new thread in the child of a fork; the parent keeps the callbacks."""
+        """Switch to a new thread in the child of a fork; the parent keeps the callbacks."""
         self._forked = True
         self._is_inconsistent |= self._working and not self.is_current()
         self._begin()
@@ -205,12 +206,12 @@ class ComputeThread:
                     self._working = False
                     future.set_result(result)
                     del result
-            # Drop all references to the job, so that its arrays are freed before the next job.
+            # Drop all references to the job, to free its arrays before the next job.
             self._doing = self.stage = ""
             del item, job, future, doing
 
     def _try_to_end(self) -> bool:
-        """Release everything and end the thread, unless more jobs are queued."""
+        """Release all resources and end the thread, unless more jobs are queued."""
         with self._lock:
             if not self._jobs.empty():
                 return False
@@ -224,16 +225,16 @@ class ComputeThread:
 
 
 def in_child_of_fork(forget: Callable[[], object]) -> None:
-    """Register a callback that runs in every child of a fork, where the other threads are gone."""
+    """Register a callback that runs in every child of a fork, where other threads do not exist."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=forget)
 
 
 def _launch_numbas_threads() -> None:
-    """Let numba start its threads from the compute thread of a forked process."""
-    # GNU OpenMP has one thread pool for each calling thread, so a new thread can use it after a
-    # fork. Numba forbids this for all OpenMP libraries and would end the process, unless its flag
-    # is reset.
+    """Start numba's threads from the compute thread of a forked process."""
+    # GNU OpenMP has a separate thread pool for each calling thread, so a new thread can use it
+    # after a fork. Numba forbids this for all OpenMP libraries and ends the process, unless its
+    # flag is reset.
     numba = sys.modules.get("numba.np.ufunc.parallel")
     if getattr(numba, "_is_initialized", False):
         numba._is_initialized = False  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""Registry of caches that outlive the solve of a volume and are cleared when memory is short."""
+"""Registry of caches that volume solves retain, to clear the caches if memory is short."""
 
 from __future__ import annotations
 

@@ -23,9 +23,9 @@ class Monitor:
     Attributes
     ----------
     message : str
-        Current step in words, for a progress bar.
+        Description of the current step, for a progress bar.
     fraction : float
-        Work done, 0 to 1.
+        Completed fraction of the work, 0 to 1.
     """
 
     message: str
@@ -36,7 +36,7 @@ Report = Callable[[Monitor], None]
 
 
 def part_done(first: float, now: float, tolerance: float) -> float:
-    """Return the progress from a first error to a tolerance, on a logarithmic scale, 0 to 1."""
+    """Return the progress from an initial error to a tolerance, on a logarithmic scale, 0 to 1."""
     whole = math.log(max(first / tolerance, 1 + 1e-9))
     return min(max(1 - math.log(max(now / tolerance, 1.0)) / whole, 0.0), 1.0)
 
@@ -59,11 +59,11 @@ class Convergence:
     error : float
         Estimated largest distance of any site from the converged field, in pixels.
     residual : float
-        Norm of the remaining forces, relative to that of all forces of the tissue, in double
-        precision.
+        Norm of the residual forces, relative to the norm of all forces of the tissue, computed in
+        double precision.
     way : {"cycles", "factors"}
-        Method that solved the system: cycles over the levels, or factors where cycles are not
-        reliable.
+        Method that solved the system: multigrid cycles, or a direct factorization if cycles are
+        not reliable.
     """
 
     error: float
@@ -73,28 +73,28 @@ class Convergence:
 
 @dataclass(frozen=True)
 class Reach:
-    """Extent to which large motion meets the observations; no tissue is folded.
+    """Extent to which large motion satisfies the observations; no element is folded.
 
-    Crushed tissue may still creep: `unbalanced` is the remaining distance, at `unbalanced_at`.
+    Crushed tissue may not be in equilibrium yet: `unbalanced` is its distance from equilibrium.
 
     Attributes
     ----------
     least_jacobian : float
         Least Jacobian at any corner of a pixel, above 0; 0.5 means half the area.
     part : float
-        Completed part of the motion of the site that is furthest from its observation: 1 if all
-        observations were met.
+        Completed fraction of the motion of the site that is farthest from its observed position; 1
+        if all observations are satisfied.
     missing : float
-        Distance of that site from its observation, in the unit of the spacing.
+        Distance of that site from its observed position, in the unit of the spacing.
     where : tuple of int, or None
-        Index of that site; None if all observations were met.
+        Index of that site; None if all observations are satisfied.
     sites : int
         Number of sites that are not at their observed positions.
     grown : float
-        Completed part of the growth of tissue: below 1 where tissue would have been crushed.
+        Completed fraction of the growth; below 1 if more growth would have crushed tissue.
     unbalanced : float
-        Estimated largest distance of any site from its balanced position, in the unit of the
-        spacing; 0 if the field converged to the tolerance.
+        Estimated largest distance of any site from equilibrium, in the unit of the spacing; 0 if
+        the field converged to the tolerance.
     unbalanced_at : tuple of int, or None
         Index of that site; None if the field converged to the tolerance.
     """
@@ -117,14 +117,14 @@ class Outcome:
     ----------
     displacement : ndarray, shape (H, W, 2)
     energy : ndarray, shape (iterations,) or (1,)
-        Mean total energy per site of tissue after each iteration, coarse to fine, pixels squared;
-        the initial energy if there was nothing to do.
+        Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
+        squared. If there was no iteration, the initial energy.
     levels : tuple of LevelRun
-        Levels in the order in which they ran; their iterations add up to ``len(energy)``, or to 0.
+        Levels in the order in which they ran. Their iterations add up to ``len(energy)``, or to 0.
     convergence : Convergence or None
         None if the schedule does not measure convergence.
     reach : Reach or None
-        Extent to which observations were met; for large motion only.
+        Extent to which observations are satisfied; for large motion only.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -135,7 +135,7 @@ class Outcome:
 
 
 class Optimizer(Protocol):
-    """A schedule of named kernels on the levels of the hierarchy."""
+    """Schedule of named kernels on the levels of the hierarchy."""
 
     def run(
         self,
@@ -145,7 +145,7 @@ class Optimizer(Protocol):
         report: Report,
         start: WarmStart | None = None,
     ) -> Outcome:
-        """Run the schedule; on the compute thread only.
+        """Run the schedule, on the compute thread only.
 
         Parameters
         ----------
@@ -153,9 +153,9 @@ class Optimizer(Protocol):
         prior : Prior
         backend : Backend
         report : callable
-            Called with a `Monitor`; raises to cancel.
+            Called with a `Monitor`; raises an exception to cancel.
         start : WarmStart, optional
-            Initial displacement; by default a cold start.
+            Initial displacement; by default zero (cold start).
 
         Returns
         -------

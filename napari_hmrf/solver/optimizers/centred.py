@@ -1,13 +1,18 @@
 """Converged field of the paper's centred update, with a bound on its error.
 
-In the converged field each site is at the weighted mean q of its neighbours, moved by at most
-p / 2 A towards its observed position (A is the curvature of its energy, p = K c), or exactly at
-this position. The field minimises no energy, and the equations are not symmetric. But the weights
-are positive and sum to one, which gives a maximum principle:
+Let q be the weighted mean of the neighbours of a site, y its observed value, A the curvature of its
+local energy, and p = K c. In the converged field, each component satisfies
 
-    a field w >= 0 with w - q(w) >= 1 bounds every error: |d - exact| <= max w * max |d - q(d)|.
+    d = max(q - l, min(y, q + l))   with   l = p / 2 A.
 
-Such a *barrier* is computed by the same iteration, to a coarse tolerance. It proves the bound.
+This field does not minimise an energy, and the equations are not symmetric. But the weights are
+positive and add up to one, so a maximum principle holds: if a field w >= 0 satisfies
+w - q(w) >= 1, then
+
+    |d - exact| <= max w * max |d - q(d)|
+
+at every site. Such a *barrier* w is computed by the same iteration, to a coarse tolerance. It
+proves the bound.
 """
 
 from __future__ import annotations
@@ -38,24 +43,24 @@ from napari_hmrf.solver.optimizers.slip_states import PATIENCE, States
 from napari_hmrf.solver.priors import SeilerPrior
 from napari_hmrf.solver.problem import Problem
 
-# Largest accepted distance of w - q(w) from 1 for a barrier w.
+# Largest accepted deviation of w - q(w) from 1 for a barrier w.
 _BARRIER = 0.5
-# The same distance at which the iteration for a barrier stops.
+# Deviation of w - q(w) from 1 at which the iteration for a barrier ends.
 _BARRIER_AIM = 0.4
-# Contradiction of a state up to which it is ignored, as a fraction of the tolerance.
+# Contradiction of a state that is ignored, as a fraction of the tolerance.
 _CONTRADICTION = 0.1
-# Number of cycles after which factors are faster.
+# Number of cycles after which a factorization is faster.
 _CYCLES = 60
 # Number of exchanges of states after which the solve fails.
 _MOST_EXCHANGES = 2000
 _TINY = 1e-300
-# Largest residual of a field that counts as exact.
+# Largest residual of an exact solution.
 _EXACT = 1e-12
-# Relative difference above which one value certainly exceeds another.
+# Relative difference above which one value exceeds another by more than rounding errors.
 _SURE = 1e-11
-# Largest residual of a solution by factors, relative to the largest displacement.
+# Largest residual of a solution by factorization, relative to the largest displacement.
 _ROUNDING = 1e-14
-# Fraction of its limit below which a held observation is certain to be held.
+# Fraction of its limit below which the state of a held observation is not in doubt.
 _FIRM = 0.5
 
 
@@ -68,7 +73,7 @@ def converge(
     report: Report,
     start: WarmStart | None,
 ) -> Outcome:
-    """Solve the centred reading of the paper's prior; lengths are in pixels from here on.
+    """Solve the centred reading of the paper's prior; from here on, lengths are in pixels.
 
     Parameters
     ----------
@@ -85,7 +90,7 @@ def converge(
     Raises
     ------
     ConvergenceError
-        If the tolerance is not certainly reached, or the states stay undetermined.
+        If the error bound exceeds the tolerance, or no consistent states are found.
     """
     model = backend.seiler_model(prior.material(problem))
     refinement = _Refinement(tolerance, max_iterations, model, report)
@@ -102,7 +107,7 @@ def converge(
                 states.be_exact()
         else:
             raise ConvergenceError(
-                f"the slipping observations are undetermined after {_MOST_EXCHANGES} exchanges. "
+                f"no consistent slipping observations were found in {_MOST_EXCHANGES} exchanges. "
                 "Raise the penalty, or hold more of the tissue"
             )
         off = max(reach * refinement.most, max(reach, 1.0) * states.off(d, pull))
@@ -135,7 +140,7 @@ def _start_field(
     """Return the initial displacement and the states of the observations."""
     d, observed = host.prescribed(problem)
     steep = model.steepness
-    # A site that is in the middle of no clique stays in place, as no force acts on it.
+    # No force acts on a site that is the middle of no clique, so the site does not move.
     states = _CentredStates(observed & (steep > 0), d, host.planes(prior.limit(problem)), steep)
     if start is not None:
         np.copyto(d, host.combined(start), where=~observed & (steep > 0))
@@ -143,17 +148,18 @@ def _start_field(
 
 
 class _CentredStates(States):
-    """States of the observed components, held or slipping: eq. 19 for the centred update."""
+    """States of the observed components, held or slipping, for the centred update (eq. 19)."""
 
-    # A component is held if q is within l = p / 2 A of its observed value y, so that everywhere
+    # A component is held if q is within l = p / 2 A of its observed value y, that is, everywhere
     #
     #     d = max(q - l, min(y, q + l)).
     #
     # The held components are found by exchanging all components that contradict their state. If
-    # this makes no progress, two policies are improved in turn: the set of components at which the
-    # maximum selects q - l and, for each such set, the set of others at which the minimum selects
-    # q + l. In a system whose weights are positive and sum to one, both improvements are monotone,
-    # so that they end (Hoffman and Karp, Management Science 12, 1966).
+    # this makes no progress, two selections are improved alternately (policy iteration): the set
+    # of components at which the maximum is q - l and, for each such set, the set of other
+    # components at which the minimum is q + l. The weights of the system are positive and add up to
+    # one, so both improvements are monotone, and the iteration ends (Hoffman and Karp, Management
+    # Science 12, 1966).
 
     def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
         limit = np.divide(force, steep, out=np.zeros_like(force), where=candidates)
@@ -161,12 +167,12 @@ class _CentredStates(States):
         self._force = force.ravel()[self.at]
 
     def cost(self, d: Planes) -> float:
-        """Return the energy of the observations: sum of p |y - d|."""
+        """Return the energy of the observations, ``sum(p |y - d|)``."""
         return float((self._force * np.abs(d.ravel()[self.at] - self.y)).sum())
 
     def off(self, d: Planes, pull: Planes) -> float:
-        """Return the largest step that the update would still take at an observed component."""
-        # The update goes to y + soft(q - y, p / 2A); `pull` is q - d.
+        """Return the largest change of an observed component in one more update."""
+        # The update is y + soft(q - y, p / 2 A), and `pull` is q - d.
         if not len(self.at):
             return 0.0
         away = d.ravel()[self.at] - self.y
@@ -175,8 +181,8 @@ class _CentredStates(States):
         return float(np.abs(away - target).max())
 
     def exchange(self, d: Planes, pull: Planes, tolerance: float) -> bool:
-        """Let held components slip above their limit, and hold slipping ones that have passed y."""
-        # `pull` is q - d. Returns whether any state has changed.
+        """Exchange components that contradict their state; return whether any state has changed."""
+        # `pull` is q - d.
         off = d.ravel()[self.at] - self.y
         q = off + pull.ravel()[self.at]
         if self.exact:
@@ -197,7 +203,7 @@ class _CentredStates(States):
 
     @property
     def exact(self) -> bool:
-        """True if solutions must be exact: exchanges do not end, or may have ended by chance."""
+        """True if systems must be solved exactly, because the exchanges did not end reliably."""
         return self._patience == 0
 
     def be_exact(self) -> None:
@@ -205,14 +211,14 @@ class _CentredStates(States):
         self._patience = 0
 
     def is_firm(self, d: Planes, pull: Planes) -> bool:
-        """Return whether all components are held with much less than their limits."""
-        # If stiff tissue slips that could also be held, a small residual proves nothing: with other
-        # states the field may be quite different.
+        """Return whether all components are held by forces far below their limits."""
+        # If slipping stiff tissue could also be held, a small residual does not prove the states:
+        # the field of other states may be quite different.
         q = d.ravel()[self.at] - self.y + pull.ravel()[self.at]
         return not self.any_slip and bool((np.abs(q) < _FIRM * self.limit).all())
 
     def _improve(self, q: npt.NDArray[Any]) -> bool:
-        """Improve the policy of the minimum or, if it is the best, that of the maximum."""
+        """Improve the selection of the minimum; if it is optimal, improve that of the maximum."""
         high = self._slips < 0
         least = _SURE * (1 + np.abs(q))
         low = ~high & np.where(self._slips > 0, q + self.limit < 0, q + self.limit < -least)
@@ -227,14 +233,14 @@ class _CentredStates(States):
 
 
 class _Refinement:
-    """Iteration in single precision, restarted from residuals in double, with an error bound."""
+    """Iterative refinement by cycles, with an error bound from a maximum principle."""
 
     def __init__(
         self, tolerance: float, max_iterations: int, model: LinearModel, report: Report
     ) -> None:
         self._tolerance, self._max_iterations, self._report = tolerance, max_iterations, report
         self._model = model
-        #: Tolerance of a single component, as the bounds are for components and not for sites.
+        #: Tolerance of a single component, because the bounds are for components, not for sites.
         self.within = tolerance / math.sqrt(len(model.shape))
         self._iteration = StabilisedGradients(Cycle(model, AVERAGING))
         self._barrier: Planes | None = None
@@ -244,14 +250,14 @@ class _Refinement:
         self._first: float | None = None
 
     def run(self, d: Planes, load: Planes | None, in_double: bool) -> float:
-        """Solve d = q(d) + load in place, to the tolerance or exactly."""
-        # Returns the largest error of a site per unit of the largest residual.
+        """Solve d = q(d) + load in place, to the tolerance or, if `in_double`, exactly."""
+        # Returns the bound on the error of a site, per unit of the largest residual.
         self._begun = self.cycles
         reach = self._reach(d.shape)
 
         def enough(step: Step, scale: float) -> bool:
             self._report_cycle(
-                f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest
+                f"error {scale * reach * step.rest:.2g} px", scale * reach * step.rest
             )
             return scale * step.rest <= target
 
@@ -262,7 +268,7 @@ class _Refinement:
         return reach
 
     def _reach(self, shape: tuple[int, ...]) -> float:
-        """Return the largest error of a site per unit of the largest residual."""
+        """Return the bound on the error of a site, per unit of the largest residual."""
         if self._barrier is None:
             self._barrier = np.zeros(shape)
 
@@ -278,8 +284,8 @@ class _Refinement:
     def _solve(
         self, d: Planes, load: Planes | None, most: float, enough: Any, target: float
     ) -> tuple[float, float]:
-        """Reduce all residuals of `d` to `most`, or to `target` if rounding allows, in place."""
-        # Returns the largest residual, and the norm of the residual.
+        """Reduce all residuals to `most`, in place, or to `target` if rounding errors allow it."""
+        # Returns the largest absolute value and the norm of the residual.
         balance = self._model.balance(d, load)
         least, last = math.inf, self.cycles + _CYCLES
         while balance.most > target:
@@ -297,8 +303,8 @@ class _Refinement:
                     continue
             else:
                 if not cycles and not balance.most < 0.9 * least:
-                    # If too many components slip, tissue moves far, and its residual cannot fall
-                    # below rounding. The next states then hold more components.
+                    # If too many components slip, tissue moves far, and rounding limits its
+                    # residual. More components are held in the next states.
                     if balance.most <= max(most, _ROUNDING * float(np.abs(d).max())):
                         break
                     self.fail()
@@ -308,7 +314,7 @@ class _Refinement:
         return balance.most, balance.norm
 
     def _report_cycle(self, message: str, estimate: float) -> None:
-        """Count and report a cycle; fail after too many."""
+        """Count and report a cycle; raise an error if there were too many."""
         self.cycles += 1
         done = 0.0
         if math.isfinite(estimate):
@@ -319,9 +325,9 @@ class _Refinement:
             self.fail()
 
     def fail(self) -> None:
-        """Raise the error of a field that is not certain to be within the tolerance."""
+        """Raise an error, because the error bound of the field exceeds the tolerance."""
         raise ConvergenceError(
-            f"the field is not certain to be within {self._tolerance:g} px of converged after "
+            f"the error bound of the field is still above {self._tolerance:g} px after "
             f"{self.cycles} cycles. Raise max_iterations, or reduce the ratio of the stiffest to "
             "the softest tissue"
         )

@@ -19,16 +19,16 @@ class Smoothing(NamedTuple):
     sweeps : int
         Number of Chebyshev steps.
     coarsest_part, coarsest_sweeps : float, int
-        The same on the coarsest level.
+        Values of `part` and `sweeps` on the coarsest level.
     visits : int
-        Number of visits of the second level, with all levels below it, in each cycle, where this
-        saves time. More than one makes up for the slower convergence of V-cycles with many levels,
-        for a fifth more work.
+        Number of visits of the second level and all coarser levels in each cycle, on devices where
+        a second visit is worth its cost. A second visit compensates for the slower convergence of
+        V-cycles with many levels, and adds a fifth to the work.
     patience : int
-        Number of cycles after which factors are faster.
+        Number of cycles after which a factorization is faster.
     careful : Smoothing or None
-        Smoothing to change to if this one turns out to amplify a motion. None changes only the
-        bound of the eigenvalues, to the one for any mixture of materials.
+        Smoothing to use once this smoothing amplifies a motion. If None, only the upper bound of
+        the eigenvalues is raised, to the bound for any mixture of materials.
     """
 
     part: float
@@ -40,26 +40,26 @@ class Smoothing(NamedTuple):
     careful: Smoothing | None = None
 
 
-#: For elastic tissue.
+#: Smoothing for elastic tissue.
 STRETCHING = Smoothing(0.1, 2, 0.02, 20, visits=2)
-#: For elastic tissue that resists changes of volume much more than changes of shape, whose motions
-#: coarse levels represent less well.
+#: Smoothing for elastic tissue that resists changes of volume much more than changes of shape.
+#: Coarse levels represent its motions less well.
 NEARLY_INCOMPRESSIBLE = Smoothing(0.06, 14, 0.005, 60, visits=2, patience=38)
-# Largest ratio of lambda to mu for which `STRETCHING` is enough.
+# Largest ratio of lambda to mu for which `STRETCHING` is sufficient.
 _MOST_RATIO = 50.0
-#: For volumes whose motions coarse levels turn out to represent less well: near free surfaces, with
+#: Smoothing for volumes with motions that coarse levels represent less well: near free surfaces, at
 #: a high contrast, or with oblong voxels.
 CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2)
 #: `STRETCHING` for volumes.
 STRETCHING_VOLUME = Smoothing(0.1, 3, 0.02, 20, visits=2, careful=CAREFUL_VOLUME)
 #: `NEARLY_INCOMPRESSIBLE` for volumes.
 NEARLY_INCOMPRESSIBLE_VOLUME = Smoothing(0.02, 10, 0.01, 30, visits=2, careful=CAREFUL_VOLUME)
-# Largest ratio of lambda to mu for which `STRETCHING_VOLUME` is enough.
+# Largest ratio of lambda to mu for which `STRETCHING_VOLUME` is sufficient.
 _MOST_RATIO_VOLUME = 20.0
-#: For the centred reading, which takes means of neighbours and is not symmetric.
+#: Smoothing for the centred reading, which averages neighbours and is not symmetric.
 AVERAGING = Smoothing(0.3, 2, 0.02, 20)
-#: For the blanket reading, which resists bending: its spectrum is wider, and bilinear transfer
-#: between levels is less accurate.
+#: Smoothing for the blanket reading, which resists bending: its spectrum is wider, and bilinear
+#: transfer between levels is less accurate.
 BENDING = Smoothing(0.1, 4, 0.005, 40)
 
 
@@ -72,7 +72,7 @@ def smoothing_of(material: ElasticMaterial) -> Smoothing:
 
 
 class Cycle:
-    """V-cycle from the finest level down and back.
+    """V-cycle from the finest level to the coarsest and back.
 
     Parameters
     ----------
@@ -85,13 +85,13 @@ class Cycle:
         rest = (number for number, level in enumerate(self.levels) if level.finishes_cycle)
         self._visited = self.levels[: next(rest, len(self.levels)) + 1]
         self._smoothing = smoothing
-        #: Number of changes to `Smoothing.careful`.
+        #: Number of switches to `Smoothing.careful`.
         self.care = 0
         usual, self._worst = model.bounds
         self._smooth_up_to(usual)
 
     def use_safe_bound(self) -> bool:
-        """Smooth for any mixture of materials from now on; return False if that is done already.
+        """Raise the smoother's eigenvalue bound to the safe bound; return False if already done.
 
         A smoother amplifies motions with eigenvalues above its bound. The preconditioner is then
         not positive definite, which conjugate gradients detect.
@@ -104,7 +104,7 @@ class Cycle:
         return True
 
     def smooth_more(self) -> bool:
-        """Change to `Smoothing.careful`; return False if there is no such change left."""
+        """Switch to `Smoothing.careful`; return False if there is no such smoothing left."""
         return self._smoothing.careful is not None and self.use_safe_bound()
 
     def _smooth_up_to(self, bound: float) -> None:
@@ -115,7 +115,7 @@ class Cycle:
 
     @property
     def steps(self) -> tuple[Steps, Steps]:
-        """Smoothing steps on all levels but the coarsest, and on the coarsest."""
+        """Smoothing steps on all levels except the coarsest, and on the coarsest."""
         return self._steps, self._coarsest
 
     def run(self, load: Any) -> Any:
@@ -125,7 +125,7 @@ class Cycle:
         return self.levels[0].correction
 
     def _visit(self, number: int) -> None:
-        """Compute the correction of a level for its load."""
+        """Compute the correction of a level for its load, with all coarser levels."""
         level, *rest = self._visited[number:]
         if not rest:
             level.finish(self._steps, self._coarsest)

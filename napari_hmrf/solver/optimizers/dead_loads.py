@@ -8,52 +8,52 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.linear import Planes
 from napari_hmrf.solver.optimizers.loading import work_of
 
-# Largest force of an observation in the linear model, as a fraction of its limit.
+# Largest force of an observation in the tangent system, as a fraction of its limit.
 _LARGEST_SHARE = 1 - 1e-9
 
 
 class DeadLoads:
-    """Dead loads: forces that stay constant while tissue moves.
+    """Dead loads: forces that do not depend on the displacement.
 
     Parameters
     ----------
     load : ndarray, planes, or None
-        Force on each component.
+        Force on each component, or None if there is no load.
     """
 
     def __init__(self, load: Planes | None) -> None:
         self._load = load
 
     def energy(self, d: Planes) -> float:
-        """Return the contribution of the forces to the energy of a displacement."""
+        """Return the potential energy of the loads at a displacement."""
         return -work_of(self._load, d)
 
     def forces(self, d: Planes) -> Planes:
-        """Return the derivative of this energy by each component."""
+        """Return the gradient of this energy with respect to the displacement."""
         return np.zeros_like(d) if self._load is None else -self._load
 
     def springs(self, d: Planes) -> Planes | None:
-        """Return the second derivative of this energy by each component; None if it is 0."""
+        """Return the diagonal of the Hessian of this energy; None if it is 0."""
         return None
 
     def follow(self, before: Planes, after: Planes) -> None:
-        """Update the forces after a step of the field; dead loads stay the same."""
+        """Update the forces after a step; dead loads do not change."""
 
 
 class SoftObservations(DeadLoads):
-    """Observations that pull with a force of at most p, with a rounded kink of the energy at y.
+    """Observations with a force of at most p, and an energy that is smooth near y.
 
-    Their energy is p (sqrt(r^2 + width^2) - width) with r = d - y; for a width of 0 it is p |r|.
-    Its derivative changes abruptly near y. Newton's method therefore solves for the force p w
-    together with d, from w sqrt(r^2 + width^2) = r (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20,
-    1999).
+    Their energy is ``p (sqrt(r^2 + width^2) - width)`` with ``r = d - y``; for a width of 0 it is
+    ``p |r|``, which has a kink at y. For a small width, the derivative changes abruptly near y.
+    Newton's method therefore solves for the force ``p w`` together with d, where
+    ``w sqrt(r^2 + width^2) = r`` (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20, 1999).
 
     Parameters
     ----------
     y : ndarray, planes
         Observed displacement, in pixels.
     limit : ndarray, planes
-        Largest force of each component, p; 0 where nothing is observed.
+        Largest force p of each component; 0 if the component is not observed.
     load : ndarray, planes, or None
         Dead load on each component.
     """
@@ -66,35 +66,35 @@ class SoftObservations(DeadLoads):
         self._share: npt.NDArray[np.float64] = np.zeros(len(self._at))
 
     def sharpen(self, d: Planes, width: float) -> None:
-        """Set the width of the rounded kink, in pixels, for a field `d`."""
+        """Set the width of the rounded kink, in pixels, and the forces at the displacement `d`."""
         self._width = width
         off, length = self._lengths(d)
         self._share = off / length
 
     def energy(self, d: Planes) -> float:
-        """Return the contribution of loads and observations to the energy of a displacement."""
+        """Return the energy of the loads and the observations at a displacement."""
         _, length = self._lengths(d)
         return super().energy(d) + float((self._limit * (length - self._width)).sum())
 
     def forces(self, d: Planes) -> Planes:
-        """Return the derivative of this energy by each component."""
+        """Return the gradient of this energy with respect to the displacement."""
         off, length = self._lengths(d)
         return super().forces(d) + self._planes(self._limit * off / length)
 
     def springs(self, d: Planes) -> Planes:
-        """Return the diagonal of the second derivative of this energy, with w as an unknown."""
+        """Return the diagonal of the tangent matrix after elimination of the unknowns w."""
         off, length = self._lengths(d)
         return self._planes(self._limit * (1 - self._share * off / length) / length)
 
     def follow(self, before: Planes, after: Planes) -> None:
-        """Update the forces p w after a step of the field, by the linear model of the step."""
+        """Update the forces p w after a step, by their linearisation."""
         off, length = self._lengths(before)
         step = after.ravel()[self._at] - before.ravel()[self._at]
         share = (off + step * (1 - self._share * off / length)) / length
         self._share = np.clip(share, -_LARGEST_SHARE, _LARGEST_SHARE)
 
     def _lengths(self, d: Planes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Return the distance r of each component from y, and sqrt(r^2 + width^2)."""
+        """Return ``r = d - y`` and ``sqrt(r^2 + width^2)`` at the observed components."""
         off = d.ravel()[self._at] - self._y
         return off, np.hypot(off, self._width)
 

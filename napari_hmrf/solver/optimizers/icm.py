@@ -1,4 +1,4 @@
-"""The paper's algorithm: iterated conditional modes on every level of the quadtree."""
+"""Algorithm of the paper: iterated conditional modes on every level of the quadtree."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from napari_hmrf.solver.quadtree import Level, levels, sampled
 
 #: Number of sweeps between two checks of the mean energy, and between two progress reports.
 BLOCK = 10
-# Number of sites below which all sweeps of a level run in one call.
+# Number of sites of a level below which all its sweeps run in one call.
 _SMALL = 10_000
 # Largest number of sweeps in one call.
 _MOST = 1000
@@ -28,21 +28,21 @@ _MOST = 1000
 
 @dataclass(frozen=True)
 class ICM:
-    """Schedule of the paper: top-down through the quadtree, all sites at once (Alg. 3.7).
+    """Schedule of the paper: top-down through the quadtree, all sites simultaneously (Alg. 3.7).
 
-    The tree of a volume is an octree; the algorithm is the same.
+    For a volume the tree is an octree; the algorithm is the same.
 
     Parameters
     ----------
     iterations : int
-        Number of sweeps on each level; with an `energy_change`, the largest number.
+        Number of sweeps on each level; the largest number if `energy_change` is given.
     steps : tuple of float or None
-        Step sizes of the candidate set Gamma, in pixels: a site may stay, or move by -e, 0 or e
-        in each component, for one of the steps e. ``None``: the exact minimiser of the site's
-        energy, in closed form.
+        Step sizes of the candidate set Gamma, in pixels. For each step e, each component of a site
+        may change by -e, 0 or e. If None, a site moves to the exact minimiser of its local energy,
+        in closed form.
     energy_change : float, optional
-        Fraction of the mean energy. A level ends when its mean energy has changed by no more than
-        this over the last ten sweeps; by default all sweeps run.
+        Relative change of the mean energy over ten sweeps, up to which a level has converged. By
+        default, all sweeps run.
     """
 
     iterations: int = 70
@@ -75,11 +75,11 @@ class ICM:
 
     @property
     def kernels(self) -> str:
-        """Kernels of the sweeps, as a key."""
+        """Name of the kernels of the sweeps."""
         return "exact sweeps" if self.steps is None else "sweeps"
 
     def rehearsal(self) -> ICM:
-        """Return one sweep on each level, with the same kernels."""
+        """Return a schedule with the same kernels and one sweep on each level."""
         return replace(self, iterations=1, energy_change=None)
 
     def run(
@@ -90,7 +90,7 @@ class ICM:
         report: Report,
         start: WarmStart | None = None,
     ) -> Outcome:
-        """Run the schedule on a backend; lengths are in pixels from here on."""
+        """Run the schedule on a backend; from here on, lengths are in pixels."""
         if start is not None:
             raise ArgumentError(
                 "ICM starts from zero on its coarsest level. Leave initial out, or use Multigrid"
@@ -139,11 +139,11 @@ class ICM:
         progress: _Progress,
         level: Level,
     ) -> tuple[Any, list[float]]:
-        """Sweep one level; return the displacement, and the mean energy after each sweep."""
+        """Run the sweeps of a level; return the displacement and the mean energy per sweep."""
         stiffness, observation = images.stiffness, images.observation
         before: list[float] = []
         while len(before) < self.iterations and not self._has_converged(before):
-            # A small level ends too soon for progress reports.
+            # Sweeps of a small level end too soon for progress reports.
             block = (
                 self.iterations if level.sites < _SMALL and self.energy_change is None else BLOCK
             )
@@ -163,7 +163,7 @@ class ICM:
 
 @dataclass(frozen=True, eq=False)
 class _Images:
-    """Images of stiffness and observation, m and (y, p), on one level."""
+    """Stiffness (m, 1/m) and observation (y, p) on one level."""
 
     stiffness: Any
     observation: Any
@@ -177,7 +177,7 @@ class _Images:
 
 
 class _Progress:
-    """Progress reports of a schedule, with the completed fraction of all updates of sites."""
+    """Progress reports of a schedule, with the fraction of all site updates that is done."""
 
     def __init__(self, report: Report, tree: tuple[Level, ...], iterations: int) -> None:
         self._report = report
@@ -200,14 +200,14 @@ class _Progress:
 
 
 def _stiffness(problem: Problem) -> FloatArray:
-    """Return (m, 1/m), scaled to a largest m of 1; 0 in void; (H, W, 2) or (D, H, W, 2)."""
+    """Return (m, 1/m) with a largest m of 1, and 0 in void; shape (H, W, 2) or (D, H, W, 2)."""
     m = problem.stiffness / problem.stiffness.max()
     inverse = np.divide(1.0, m, out=np.zeros_like(m), where=problem.tissue)
     return np.stack([m, inverse], axis=-1)
 
 
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
-    """Return (y, p = K c) in pixels; 0 in void; shape (H, W, 4) or (D, H, W, 6)."""
+    """Return (y, p = K c) in pixels, and 0 in void; shape (H, W, 4) or (D, H, W, 6)."""
     axes = len(problem.shape)
     observation = np.empty((*problem.shape, 2 * axes), dtype=np.float32)
     np.divide(problem.observed, np.float32(problem.unit), out=observation[..., :axes])

@@ -1,14 +1,15 @@
-"""Interior-point method for observations that may slip: slower than exchanging states, but robust.
+"""Interior-point method for observations that may slip: slow, but robust.
 
-The energy 1/2 d^T A d + sum of p |y - d| is convex. With y - d = a - b, a and b >= 0, and forces f
-of observations between -p and p, the minimum satisfies
+The energy ``1/2 d^T A d + sum(p |y - d|)`` is convex. Let ``y - d = a - b`` with a >= 0 and b >= 0,
+and let f be the forces of the observations, between -p and p. The minimum satisfies
 
-    A d = f,   a (p - f) = 0,   b (p + f) = 0,
+    A d = f,   a (p - f) = 0,   b (p + f) = 0.
 
-and f is feasible in the dual problem: the sum of a (p - f) + b (p + f) bounds the distance of the
-energy from its minimum (the duality gap). Mehrotra's predictor and corrector follow a path on which
-these products are equal (Wright, Primal-Dual Interior-Point Methods, 1997). Each step needs the
-factors of A + W, where W >= 0 are springs on all observed components, so that no motion is free.
+Because f is feasible for the dual problem, the duality gap ``sum(a (p - f) + b (p + f))`` is an
+upper bound of the difference between the energy and its minimum. Mehrotra's predictor-corrector
+method follows the central path, on which all these products are equal (Wright, Primal-Dual
+Interior-Point Methods, 1997). Each step factorises A + W, where the springs W >= 0 on all observed
+components prevent free motions.
 """
 
 from __future__ import annotations
@@ -28,42 +29,42 @@ Vector = npt.NDArray[np.float64]
 
 # Largest number of steps.
 _MOST_STEPS = 100
-# Fraction of the distance to the boundary of the feasible set that a step may take.
+# Fraction of the distance to the boundary of the feasible set that limits a step.
 _FRACTION = 0.9995
 # Largest product at the end, relative to the limit times the scale of displacements.
 _GAP = 1e-19
-# Least product that a step aims at.
+# Smallest target value for the products of a step.
 _LEAST_GAP = 1e-22
-# Largest product that is accepted if rounding ends the iteration.
+# Largest product that is accepted if rounding errors end the iteration.
 _ACCEPTED_GAP = 1e-8
 # Largest motion in the last step, relative to the scale of displacements.
 _LAST_MOTION = 1e-10
-# Number of steps with a closed gap after which any remaining motion is rounding.
+# Number of steps with products below `_GAP` after which any remaining motion is rounding error.
 _CLOSED_STEPS = 8
 # Least scale of displacements, in pixels.
 _LEAST_SCALE = 1e-3
-# Fraction of a step below which a step that makes the products equal replaces it.
+# Length of a step, as a fraction, below which a centring step is used instead.
 _SHORT = 0.1
-# Fraction of their mean at which this step aims.
+# Target of a centring step for all products, as a fraction of their mean.
 _CENTRING = 0.5
-# Springs that hold tissue in place, as a fraction of the diagonal. The weakest that rounding allows
-# are used; they change the steps, but not the result.
+# Stiffness of springs on all components, as a fraction of the diagonal. The weakest springs with
+# which the factorization succeeds are used. They affect the steps, but not the result.
 _PROXIMAL = tuple(10.0**power for power in range(-16, -10))
-# Largest number of corrections of a step.
+# Largest number of refinements of a step.
 _CORRECTIONS = 10
-# Size of a correction, relative to the step, up to which it is the last.
+# Size of a refinement, relative to the step, below which the refinement of a step ends.
 _LAST_CORRECTION = 1e-9
-# Signs of the two sides of an observed position.
+# Signs for a and b, the two sides of an observed position.
 _SIDE = np.array([[1.0], [-1.0]])
 
 
 def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> None:
-    """Move `d` in place to the least energy, and find the corresponding states.
+    """Minimise the energy over `d`, in place, and set the states accordingly.
 
     Raises
     ------
     ConvergenceError
-        If the gap cannot be closed.
+        If the duality gap cannot be closed.
     """
     steep = model.steepness
     states.place_fixed(d)
@@ -74,8 +75,8 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         scale = max(scale, float(np.abs(d).max()))
     d.ravel()[at] = y
     low, force = np.zeros_like(d), np.zeros(len(at))
-    # Distance beyond the observed position on either side, a and b, and distance of the force from
-    # either limit.
+    # `past`: distance from the observed position on each side, a and b. `slack`: distance of the
+    # force from each limit.
     past, slack = np.full((2, len(at)), scale), np.stack([p, p])
     far = gap = np.inf
     closed = 0
@@ -121,7 +122,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
             elif part > _SHORT:
                 break
             else:
-                # If the products differ widely, steps with second-order corrections may cycle.
+                # Second-order corrections may cycle if the products differ widely.
                 mean = max(_CENTRING * float(products.mean()), _LEAST_GAP)
                 aim = p * scale * mean
         if not np.isfinite(way).all():
@@ -132,7 +133,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         far = float(np.abs(part * way).max())
     if not gap <= _ACCEPTED_GAP:
         raise ConvergenceError(
-            "the slipping observations are undetermined: the duality gap is still "
+            "no consistent slipping observations were found: the duality gap is still "
             f"{gap:.1g}. Raise the penalty, or hold more of the tissue"
         )
     slips = past / scale > slack / p
@@ -142,7 +143,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
 def _factors(
     model: LinearModel, moves: HeldPlanes, at: npt.NDArray[np.intp], weight: Vector
 ) -> Factors | None:
-    """Return the factors of the model with springs on observations; None if it is singular."""
+    """Factorise the model with springs on observations; return None if it is singular."""
     for proximal in _PROXIMAL:
         springs = proximal * model.steepness
         springs.ravel()[at] += weight
@@ -154,6 +155,6 @@ def _factors(
 
 
 def _room(values: Vector, steps: Vector) -> float:
-    """Return the factor of a step at which the first value vanishes."""
+    """Return the largest multiple of a step that keeps all values nonnegative."""
     ends = np.divide(-values, steps, out=np.full_like(values, np.inf), where=steps < 0)
     return float(ends.min(initial=np.inf))

@@ -1,4 +1,4 @@
-"""Krylov iterations, preconditioned by a V-cycle, with estimates of the spectrum."""
+"""Krylov iterations preconditioned by a V-cycle, with estimates of spectrum and error."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ from napari_hmrf.solver.backends.rigid.deflation import Deflation
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
-# Reduction of the residual in single precision, after which it is computed again in double.
+# Reduction of the residual after which a run in single precision ends, so that the caller can
+# compute the residual in double precision.
 _INNER = 1e-5
-# Reduction of the residual in an iteration in double precision.
+# Reduction of the residual after which a run in double precision ends.
 _INNER_DOUBLE = 1e-12
-# Residual, relative to the first, that counts as rounding in single precision.
+# Residual, relative to the initial residual, that is rounding error in single precision.
 _ROUNDING = 1e-7
-# Eigenvalue that counts as rounding in single precision.
+# Eigenvalue that is rounding error in single precision.
 _LEAST = 1e-6
-# Eigenvalue that counts as rounding in double precision.
+# Eigenvalue that is rounding error in double precision.
 _LEAST_DOUBLE = 1e-12
 # Residual, relative to the solution, at the limit of single precision.
 _ATTAINED = 3e-7
-# Fastest reduction of errors in one step that an estimate assumes.
+# Smallest ratio of the errors after and before a step that an estimate assumes.
 _FASTEST = 0.2
-# Largest least eigenvalue that an estimate assumes before `_RELIABLE_STEPS`.
+# Upper limit of the least eigenvalue that an estimate assumes before `_RELIABLE_STEPS`.
 _USUAL_LEAST = 0.3
-# Ratio to an expected eigenvalue up to which a met eigenvalue counts as the expected one.
+# Multiple of the expected least eigenvalue up to which an eigenvalue counts as the expected one.
 _MET = 1.2
 # Number of steps after which the estimate of the least eigenvalue is reliable.
 _RELIABLE_STEPS = 6
@@ -46,10 +47,11 @@ class Step:
     Attributes
     ----------
     reach : float
-        Estimated largest distance of any site from the solution, per unit of the residual's norm:
-        from the correction of the last cycle and the least eigenvalue met so far.
+        Estimated largest distance of any site from the solution, per unit of the norm of the
+        residual. The estimate uses the correction of the last cycle and the least eigenvalue found
+        so far.
     rest : float
-        Present norm of the residual.
+        Norm of the residual after the step.
     gain : float
         Decrease of the energy in the step.
     """
@@ -64,12 +66,12 @@ class Step:
         return self.reach * self.rest
 
 
-#: Callback after each step; True ends the iteration.
+#: Callback after each step; returns True to end the iteration.
 Watch = Callable[[Step], bool]
 
 
 class ConjugateGradients:
-    """Conjugate gradients for symmetric models; the estimated spectrum lasts from run to run.
+    """Conjugate gradients for symmetric models; spectrum estimates accumulate over runs.
 
     Parameters
     ----------
@@ -83,19 +85,19 @@ class ConjugateGradients:
         self._spectrum, self._expected = _Spectrum(), 1.0
         #: Number of steps in all runs.
         self._step_count = 0
-        #: Finest level in double precision, if the iteration runs in it.
+        #: Finest level in double precision, or None while the iteration runs in single precision.
         self._double: Any = None
-        #: Motions induced by rigid bodies, which cycles miss, if there are any bodies.
+        #: Motions induced by rigid bodies, which cycles do not reduce; None without rigid bodies.
         self.deflation: Deflation | None = None
 
     @property
     def steps(self) -> tuple[Steps, Steps]:
-        """Smoothing steps of the cycles."""
+        """Smoothing steps of the cycles: on all levels except the coarsest, and on the coarsest."""
         return self._cycle.steps
 
     @property
     def care(self) -> int:
-        """Number of changes to better cycles, or to double precision."""
+        """Number of switches to better cycles or to double precision."""
         return self._cycle.care + self.in_double
 
     @property
@@ -104,9 +106,9 @@ class ConjugateGradients:
         return self._double is not None
 
     def take_care(self) -> bool:
-        """Switch to better cycles or to double precision; return False if neither is left.
+        """Switch to better cycles or to double precision; return False if neither is available.
 
-        The spectrum must then be estimated again.
+        A switch resets the estimate of the spectrum.
         """
         if not self._cycle.smooth_more():
             if self.in_double:
@@ -118,12 +120,12 @@ class ConjugateGradients:
         return True
 
     def _steepest(self, rest: Any) -> Any:
-        """Return the correction that a cycle computes from a residual."""
+        """Apply the preconditioner to a residual."""
         return self._cycle.run(self._double.rounded(rest) if self.in_double else rest)
 
     @property
     def least(self) -> float:
-        """Least eigenvalue met in any run."""
+        """Least eigenvalue found in any run."""
         return self._spectrum.least
 
     @least.setter
@@ -132,7 +134,7 @@ class ConjugateGradients:
 
     @property
     def run_least(self) -> float:
-        """Least eigenvalue met in the present run."""
+        """Least eigenvalue found in the present run."""
         return self._spectrum.run_least
 
     def expect(self, least: float) -> None:
@@ -141,22 +143,23 @@ class ConjugateGradients:
         Parameters
         ----------
         least : float
-            Least eigenvalue that the solves of the warm start have met.
+            Least eigenvalue found in the solves of the warm start.
         """
         self._expected = least
         self.least = min(self.least, least)
 
     @np.errstate(over="ignore", invalid="ignore")
     def run(self, balance: Balance, d: Planes, enough: Watch) -> None:
-        """Add to `d`, in place, a correction for the residual of a load.
+        """Add a correction for a residual to `d`, in place.
 
-        Overwrites the residual. If numbers overflow, `d` is still valid.
+        The run overwrites the residual. If numbers overflow, `d` is still valid.
 
         Parameters
         ----------
         balance : Balance
-            Residual of the load.
+            Residual of the system at `d`.
         d : ndarray, planes
+            Displacement, in pixels.
         enough : callable
             Called with a `Step` after each step; returns True to end the run.
 
@@ -210,7 +213,7 @@ class ConjugateGradients:
             if not (down > 0 and bend > 0):
                 if after > 0 and self._cycle.use_safe_bound():
                     level.free(direction)
-                    direction = None  # drop it before a new one is allocated
+                    direction = None  # free its memory before the next allocation
                     direction = level.vector()
                     before = None
                     self._spectrum.restart()
@@ -229,31 +232,31 @@ class ConjugateGradients:
         level.free(direction, image)
 
     def _judged(self, far: float, first: float, before: float, after: float, gain: float) -> Step:
-        """Return the estimates after a step with a largest correction of `far`."""
+        """Return the estimates after a step, given the largest value `far` of its correction."""
         # `first`, `before` and `after` are squared norms of residuals.
-        # At first residuals fall faster than errors, as jumps next to held sites are smoothed, and
-        # the least eigenvalues have not been met yet.
+        # In the first steps, residuals decrease faster than errors, because jumps next to
+        # constrained sites are smoothed, and the least eigenvalues have not been found yet.
         rounding = _INNER_DOUBLE if self.in_double else _ROUNDING
         rest = max(math.sqrt(after), rounding * math.sqrt(first))
         least = self._spectrum.least
-        # One step may be faster than this, but the next ones are slower.
+        # A single step may reduce the error faster than this, but later steps do not.
         lasting = (1 - math.sqrt(least)) / (1 + math.sqrt(least))
         fall = max(math.sqrt(after / before), _FASTEST, lasting)
         if self._spectrum.run_least > _MET * self._expected:
-            fall = max(fall, 1 - self._expected)  # only the cycles have reduced the slow motion
+            fall = max(fall, 1 - self._expected)  # reduction of a slow motion before it is found
         if self._spectrum.steps < _RELIABLE_STEPS:
             least = min(least, _USUAL_LEAST)
         self._step_count += 1
         if self._step_count < _RELIABLE_STEPS:
-            fall = max(fall, 1 - least)  # early cycles remove only this part of a slow motion
+            fall = max(fall, 1 - least)  # reduction of slow motions in early cycles
         return Step(far * fall / least / rest, rest, gain)
 
 
 class StabilisedGradients:
-    """Stabilised biconjugate gradients, for models that are not symmetric.
+    """Stabilised biconjugate gradients for unsymmetric models.
 
-    Each step takes two cycles, and reports the largest value of the residual; the iteration has no
-    estimate of the error of the solution.
+    Each step runs two cycles, and reports the largest absolute value of the residual. The iteration
+    does not estimate the error of the solution.
 
     Parameters
     ----------
@@ -265,11 +268,11 @@ class StabilisedGradients:
 
     @np.errstate(over="ignore", invalid="ignore")
     def run(self, residual: npt.NDArray[np.float32], enough: Watch) -> npt.NDArray[np.float32]:
-        """Return a correction for a residual (planes), in single precision.
+        """Return a correction for a residual, in single precision.
 
         Parameters
         ----------
-        residual : ndarray, planes, float32
+        residual : ndarray of float32, planes
         enough : callable
             Called with a `Step` after each step; returns True to end the run.
 
@@ -301,7 +304,7 @@ class StabilisedGradients:
                 raise FloatingPointError
             most, far, square, again = values
             step = Step(math.inf, most, 0.0)
-            # A residual this small relative to the solution is rounding: it must be recomputed.
+            # A residual this small relative to the solution consists of rounding errors.
             small = square <= _INNER**2 * first or most <= _ATTAINED * far
             if enough(step) or small or again == 0:
                 break
@@ -310,7 +313,7 @@ class StabilisedGradients:
 
 
 class _Spectrum:
-    """Least eigenvalue met by conjugate gradients, from their Lanczos matrix."""
+    """Estimate of the least eigenvalue, from the Lanczos matrix of conjugate gradients."""
 
     def __init__(self, rounding: float = _LEAST) -> None:
         self.least, self._rounding = 1.0, rounding
@@ -322,15 +325,15 @@ class _Spectrum:
         return len(self._diagonal)
 
     def restart(self) -> None:
-        """Begin a new run; the least eigenvalue of all runs is kept."""
+        """Start a new run, and retain the least eigenvalue of all runs."""
         self._diagonal: list[float] = []
         self._beside: list[float] = []
         self._length = 0.0
-        #: Least eigenvalue of the present run.
+        #: Least eigenvalue found in the present run.
         self.run_least = 1.0
 
     def add(self, length: float, turn: float) -> None:
-        """Add a step: its length, and the factor of the last direction in its direction."""
+        """Add a step of size `length`; `turn` is the coefficient of the previous direction."""
         self._diagonal.append(1 / length + (turn / self._length if self._length else 0.0))
         if self._length:
             self._beside.append(math.sqrt(turn) / self._length)

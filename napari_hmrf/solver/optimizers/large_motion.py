@@ -1,4 +1,4 @@
-"""Large motion: start of Newton's method, growth in steps, and report of unmet observations."""
+"""Large motion: initial field, growth in steps, and report of unsatisfied observations."""
 
 from __future__ import annotations
 
@@ -34,27 +34,28 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import holding_strength
 
 _TINY = 1e-300
-# Fraction of its Jacobian that each corner must keep when a start is extrapolated.
+# Least ratio of a corner's Jacobian after an extrapolation to its value before.
 _EXTRAPOLATION_PART = 0.25
-# Fraction of `LEAST_JACOBIAN` that a returned field must keep when its unit is changed.
+# Least Jacobian of a returned field, after its conversion to the unit of the spacing, as a fraction
+# of `LEAST_JACOBIAN`.
 _RETURNED_PART = 0.5
-# Distance up to which an observation counts as met, as a fraction of the tolerance.
+# Distance up to which an observation is satisfied, as a fraction of the tolerance.
 _MET = 1.0
-# Grip below which cycles reduce turning motions slowly.
+# Value of `holding_strength` below which cycles reduce rotations slowly.
 _WEAK_GRIP = 5e-3
-# Grip below which cycles are too slow, so that factors are used at once.
+# Value of `holding_strength` below which the system is factorised at once.
 _LOOSE_GRIP = 1e-4
-# Ratio of stiffnesses above which cycles hardly reduce the turning of stiff parts.
+# Stiffness contrast above which cycles reduce rotations of stiff parts slowly.
 _HIGH_CONTRAST = 50.0
-# Ratio of stiffnesses above which cycles do not reduce it, so that factors are used at once.
+# Stiffness contrast above which the system is factorised at once.
 _EXTREME_CONTRAST = 1.2e3
 # Logarithm of the growth of area in one growth step.
 _GROWTH_STEP = math.log(4.0)
-# Distance from balance after all growth steps but the last, in pixels.
+# Accepted distance from equilibrium after each growth step except the last, in pixels.
 _GROWTH_DISTANCE = 0.1
 # Number of Newton steps after which a growth step is halved.
 _NEWTON_STEPS = 80
-# Least growth step that is still halved, as a fraction of the growth.
+# Smallest growth step that may be halved, as a fraction of the growth.
 _LEAST_GROWTH_STEP = 0.05
 
 
@@ -66,20 +67,20 @@ def converge(
     report: Report,
     start: WarmStart | None,
 ) -> Outcome:
-    """Solve a problem of large motion; lengths are in pixels from here on.
+    """Solve a problem of large motion; from here on, lengths are in pixels.
 
     Raises
     ------
     ConvergenceError
-        If Newton's method does not reach balance, or if tissue is crushed to nothing.
+        If Newton's method does not reach equilibrium, or if tissue is crushed to zero size.
     """
     material = prior.material(problem)
     model = backend.finite_model(material)
     observed, held = host.prescribed(problem)
     load, limit = load_forces(problem, prior).pulls, prior.limit(problem)
-    # Observations that may slip do not stop the motion of rigid bodies.
+    # Observations that may slip do not constrain the rigid bodies.
     stops = held if limit is None else held & np.isinf(host.planes(limit))
-    # Sites of a held rigid body that are not observed have no target of their own.
+    # Unobserved sites of a constrained rigid body have no target displacement.
     poses, has_target = model.poses(stops), held.copy()
     poses.hold(observed, held)
     d = _start_field(problem, model, poses, start, observed, held)
@@ -129,13 +130,13 @@ def _returned(
 ) -> tuple[npt.NDArray[np.floating], float, float]:
     """Return a displacement in pixels, its rounding error, and the least Jacobian of any corner.
 
-    The result is in single precision only if that is within the tolerance and folds nothing, also
-    after the conversion to the unit of the spacing.
+    The result is in single precision only if its rounding error is within the tolerance, and no
+    element is folded after the conversion to the unit of the spacing.
 
     Raises
     ------
     ConvergenceError
-        If a corner folds in double precision.
+        If an element is folded even in double precision.
     """
     for largest_rounding in (tolerance, 0.0):
         displacement, rounding = host.gathered(d, largest_rounding)
@@ -169,7 +170,7 @@ def _grow(
     d: Planes,
     tolerance: float,
 ) -> float:
-    """Move tissue to balance, in place, as it grows in steps; return the completed growth."""
+    """Solve for equilibrium in growth steps, in place; return the completed fraction of growth."""
     if material.growth is None:
         converge_to(tolerance)
         return 1.0
@@ -186,7 +187,7 @@ def _grow(
                 continue
             if done == 0:
                 raise
-            # The field was close to balance for this growth before.
+            # Return to the last completed growth, where the field was close to equilibrium.
             model.assemble(material.grown(done))
             with suppress(ConvergenceError):
                 converge_to(tolerance)
@@ -204,21 +205,21 @@ def _start_field(
     observed: Planes,
     held: HeldPlanes,
 ) -> Planes:
-    """Return an unfolded initial field: as close to the start as possible, or 0."""
+    """Return an initial field without folded elements: near the start if possible, else 0."""
     zero: Planes = np.zeros(observed.shape)
     if start is None:
         return zero
     last, combined = host.planes(start.displacements[0] / start.unit), host.combined(start)
     idle = ~around_sites(in_elements(problem.stiffness), np.logical_or)
     for field in last, combined:
-        host.inside(field)[:, idle] = 0  # steps do not move these sites
+        host.inside(field)[:, idle] = 0  # Newton steps do not move these sites
     poses.make_rigid(last)
     if not model.energy(last)[1] >= LEAST_JACOBIAN:
         last = zero
-    # Extrapolate a drag linearly, unless that would fold tissue.
+    # Extrapolate a drag linearly, unless that would fold an element.
     step = combined - last
     if len(start.displacements) == 1:
-        # Before the first frame tissue was at rest, so the field is scaled.
+        # Tissue was at rest before this solution, so scale the solution to the observations.
         at_held = last[held]
         square = float((at_held**2).sum())
         scale = float((at_held * observed[held]).sum()) / square if square > 0 else 1.0
@@ -237,7 +238,7 @@ def _reach(
     least: float,
     grown: float,
 ) -> Reach:
-    """Return the extent to which observations were met, and the worst site."""
+    """Return the extent to which observations were satisfied, and the worst site."""
     far = np.linalg.norm(missing, axis=-1)
     sites = far > _MET * tolerance
     if not sites.any():

@@ -1,8 +1,8 @@
-"""Large motion with observations that may slip: search for the held and the slipping ones.
+"""Large motion with observations that may slip: search for the slipping observations.
 
-First the kink of each observation's energy is rounded, and the rounding is reduced in steps. The
-result separates held from slipping observations; the problem with these states is then solved
-without rounding.
+The energy of each observation has a kink at the observed position. At first the kink is rounded,
+and the width of the rounding is reduced in steps. The result shows which observations are held and
+which slip, and the problem with these states is solved without rounding.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.optimizers.dead_loads import DeadLoads, SoftObservations
 from napari_hmrf.solver.optimizers.newton import Newton
 
-# First width of the kink, as a fraction of the largest distance to an observation.
+# Initial width of the kink, as a fraction of the largest distance from an observed position.
 _FIRST_WIDTH = 0.2
-# Factor from each width of the kink to the next.
+# Ratio of each width of the kink to the previous one.
 _WIDTH_FACTOR = 0.1
-# Last width of the kink, as a fraction of the tolerance.
+# Final width of the kink, as a fraction of the tolerance.
 _LAST_WIDTH = 0.1
 # Distance from which an observation counts as slipping, in widths of the kink.
 _SLIP_DISTANCE = 30.0
-# Excess over its limit up to which an observation can be held, as a fraction of the limit.
+# Excess of the force over its limit that is accepted for a held observation, as a fraction.
 _EXCESS = 1e-3
 # Largest number of exchanges of states.
 _EXCHANGES = 8
 
 
 class LargeSlip:
-    """Search for the observations that slip.
+    """Search for the slipping observations in large motion.
 
     Parameters
     ----------
@@ -38,24 +38,26 @@ class LargeSlip:
     y : ndarray, planes
         Observed displacement, in pixels.
     limit : ndarray, planes
-        Largest force of each component; infinite if the component never slips.
+        Largest force of the observation of each component; infinite for a component that never
+        slips, and 0 if the component is not observed.
     load : ndarray, planes, or None
-        Dead load on each component.
+        Dead load on each component, or None if there is no load.
     """
 
     def __init__(self, newton: Newton, y: Planes, limit: Planes, load: Planes | None) -> None:
         self._newton, self._y, self._limit, self._load = newton, y, limit, load
         self._observed: HeldPlanes = limit > 0
         self._fixed: HeldPlanes = np.isinf(limit)
-        #: Limits of observations that may slip; 0 elsewhere.
+        #: Limits of the observations that may slip; 0 at all other components.
         self._yielding = np.where(self._fixed, 0.0, limit)
 
     def run(self, d: Planes, tolerance: float, warm: bool = False) -> None:
-        """Move `d` in place to the field of least energy.
+        """Minimise the energy over `d`, in place.
 
         Parameters
         ----------
         d : ndarray, planes
+            Initial displacement, in pixels.
         tolerance : float
             Largest error of the field, in pixels.
         warm : bool
@@ -74,8 +76,8 @@ class LargeSlip:
         try:
             self._soften(d, tolerance)
         except ConvergenceError:
-            # Large forces may crush tissue on the way. Start again with all observations held, and
-            # let only those slip whose force exceeds the limit.
+            # Large forces may have crushed tissue. Start again with all observations held, and let
+            # an observation slip only if its force exceeds the limit.
             np.copyto(d, begun)
             self._newton.external_forces = DeadLoads(self._load)
             self._newton.run(d, self._y, self._observed, tolerance)
@@ -83,13 +85,13 @@ class LargeSlip:
                 raise
 
     def _slipping(self, d: Planes) -> npt.NDArray[np.float64]:
-        """Return the side to which the present force makes each component slip; 0 if held."""
+        """Return the sign of the force on each slipping component; 0 for held components."""
         needed = self._required(d, self._observed)
         slips = np.abs(needed) >= (1 - _EXCESS) * self._limit
         return np.where(slips, np.sign(needed), 0.0)
 
     def _soften(self, d: Planes, tolerance: float) -> None:
-        """Move `d` in place to the field of least energy, with ever narrower kinks."""
+        """Minimise the energy over `d`, in place, with successively narrower kinks."""
         newton = self._newton
         far = float(np.abs(np.where(self._yielding > 0, self._y - d, 0.0)).max())
         last = _LAST_WIDTH * tolerance
@@ -106,13 +108,13 @@ class LargeSlip:
         sides = np.where(np.abs(off) > _SLIP_DISTANCE * width, np.sign(off), 0.0)
         rounded, distance = d.copy(), newton.distance
         if not self._sharpen(d, sides, tolerance):
-            # The rounded solution is the best available.
+            # No consistent states were found; the solution with a rounded kink is the best one.
             np.copyto(d, rounded)
             newton.external_forces = soft
             newton.distance = distance
 
     def _sharpen(self, d: Planes, sides: npt.NDArray[np.float64], tolerance: float) -> bool:
-        """Solve for given slipping sides, in place; return whether the result is consistent."""
+        """Solve for the given states, in place; return whether the result is consistent."""
         newton = self._newton
         for _ in range(_EXCHANGES):
             held, pulls = self._observed & (sides == 0), sides * self._yielding
@@ -131,6 +133,6 @@ class LargeSlip:
         return False
 
     def _required(self, d: Planes, held: HeldPlanes) -> Planes:
-        """Return the force that keeps held components in place; 0 elsewhere."""
+        """Return the force that is required to hold each held component; 0 elsewhere."""
         self._newton.external_forces = None if self._load is None else DeadLoads(self._load)
         return np.where(held, self._newton.forces(d), 0.0)

@@ -1,11 +1,11 @@
-"""Field of least motion among several fields of equal energy, where observations slip.
+"""Field of least motion among several fields of equal energy, with slipping observations.
 
-An observation at its limit pulls with a constant force if tissue moves a little. If all
-observations of a piece are at their limits and their forces balance, the piece may be anywhere
-between the observed positions. Of all such fields the one with the least sum of squares is chosen,
-whatever path led to it. It is the point of a polyhedron that is nearest to the origin, in as many
-dimensions as there are free motions (least distance programming by non-negative least squares:
-Lawson and Hanson, Solving Least Squares Problems, 1974).
+The force of an observation at its limit stays constant if tissue moves a little. If all
+observations of a piece are at their limits and their forces cancel, the energy is the same at any
+position of the piece between the observed positions. The field with the least sum of squares is
+chosen, so that the result does not depend on the iteration. This field is the point of a polyhedron
+that is nearest to the origin, with one dimension for each free motion (least distance programming
+by non-negative least squares: Lawson and Hanson, Solving Least Squares Problems, 1974).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import scipy
 
 Float64Array = npt.NDArray[np.float64]
 
-# Value in a free motion up to which a component counts as at rest.
+# Value in a free motion, relative to its scale, up to which a component is at rest.
 _REST = 1e-9
 
 
@@ -29,19 +29,18 @@ def choose_least_motion(
     motions: Iterable[Float64Array],
     tissue: npt.NDArray[np.bool_],
 ) -> None:
-    """Move `d` in place to the field of least motion.
+    """Choose the field of least motion, in place.
 
     Parameters
     ----------
     d : ndarray, shape (H, W, 2)
-        Displacement of least energy.
+        Displacement of least energy; changed in place.
     off : ndarray, shape (H, W, 2)
-        Distance of each observed component from its observed value, y - d.
+        Observed value minus displacement, y - d, of each observed component.
     side : ndarray, shape (H, W, 2)
-        Side of `d` on which the observed value of a component must stay: 1 or -1; 0 if the
-        component is not observed.
-    motions : iterable of ndarray, shape (ways, H, W, 2)
-        Free motions; those of different items have no site in common.
+        Sign that ``y - d`` of a component must keep: 1 or -1; 0 for an unobserved component.
+    motions : iterable of ndarray, each of shape (n, H, W, 2)
+        Free motions, in groups without common sites.
     tissue : ndarray of bool, shape (H, W)
         Mask of tissue.
     """
@@ -50,7 +49,7 @@ def choose_least_motion(
         basis, _ = np.linalg.qr(ways[:, moving].T)
         at = side[moving] != 0
         turned = side[moving][at, None] * basis[at]
-        # Minimise the norm of x = basis^T (d + basis z) with side (off - basis z) >= 0.
+        # Minimise ||basis^T (d + basis z)|| subject to side (off - basis z) >= 0.
         start = basis.T @ d[moving]
         most = side[moving][at] * off[moving][at] + turned @ start
         nearest = _least_distance(-turned, -most)
@@ -59,7 +58,7 @@ def choose_least_motion(
 
 
 def _least_distance(rows: Float64Array, bounds: Float64Array) -> Float64Array | None:
-    """Return the shortest x with rows x >= bounds; None if there is none."""
+    """Return the shortest x with ``rows @ x >= bounds``, or None if there is none."""
     if not (bounds > 0).any():
         return np.zeros(rows.shape[1])
     matrix = np.vstack([rows.T, bounds / bounds.max()])
@@ -71,6 +70,6 @@ def _least_distance(rows: Float64Array, bounds: Float64Array) -> Float64Array | 
         return None
     if rest < 1e-12:
         return None
-    # Active constraints hold with equality, which gives x to full accuracy.
+    # The active constraints are equalities, which determine x to full accuracy.
     is_active = weights > 0
     return np.asarray(np.linalg.lstsq(rows[is_active], bounds[is_active])[0])

@@ -1,4 +1,4 @@
-"""Loads: their forces and work, and checks that the constraints can bear them."""
+"""Loads: forces, work, and checks that the constraints can bear the loads."""
 
 from __future__ import annotations
 
@@ -17,28 +17,29 @@ from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, Seil
 from napari_hmrf.solver.problem import MAX_REACH, Problem
 from napari_hmrf.solver.rigid_modes import free_motions
 
-# Fraction of all forces up to which a force counts as rounding.
+# Fraction of the sum of all forces up to which a force is rounding error.
 _ROUNDING = 1e-9
-# Fraction by which loads may exceed the limits of observations: the accuracy of linear programs.
+# Fraction by which loads may exceed the limits of observations, because a linear program has a
+# limited accuracy.
 _AT_LIMIT = 1e-6
 
 
 class LoadForces(NamedTuple):
-    """Forces of loads (planes, or None), and the energy of grown tissue without displacement."""
+    """Forces of loads (planes, or None), and energy of growth at zero displacement."""
 
     pulls: Planes | None
     energy: float
 
 
 class _LastLoads(NamedTuple):
-    """Loads of a problem, kept for the next one."""
+    """Forces of the last problem with loads, cached for the next problem."""
 
     problem: Problem
     prior: ElasticPrior | NeoHookeanPrior
     forces: LoadForces
 
     def are_valid_for(self, problem: Problem, prior: ElasticPrior | NeoHookeanPrior) -> bool:
-        """Return whether tissue and loads are unchanged; observations may differ."""
+        """Return whether tissue and loads are the same; observations may differ."""
         own = self.problem
         return (
             prior == self.prior
@@ -48,12 +49,12 @@ class _LastLoads(NamedTuple):
         )
 
 
-# Loads of the last image, which stay the same while tissue is dragged.
+# Loads of the last image; they do not change while the user drags tissue.
 _last: list[_LastLoads] = []
 
 
 def load_forces(problem: Problem, prior: Prior) -> LoadForces:
-    """Return the loads of a problem as forces in planes and an energy; read-only.
+    """Return the forces and the energy of a problem's loads; read-only.
 
     Parameters
     ----------
@@ -73,14 +74,14 @@ def load_forces(problem: Problem, prior: Prior) -> LoadForces:
 
 
 def work_of(load: Planes | None, d: Planes) -> float:
-    """Return the work that forces do on a displacement."""
-    # `einsum`: a larger product would wake threads of BLAS, which then spin on the cores that the
-    # solve needs.
+    """Return the work of forces on a displacement, in the model's units."""
+    # `einsum`, because a large product in BLAS starts threads, which would occupy the cores that
+    # the solve needs.
     return 0.0 if load is None else float(np.einsum("i,i->", load.ravel(), d.ravel()))
 
 
 def check_reach(d: Planes, problem: Problem) -> None:
-    """Refuse loads that move tissue far beyond the image, usually because of a wrong unit.
+    """Raise an error if loads move tissue far beyond the image, usually due to a wrong unit.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def check_reach(d: Planes, problem: Problem) -> None:
     Raises
     ------
     ProblemError
-        If any component exceeds `MAX_REACH` diagonals of the image.
+        If any component exceeds `MAX_REACH` times the diagonal of the image.
     """
     sides = np.array(problem.spacing) / problem.unit
     diagonal = float(np.linalg.norm(sides * problem.shape))
@@ -113,27 +114,27 @@ def check_balanced(
     load: Planes | None,
     fixed: npt.NDArray[np.bool_],
 ) -> None:
-    """Refuse loads that exceed the holding forces of observations that may slip.
+    """Raise an error if loads exceed the limits of the observations that may slip.
 
     Parameters
     ----------
     problem : Problem
     at : ndarray of int
-        Components of flat planes that may slip.
+        Indices of the components that may slip, in the flattened planes.
     limit : ndarray
-        Largest force of each component.
+        Largest force of each of these components.
     load : ndarray, planes, or None
-        Force on each component.
+        Force on each component, or None if there is no load.
     fixed : ndarray of bool, shape (H, W, 2)
-        Components that are held exactly.
+        Mask of the components that never slip.
 
     Raises
     ------
     ProblemError
-        If the loads would move some tissue without end.
+        If the loads would move some tissue without limit.
     """
     if load is None or problem.loads is None or problem.loads.force is None:
-        return  # growth is balanced in itself
+        return  # growth has no resultant force
     total = np.abs(load).sum()
     for ways in free_motions(problem, fixed):
         motions = [host.planes(way) for way in ways]
@@ -145,24 +146,32 @@ def check_balanced(
         if not _can_hold(stops[:, stopping] * limit[stopping], demand):
             raise ProblemError(
                 "loads",
-                "pull harder than the observations can hold: the largest force of an observation "
-                "is the penalty times its confidence, and tissue would slip without end. Raise "
+                "exceed the forces of the observations: the largest force of an observation "
+                "is the penalty times its confidence, and tissue would slip without limit. Raise "
                 "the penalty, hold more of the tissue, or reduce the loads.",
             )
 
 
 def _can_hold(stops: npt.NDArray[np.float64], demand: npt.NDArray[np.float64]) -> bool:
-    """Return whether fractions of the limits, each from -1 to 1, balance the demanded work."""
+    """Return whether forces within the limits can balance the work of loads on all free motions.
+
+    Parameters
+    ----------
+    stops : ndarray, shape (motions, components)
+        Work of the limit of each component on each free motion.
+    demand : ndarray, shape (motions,)
+        Work of the loads on each free motion.
+    """
     size = np.abs(stops).sum(axis=1)
     if (np.abs(demand) > size).any():
         return False
-    # The least-squares fractions usually are small enough.
+    # Usually the least-squares solution is within the limits.
     square = np.einsum("an,bn->ab", stops, stops)
     shares = np.linalg.lstsq(square, demand)[0]
     residual = np.abs(square @ shares - demand).max()
     if residual <= _ROUNDING * np.abs(demand).max() and np.abs(shares @ stops).max() <= 1:
         return True
-    # Otherwise, find the largest multiple of the demand that can be balanced.
+    # Otherwise, find the largest multiple of the loads that the observations can balance.
     matrix = np.column_stack([stops / size[:, None], -demand / size])
     cost = np.zeros(matrix.shape[1])
     cost[-1] = -1.0

@@ -1,7 +1,7 @@
 """Converged field: a Krylov iteration, preconditioned by a V-cycle over the hierarchy.
 
-The work per pixel does not depend on the size of the image: each level removes the error that its
-own pixels resolve.
+The work per pixel does not depend on the size of the image, because each level removes the error of
+the wavelengths that it resolves.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from napari_hmrf.solver.rigid_modes import holding_strength
 _TINY = 1e-300
 # Fraction of the tolerance up to which a distance is negligible.
 _NEGLIGIBLE = 0.01
-# Least grip with which cycles are sure to reduce the turning of tissue. On coarse levels wider
-# parts are held, so that with a weak grip they represent it less well.
+# Least value of `holding_strength` at which cycles reduce rotations of tissue well. On coarse
+# levels, constraints extend over wider regions, so that weak constraints are represented poorly.
 _MILD_GRIP = 0.05
 
 
@@ -49,26 +49,27 @@ _MILD_GRIP = 0.05
 class Multigrid:
     """Schedule of a Krylov iteration with a V-cycle, Chebyshev-Jacobi smoothing, and refinement.
 
-    The iteration runs in single precision; the residual that ends it is computed in double.
-    Conjugate gradients solve priors with an energy: `ElasticPrior`, and `SeilerPrior` in its
-    blanket reading. Stabilised biconjugate gradients solve the centred reading, which is not
-    symmetric (`napari_hmrf.solver.optimizers.centred`). For `NeoHookeanPrior` conjugate gradients
-    solve the steps of Newton's method (`napari_hmrf.solver.optimizers.newton`).
+    The iteration runs in single precision. The residual that decides when the solve ends is
+    computed in double precision. Priors with an energy, `ElasticPrior` and `SeilerPrior` in its
+    blanket reading, are solved by conjugate gradients. The centred reading is not symmetric, and is
+    solved by stabilised biconjugate gradients (`napari_hmrf.solver.optimizers.centred`). For
+    `NeoHookeanPrior`, conjugate gradients solve the steps of Newton's method
+    (`napari_hmrf.solver.optimizers.newton`).
 
     Parameters
     ----------
     tolerance : float
-        Largest distance of any site from the converged field, in pixels, as estimated at the end.
-        The estimate is the correction of the last cycle, times the reduction of the residual, over
-        the least eigenvalue of the preconditioned system that the iteration has met. For tissue
-        with high contrast, thin parts or a weak grip, the estimate is first tested on a field with
-        a known solution; if it fails, the system is factorised. In the centred reading the estimate
-        is a bound, from a maximum principle.
+        Largest estimated distance of any site from the converged field, in pixels. The estimate is
+        the correction of the last cycle, times the reduction of the residual, divided by the least
+        eigenvalue of the preconditioned system found by the iteration. For tissue with high
+        contrast, thin parts or weak constraints, the estimate is first tested on a field with a
+        known solution. If the test fails, the system is factorised. In the centred reading, the
+        estimate is a proven bound from a maximum principle.
     max_iterations : int
-        Number of cycles after which the solve fails with an error. Where observations may slip,
-        this is the number for each set of slipping observations; in a volume that needs double
+        Number of cycles after which the solve fails with an error. If observations may slip, the
+        number applies to each set of slipping observations. In a volume that requires double
         precision, eight times as many cycles may run. Large motion fails after a fixed number of
-        steps, which no tested tissue has needed.
+        steps, which no tested tissue has reached.
     """
 
     tolerance: float = 1e-3
@@ -89,11 +90,11 @@ class Multigrid:
 
     @property
     def kernels(self) -> str:
-        """Kernels of the iteration, as a key."""
+        """Name of the kernels of the iteration."""
         return "cycles"
 
     def rehearsal(self) -> Multigrid:
-        """Return an iteration with the same kernels that is sure to end."""
+        """Return an iteration with the same kernels that converges on the trial problem."""
         return Multigrid()
 
     def run(
@@ -104,7 +105,7 @@ class Multigrid:
         report: Report,
         start: WarmStart | None = None,
     ) -> Outcome:
-        """Solve the problem; lengths are in pixels from here on."""
+        """Solve the problem; from here on, lengths are in pixels."""
         if isinstance(prior, SeilerPrior) and prior.conditional == "centred":
             return centred.converge(
                 self.tolerance, self.max_iterations, problem, prior, backend, report, start
@@ -181,9 +182,9 @@ class Multigrid:
 
 
 def _reset_idle(problem: Problem, model: LinearModel, observed: HeldPlanes, d: Planes) -> None:
-    """Set unobserved tissue without any force to zero, in place, as a cold start does.
+    """Set unobserved tissue without any force to zero, in place, as after a cold start.
 
-    Cycles do not move such tissue: it would keep the motion of the solutions of a warm start.
+    Cycles do not move such tissue, so it would keep the displacement of the warm start.
     """
     earlier = model.earlier
     if earlier.idle is None:

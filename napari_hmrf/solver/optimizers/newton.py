@@ -1,9 +1,10 @@
-"""Newton's method for large motion: no accepted field is folded anywhere.
+"""Newton's method for large motion, without folded elements at any accepted step.
 
-Each step solves a linear model of the tissue in its present state, with the V-cycle and conjugate
-gradients, and closes the gap of held components within the same step. The corners limit its length:
-the Jacobian of each is quadratic along a step, and none may lose more than three quarters of it.
-Where that cuts a pull short, the tissue relaxes before the next pull; components that cannot be
+Each step solves the tangent system at the current displacement by conjugate gradients,
+preconditioned with a V-cycle. The same step also moves the prescribed components towards their
+prescribed values. The step length is limited at the element corners: along a step, the Jacobian of
+a corner is a quadratic polynomial, and no Jacobian may lose more than three quarters of its value.
+If this limit shortens a pull, the tissue is relaxed before the next pull. Components that cannot be
 pulled any further stay where they are.
 """
 
@@ -32,100 +33,100 @@ from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 
 # A step of the field
 
-#: Fraction of its Jacobian that every corner must keep in a step; larger values shorten all steps.
+#: Least ratio of a corner's Jacobian after a step to its value before; larger values shorten steps.
 _JACOBIAN_PART = 0.25
-#: Fraction of its possible length that a pull takes if a corner limits it.
+#: Safety factor on the largest possible length of a pull, if a corner limits the length.
 _PULL_PART = 0.85
-#: Jacobian below which tissue is pulled no further.
+#: Jacobian below which a pull may not compress a corner any further.
 _PULL_FLOOR = 1e-5
-#: Fraction of a step. If the energy falls over less, a step without the buckling terms is tried.
+#: Fraction of a descent step. If less is taken, a step without buckling terms is tried.
 _LEAST_STEP = 0.1
-#: Fraction of the fall in energy predicted by the slope that a step must reach (Armijo).
+#: Least decrease of the energy, relative to the decrease predicted by the slope (Armijo rule).
 _ARMIJO = 1e-4
-#: Rounding of the energy, relative to the energy: a rise up to this is accepted.
+#: Rounding error of the energy, relative to the energy: an increase up to this is accepted.
 _ENERGY_ROUNDING = 1e-12
-#: Energy per component, in pixels squared, that is added to the energy to estimate its rounding.
+#: Energy per component, in pixels squared, added to the energy in the estimate of its rounding.
 _COMPONENT_ROUNDING = 1e-3
-#: Largest number of halvings of a step, after which the step is not taken.
+#: Largest number of halvings of a step before the step is rejected.
 _HALVING_LIMIT = 12
-#: Largest number of pulls, after which the remaining gaps stay open.
+#: Number of Newton steps after which tissue is not pulled any further.
 _PULL_LIMIT = 150
-#: Largest number of steps, after which a run fails.
+#: Largest number of Newton steps before a run fails.
 _STEP_LIMIT = 400
-
 # The linear system of a step
 
-#: Error left in a linear system, relative to its first error.
+#: Error at which a linear solve ends, relative to the initial error.
 _INNER_REDUCTION = 0.03
-#: Error left in a linear system, relative to the tolerance; the larger of both errors is enough.
+#: Error at which a linear solve ends, relative to the tolerance; the larger of both errors applies.
 _INNER_TOLERANCE = 0.3
-#: Residual, relative to the load, that single precision cannot reduce.
+#: Residual, relative to the load, that cannot be reduced in single precision.
 _SINGLE_RESIDUAL = 2e-5
 #: Number of cycles after which a small system is factorised.
 _CYCLE_LIMIT = 40
-#: Number of sites up to which a system is small, so that factors take less time than many cycles.
+#: Largest number of sites of a small system, for which a factorization is faster than many cycles.
 _SMALL_GRID = 20_000
 #: Number of cycles after which a larger system is factorised.
 _LARGE_CYCLE_LIMIT = 200
-#: Least share of the buckling terms to leave out, if any is left out.
+#: Smallest nonzero fraction of the buckling terms that is left out.
 _FIRST_SHARE = 0.05
 #: Number of steps without the buckling terms after a step in which they made the model indefinite.
 _PROJECTED_STEPS = 4
-#: Factor from one share to the next, until the linear model is positive.
+#: Ratio of each fraction to the previous one, until the tangent matrix is positive definite.
 _SHARE_GROWTH = 2.0
 
 # Tissue between two pulls
 
-#: Distance from balance, in pixels, at which tissue is relaxed enough for the next pull.
+#: Distance from equilibrium, in pixels, at which tissue is relaxed enough for the next pull.
 _RELAXED_DISTANCE = 0.3
-#: Largest number of steps to reach this distance.
+#: Largest number of steps to reduce the distance to `_RELAXED_DISTANCE`.
 _RELAXATION_LIMIT = 6
-#: Distance from balance, in pixels, that must be reached before a pull can count as stuck.
+#: Distance from equilibrium, in pixels, that tissue must reach before a pull can be stuck.
 _BALANCED_DISTANCE = 0.02
-#: Largest number of steps to reach this distance.
+#: Largest number of steps to reduce the distance to `_BALANCED_DISTANCE`.
 _BALANCE_LIMIT = 25
-#: Fraction of its step below which a pull is stuck, if it is also shorter than `_STUCK_DISTANCE`.
+#: Fraction of a step. A pull is stuck below this fraction and below `_STUCK_DISTANCE`.
 _STUCK_PART = 0.05
-#: Length of a pull, in pixels, below which it is stuck.
+#: Length of a pull, in pixels. A pull is stuck below this length and below `_STUCK_PART`.
 _STUCK_DISTANCE = 0.1
-#: Number of stuck pulls in a row after which components that obstruct the pull are released.
+#: Number of consecutive stuck pulls after which components that obstruct the pull are released.
 _STUCK_LIMIT = 2
-#: Fraction of a pull. An element that limits the pull to less obstructs it.
+#: Fraction of a pull. An element that limits the pull to less obstructs the pull.
 _OBSTRUCTION = 0.3
-#: Largest spread of the motions of sites that are pulled as one piece, relative to the motions.
+#: Largest deviation from the mean motion of sites that are pulled as one piece, relative to it.
 _PIECE_SPREAD = 0.2
 
 # The end of a run
 
-#: Number of steps over which tissue is tested for creep: slow motion of crushed tissue.
+#: Number of latest steps that are tested for creep, the slow motion of crushed tissue.
 _CREEP_STEPS = 30
-#: Fall in energy over these steps, relative to the energy, up to which tissue creeps.
+#: Largest decrease of the energy over these steps for creep, relative to the energy.
 _CREEP_ENERGY = 1e-7
-#: Distance from balance, in pixels, at which tissue that creeps counts as balanced.
+#: Distance from equilibrium, in pixels, that is accepted for creeping tissue.
 _CREEP_DISTANCE = 0.1
-#: Largest last step, relative to the tolerance, for tissue whose motions cycles may miss.
+#: Largest final step, relative to the tolerance, for tissue in which cycles may miss motions.
 _FINAL_STEP = 10.0
-#: Least Jacobian of any corner of a field: far above rounding in double precision.
+#: Least Jacobian at any corner of an accepted field, far above rounding in double precision.
 LEAST_JACOBIAN = 1e-9
 
 
 class Strategy(NamedTuple):
-    """Settings of the Newton iteration for given tissue.
+    """Settings of the Newton iteration for a given tissue.
 
     Attributes
     ----------
     doubtful : bool
-        True if cycles may miss motions: the last step must then be short, and cycles are rehearsed.
+        True if cycles may miss motions. The final step must then be short, and cycles are tested
+        in a rehearsal.
     stiff : bool
-        True if parts of the tissue are very stiff or barely held. Such parts must be free to
-        rotate, and rounding errors in them resemble buckling.
+        True if some tissue is very stiff or barely constrained. Such tissue must be free to rotate,
+        and its rounding errors resemble buckling.
     by_factors : bool
-        True if factors are used without trying cycles.
+        True to solve by factorization without trying cycles.
     steps : int
         Number of steps after which a run fails.
     projects : bool
-        True if all buckling terms are left out while tissue is pulled, as in volumes, where cycles
-        converge slowly with a part of these terms.
+        True to leave out all buckling terms while tissue is pulled, as in volumes, where cycles
+        converge slowly if only a part of these terms is left out.
     """
 
     doubtful: bool
@@ -136,16 +137,16 @@ class Strategy(NamedTuple):
 
 
 class Distance(NamedTuple):
-    """Distance of a field from balance.
+    """Distance of a field from equilibrium.
 
     Attributes
     ----------
     estimate : float
         Estimated largest distance of any site, in pixels; infinite if unknown.
     residual : float
-        Norm of the remaining forces.
+        Norm of the residual forces.
     remaining : ndarray, planes, or None
-        Remaining step of each component, up to a factor.
+        Estimated correction of each component, up to a constant factor.
     """
 
     estimate: float = math.inf
@@ -154,7 +155,7 @@ class Distance(NamedTuple):
 
     @property
     def worst(self) -> tuple[int, ...] | None:
-        """Site with the largest residual, or None if unknown."""
+        """Index of the site with the largest estimated correction, or None if unknown."""
         if self.remaining is None:
             return None
         far = np.linalg.norm(host.field(self.remaining), axis=-1)
@@ -162,19 +163,19 @@ class Distance(NamedTuple):
 
 
 class _Linear(NamedTuple):
-    """Step of the linear model: its displacement, error per unit of residual, and length."""
+    """Solution of a tangent system: displacement, error per unit of residual, largest motion."""
 
     way: Planes
     reach: float
     far: float
-    #: Share of the buckling terms that was left out.
+    #: Fraction of the buckling terms that was left out.
     positive: float = 0.0
-    #: Factors that solved for the step; None if cycles did.
+    #: Factorization that was used, or None if the system was solved by cycles.
     factors: Factors | None = None
 
 
 class Newton:
-    """Newton iteration for the balance of forces in large motion.
+    """Newton iteration for equilibrium in large motion.
 
     Parameters
     ----------
@@ -183,9 +184,9 @@ class Newton:
     report : Report
     strategy : Strategy
     poses : Poses
-        Poses of rigid bodies, with their held components.
+        Poses of the rigid bodies, and their constrained components.
     external_forces : DeadLoads or None
-        Forces from outside the tissue.
+        Loads on the tissue, or None if there are none.
     """
 
     def __init__(
@@ -199,42 +200,46 @@ class Newton:
     ) -> None:
         self._model, self._smoothing, self._report = model, smoothing, report
         self._strategy, self._poses = strategy, poses
-        #: Forces from outside the tissue.
+        #: Loads on the tissue, or None.
         self.external_forces = external_forces
         self._tolerance = math.inf
-        #: Distance of the field from balance.
+        #: Distance of the field from equilibrium.
         self.distance = Distance()
         #: Energy after each step.
         self.energies: list[float] = []
         self.cycles = 0
         self.by_factors = strategy.by_factors
         self._first = 0.0
-        # Number of steps before the last pull.
+        # Number of steps up to the last pull.
         self._pulled = 0
-        # True until some held component turns out to be out of reach.
+        # False once a prescribed position is known to be out of reach.
         self._is_converged = True
-        # Share of the buckling terms that was left out last, or a little less; and whether cycles
-        # have met a direction in which the tissue buckles.
+        # First fraction of the buckling terms to leave out in the next step, and whether cycles
+        # found a direction in which the tissue buckles.
         self._positive = 0.0
         self._buckles = False
-        # Number of steps before the buckling terms are tried again.
+        # Number of steps before the buckling terms are included again.
         self._projected = 0
 
     def run(self, d: Planes, y: Planes, held: HeldPlanes, tolerance: float) -> None:
-        """Solve for equilibrium from an unfolded `d`, with held components as near `y` as possible.
+        """Solve for equilibrium, and move constrained components as close to `y` as possible.
 
         Parameters
         ----------
-        d, y : ndarray, planes
+        d : ndarray, planes
+            Displacement without folded elements, in pixels; changed in place.
+        y : ndarray, planes
+            Prescribed displacement, in pixels.
         held : ndarray of bool, planes
+            Components with a prescribed displacement.
         tolerance : float
-            Largest distance from balance, in pixels.
+            Largest accepted distance from equilibrium, in pixels.
 
         Raises
         ------
         ConvergenceError
-            If the field is far from balance though no tissue is crushed, or if its distance from
-            balance is unknown.
+            If the field is far from equilibrium although no tissue is crushed, or if its distance
+            from equilibrium is unknown.
         """
         self._tolerance, self._is_converged = tolerance, True
         y = np.where(held, y, d)
@@ -254,7 +259,7 @@ class Newton:
             before, distance_before = d.copy(), self.distance
             step = self._step(d, gap if pulls else None, held)
             if step is None:
-                # The tissue is too crushed for the linear model, so that it moves no further.
+                # The tissue is so crushed that its tangent system has no solution.
                 self._is_converged = self._is_converged and (
                     left == 0 or math.isinf(self.distance.estimate)
                 )
@@ -273,7 +278,7 @@ class Newton:
                 step, taken = self._relax(d, held, step)
                 relaxations = max(relaxations - 1, 0)
             if not self._judge(d, step):
-                # Return to the last valid field; a pull ends there.
+                # Return to the last valid field, and end the run.
                 np.copyto(d, before)
                 self.distance = distance_before
                 self._is_converged = self._is_converged and left == 0
@@ -287,7 +292,7 @@ class Newton:
                 far = max(self.distance.estimate, step.far)
                 self.distance = self.distance._replace(estimate=far)
                 break
-        # Crushed tissue creeps; the run ends here.
+        # Only crushed tissue that creeps may be this far from equilibrium.
         estimate = self.distance.estimate
         if not math.isfinite(estimate) or (self._is_converged and estimate > _CREEP_DISTANCE):
             self._fail()
@@ -299,15 +304,15 @@ class Newton:
                 "the stiffest to the softest tissue"
             )
         raise ConvergenceError(
-            f"the tissue is still {self.distance.estimate:.2g} px from balance after "
+            f"the tissue is still {self.distance.estimate:.2g} px from equilibrium after "
             f"{len(self.energies)} steps of large motion. Move, press or grow it less, or reduce "
             "the ratio of the stiffest to the softest tissue"
         )
 
     def _judge(self, d: Planes, step: _Linear) -> bool:
-        """Measure the distance from balance after a step; return whether the field is valid.
+        """Measure the distance from equilibrium after a step; return whether the field is valid.
 
-        A field is invalid if a corner folds, or if its energy or its distance is not a number.
+        A field is invalid if an element is folded, or if its energy or distance is not finite.
         """
         energy, least = self._energy(d)
         if not (math.isfinite(energy) and least >= LEAST_JACOBIAN):
@@ -317,7 +322,7 @@ class Newton:
         residual = norm(rest)
         estimate, remaining = step.reach * residual, rest * self._model.levels[0].inverse
         if step.factors is not None:
-            # With known factors another solve is cheap.
+            # With a factorization, one more solve is cheap.
             left = step.factors.solve(rest)
             self._model.project(left)
             far = float(np.abs(left).max())
@@ -330,19 +335,19 @@ class Newton:
         return True
 
     def _is_balanced(self, d: Planes, held: HeldPlanes, step: _Linear) -> bool:
-        """Return whether tissue is reliably within the tolerance of balance."""
+        """Return whether tissue is reliably within the tolerance of equilibrium."""
         if self.distance.estimate > self._tolerance:
             return False
         if not self._strategy.doubtful:
             return True
-        # Leaving out the buckling terms also keeps stiff parts from turning.
+        # Leaving out the buckling terms also prevents stiff parts from rotating.
         if self._strategy.stiff and step.positive > 0:
             return False
         if step.factors is not None:
             return True
         if step.far > _FINAL_STEP * self._tolerance:
             return False
-        # Such tissue was rehearsed at an earlier pull, or is rehearsed now.
+        # Cycles are rehearsed here unless they were rehearsed with the same constraints before.
         model, rehearsal = self._model, self._model.rehearsed
         if rehearsal is None or not np.array_equal(rehearsal[0], held):
             model.linearise(d, held, self.forces(d), 1.0, model.springs)
@@ -361,7 +366,7 @@ class Newton:
     def _step(
         self, d: Planes, gap: Planes | None, held: HeldPlanes, positive: float = 0.0
     ) -> _Linear | None:
-        """Return the step of the linear model, which closes the gap; None if there is none."""
+        """Return the Newton step, which closes the `gap`; None if the system has no solution."""
         forces = self.forces(d)
         springs = None if self.external_forces is None else self.external_forces.springs(d)
         if gap is not None:
@@ -372,10 +377,9 @@ class Newton:
             if gap is not None:
                 rest -= self._model.image(gap)
             linear = None if self.by_factors else self._iterate(rest)
-            # With a large contrast, apparent buckling may be rounding.
-            sure = (
-                stiff == 1 or not (self._buckles or self._strategy.projects) or self._strategy.stiff
-            )
+            # At a large stiffness contrast, apparent buckling may be a rounding error.
+            sure = stiff == 1 or self._strategy.stiff
+            sure = sure or not (self._buckles or self._strategy.projects)
             if linear is None and sure and Factors.fit(self._model.shape):
                 linear = self._solve(rest)
             if linear is not None:
@@ -385,7 +389,15 @@ class Newton:
         return None
 
     def _shares_to_try(self, pulls: bool, positive: float) -> Iterator[float]:
-        """Yield the shares of the buckling terms to leave out, until a linear model is positive."""
+        """Yield fractions of the buckling terms to leave out, until the linear model is positive.
+
+        Parameters
+        ----------
+        pulls : bool
+            True if the step closes the gap of constrained components.
+        positive : float
+            First fraction; 0 to use the fraction of earlier steps.
+        """
         if not self._strategy.projects:
             yield from _shares(positive or self._positive)
             return
@@ -396,7 +408,7 @@ class Newton:
         yield 1.0
 
     def _iterate(self, load: Planes) -> _Linear | None:
-        """Return a correction for a load by cycles; None if they did not converge."""
+        """Solve the tangent system by cycles; return None if they did not converge."""
         self._buckles = False
         balance, way = self._model.balance(load), np.zeros_like(load)
         if balance.most == 0:
@@ -412,7 +424,7 @@ class Newton:
             error = step.error * balance.unit
             first = first or error
             self.cycles += 1
-            self._report(Monitor(f"cycle {self.cycles}, {error:.2g} px to go", 0.0))
+            self._report(Monitor(f"cycle {self.cycles}, error {error:.2g} px", 0.0))
             done = error <= max(_INNER_REDUCTION * first, _INNER_TOLERANCE * self._tolerance)
             return done or count >= patience
 
@@ -422,7 +434,8 @@ class Newton:
         except FloatingPointError:
             self._model.clear()
             return None
-        # Otherwise cycles have met a direction in which the tissue buckles, or have stalled.
+        # At the limit of single precision, cycles have converged. Otherwise they stalled, or found
+        # a direction in which the tissue buckles.
         if latest is not None and latest.rest * balance.unit <= _SINGLE_RESIDUAL * balance.norm:
             done = True
         self._buckles = not done and count < patience
@@ -431,7 +444,7 @@ class Newton:
         return _Linear(way, latest.reach, float(np.abs(way).max()))
 
     def _solve(self, load: Planes) -> _Linear | None:
-        """Return a correction for a load by factors; None if the matrix is not positive."""
+        """Solve by factorization; return None if the tangent matrix is not positive definite."""
 
         def report_part(part: float) -> None:
             self._report(Monitor(f"factorising, {part:.0%}", part))
@@ -452,32 +465,32 @@ class Newton:
         return _Linear(way, far / most if most > 0 else 0.0, far, factors=factors)
 
     def _creeps(self, far: float) -> bool:
-        """Return whether the last steps were all short, and the energy hardly falls."""
+        """Return whether the latest steps were short, and hardly decreased the energy."""
         late = self.energies[self._pulled :][-_CREEP_STEPS:]
         short = len(late) == _CREEP_STEPS and far <= _CREEP_DISTANCE
         return short and late[0] - late[-1] <= _CREEP_ENERGY * abs(late[-1])
 
     def _energy(self, d: Planes) -> tuple[float, float]:
-        """Return the total energy, and the least Jacobian of any corner."""
+        """Return the total energy, and the least Jacobian of all element corners."""
         energy, least = self._model.energy(d)
         return energy if self.external_forces is None else energy + self.external_forces.energy(
             d
         ), least
 
     def forces(self, d: Planes) -> Planes:
-        """Return the derivative of the total energy; valid until the next call."""
+        """Return the gradient of the total energy; valid until the next call."""
         forces = self._model.forces(d)
         return forces if self.external_forces is None else forces + self.external_forces.forces(d)
 
     def _pull(self, d: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
-        """Move along a step, in place, until a corner nearly folds; return the fraction taken."""
+        """Move `d` along a step until a corner is nearly folded; return the fraction taken."""
         length, _ = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR)
         taken, start = 1.0 if length >= 1 else _PULL_PART * length, d.copy()
         for _ in range(_HALVING_LIMIT):
             np.copyto(d, start + taken * way)
             if taken == 1.0:
                 np.copyto(d, y, where=held)
-            # Rigid bodies turn, although the step is straight.
+            # A straight step deforms a rotating rigid body.
             self._poses.make_rigid(d)
             energy, least = self._model.energy(d)
             if math.isfinite(energy) and least >= LEAST_JACOBIAN:
@@ -487,7 +500,10 @@ class Newton:
         return 0.0
 
     def _relax(self, d: Planes, held: HeldPlanes, step: _Linear) -> tuple[_Linear, float]:
-        """Take a step downhill or, if it hardly moves, one without the buckling terms."""
+        """Take a descent step in place; return the step and the fraction taken.
+
+        If only a small fraction is possible, a step without the buckling terms is tried.
+        """
         taken = self._descend(d, step.way)
         if taken < _LEAST_STEP and step.positive < 1:
             again = self._step(d, None, held, positive=1.0)
@@ -496,7 +512,7 @@ class Newton:
         return step, taken
 
     def _descend(self, d: Planes, way: Planes) -> float:
-        """Move along a step while the energy falls, in place; return the fraction taken."""
+        """Take a descent step in place, and update the loads; return the fraction taken."""
         before = d.copy()
         taken = self._fall(d, way)
         if self.external_forces is not None and taken > 0:
@@ -504,7 +520,7 @@ class Newton:
         return taken
 
     def _fall(self, d: Planes, way: Planes) -> float:
-        """Move along a step while the energy falls, in place; return the fraction taken."""
+        """Move `d` along a step until the energy decreases enough; return the fraction taken."""
         before, _ = self._energy(d)
         slope = float((self.forces(d) * way).sum())
         length, _ = self._model.length(d, way, _JACOBIAN_PART, LEAST_JACOBIAN)
@@ -522,17 +538,17 @@ class Newton:
         return 0.0
 
     def _release(self, d: Planes, y: Planes, held: HeldPlanes, way: Planes) -> None:
-        """Stop pulling the held components that obstruct the pull of the others."""
+        """Stop pulling the prescribed components that obstruct the pull of others."""
         self._is_converged = False
         _, lengths = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR, each=True)
         sites = around_sites(lengths < _OBSTRUCTION, np.logical_or)
         pulled = host.inside(held & (y != d)).any(axis=0)
         stops = sites & pulled
         if not stops.any():
-            # Free tissue obstructs all pulls: the remaining gaps cannot be closed.
+            # Only free tissue obstructs the pull, so the remaining gaps cannot be closed.
             np.copyto(y, d)
             return
-        # A part that is pulled as one piece must stop as one piece, or it would be crushed.
+        # Components that move as one piece must stop together; otherwise the piece is crushed.
         pieces, _ = scipy.ndimage.label(pulled, structure=np.ones((3,) * pulled.ndim))
         gap = host.inside(y - d)
         for number in np.unique(pieces[stops]):
@@ -549,12 +565,12 @@ class Newton:
 
     def _report_step(self, number: int, left: float) -> None:
         done = part_done(max(self._first, 1e-3), max(left, 1e-3), 1e-3) if self._first else 1.0
-        action = f"{left:.2g} px to pull" if left else "relaxing"
+        action = f"{left:.2g} px left to pull" if left else "relaxing"
         self._report(Monitor(f"step {number + 1}, {action}", done))
 
 
 def _shares(first: float) -> Iterator[float]:
-    """Yield increasing shares of the buckling terms to leave out, up to all of them."""
+    """Yield increasing fractions of the buckling terms to leave out, up to 1."""
     share = first
     while share < 1:
         yield share
@@ -563,5 +579,5 @@ def _shares(first: float) -> Iterator[float]:
 
 
 def norm(values: Planes) -> float:
-    """Return the norm; BLAS would start threads, which then spin and slow the solve."""
+    """Return the Euclidean norm, without BLAS, because its idle threads would slow the solve."""
     return math.sqrt(float(np.square(values).sum()))

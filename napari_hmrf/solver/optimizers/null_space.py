@@ -1,4 +1,4 @@
-"""Null space of a model: motions with no energy, or almost none, computed from its factors."""
+"""Null space of a model: motions with zero or almost zero energy, computed by factorization."""
 
 from __future__ import annotations
 
@@ -20,56 +20,58 @@ from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 
 Float64Array = npt.NDArray[np.float64]
 
-# Springs that make the model invertible, as a fraction of its diagonal.
+# Stiffness of the springs that make the model invertible, as a fraction of its diagonal.
 _SPRINGS = 1e-13
-# Energy, relative to that of the sites moved one by one, below which a motion is soft.
+# Energy below which a motion is soft, relative to the energy of moving its sites one by one.
 _SOFT = 1e-11
-# The same energy below which a motion is free.
+# Energy below which a motion is free, relative to the energy of moving its sites one by one.
 _FREE = 1e-28
-# Number of inverse iterations for the soft motions.
+# Number of inverse iterations that compute the soft motions.
 _ITERATIONS = 4
-# Number of random motions with which inverse iteration starts.
+# Initial number of random motions in the inverse iteration.
 _FIRST_MOTIONS = 8
-# Largest number of motions in inverse iteration.
+# Largest number of motions in the inverse iteration.
 _MOST_MOTIONS = 64
-# Largest error of a soft motion, in pixels where tissue moves by one.
+# Largest error of a soft motion with a prescribed displacement of 1 pixel, in pixels.
 _EXACT = 1e-12
-# Singular value, relative to the largest, that is rounding in the matrix of soft motions.
+# Singular value of the matrix of soft motions, relative to the largest, that is rounding error.
 _FLOOR = 1e-14
 # Largest number of corrections of the soft motions in a field.
 _BALANCINGS = 4
-# Largest accepted distance of a soft motion from balance, in pixels where tissue moves by one.
+# Largest accepted final correction of the soft motions, relative to the largest displacement or
+# 1 pixel.
 _UNBALANCED = 1e-6
-# Fraction of a load's work on a free motion that is rounding.
+# Work of a load on a free motion, relative to the sum of its absolute terms, that is rounding
+# error.
 _BALANCED = 1e-9
 # Number of passes that separate the soft motions.
 _SEPARATIONS = 2
-# Least eigenvalue, for a diagonal of 1, that factors resolve.
+# Least eigenvalue of the scaled model (unit diagonal) that a factorization resolves.
 _RESOLVED = 1e-15
 # Number of inverse iterations that estimate the least eigenvalue.
 _ESTIMATES = 3
-# Factor on `_RESOLVED`, times the root of the number of unknowns, above which one iteration is
-# enough.
+# Factor on `_RESOLVED`, times the square root of the number of unknowns. One iteration is enough
+# if its estimate is larger.
 _CLEAR = 1e3
-# Largest number of soft motions that a refusal analyses: more take seconds to separate.
+# Largest number of soft motions that an error message analyses; separating more takes seconds.
 _EXPLAINED = 16
-# Fraction of the largest displacement above which a site takes part in a motion.
+# Fraction of the largest displacement above which a site is part of a motion.
 _PARTICIPATION = 0.1
 
 
 class SoftMotions(NamedTuple):
-    """Soft motions of tissue, and components that stop them if held.
+    """Soft motions of tissue, and components that prevent these motions if constrained.
 
     Attributes
     ----------
     pins : ndarray of bool, planes
-        Components that stop all of these motions if they are held.
-    ways : ndarray, shape (ways, planes)
-        Soft motions that have some energy.
-    cost : ndarray, shape (ways, ways)
-        Second derivatives of the energy by these motions.
-    free : list of ndarray, each of shape (ways, H, W, 2)
-        Free motions, which have no energy: one item with all of them, or none.
+        Mask of components. If all of them are constrained, the tissue has no soft motion.
+    ways : ndarray, shape (n, *planes)
+        Soft motions with nonzero energy.
+    cost : ndarray, shape (n, n)
+        Hessian of the energy with respect to the coefficients of these motions.
+    free : list of ndarray, each of shape (m, H, W, 2)
+        Free motions, which have zero energy: an array of all of them, or an empty list.
     """
 
     pins: HeldPlanes
@@ -80,10 +82,10 @@ class SoftMotions(NamedTuple):
     def balance(
         self, model: LinearModel, refinement: Refinement, d: Planes, load: Planes, tolerance: float
     ) -> None:
-        """Move `d` in place to balance with a load, including the soft motions.
+        """Solve for equilibrium with a load, including the soft motions; change `d` in place.
 
-        The lengths of the soft motions are computed from energies. These are sums of squares, and
-        therefore more accurate than forces.
+        The coefficients of the soft motions are computed from energies. Energies are sums of
+        squares, so they are more accurate than forces.
 
         Raises
         ------
@@ -104,12 +106,12 @@ class SoftMotions(NamedTuple):
             refinement.run(d, load, tolerance)
         if far > _UNBALANCED * max(1.0, float(np.abs(d).max())):
             raise ConvergenceError(
-                "double precision cannot balance motions of the tissue that are barely held. Hold "
-                "more of the tissue"
+                "double precision is not accurate enough for motions of the tissue that are barely "
+                "held. Hold more of the tissue"
             )
 
     def unbalanced_motion(self, load: Planes) -> Planes | None:
-        """Return a free motion on which a load does work, or None."""
+        """Return a free motion on which a load does work, or None if there is none."""
         for ways in self.free:
             for way in ways:
                 motion = host.planes(way)
@@ -120,10 +122,10 @@ class SoftMotions(NamedTuple):
 
 
 def resolves(model: LinearModel) -> bool:
-    """Return whether the factors of a model distinguish its softest motion from a free one.
+    """Return whether the factorization of a model proves that its solution is unique.
 
-    The pivots alone do not show this. If soft tissue holds stiff tissue, the last pivot of the
-    stiff tissue is small, and its rounding error looks like resistance in the pivots that follow.
+    The pivots alone do not prove this. If stiff tissue is attached to soft tissue only, the last
+    pivot of the stiff tissue is small, and its rounding error looks like stiffness in later pivots.
     """
     factors, moves = model.earlier.factors, model.moves
     weights = np.sqrt(model.steepness[moves])
@@ -144,12 +146,12 @@ def resolves(model: LinearModel) -> bool:
 def refuse_free(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
 ) -> None:
-    """Refuse tissue that has a free motion although the model has factors.
+    """Raise an error if the tissue has a free motion although its matrix could be factorised.
 
     Raises
     ------
     ProblemError
-        Naming the tissue and its motion.
+        If there is a free motion; the message describes the tissue and its motion.
     """
     free = find_soft_motions(model, held, refinement, report).free
     if free:
@@ -159,10 +161,9 @@ def refuse_free(
 def explain_singular(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
 ) -> ProblemError | ConvergenceError:
-    """Return the error that explains why a system without factors has no solution.
+    """Return an error that explains why a system could not be factorised.
 
-    Either some tissue has a free motion, or a motion with so little energy that the solution
-    depends on digits beyond double precision.
+    Either a motion is free, or its energy is so small that double precision cannot resolve it.
 
     Parameters
     ----------
@@ -193,28 +194,30 @@ def explain_singular(
         return refusal(motion)
     return ConvergenceError(
         f"the tissue around {motion.centre} is barely held: the energy of one of its motions is "
-        f"{cost:.0e} of that of its sites moved one by one, and double precision resolves no less "
-        f"than {HELD:.0e}. Hold more of it, or reduce the ratio of the stiffest to the softest "
-        "tissue"
+        f"only {cost:.0e} of the energy of moving its sites one by one, but double precision "
+        f"requires at least {HELD:.0e}. Hold more of it, or reduce the ratio of the stiffest to "
+        "the softest tissue"
     )
 
 
 def _as_free_motion(motion: Float64Array) -> FreeMotion:
-    """Return a motion (H, W, 2) as a `FreeMotion`, with the tissue that takes part in it."""
+    """Return a motion, shape (H, W, 2), as a `FreeMotion` with a mask of its moving tissue."""
     sizes = np.abs(motion)
     axis = int(np.argmax(sizes.max(axis=tuple(range(motion.ndim - 1)))))
     piece = sizes[..., axis] > _PARTICIPATION * sizes[..., axis].max()
-    names = ("along planes", "along rows", "along columns")[-motion.shape[-1] :]
-    return FreeMotion(piece, f"could still bend {names[axis]} without resistance", motion)
+    names = ("plane", "row", "column")[-motion.shape[-1] :]
+    return FreeMotion(
+        piece, f"could still bend along the {names[axis]} axis without resistance", motion
+    )
 
 
 def find_soft_motions(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
 ) -> SoftMotions:
-    """Find the soft motions of tissue that is held at some components only.
+    """Find the soft motions of tissue with the constrained components `held`.
 
-    The method is inverse iteration for a few random motions at once, with weak springs added to the
-    model.
+    The method is inverse iteration of a block of random motions. Weak springs make the model
+    invertible.
     """
     steep = model.steepness
     moves = (steep > 0) & ~held
@@ -233,7 +236,7 @@ def find_soft_motions(
         way.ravel()[pin] = 1.0
         refinement.run(way, None, _EXACT)
     for _ in range(_SEPARATIONS):
-        # Until the motions are separated, rounding hides the small energies behind larger ones.
+        # Small energies are hidden by rounding of larger ones until the motions are separated.
         ways /= np.sqrt((steep * ways**2).sum(axis=planes, keepdims=True))
         cost = _costs(model, ways)
         _, modes = np.linalg.eigh(cost)
@@ -247,10 +250,9 @@ def find_soft_motions(
 
 
 def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
-    """Return the symmetric matrix of the energy inner products of all pairs of motions.
+    """Return the matrix of the energy inner products of all pairs of motions.
 
-    They are computed from energies, which are sums of squares, so that the large contributions of
-    stiff tissue do not cancel.
+    Energies are sums of squares, so the large contributions of stiff tissue do not cancel.
     """
     energies = np.array([model.work(way)[0] for way in ways])
     costs = np.diag(2 * energies)
@@ -262,12 +264,12 @@ def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
 
 def _product(model: LinearModel, one: Planes, two: Planes) -> float:
     """Return the energy inner product of two motions."""
-    # The energy is half the square of the norm that belongs to this inner product.
+    # The energy of a motion is half its inner product with itself.
     return (model.work(one + two)[0] - model.work(one - two)[0]) / 2
 
 
 def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float64Array:
-    """Return the soft motions, scaled by the roots of the diagonal: (components, motions)."""
+    """Return the soft motions, shape (components, motions), times the root of the diagonal."""
     if not len(weights):
         return np.zeros((0, 0))
     springs = np.where(moves, _SPRINGS * model.steepness, 0.0)
@@ -294,7 +296,7 @@ def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float
 def _inverse(
     factors: Factors, moves: HeldPlanes, weights: Float64Array, columns: Float64Array
 ) -> Float64Array:
-    """Apply the inverse, scaled by the roots of the diagonal, to each column."""
+    """Apply the inverse of the model, scaled to a unit diagonal, to each column."""
     images = np.empty_like(columns)
     for number, column in enumerate(columns.T):
         load: Planes = np.zeros(moves.shape)
@@ -306,7 +308,7 @@ def _inverse(
 def _image(
     model: LinearModel, moves: HeldPlanes, weights: Float64Array, way: Float64Array
 ) -> Float64Array:
-    """Apply the scaled model to a motion."""
+    """Apply the model, scaled to a unit diagonal, to a motion."""
     d: Planes = np.zeros(moves.shape)
     d[moves] = way / weights
     return np.asarray(-model.pull(d)[moves] / weights)

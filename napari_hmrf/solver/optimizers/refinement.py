@@ -1,8 +1,8 @@
-"""Solution of a linear system to a tolerance, by cycles, or by factors where cycles are unreliable.
+"""Solve of a linear system to a tolerance, by cycles or by a direct factorization.
 
-If tissue is not mild, the iteration is first *rehearsed* (`self_check`) on a known solution. If its
-error estimate is right there, the iteration solves the problem. If not, or if the iteration stalls,
-the system is factorised.
+If the tissue is not mild, the iteration is first tested on a random field with a known solution
+(`self_check.Rehearsal`). If its error estimate is reliable there, the iteration solves the problem.
+Otherwise, or if the iteration stalls, the system is factorised.
 """
 
 from __future__ import annotations
@@ -27,52 +27,54 @@ from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
-#: Message for a system that has no factors in double precision.
+#: Message for a system that cannot be factorised in double precision.
 BARELY_HELD = (
-    "a part of the tissue is barely held, beyond the reach of double precision. Hold more of it, "
-    "or reduce the ratio of the stiffest to the softest tissue"
+    "a part of the tissue is barely held, so double precision cannot resolve its motion. Hold more "
+    "of it, or reduce the ratio of the stiffest to the softest tissue"
 )
-# Tolerance of a rehearsal in double precision, which must reach the softest motions.
+# Tolerance of a rehearsal in double precision, which must include the softest motions.
 _REHEARSED_DOUBLE = 1e-5
-# Factor on the largest number of cycles in double precision, where factors are not available.
+# Factor on the largest number of cycles in double precision, where no factorization is available.
 _IN_DOUBLE = 8
 # Safety factor on the ratio of true to estimated error that a rehearsal has measured, and on the
-# estimate for any volume.
+# error estimate of any volume.
 _MARGIN = 4.0
-# Further factor for a volume that is not mild.
+# Additional safety factor for a volume that is not mild.
 _VOLUME_MARGIN = 1.5
-# Lower bound of the eigenvalues that cycles meet in images of mild compressible tissue. Cycles that
-# meet a smaller one may miss others.
+# Least eigenvalue that cycles find in images of mild compressible tissue. Cycles that find a
+# smaller eigenvalue may have missed others.
 _MILD_LEAST = 0.1
-# The same bound for mild, nearly incompressible tissue.
+# Least eigenvalue that cycles find in images of mild, nearly incompressible tissue.
 _MILD_LEAST_INCOMPRESSIBLE = 0.05
-# Least safety factor of any estimate: estimates are of single components, and of the eigenvalues
-# met so far.
+# Least safety factor of any error estimate: an estimate is for a single component, and depends on
+# the eigenvalues found so far.
 _LEAST_MARGIN = 1.5
-# Safety factor for a warm start where tissue is not mild: it is converged except for the slowest
-# motions.
+# Additional safety factor for a warm start where tissue is not mild: only the slowest motions have
+# not converged.
 _WARM_MARGIN = 1.5
-# Ratio of the reported error to the estimate that ends an iteration, up to the tolerance.
+# Ratio of the reported error to the estimate that ends an iteration. The report never exceeds the
+# tolerance.
 _REPORTED = 1.5
-# Number of sites up to which factors take no longer than a rehearsal and a few cycles.
+# Number of sites up to which a factorization takes no longer than a rehearsal and a few cycles.
 _FEW = 1024
-# Largest number of free motions at hinges between touching parts of bodies, in factors.
+# Largest number of search directions for free motions at hinges between touching rigid bodies.
 _MOST_HINGES = 40
-# Largest ratio of a correction from the factorization to the previous correction.
+# Largest ratio of two successive corrections from the factorization that counts as progress.
 _FALL = 0.25
-# Size of a correction, in pixels where tissue moves by one, up to which any decrease is enough.
+# Correction, relative to the largest displacement or 1 pixel, up to which any decrease counts as
+# progress.
 _ROUNDING = 1e-15
-# Size of a correction, in pixels where tissue moves by one, up to which it may be the last one
-# although it does not decrease.
+# Correction, relative to the largest displacement or 1 pixel, up to which the solve may end without
+# progress.
 _STALLED = 1e-7
 
 
 class _SlowMotionError(Exception):
-    """Cycles have met a motion that they do not meet in mild tissue."""
+    """Cycles have found a slow motion, which does not occur in mild tissue."""
 
 
 class Refinement:
-    """Iteration in single precision, restarted from each residual in double, or factors.
+    """Iterative refinement: residuals in double precision, corrections by cycles or factorization.
 
     Parameters
     ----------
@@ -82,22 +84,22 @@ class Refinement:
     smoothing : Smoothing
     report : callable
     is_firm : bool
-        True if the held sites stop all motions about equally well.
+        True if the constrained sites resist all motions about equally well.
     start_quality : StartQuality, optional
-        Least eigenvalue and error of the solves of a warm start; None for a cold start.
+        Least eigenvalue and error from the solves of a warm start; None for a cold start.
 
     Attributes
     ----------
     estimate : float
-        Estimated distance of the field from convergence that is reported, in pixels.
+        Reported estimate of the error of the field, in pixels, with a safety margin.
     error : float
-        Estimate that ended the last run, without the margin of a report.
+        Error estimate that ended the last run, in pixels, without this margin.
     residual : float
-        Norm of the remaining forces, in double precision.
+        Norm of the residual forces, in double precision.
     energies : list of float
         Total energy after each cycle; the initial energy if there was no cycle.
     cycles : int
-        Number of cycles; a solution by factors counts as one.
+        Number of cycles; each solve with the factorization counts as one cycle.
     """
 
     def __init__(
@@ -116,8 +118,8 @@ class Refinement:
             start_quality,
         )
         self._mild = model.mild and is_firm
-        # Not a method of this object: a cycle of references would keep the model's factors until
-        # garbage collection.
+        # A bound method would create a reference cycle, which would keep the factorization in
+        # memory until garbage collection.
         self._iteration = ConjugateGradients(
             Cycle(model, smoothing), partial(_double_level_of, model)
         )
@@ -133,32 +135,34 @@ class Refinement:
         self._factors_tried = False
 
     def pull(self, d: Planes) -> Planes:
-        """Return the forces of the tissue after the last run, with more digits than `d` carries."""
+        """Return the forces of the tissue after the last run, without the rounding error of `d`."""
         return self._model.pull(d, self._low).copy()
 
     def require_rehearsal(self) -> None:
-        """Require a new rehearsal after a change of held sites, as the spectrum may change."""
+        """Require a new rehearsal, because new constraints may change the spectrum."""
         if self._underestimate is not None and self._underestimate <= BELIEVABLE:
             self._underestimate = None
 
     def run(
         self, d: Planes, load: Planes | None, tolerance: float, known: Quality | None = None
     ) -> None:
-        """Move `d` in place to balance with a load, within `tolerance` pixels.
+        """Solve for equilibrium with a load, within `tolerance` pixels; change `d` in place.
 
         Parameters
         ----------
         d : ndarray, planes
+            Initial displacement, in pixels.
         load : ndarray, planes, or None
-            Force on each component.
+            Force on each component, or None if there is no load.
         tolerance : float
+            Largest accepted error of the field, in pixels.
         known : Quality, optional
-            Quality of `d`. If it suffices, `d` is kept after a check of its residual.
+            Quality of `d`. If it is sufficient, only the residual of `d` is checked.
 
         Raises
         ------
         ConvergenceError
-            If neither cycles nor factors reach the tolerance.
+            If neither cycles nor the factorization reach the tolerance.
         """
         balance = self._model.balance(d, load)
         self.residual, self._low = balance.norm, None
@@ -174,25 +178,25 @@ class Refinement:
 
     @property
     def least(self) -> float:
-        """Least eigenvalue met by cycles, including those of the warm start."""
+        """Least eigenvalue found by cycles, including those of the warm start."""
         return self._iteration.least
 
     @property
     def by_factors(self) -> bool:
-        """True if the last run needed factors."""
+        """True if the system is factorised."""
         return self._model.earlier.factors is not None
 
     def set_energy(self, energy: float) -> None:
-        """Set the total energy after the last run, from which those of earlier cycles follow."""
+        """Record the energy after each cycle of the last run, given the final total energy."""
         gains = self._gains or [0.0]
         self.energies += list(energy + np.cumsum([0.0, *gains[:0:-1]])[::-1])
         self._gains = []
 
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
-        """Reduce the error to the tolerance by cycles; return whether they certainly did."""
+        """Reduce the error by cycles; return whether it is reliably within the tolerance."""
         earlier, before = self._model.earlier, math.inf
         self._mild = self._mild and not earlier.slow
-        # Slow motions end only the first run, before `d` has changed.
+        # Slow motions can stop only the first iteration, before `d` has changed.
         watch = self._mild and len(self._model.shape) == 2
         if not self._mild and self._factors_first and factors_fit(self._model):
             self._factors_tried = True
@@ -208,7 +212,7 @@ class Refinement:
                     self._underestimate = self._rehearse(d.shape)
                     while self._underestimate > BELIEVABLE and self._take_care():
                         self._underestimate = self._rehearse(d.shape)
-                    balance = self._model.balance(d, load)  # the rehearsal overwrote the old one
+                    balance = self._model.balance(d, load)  # the rehearsal overwrote the residual
             earlier.underestimate = self._underestimate
             earlier.least = self._iteration.least
             earlier.care = self._iteration.care
@@ -219,7 +223,7 @@ class Refinement:
             self._iteration.expect(self._start_quality.least)
         model, volume = self._model, len(self._model.shape) == 3
         moves = earlier.deflation
-        # Motions of single bodies are certain to be met, but not those between close bodies.
+        # Cycles find every motion of a single body, but may miss motions between close bodies.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
         doubt = _LEAST_MARGIN
@@ -273,12 +277,12 @@ class Refinement:
 
     @property
     def _is_slow(self) -> bool:
-        """True if the present run has met a motion that does not occur in mild tissue."""
+        """True if the present run has found a motion that does not occur in mild tissue."""
         mild = self._model.material.compressible
         return self._iteration.run_least < (_MILD_LEAST if mild else _MILD_LEAST_INCOMPRESSIBLE)
 
     def _begin_again(self, d: Planes, load: Planes | None, tolerance: float) -> bool:
-        """Restart the iteration for tissue that has turned out not to be mild."""
+        """Restart the iteration, because the tissue is not mild."""
         earlier = self._model.earlier
         earlier.slow, earlier.underestimate, self._underestimate = True, None, None
         self._iteration.least = 1.0
@@ -287,23 +291,23 @@ class Refinement:
         return self._iterate(d, load, tolerance, self._model.balance(d, load))
 
     def _least_error(self) -> float:
-        """Return a lower limit for the reported error, regardless of residuals."""
+        """Return a lower bound for the reported error, independent of the residual."""
         reported = _REPORTED * self.estimate
         if self._start_quality is None or self._start_quality.least == 1:
             return reported
-        # Each cycle certainly removes only this part of the error of a warm start.
+        # In the worst case, each cycle removes only this fraction of the error of a warm start.
         left = self._start_quality.error * (1 - self._iteration.least) ** len(self._gains)
         return max(reported, left)
 
     def _take_care(self) -> bool:
-        """Switch to a better iteration, with cleared arrays; return False if there is none."""
+        """Switch to a better iteration, and clear its arrays; return False if there is none."""
         more = self._iteration.take_care()
         if more:
             self._model.clear()
         return more
 
     def _deflate_bodies(self) -> bool:
-        """Compute the motions that rigid bodies induce; return False if they are uncertain."""
+        """Compute the motions induced by rigid bodies; return False if they are too similar."""
         model = self._model
         if model.bodies is None or not model.iterates:
             return True
@@ -315,15 +319,15 @@ class Refinement:
 
     @property
     def _factors_first(self) -> bool:
-        """True if cycles would fail, or would be slower than factors."""
+        """True if cycles would fail, or would be slower than a factorization."""
         few, laced = math.prod(self._model.shape) <= _FEW, self._model.material.laced
-        # Slipping observations give a sequence of similar systems: the work of cycles decreases
-        # from one to the next, that of factors does not.
+        # With slipping observations, similar systems are solved in sequence. Later systems need
+        # fewer cycles, but each factorization takes the same time.
         return few or laced or (self._model.slow and not self._factors_tried)
 
     @property
     def _too_long(self) -> bool:
-        """True if factors are faster from here on."""
+        """True if a factorization is now faster than more cycles."""
         return len(self._gains) >= self._patience and factors_fit(self._model)
 
     @property
@@ -332,7 +336,7 @@ class Refinement:
         return self._most * (_IN_DOUBLE if self._iteration.in_double else 1)
 
     def _rehearse(self, shape: tuple[int, ...]) -> float:
-        """Return the true error of a rehearsal, relative to its estimate."""
+        """Return the ratio of the true to the estimated error in a rehearsal."""
         error = host.noise(shape)
         compute_thread.check_cancelled()
         error[~self._model.moves] = 0
@@ -350,7 +354,7 @@ class Refinement:
 
     def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
         """Reduce the error to the tolerance with a direct factorization."""
-        known = f". The field is only known to be within {self.estimate:.2g} px of converged"
+        known = f". The estimated error of the field is {self.estimate:.2g} px"
         factors = factorise(self._model, self._report, known if self.estimate < math.inf else "")
         before = math.inf
         rest, self._low = self._left(d, load), np.zeros_like(d)
@@ -361,7 +365,7 @@ class Refinement:
             self.cycles += 1
             self._gains.append(float((correction * rest).sum()) / 2)
             far = float(np.abs(correction).max())
-            self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
+            self._report(Monitor(f"direct solve {self.cycles}, error {far:.2g} px", 1.0))
             scale = max(1.0, float(np.abs(d).max()))
             stays = not far < (1.0 if far <= _ROUNDING * scale else _FALL) * before
             if directions is not None:
@@ -369,7 +373,7 @@ class Refinement:
                 correction = directions.next(correction, rest)
             if stays and not max(far, before) <= _STALLED * scale:
                 raise ConvergenceError(
-                    f"the field stays {far:.2g} px from converged: double precision is not "
+                    f"the error of the field remains {far:.2g} px: double precision is not "
                     "accurate enough for this tissue. Hold more of it, or reduce the ratio of the "
                     "stiffest to the softest tissue"
                 )
@@ -378,7 +382,7 @@ class Refinement:
             self.residual = float(np.linalg.norm(rest))
             self.error = self.estimate = far
             last, before = before, far
-            # The remaining error is smaller still, by the ratio of the last two corrections.
+            # The error after this correction is even smaller, by the ratio of the two corrections.
             if far <= tolerance:
                 return
             if stays:
@@ -387,28 +391,32 @@ class Refinement:
         self.error = self.estimate = 0.0
 
     def _left(self, d: Planes, load: Planes | None) -> Planes:
-        """Return the part of a load that `d` leaves unbalanced."""
+        """Return the residual of `d` for a load, with zeros at constrained components."""
         rest = self.pull(d) if load is None else self.pull(d) + load
         rest[~self._model.moves] = 0
         self._project(rest)
         return rest
 
     def _report_cycle(self, estimate: float, tolerance: float) -> None:
-        """Count and report a cycle; fail after too many."""
+        """Count and report a cycle; raise an error if there were too many."""
         self.cycles += 1
         cycles = len(self._gains)
         self._first = self._first or estimate
         done = part_done(self._first, estimate, tolerance)
-        self._report(Monitor(f"cycle {self.cycles}, {estimate:.2g} px to go", done))
+        self._report(Monitor(f"cycle {self.cycles}, error {estimate:.2g} px", done))
         if cycles >= self._cycles_at_most and estimate > tolerance:
             raise ConvergenceError(
-                f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
+                f"the error of the field is still {estimate:.2g} px after {cycles} cycles. "
                 "Raise max_iterations, or reduce the ratio of the stiffest to the softest tissue"
             )
 
 
 class _Directions:
-    """Conjugate directions of corrections by factors, which treat touching parts as hinged."""
+    """Conjugate search directions for a factorization with hinges between touching rigid parts.
+
+    In the factorised matrix, parts of a rigid body that touch in one site can rotate against each
+    other. Further directions correct for such free motions.
+    """
 
     def __init__(self, model: LinearModel) -> None:
         self._model = model
@@ -417,11 +425,11 @@ class _Directions:
 
     @property
     def exhausted(self) -> bool:
-        """True if there have been as many directions as such hinges could need."""
+        """True if the search has used the largest number of directions for hinges."""
         return self._left <= 0
 
     def next(self, correction: Planes, rest: Planes) -> Planes:
-        """Return a correction from the factorization, scaled and conjugate to the previous one."""
+        """Return a correction, made conjugate to the previous one and scaled by a line search."""
         self._left -= 1
         if self._last is not None:
             way, image, bend = self._last
@@ -435,9 +443,9 @@ class _Directions:
 
 
 def add(d: Planes, low: Planes, way: Planes) -> None:
-    """Add a step to a field in two parts, in place: `low` holds the rounding error of `d`.
+    """Add a step to a displacement `d` + `low`, in place; `low` is the rounding error of `d`.
 
-    Forces come from differences between neighbours, and stiff tissue amplifies rounding.
+    Forces depend on differences between neighbours, and stiff tissue amplifies rounding errors.
     """
     change = low + way
     total = d + change
@@ -447,38 +455,39 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
 
 
 def _double_level_of(model: LinearModel) -> Any:
-    """Return the finest level in double precision, or None where factors are faster."""
+    """Return the finest level in double precision, or None if a factorization is available."""
     if factors_fit(model) or not fits(model.shape, IN_DOUBLE - ORDINARY):
         return None
     return model.double_level
 
 
 def factors_fit(model: LinearModel) -> bool:
-    """Return whether factors are available; volumes in the paper's model have none."""
+    """Return whether a factorization is available; never for volumes in the paper's model."""
     exist = len(model.shape) == 2 or not isinstance(model.material, SeilerMaterial)
     return exist and Factors.fit(model.shape)
 
 
 def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
-    """Return the factors of a model for the presently held sites; they are cached.
+    """Return the factorization of a model with its current constraints; the result is cached.
 
-    `known` is appended to a refusal.
+    The text `known` is appended to the first error message.
 
     Raises
     ------
     ConvergenceError
-        If they need too much memory, or if the system is singular in double precision.
+        If the factorization needs too much memory, or if the system is singular in double
+        precision.
     """
     if model.earlier.factors is None:
         if len(model.shape) == 3 and not factors_fit(model):
             raise ConvergenceError(
-                "cycles may miss motions of this volume, and no factors are available for it. "
+                "cycles may miss motions of this volume, and no factorization is available. "
                 "Raise max_iterations, crop the volume, hold more of it, or reduce the ratio of "
                 f"the stiffest to the softest tissue{known}"
             )
         if not factors_fit(model):
             raise ConvergenceError(
-                "cycles may miss motions of this tissue, and its factors need "
+                "cycles may miss motions of this tissue, and a factorization needs "
                 f"{Factors.required_memory(model.shape) / 2**30:.0f} GiB of memory. Crop the "
                 "image, or reduce the ratio of the stiffest to the softest tissue"
             )

@@ -1,8 +1,8 @@
 """Test of the error estimate of an iteration, on a random field with a known solution.
 
-A Krylov iteration estimates its error from the modes that it has met. If parts of stiff tissue are
-so thin or so close together that coarse levels join them, the modes that move them have so little
-energy that the iteration may meet them only after everything else has converged.
+A Krylov iteration estimates its error from the modes that it has found. If parts of stiff tissue
+are so thin or so close together that they merge on coarse levels, the modes that move these parts
+have so little energy that the iteration may find them only after all other modes have converged.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 
 #: Largest ratio of the true error to the estimated error with which an estimate is accepted.
 BELIEVABLE = 3.0
-# Largest ratio of the error after a round to the error before it with which another round follows.
+# Largest ratio of the errors after and before a round with which another round starts.
 _ROUND_REDUCTION = 0.5
 
 
 class Rehearsal(NamedTuple):
-    """Run of an iteration on a random field, whose solution is known: zero.
+    """Run of an iteration on a random field with a known solution, zero.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Rehearsal(NamedTuple):
         balance_of: Callable[[Planes], Balance],
         report: Report,
     ) -> float:
-        """Return the true error of the solution over its estimated error; infinite on failure.
+        """Return the ratio of the true to the estimated error; infinite if the run fails.
 
         Parameters
         ----------
@@ -52,14 +52,14 @@ class Rehearsal(NamedTuple):
         error : ndarray, planes
             Random field; changed in place.
         balance_of : callable
-            Returns the residual of a displacement without a load.
+            Returns the residual of a displacement, without a load.
         report : callable
             Called with a `Monitor` after each cycle.
         """
         most = float(np.abs(error).max())
         doubt, cycles, rounds, left = math.inf, 0, 0, most
         while most > 0 and doubt > BELIEVABLE and cycles < self.patience:
-            # The remaining error consists of modes that were not met; a new round meets them.
+            # Modes that were not found dominate the remaining error; a new round finds them.
             balance, step = balance_of(error), None
             target = self.part * most / balance.unit
 
@@ -78,8 +78,8 @@ class Rehearsal(NamedTuple):
             before, left = left, float(np.abs(error).max())
             if step.error <= target:
                 doubt = left / (balance.unit * step.error)
-            # Otherwise the round ended at the limit of single precision. A motion may be met late,
-            # but from the second round on each round must reduce the error.
+            # Otherwise the round ended at the limit of single precision. A mode may be found late,
+            # but every round except the first must reduce the error.
             rounds += 1
             if rounds > 1 and left > _ROUND_REDUCTION * before:
                 break

@@ -1,4 +1,4 @@
-"""Converged field where observations may slip, by exchanging states until all are consistent."""
+"""Converged field with observations that may slip: an active-set search for consistent states."""
 
 from __future__ import annotations
 
@@ -32,33 +32,34 @@ from napari_hmrf.solver.rigid_modes import free_motion, free_motions
 
 Float64Array = npt.NDArray[np.float64]
 
-# Factor on the tolerance for the first exchanges, before those at the tolerance.
+# Factor on the tolerance for the first exchanges, which are followed by exchanges at the tolerance.
 _ROUGH_FACTOR = 10.0
-# Accuracy of the final exchange, in pixels where tissue moves by one.
+# Accuracy of the final exchange, relative to the largest displacement or 1 pixel.
 _EXACT = 1e-11
-# Factor on this accuracy from which a component contradicts its state in an exchange.
+# Largest accepted contradiction of a state in the final exchange, as a multiple of the accuracy.
 _CONTRADICTION = 10.0
-# The same factor for the final confirmation of states.
+# Largest accepted contradiction of a state in the confirmation, as a multiple of the accuracy.
 _CONFIRMATION = 10.0
-# Margin below its limit, as a fraction, with which a component is certainly held.
+# Fraction of the limit by which a force must be below the limit to prove that a component is held.
 _AT_LIMIT = 1e-9
-# Margin below its limit, as a fraction, with which it needs no closer inspection.
+# Fraction of the limit by which a force must be below the limit to need no closer inspection.
 _NEAR_LIMIT = 1e-4
-# Fraction of its limit by which a held component may exceed it.
+# Excess of the force over its limit that is accepted for a held component, as a fraction.
 _EXCESS = 1e-9
-# Number of solutions by factors for the start of the interior-point method.
+# Number of refinement solves that compute the start of the interior-point method.
 _REFINEMENTS = 4
-# Number of exchanges after which another method takes over.
+# Number of exchanges after which another method is used.
 _MOST_EXCHANGES = 100
-# Number of exchanges after which only one state changes at a time.
+# Number of exchanges after which only one component is exchanged at a time.
 _BLOCK_EXCHANGES = 30
 
 
 class Slip:
-    """Search for the states of observations, and for the corresponding field.
+    """Search for the states of observations (held or slipping), and for the resulting field.
 
-    With many states or a weak grip, a state that is only slightly wrong can change the field much.
-    So at the end all states must be right within numerical accuracy.
+    With many slipping observations or a small penalty, a single wrong state can change the field
+    considerably, even if its contradiction is small. At the end, all states must therefore be right
+    within rounding errors.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ class Slip:
         self._steepness = model.steepness
 
     def run(self, d: Planes, tolerance: float) -> float:
-        """Move `d` in place to the field of least energy; return the norm of its forces."""
+        """Minimise the energy over `d`, in place; return the norm of the forces."""
         exact = _EXACT * max(1.0, float(np.abs(d).max()))
         try:
             if self._free(self._states.held) is not None:
@@ -108,8 +109,8 @@ class Slip:
                 self._check_held()
                 self._confirm(d, exact)
         except ConvergenceError:
-            # Exchanges did not end, or led to states that leave tissue free. First check that the
-            # observations can hold the tissue at all.
+            # The exchanges did not end, or their states leave tissue free. First check that the
+            # tissue has no free motion if all observations are held.
             self._model.hold(self._states.every)
             if self._model.moves.any():
                 self._check_held()
@@ -119,8 +120,8 @@ class Slip:
 
     def _close_gap(self, d: Planes) -> None:
         """Find the states by the interior-point method, in place."""
-        # Rounding errors of the method depend on its start. If it fails from the result of the
-        # exchanges, which depends on the tolerance, it starts again with all observations held.
+        # The rounding errors of the method depend on its start. If the method fails from the result
+        # of the exchanges, it starts again with all observations held.
         try:
             interior.solve(self._model, self._states, d, self._report)
         except ConvergenceError:
@@ -129,7 +130,7 @@ class Slip:
             interior.solve(self._model, self._states, d, self._report)
 
     def _with_all_held(self, d: Planes) -> Planes:
-        """Return the field with all observations held; the model must hold them already."""
+        """Return the field with all observations held; the model must have these constraints."""
         model, states = self._model, self._states
         held = np.where(self._steepness > 0, 0.0, d)
         states.place_fixed(held)
@@ -143,7 +144,7 @@ class Slip:
         return held
 
     def _check_held(self) -> None:
-        """Refuse tissue that the observations do not hold, with the reason."""
+        """Raise an error with the reason if the observations do not constrain the tissue."""
         model, every = self._model, self._states.every
         try:
             factorise(model, self._report)
@@ -156,20 +157,20 @@ class Slip:
 
     @property
     def _resolved(self) -> bool:
-        """True if the last solution is certainly unique; an earlier check covers elastic tissue."""
+        """True if the last solution is unique; elastic tissue was checked before."""
         return self._elastic or resolves(self._model)
 
     def _pull(self, d: Planes) -> Planes:
-        """Return the forces after the last run, without those of observations."""
+        """Return the forces after the last run, without the forces of observations."""
         return self._states.with_given(self._refinement.pull(d))
 
     def _free(self, held: HeldPlanes) -> Planes | None:
-        """Return a free motion of tissue that is held at some components only, or None."""
+        """Return a free motion of tissue with the constrained components `held`, or None."""
         motion = self._motion(self._problem, host.field(held))
         return None if motion is None else host.planes(motion.motion)
 
     def _exchange(self, d: Planes, tolerance: float, near: float) -> None:
-        """Exchange states and solve, in place, until no contradiction is above `near`."""
+        """Exchange states and solve, in place, until no contradiction exceeds `near` pixels."""
         model, states, bound = self._model, self._states, self._model.bounds[1]
 
         def pull(at: Planes) -> Planes:
@@ -184,7 +185,7 @@ class Slip:
             if before is not None:
                 way = d - before
                 far, pulls = float(np.abs(way).max()), pull(before).copy()
-                # Within the tolerance the direction is random.
+                # Within the tolerance, the direction of the step is random.
                 arrived = states.step(d, before, way, pulls, model.pull(way)) or far <= near
             elif states.lost:
                 states.follow(d)
@@ -205,11 +206,11 @@ class Slip:
             if not states.exchange(d, pull(d), self._steepness, near, self._free) and arrived:
                 return
         raise ConvergenceError(
-            f"the slipping observations are undetermined after {_MOST_EXCHANGES} exchanges"
+            f"no consistent slipping observations were found in {_MOST_EXCHANGES} exchanges"
         )
 
     def _confirm(self, d: Planes, exact: float) -> None:
-        """Solve for the present states, and exchange those that turn out to be wrong."""
+        """Solve for the present states, and exchange components that contradict their state."""
         states, model, refinement = self._states, self._model, self._refinement
         for number in range(_MOST_EXCHANGES):
             play = self._soft_motions(states.held)
@@ -226,14 +227,14 @@ class Slip:
                 break
         else:
             raise ConvergenceError(
-                "the slipping observations are undetermined in double precision. Raise the "
+                "no consistent slipping observations were found in double precision. Raise the "
                 "penalty, or hold more of the tissue"
             )
         energy, _ = model.work(d)
         refinement.set_energy(energy + states.cost(d))
 
     def _settle(self, d: Planes) -> float:
-        """Choose the field of least motion among those of least energy; return the force norm."""
+        """Choose the least motion among fields of least energy; return the norm of the forces."""
         states, pull = self._states, self._pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
             quality = self._refinement.estimate, self._refinement.residual
@@ -243,22 +244,22 @@ class Slip:
         return forces
 
     def _clear(self, d: Planes) -> HeldPlanes:
-        """Return the components that are certainly held, without closer inspection."""
+        """Return a mask of the components that are held by a clear margin."""
         noise = _EXACT * max(1.0, float(np.abs(d).max())) * self._steepness
         return self._states.certain(self._pull(d), _NEAR_LIMIT, noise)
 
     def _motions(self, held: HeldPlanes) -> list[Float64Array]:
-        """Return all free motions of tissue that is held at some components only."""
+        """Return all free motions of tissue with the constrained components `held`."""
         if self._elastic:
             return list(free_motions(self._problem, host.field(held)))
         return self._soft_motions(held).free
 
     def _soft_motions(self, held: HeldPlanes) -> SoftMotions:
-        """Return all soft motions of tissue that is held at some components only."""
+        """Return all soft motions of tissue with the constrained components `held`."""
         return find_soft_motions(self._model, held, self._refinement, self._report)
 
     def _least(self, d: Planes, pull: Planes, motions: list[Float64Array]) -> None:
-        """Choose the field of least motion among those that differ by motions, in place."""
+        """Choose the least motion among the fields that differ by `motions`, in place."""
         if motions:
             moved, off, side = map(host.field, (d, *self._states.sides(d, pull)))
             least_motion.choose_least_motion(moved, off, side, motions, self._problem.tissue)

@@ -1,12 +1,13 @@
-"""States of observations, held or slipping, which solve the L1 data term (eq. 19) exactly.
+"""States of observations, held or slipping, as an exact solution of the L1 data term (eq. 19).
 
-An observation pulls with a force of at most p = K c. If less is enough to keep a component at its
-observed position, the component is *held* there; otherwise it *slips* and is pulled towards it
-with p. The states are found by exchanging all components that contradict their state, then solving
-again (a semismooth Newton method). Where that makes no progress, the states come from a few
-proximal gradient steps, and the field moves towards the one for these states only as far as the
-energy falls (a truncated nonsmooth Newton method: Gräser and Kornhuber, J. Comput. Math. 27, 2009).
-This method certainly ends: the energy is convex, and each set of states has one least energy.
+The force of an observation is at most ``p = K c``. If a smaller force is enough to keep a component
+at its observed position, the component is *held*. Otherwise the component *slips*: it is away from
+this position, and is pulled towards it with the force p. The search exchanges the states of all
+components that contradict their state, and solves again (a semismooth Newton method). If this makes
+no progress, a few proximal gradient steps set the states, and the field is moved towards the
+solution for these states only while the energy decreases (a truncated nonsmooth Newton method:
+Gräser and Kornhuber, J. Comput. Math. 27, 2009). The second method always ends, because the energy
+is convex and has one least value for each set of states.
 """
 
 from __future__ import annotations
@@ -21,16 +22,17 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.optimizers.loading import work_of
 
-#: Returns a free motion of tissue that is held at the given components only (planes), or None.
+#: Function that returns a free motion (planes) for a mask of constrained components, or None.
 FreeMotion = Callable[[HeldPlanes], Planes | None]
 
-#: Number of exchanges without a new least number of contradictions, after which exchanges end.
+#: Number of exchanges without a new minimum of the number of contradictions, after which another
+#: method is used.
 PATIENCE = 6
-# Distance from its observed position, in pixels, up to which a component counts as being there.
+# Distance from its observed position, in pixels, up to which a component is held.
 _AT_POSITION = 1e-7
-# Fraction of a step below which it counts as none.
+# Fraction of a step up to which the step counts as no progress.
 _NO_STEP = 1e-6
-# Number of proximal steps, each on all components separately.
+# Number of proximal gradient steps.
 _SWEEPS = 10
 
 
@@ -40,23 +42,23 @@ class States:
     Parameters
     ----------
     observed : ndarray of bool, planes
-        Components that are observed.
+        Observed components.
     y : ndarray, planes
         Observed displacement, in pixels.
     limit : ndarray, planes
-        Force on slipping components, in units of the model's residuals; infinite where a component
-        never slips.
+        Largest force of each observation, in units of the model's residual; infinite for a
+        component that never slips.
     d : ndarray, planes
-        Displacement; components away from their observed position slip from the start.
+        Displacement, in pixels. Components away from their observed position slip at first.
 
     Attributes
     ----------
     fixed : ndarray of bool, planes
         Observed components that never slip.
     at : ndarray of int
-        The other observed components, as indices into flat planes.
+        Indices of the components that may slip, in the flattened planes.
     y, limit : ndarray
-        Values at these components.
+        Observed displacement and limit of the components that may slip.
     """
 
     def __init__(self, observed: HeldPlanes, y: Planes, limit: Planes, d: Planes) -> None:
@@ -66,14 +68,14 @@ class States:
         self._fixed_y = y.ravel()[self._fixed_at]
         self.at = np.flatnonzero(observed & ~self.fixed)
         self.y, self.limit = y.ravel()[self.at], limit.ravel()[self.at]
-        # Sign of the force on slipping components; 0 where held.
+        # Sign of the force on each slipping component; 0 for held components.
         self._slips: npt.NDArray[Any] = np.sign(self.y - d.ravel()[self.at])
         self._fewest = len(self.at) + 1
         self._patience = PATIENCE
 
     @property
     def held(self) -> HeldPlanes:
-        """Components that are held."""
+        """Mask of the held components."""
         held: HeldPlanes = self.fixed.copy()
         held.ravel()[self.at[self._slips == 0]] = True
         return held
@@ -85,7 +87,7 @@ class States:
 
     @property
     def load(self) -> Planes:
-        """Forces on the slipping components."""
+        """Forces of the observations on the slipping components."""
         load = np.zeros(self._grid)
         load.ravel()[self.at] = self._slips * self.limit
         return load
@@ -95,7 +97,7 @@ class States:
         self._slips = np.zeros_like(self._slips)
 
     def slip_as(self, sides: npt.NDArray[Any]) -> None:
-        """Set states: components slip on one side of y (1) or the other (-1); 0 is held."""
+        """Set the states: the sign of ``y - d`` if a component slips, and 0 if it is held."""
         self._slips = sides
 
     def place(self, d: Planes) -> None:
@@ -110,9 +112,9 @@ class States:
 
 
 class ActiveSet(States):
-    """States of observations of a model with an energy.
+    """States of the observations of a model with an energy.
 
-    The `limit` is the largest force of the observation of each component.
+    Here `limit` is the largest force of an observation.
 
     Parameters
     ----------
@@ -137,28 +139,28 @@ class ActiveSet(States):
 
     @property
     def load(self) -> Planes:
-        """Forces on the slipping components, and given forces."""
+        """Forces of the slipping observations, plus the given forces."""
         load = super().load
         return load if self.given is None else load + self.given
 
     def with_given(self, pull: Planes) -> Planes:
-        """Return forces of the tissue, with the given forces added."""
+        """Return the sum of the forces of the tissue and the given forces."""
         return pull if self.given is None else pull + self.given
 
     @property
     def lost(self) -> bool:
-        """True once exchanges alone have stopped making progress; stays True from then on."""
+        """True once exchanges alone have made no progress; never reset."""
         return self._patience == 0
 
     def cost(self, d: Planes) -> float:
-        """Return the energy of observations, sum of p |y - d|, less the work of given forces."""
+        """Return the energy ``sum(p |y - d|)`` of observations, minus the work of given forces."""
         of_observations = float((self.limit * np.abs(self.y - d.ravel()[self.at])).sum())
         return of_observations + self._stored - work_of(self.given, d)
 
     def exchange(
         self, d: Planes, pull: Planes, steepness: Planes, tolerance: float, free: FreeMotion
     ) -> bool:
-        """Release held components above their limit, and hold slipping ones that have passed y.
+        """Release held components above their limit; hold slipping components that have passed y.
 
         Parameters
         ----------
@@ -166,13 +168,13 @@ class ActiveSet(States):
             Displacement for the present states. If the release would leave tissue free, the tissue
             slides until an observation holds it again; `d` is then changed in place.
         pull : ndarray, planes
-            Force of the tissue on each component, including given forces.
+            Force of the tissue on each component, plus the given forces.
         steepness : ndarray, planes
-            Diagonal of the model. A force divided by the diagonal is the resulting motion.
+            Diagonal of the model, which converts a force to a displacement.
         tolerance : float
-            Contradictions of less than this, in pixels, do not count.
+            Contradiction, in pixels, up to which a component keeps its state.
         free : callable
-            Returns a free motion of tissue that is held at the given components only, or None.
+            Returns a free motion of tissue for a mask of constrained components, or None.
 
         Returns
         -------
@@ -197,7 +199,7 @@ class ActiveSet(States):
                 break
             if len(released) == 1:
                 return self.slide(d, motion) or int(wrong.sum()) > 1
-            # Too many components were released: keep only those with the largest excess.
+            # Too many components were released: release only the half with the largest excess.
             wrong[released[np.argsort(excess[released])[: len(released) // 2]]] = False
         return count > 0
 
@@ -211,7 +213,8 @@ class ActiveSet(States):
     ) -> bool:
         """Return whether any component contradicts its state; parameters as for `exchange`.
 
-        A force that exceeds the limit by this `share` of it is a contradiction at any stiffness.
+        A force that exceeds its limit by the fraction `share` is a contradiction, however stiff the
+        tissue is.
         """
         more = np.abs(pull.ravel()[self.at]) - self.limit
         over = (self._slips == 0) & (more > share * self.limit)
@@ -219,7 +222,7 @@ class ActiveSet(States):
 
     @property
     def every(self) -> HeldPlanes:
-        """Components that are observed."""
+        """Mask of all observed components."""
         observed: HeldPlanes = self.fixed.copy()
         observed.ravel()[self.at] = True
         return observed
@@ -227,16 +230,17 @@ class ActiveSet(States):
     def relax(
         self, d: Planes, pull_at: Callable[[Planes], Planes], steepness: Planes, free: FreeMotion
     ) -> bool:
-        """Move each component by itself to its position of least energy, in place.
+        """Take a few proximal gradient steps from `d`, in place.
 
         Parameters
         ----------
         d : ndarray, planes
             Displacement.
         pull_at : callable
-            Returns the force of the tissue on each component, including given forces.
+            Returns the force of the tissue on each component, plus the given forces, for a
+            displacement.
         steepness : ndarray, planes
-            The model's diagonal, times a bound of its spectrum relative to the diagonal.
+            Diagonal D of the model, times an upper bound of the spectrum of D^-1 A.
         free : callable
             As for `exchange`.
 
@@ -260,22 +264,22 @@ class ActiveSet(States):
         return True
 
     def _excess(self, pull: Planes, steepness: Planes) -> npt.NDArray[Any]:
-        """Return the force of each component above its limit, as the motion that it causes."""
+        """Return the excess force over the limit, divided by the diagonal, in pixels."""
         more = np.abs(pull.ravel()[self.at]) - self.limit
         return np.asarray(more / steepness.ravel()[self.at])
 
     def _wrong(
         self, d: Planes, excess: npt.NDArray[Any], tolerance: float
     ) -> npt.NDArray[np.bool_]:
-        """Return the components that contradict their state by more than `tolerance` pixels."""
+        """Return a mask of the components that contradict their state by more than `tolerance`."""
         passed = self._slips * (d.ravel()[self.at] - self.y)
         return np.asarray(np.where(self._slips == 0, excess, passed) > tolerance)
 
     def certain(self, pull: Planes, margin: float, noise: Planes | float = 0.0) -> HeldPlanes:
-        """Return the components that are held with less than their limit.
+        """Return a mask of the components that are held by a force below their limit.
 
-        The margin is a fraction of the limit; `noise`, the uncertainty of forces, is subtracted,
-        too.
+        Their force is below the limit by at least the fraction `margin` of the limit, plus `noise`,
+        the uncertainty of the force.
         """
         held: HeldPlanes = self.fixed.copy()
         uncertainty = np.broadcast_to(noise, self._grid).ravel()[self.at]
@@ -286,10 +290,11 @@ class ActiveSet(States):
     def correct(
         self, d: Planes, pull: Planes, tolerance: float, share: float, singly: bool
     ) -> bool:
-        """Exchange components that contradict their state by `tolerance` or by `share` of a limit.
+        """Exchange components that contradict their state; return whether there were any.
 
-        Returns whether any component did. If `singly`, only the last of them is exchanged; such
-        exchanges certainly end (Murty's rule).
+        A held component contradicts its state if its force exceeds the limit by the fraction
+        `share`; a slipping one, if it has passed y by `tolerance` pixels. If `singly`, only the
+        last such component is exchanged, so that the exchanges always end (Murty's rule).
         """
         force, held = -pull.ravel()[self.at], self._slips == 0
         passed = self._slips * (d.ravel()[self.at] - self.y)
@@ -300,7 +305,7 @@ class ActiveSet(States):
         return bool(wrong.any())
 
     def sides(self, d: Planes, pull: Planes) -> tuple[Planes, Planes]:
-        """Return the distances y - d of components, and the sides on which they must stay."""
+        """Return ``y - d`` of each component (0 if held), and the sign that it must keep."""
         off, side = np.zeros((2, *self._grid))
         off.ravel()[self.at] = np.where(self._slips == 0, 0.0, self.y - d.ravel()[self.at])
         needed = -pull.ravel()[self.at]
@@ -308,21 +313,24 @@ class ActiveSet(States):
         return off, side
 
     def step(self, d: Planes, before: Planes, way: Planes, pull: Planes, change: Planes) -> bool:
-        """Move `d` from `before` along `way` only as far as the energy falls, in place.
+        """Move `d` from `before` along `way` to the least energy, within the step.
 
-        Returns whether that is the whole step.
+        Returns True if `d` is at the end of the step. `d` is changed in place.
 
         Parameters
         ----------
         d : ndarray, planes
             End of the step.
         before, way : ndarray, planes
-        pull, change : ndarray, planes
-            Force of the tissue at `before`, including given forces, and its change over the step.
+            Start of the step, and the step.
+        pull : ndarray, planes
+            Force of the tissue at `before`, plus the given forces.
+        change : ndarray, planes
+            Change of this force over the step.
         """
         slope, bend = -float((pull * way).sum()), -float((change * way).sum())
         part = self._lowest(before, way, slope, bend)
-        # Components that were released against this direction stay held until there is progress.
+        # Without progress, components that were released but are still at y stay held.
         slipped = self._slips != 0
         if part < 1:
             np.copyto(d, before + part * way)
@@ -331,16 +339,16 @@ class ActiveSet(States):
         return part >= 1
 
     def follow(self, d: Planes) -> None:
-        """Hold the components that are at their observed position, and let the others slip."""
+        """Set the states from `d`: a component is held if it is at its observed position."""
         off = self.y - d.ravel()[self.at]
         self._slips = np.where(np.abs(off) <= _AT_POSITION, 0.0, np.sign(off))
         self.place(d)
 
     def slide(self, d: Planes, motion: Planes) -> bool:
-        """Move tissue along a free motion to the least energy of the observations, in place.
+        """Move tissue along a free motion to the least energy, in place; return whether it moved.
 
-        An observation then holds the tissue. If the energy has no minimum along the motion,
-        released components are held again.
+        Afterwards, an observation holds the tissue. If the energy has no minimum along the motion,
+        components at their observed position are held again instead.
         """
         for way in (motion, -motion):
             part = self._lowest(d, way, -work_of(self.given, way), 0.0)
@@ -354,7 +362,7 @@ class ActiveSet(States):
 
     def _lowest(self, d: Planes, way: Planes, slope: float, bend: float) -> float:
         """Return the multiple of `way` from `d` at which the energy is least."""
-        # `slope` and `bend` are those of the tissue; the observations are added here.
+        # `slope` and `bend` are the first and second derivative of the energy without observations.
         off, moves = d.ravel()[self.at] - self.y, way.ravel()[self.at]
         off[self._slips == 0] = 0
         at = np.divide(-off, moves, out=np.full_like(off, -1.0), where=moves != 0)

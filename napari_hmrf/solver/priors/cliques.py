@@ -19,17 +19,18 @@ Slices = tuple[slice, ...]
 
 @cache
 def line_steps(axes: int) -> tuple[tuple[int, ...], ...]:
-    """Return the directions of the lines: axes, then diagonals of faces, then of space.
+    """Return the directions of the lines: along the axes, face diagonals, then space diagonals.
 
     Parameters
     ----------
     axes : int
-        2 for images, which have four (figure 2), or 3 for volumes, which have thirteen.
+        Number of axes: 2 for images, which have four directions (figure 2), or 3 for volumes, which
+        have thirteen.
 
     Returns
     -------
     tuple of tuple of int
-        Step from the middle t of a clique to its end u; its end s is on the opposite side.
+        Step from the middle site t of a clique to its end u; its end s is on the opposite side.
     """
     steps = [step for step in product((1, 0, -1), repeat=axes) if 1 in step]
     upwards = [step for step in steps if -1 not in step[: step.index(1)]]
@@ -37,30 +38,31 @@ def line_steps(axes: int) -> tuple[tuple[int, ...], ...]:
 
 
 def line_weights(spacing: tuple[float, ...]) -> Float64Array:
-    """Return the weight of each line of cliques for each component of displacement.
+    """Return the weight of each line of cliques for each component of the displacement.
 
-    The paper's pixels are square: the vertical line carries the row component, the horizontal line
-    the col component, and the diagonals both, all with weight 1. The same holds for cubes, where a
-    diagonal carries the components of its direction. For other pixels and voxels the weights, none
-    negative, preserve the continuum limit: in uniform tissue component i obeys
-    ``3 d_ii + 2 d_jj (+ 2 d_kk) = 0`` in physical lengths, for any spacing. With these weights a
-    volume of equal slices also has the same solution as an image of one slice.
+    In the paper, pixels are square: the vertical line contributes to the row component, the
+    horizontal line to the column component, and the diagonals to both components, all with weight
+    1. The same holds for cubic voxels, where a diagonal contributes to the components of its
+    direction. For other pixels and voxels, the weights are nonnegative and preserve the continuum
+    limit: in uniform tissue, component i satisfies ``3 d_ii + 2 d_jj (+ 2 d_kk) = 0`` in physical
+    lengths, for any spacing. With these weights, the solution of a volume of equal slices is also
+    the solution of the image of a single slice.
 
     Parameters
     ----------
     spacing : tuple of float
-        Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction.
+        Size of a pixel along (row, column), or of a voxel along (plane, row, column).
 
     Returns
     -------
     ndarray, shape (4, 2) or (13, 3)
-        Weight of each of `line_steps` for each component.
+        Weight of each line in `line_steps` for each component.
     """
     axes = len(spacing)
     sizes = np.array(spacing) / spacing[0]
-    along = sizes**2 / np.prod(sizes**2) ** (1 / axes)  # in units of one pixel
-    # Each line within a slice of a volume is the projection of two more lines, to the slices on
-    # either side, so that the total weight is three times that of an image.
+    along = sizes**2 / np.prod(sizes**2) ** (1 / axes)  # squared sides; their product is 1
+    # Each line within a slice of a volume is also the projection of two lines to the neighbouring
+    # slices, so the total weight is three times that of an image.
     total = 3.0 ** (axes - 2)
     longer = np.maximum.outer(along, along)
     of_space, of_faces = 1 / along.max(), total / longer - (total - 1) / along.max()
@@ -77,19 +79,19 @@ def line_weights(spacing: tuple[float, ...]) -> Float64Array:
 
 @dataclass(frozen=True, eq=False)
 class SeilerMaterial:
-    """Material of a problem's tissue in the paper's model, as the kernels of multigrid use it.
+    """Tissue of a problem in the paper's model, as required by the multigrid kernels.
 
     Attributes
     ----------
     m : ndarray, shape (H, W) or (D, H, W), float32
         Stiffness; 0 is void. Only its ratios matter.
     lines : ndarray, shape (4, 2) or (13, 3)
-        Weight of each line of cliques for each component: `line_weights`.
+        Weight of each line of cliques for each component; see `line_weights`.
     square : bool
         True if the pixels are square, or the voxels are cubes.
     blanket : bool
-        True for the blanket reading: all cliques that contain a site act on it. False for the
-        centred reading: only cliques with the site in the middle do.
+        True for the blanket reading, in which all cliques that contain a site act on it. False for
+        the centred reading, in which only the cliques centred at a site act on it.
     """
 
     m: npt.NDArray[np.float32]
@@ -109,23 +111,24 @@ class SeilerMaterial:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Upper bounds of the spectrum of D^-1 A, for usual and for any materials.
+        """Upper bounds of the spectrum of D^-1 A, for typical materials and for all materials.
 
-        In the centred reading a row is 1 minus a weighted mean. In the blanket reading each term of
-        the energy is the square of a sum of three, at most three times the sum of their squares.
+        In the centred reading, a row of D^-1 A is 1 minus a weighted mean. In the blanket reading,
+        each term of the energy is the square of a sum of three numbers, which is at most three
+        times the sum of their squares.
         """
         most = 3.0 if self.blanket else 2.0
         return most, most
 
     @cached_property
     def mild(self) -> bool:
-        """True if a cycle is known to reduce every motion of such tissue."""
-        # In the blanket reading, cycles miss the bending of parts that are three sites wide.
+        """True if a cycle is known to reduce the error in every motion of this tissue."""
+        # In the blanket reading, cycles do not reduce the bending of parts three sites wide.
         return contrast(self.m) <= MILD_CONTRAST and self.square and not self.blanket
 
-    #: A rehearsal can succeed for any tissue.
+    #: False because a rehearsal can succeed for any tissue.
     laced = False
-    #: The model does not resist changes of volume.
+    #: True because the model does not resist changes of volume.
     compressible = True
     #: Number of sites along a side of an element, which consists of the cliques around a site.
     patch = 3
@@ -134,12 +137,12 @@ class SeilerMaterial:
 
     @property
     def symmetric(self) -> bool:
-        """True if the matrix of the model is symmetric, so that it has an energy."""
+        """True if the matrix of the model is symmetric, so that an energy exists."""
         return self.blanket
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """Each component of an image by itself, with the function that returns the matrices.
+        """Components of an image, one by one, each with the function that returns its matrices.
 
         The matrices of the cliques around sites have shape (h, w, 9, 9).
         """
@@ -149,8 +152,8 @@ class SeilerMaterial:
     def _matrices(
         self, component: int, padded: npt.NDArray[np.float32], rows: slice, cols: slice
     ) -> Float64Array:
-        """Return the matrices of the cliques whose middles lie in these rows and columns."""
-        # Blanket: the second derivatives of the energy. Centred: d - q(d) of the middle site.
+        """Return the matrices of the cliques centred at the sites in these rows and columns."""
+        # Blanket: second derivatives of the energy. Centred: d - q(d) of the middle site.
         sites = padded[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
         shape = sites.shape[0] - 2, sites.shape[1] - 2
         total, curvature = np.zeros((*shape, 9, 9)), np.zeros((*shape, 1))
@@ -179,10 +182,10 @@ class SeilerMaterial:
         return total
 
     def pull(self, d: Float64Array, low: Float64Array) -> Float64Array:
-        """Return -A d of the blanket reading, for a displacement (planes) in two parts.
+        """Return -A d in the blanket reading, for a displacement given as the sum d + low.
 
-        The softest tissue resists with tiny forces, and stiff tissue amplifies the rounding of
-        differences between neighbours, so these are computed with twice the digits.
+        The forces of the softest tissue are tiny, and stiff tissue amplifies rounding errors in the
+        differences between neighbours, so these differences are computed in doubled precision.
         """
         m = np.pad(self.m, 2)
         total = np.zeros(d.shape)
@@ -202,16 +205,16 @@ class SeilerMaterial:
 
 
 class Cliques(NamedTuple):
-    """Energy of the cliques at each site as a function of its displacement, in planes.
+    """Energy of the cliques at each site as a function of the site's displacement, as planes.
 
     Attributes
     ----------
     curvature : ndarray, shape (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4)
-        Half of the second derivative of the energy with respect to the site's displacement.
+        Half the second derivative of the energy with respect to the site's displacement.
     slope : ndarray, of the same shape
-        -1/2 of the first derivative.
+        -1/2 times the first derivative.
     energy : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
-        Energy of the cliques with the site in the middle.
+        Energy of the cliques centred at the site.
     """
 
     curvature: Float64Array
@@ -227,14 +230,14 @@ def cliques(
     Parameters
     ----------
     d : ndarray, shape (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4)
-        Displacement in pixels, in a ring of zeros two sites wide.
+        Displacement in pixels, with a border of zeros two sites wide.
     m : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
-        Stiffness in the same ring; 0 is void.
+        Stiffness with the same border; 0 is void.
     lines : ndarray, shape (4, 2) or (13, 3)
-        Weight of each line of cliques for each component: `line_weights`.
+        Weight of each line of cliques for each component; see `line_weights`.
     blanket : bool
-        True if all cliques that contain a site act on it; False if only those with the site in the
-        middle do.
+        True if all cliques that contain a site act on it; False if only the cliques centred at the
+        site act on it.
     """
     curvature, slope = np.zeros((2, *d.shape))
     energy = np.zeros(m.shape)
@@ -257,7 +260,7 @@ def cliques(
 def _lines(
     lines: Float64Array, m: npt.NDArray[np.floating]
 ) -> Iterator[tuple[Float64Array, tuple[Slices, Slices, Slices]]]:
-    """Yield each line of cliques: its weights, (2, 1, 1), and slices of its sites s, t and u."""
+    """Yield the weights, (2, 1, 1), and the slices of sites s, t and u of each line of cliques."""
     for step, weights in zip(line_steps(m.ndim), lines, strict=True):
         s, t, u = (
             tuple(slice(2 + k * a, size - 2 + k * a) for a, size in zip(step, m.shape, strict=True))
@@ -270,7 +273,7 @@ _Pair = tuple[Float64Array, Float64Array]
 
 
 def _difference(d: Float64Array, low: Float64Array, one: Slices, other: Slices) -> _Pair:
-    """Return the difference of displacements, d[one] - d[other], in two parts."""
+    """Return the difference of displacements, d[one] - d[other], as an unevaluated sum."""
     high, rest = _sum(d[:, *one], -d[:, *other])
     return high, rest + (low[:, *one] - low[:, *other])
 
@@ -280,7 +283,7 @@ def _negative(pair: _Pair) -> _Pair:
 
 
 def _scaled_difference(ratio: Float64Array, one: _Pair, other: _Pair) -> Float64Array:
-    """Return ratio * one - other, rounded only at the end."""
+    """Return ratio * one - other with a single rounding error."""
     product, rest = _product(ratio, one[0])
     high, lost = _sum(product, -other[0])
     return high + (lost + rest + ratio * one[1] - other[1])
@@ -311,7 +314,7 @@ def _halves(a: Float64Array) -> _Pair:
 def ratios(
     m: npt.NDArray[np.floating], s: Slices, t: Slices, u: Slices
 ) -> tuple[Float64Array, Float64Array, npt.NDArray[np.bool_]]:
-    """Return m_t/m_s, m_t/m_u (1 where undefined) and whether the clique exists, each (..., 1)."""
+    """Return m_t/m_s, m_t/m_u (1 where undefined) and a mask of existing cliques, each (..., 1)."""
     ms, mt, mu = (m[at].astype(np.float64)[..., None] for at in (s, t, u))
     exists = (ms > 0) & (mt > 0) & (mu > 0)
     one = np.ones_like(mt)

@@ -1,15 +1,15 @@
 """Linear elasticity on the pixel grid: reference energy and forces, in NumPy and float64.
 
-Every 2 x 2 block of tissue sites is an *element*, a clique of four sites, within which displacement
-is bilinear. With the mean stiffness of its sites and Poisson's ratio it has the energy
+Every 2 x 2 block of tissue sites is an *element*: a clique of four sites within which the
+displacement is bilinear. With the mean stiffness of its sites and Poisson's ratio, its energy is
 
     U = 1/2 integral of  lambda (e_rr + e_cc)^2 + 2 mu (e_rr^2 + e_cc^2) + mu (gamma_rc)^2
 
-so that the most probable field is the finite-element solution, with the pixels as its mesh. In a
-volume elements are blocks of 2 x 2 x 2 sites (`priors.hexahedra`), and all six strains count.
+The most probable field is therefore the finite-element solution on the mesh of pixels. In a volume,
+elements are blocks of 2 x 2 x 2 sites (`priors.hexahedra`), and U includes all six strains.
 
 Growth strain (`priors.growth`) is subtracted from the strain in the energy, and the work of forces
-is subtracted from the energy. Both are linear in displacement.
+is subtracted from the energy. Both terms are linear in the displacement.
 """
 
 from __future__ import annotations
@@ -40,37 +40,38 @@ from napari_hmrf.solver.rigid_modes import check_held
 
 Plane = Literal["stress", "strain"]
 
-#: K of eq. 19 for doubted observations if no penalty is given: a force of 1 strains a pixel of
-#: the stiffest tissue by 1.
+#: Penalty K (eq. 19) of doubted observations if none is given: a force of 1 strains a pixel of the
+#: stiffest tissue by 1.
 DOUBTED_PENALTY = 1.0
-#: Range of Poisson's ratio in which the energy is that of a stable, compressible tissue.
+#: Range of Poisson's ratio in which tissue is stable and compressible.
 POISSON_RANGE = (0.0, 0.499)
-#: Range of penalties in which products of forces stay within double precision.
+#: Range of penalties for which products of forces do not overflow or underflow.
 PENALTY_RANGE = (1e-30, 1e30)
 
 
 @dataclass(frozen=True, eq=False)
 class ElasticPrior:
-    """Linear elasticity: plane in an image, and in three dimensions in a volume.
+    """Linear elasticity: plane in an image, and three-dimensional in a volume.
 
     Parameters
     ----------
     poisson : float or array_like, shape (H, W) or (D, H, W)
-        Poisson's ratio, 0 to 0.499, of all tissue or of each site: how much tissue bulges when
-        compressed. 0.5 would be incompressible; soft tissue is 0.45 to 0.499. Values in void are
-        ignored.
+        Poisson's ratio of all tissue or of each site, from 0 to 0.499: the amount by which tissue
+        bulges when compressed. A ratio of 0.5 would be incompressible; soft tissue has 0.45 to
+        0.499. Values in void are ignored.
     plane : {"stress", "strain"}
-        ``"stress"``: a thin slice, free to bulge out of the image. ``"strain"``: a slice held
-        between its neighbours. The twist of an element then does not count as a change of volume
-        (selective reduced integration), because counting it would lock nearly incompressible
-        tissue. Ignored in a volume, which is strained in all directions.
+        ``"stress"`` is a thin slice that is free to bulge out of the image. ``"strain"`` is a slice
+        confined between its neighbours. In plane strain, the twist of an element does not count as
+        a change of volume (selective reduced integration), because counting it would lock
+        nearly incompressible tissue. Ignored in a volume, which is strained in all directions.
     penalty : float, optional
-        Strength of observations. By default their confidence c decides: c = 1 is certain and held
-        exactly; 0 < c < 1 is doubted and holds with a force of at most c per component, where a
-        force of 1 strains a pixel of the stiffest tissue by 1. Where tissue pulls harder, the
-        observation slips. Beside rigid tissue nothing can slip: all observations are held exactly.
-        A number K is K of eq. 19 for every observation, certain ones included: each holds with at
-        most K c. ``inf`` holds every observation with c > 0 exactly.
+        Strength of observations. By default, it depends on their confidence c: with c = 1 an
+        observation is certain and prescribed exactly; with 0 < c < 1 it is doubted and exerts a
+        force of at most c per component, where a force of 1 strains a pixel of the stiffest tissue
+        by 1. The observation slips where the force would exceed this limit. If there is rigid
+        tissue, observations cannot slip, and all observations are prescribed exactly. A number sets
+        K of eq. 19 for all observations, including certain ones: each exerts a force of at most
+        K c. With ``inf``, every observation with c > 0 is prescribed exactly.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
@@ -91,7 +92,7 @@ class ElasticPrior:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters by name (JSON types only); a map of ratios by its shape and digest."""
+        """Parameters by name (JSON types only), with the shape and digest of a map of ratios."""
         nu: Any = self.poisson
         if isinstance(nu, np.ndarray):
             digest = hashlib.sha256(nu.tobytes()).hexdigest()
@@ -115,15 +116,15 @@ class ElasticPrior:
 
     @property
     def kernels(self) -> str:
-        """Kernels of this prior once it is `resolved`, as a key.
+        """Key of the kernels that this prior uses after `resolved`.
 
-        A map of Poisson's ratio and observations that may slip have kernels of their own.
+        Maps of Poisson's ratio and observations that may slip require special kernels.
         """
         mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty != math.inf
         return f"elastic{', mapped' * mapped}{', slipping' * slips}"
 
     def rehearsal(self, shape: tuple[int, ...]) -> ElasticPrior:
-        """Return a prior with the same kernels, for a small problem of this shape."""
+        """Return a prior that uses the same kernels, for a small problem of the given shape."""
         mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty != math.inf
         poisson = np.full(shape, 0.45, np.float32) if mapped else 0.45
         return ElasticPrior(poisson, plane=self.plane, penalty=1.0 if slips else math.inf)
@@ -131,27 +132,27 @@ class ElasticPrior:
     def resolved(self, problem: Problem) -> ElasticPrior:
         """Check that the problem has a unique solution, and return the prior for this problem.
 
-        The penalty becomes ``inf`` if none was given and no observation of this problem may slip.
+        A penalty of None becomes ``inf`` if the observations of this problem cannot slip.
 
         Raises
         ------
         ProblemError
-            Naming a piece of tissue that could still move freely, or rigid tissue if observations
-            may slip.
+            If a piece of tissue could move freely, or if there is rigid tissue and the penalty is
+            finite.
         """
         if isinstance(self.poisson, np.ndarray):
             _check_poisson_map(self.poisson, problem)
         if self.penalty is not None and self.penalty < math.inf and problem.rigid.any():
             raise ProblemError(
                 "stiffness",
-                "is infinite (rigid) somewhere, but beside rigid tissue no observation may slip. "
-                "Leave the prior's penalty out, or give that tissue a finite stiffness.",
+                "is infinite (rigid) somewhere, but observations cannot slip if there is rigid "
+                "tissue. Omit the prior's penalty, or give that tissue a finite stiffness.",
             )
         check_held(problem)
         return self.in_force(problem)
 
     def in_force(self, problem: Problem) -> ElasticPrior:
-        """Return the prior with an infinite penalty if no observation of the problem may slip."""
+        """Return the prior with an infinite penalty if the problem's observations cannot slip."""
         return self if self.can_slip(problem) else replace(self, penalty=math.inf)
 
     def can_slip(self, problem: Problem) -> bool:
@@ -162,9 +163,9 @@ class ElasticPrior:
         return bool(doubted.any()) and not problem.rigid.any()
 
     def limit(self, problem: Problem) -> Float64Array | None:
-        """Return the largest force P of every component (H, W, 2), or None if none may slip.
+        """Return the force limits P, (H, W, 2), or None if observations cannot slip.
 
-        Infinite where the component is held exactly.
+        P is infinite for components that are prescribed exactly.
         """
         if not self.can_slip(problem):
             return None
@@ -175,7 +176,7 @@ class ElasticPrior:
         return limit
 
     def material(self, problem: Problem) -> ElasticMaterial:
-        """Return the properties of a problem's tissue that the kernels need."""
+        """Return the properties of a problem's tissue that the kernels require."""
         shape = self.shape(problem.spacing)
         return ElasticMaterial(problem.stiffness, self.poisson, self._strain(problem), shape)
 
@@ -184,19 +185,20 @@ class ElasticPrior:
         return self.plane == "strain" or problem.stiffness.ndim == 3
 
     def lame(self, problem: Problem, sites: slice = slice(None)) -> Lame:
-        """Return Lame's parameters of elements, from the means of sites; 0 if void or rigid.
+        """Return Lame's parameters of elements from the means of their sites.
 
-        The elements are all, or those between the sites in a range of the first axis.
+        They are 0 for elements with void or rigid sites. By default all elements are returned;
+        otherwise only the elements between the given range of sites along the first axis.
         """
         m = problem.stiffness[sites] / np.float64(stiffest(problem.stiffness))
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
         if problem.rigid.any():
-            # Rigid tissue does not stretch, so like void it has no energy.
+            # Rigid tissue does not stretch, so its elastic energy is zero, as in void.
             m = np.where(np.isinf(m), 0.0, m)
         return lame_parameters(m, nu, self._strain(problem))
 
     def shape(self, spacing: tuple[float, ...]) -> ElementShape | BrickShape:
-        """Return the constants of an element for a pixel size; only the pixel's shape matters."""
+        """Return the constants of an element for a pixel size; only the aspect ratio matters."""
         if len(spacing) == 3:
             return brick_shape(spacing)
         row, col = spacing
@@ -206,11 +208,11 @@ class ElasticPrior:
         )
 
     def force_unit(self, problem: Problem) -> float:
-        """Return the force, in units of `Loads`, that strains a pixel of the stiffest by 1."""
+        """Return the force, in units of `Loads`, that strains a pixel of stiffest tissue by 1."""
         return stiffest(problem.stiffness) * problem.unit ** (len(problem.shape) - 1)
 
     def load(self, problem: Problem) -> Load | None:
-        """Return the contribution of a problem's loads to its energy; None without loads."""
+        """Return the contribution of a problem's loads to its energy, or None without loads."""
         loads, grid = problem.loads, problem.shape
         if loads is None or (loads.growth is None and loads.force is None):
             return None
@@ -229,7 +231,7 @@ class ElasticPrior:
     def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
         """Return U, in pixels squared, for a displacement (H, W, 2) in units of ``spacing``.
 
-        U is the energy stored in tissue, less the work of forces.
+        U is the elastic energy minus the work of forces.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         stored, load = self._stored(problem, d), self.load(problem)
@@ -251,9 +253,9 @@ class ElasticPrior:
         return float((volume + strain + slide + twist).sum() / 2)
 
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return the gradient of the energy with respect to the displacement (H, W, 2), in pixels.
+        """Return the gradient of the energy with respect to the displacement in pixels, (H, W, 2).
 
-        These are the internal forces of the tissue, less the forces of loads.
+        It consists of the internal forces of the tissue minus the forces of loads.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         shape, load, forces = self.shape(problem.spacing), self.load(problem), np.zeros(d.shape)
@@ -274,8 +276,8 @@ def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
         poisson = np.array(given, dtype=np.float32, order="C")
     if poisson.ndim not in (2, 3):
         raise ArgumentError(
-            "poisson must be one number, or one for each pixel (H, W) or voxel (D, H, W), not of "
-            f"shape {poisson.shape}"
+            "poisson must be one number, or one for each pixel (H, W) or voxel (D, H, W), not an "
+            f"array of shape {poisson.shape}"
         )
     poisson.setflags(write=False)
     return poisson
@@ -300,7 +302,7 @@ def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> No
 
 
 def prior_in_words(prior: Any) -> str:
-    """Return an elastic prior on one line, with a map of Poisson's ratios by its size."""
+    """Return a one-line text for an elastic prior, with the size of a map of ratios."""
     nu = prior.poisson
     ratio = f"map of {grid_in_words(nu.shape)}" if isinstance(nu, np.ndarray) else f"{nu}"
     name = type(prior).__name__

@@ -1,13 +1,14 @@
 """Elements of elastic tissue and their forces, in NumPy and float64.
 
-An element's displacement is described by three differences per component, as in the kernels (which
-compute forces from differences of displacement, never from an assembled stencil):
+The displacement of an element is described by three differences per component. The kernels use the
+same differences, never an assembled stencil:
 
-    along rows     D_r = (d10 - d00) + (d11 - d01)
-    along columns  D_c = (d01 - d00) + (d11 - d10)
-    the twist      D_x = (d11 - d01) - (d10 - d00)
+    row axis       D_r = (d10 - d00) + (d11 - d01)
+    column axis    D_c = (d01 - d00) + (d11 - d10)
+    twist          D_x = (d11 - d01) - (d10 - d00)
 
-The mean strains follow from D_r and D_c. Their energy and that of the twist add up.
+D_r and D_c determine the mean strains. The energy of an element is the energy of the mean strains
+plus the energy of the twist.
 """
 
 from __future__ import annotations
@@ -24,31 +25,31 @@ from napari_hmrf.solver.neighbours import in_elements, of_corners
 
 Float64Array = npt.NDArray[np.float64]
 
-#: Stiffness used for rigid tissue in cycles that hold all bodies, in units of the stiffest other
-#: tissue.
+#: Stiffness that represents rigid tissue in cycles with all bodies prescribed, relative to the
+#: stiffest non-rigid tissue.
 HELD_STAND_IN = 1.0
-#: The same in cycles that move bodies, whose coarse levels must stay accurate.
+#: Same for cycles that move bodies; coarse levels must remain accurate.
 CYCLE_STAND_IN = 40.0
-#: The same in factors.
+#: Same for factorizations.
 FACTOR_STAND_IN = 1e6
-#: Largest ratio of stiffnesses for which a cycle of multigrid is known to reduce every motion.
+#: Largest ratio of stiffnesses for which a multigrid cycle is known to reduce every motion.
 MILD_CONTRAST = 5.0
-#: The same for the ratio of the sides of a pixel.
+#: Same for the ratio of the sides of a pixel.
 MILD_ASPECT = 1.5
-#: The same for the ratio of the sides of a voxel; estimates for volumes have a larger margin.
+#: Same for the ratio of the sides of a voxel; estimates for volumes have a larger margin.
 MILD_VOXEL_ASPECT = 2.0
-#: The same for Poisson's ratio in plane strain.
+#: Same for Poisson's ratio in plane strain.
 MILD_POISSON = 0.4
-#: Least number of elements per site for which a cycle reduces every motion: thin strips bend in
-#: ways that coarse levels cannot represent.
+#: Least number of elements per site for which a cycle reduces every motion. Thin strips have fewer,
+#: and coarse levels cannot represent all their bending modes.
 MILD_COMPACTNESS = 0.85
-#: Ratio of stiffnesses from which cycles miss some motions of thin strips.
+#: Ratio of stiffnesses above which cycles do not reduce some motions of thin strips.
 LACED_CONTRAST = 300.0
 
 
 @dataclass(frozen=True, eq=False)
 class ElasticMaterial:
-    """Material of a problem's tissue, as the kernels use it.
+    """Tissue of a problem, as required by the kernels.
 
     Attributes
     ----------
@@ -59,6 +60,7 @@ class ElasticMaterial:
     strain : bool
         True for plane strain and for volumes, False for plane stress.
     shape : ElementShape or BrickShape
+        Constants of an element for the size of a pixel or voxel.
     """
 
     m: npt.NDArray[np.float32]
@@ -82,13 +84,13 @@ class ElasticMaterial:
         return math.isinf(float(self.m.max()))
 
     def relative(self, stand_in: float, sites: Any = ...) -> Float64Array:
-        """Return the stiffness of some sites in units of the stiffest tissue that is not rigid."""
+        """Return the stiffness of some sites relative to the stiffest non-rigid tissue."""
         m = self.m[sites].astype(np.float64) / stiffest(self.m)
         return np.where(np.isinf(m), stand_in, m)
 
     @cached_property
     def mild(self) -> bool:
-        """True if a cycle is known to reduce every motion of such tissue."""
+        """True if a cycle is known to reduce the error in every motion of this tissue."""
         aspect = MILD_ASPECT if self.m.ndim == 2 else MILD_VOXEL_ASPECT
         return (
             contrast(self.m) <= MILD_CONTRAST
@@ -103,13 +105,14 @@ class ElasticMaterial:
 
     @cached_property
     def laced(self) -> bool:
-        """True if the contrast of thin strips is too high for a rehearsal to succeed."""
+        """True if thin strips have too high a contrast for a rehearsal to succeed."""
         return self._compactness < MILD_COMPACTNESS and contrast(self.m) >= LACED_CONTRAST
 
     @cached_property
     def _compactness(self) -> float:
-        """Number of elements per site of tissue: 1/2 for strips of two sites, near 1 if wide."""
-        # Borders take up the same part of each axis; the power makes volumes comparable to images.
+        """Number of elements per site of tissue: 1/2 for strips two sites wide, near 1 if wide."""
+        # Borders reduce the number by the same factor per axis; the power makes volumes and images
+        # comparable.
         share = np.count_nonzero(in_elements(self.m)) / np.count_nonzero(self.m > 0)
         return float(share ** (2 / self.m.ndim))
 
@@ -121,9 +124,9 @@ class ElasticMaterial:
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """All components together, with the function that returns the matrices.
+        """All components together, with the function that returns the element matrices.
 
-        The matrices of elements have shape (h, w, 8, 8), or (d, h, w, 24, 24).
+        The matrices have shape (h, w, 8, 8), or (d, h, w, 24, 24) in a volume.
         """
         return ((tuple(range(self.m.ndim)), self._matrices),)
 
@@ -145,9 +148,9 @@ class ElasticMaterial:
 
 
 class Lame(NamedTuple):
-    """Lame's parameters of the elements, relative to the stiffest; 0 in void.
+    """Lame's parameters of the elements, relative to the stiffest tissue; 0 in void.
 
-    The arrays are one shorter along each axis than those of the sites.
+    Along each axis, the arrays are one element shorter than the arrays of the sites.
     """
 
     first: Float64Array
@@ -155,18 +158,18 @@ class Lame(NamedTuple):
 
 
 class ElementShape(NamedTuple):
-    """Factors of an element's differences, from the size of a pixel (area times squared lengths).
+    """Factors on an element's differences, from the size of a pixel (area times squared lengths).
 
     Attributes
     ----------
     rows, cols : float
-        Factors of the squares of D_r and D_c.
+        Factors on the squares of D_r and D_c.
     mixed : float
-        Factor of their products.
+        Factor on the products of D_r and D_c.
     twist_rows, twist_cols : float
-        Factors of the square of D_x, from its strain along rows and along columns.
+        Factors on the square of D_x, for its strain along the row axis and the column axis.
     twist_volume : float
-        1 if the twist counts as a change of volume, else 0.
+        1 if the twist counts as a change of volume, otherwise 0.
     """
 
     rows: float
@@ -183,7 +186,7 @@ class ElementShape(NamedTuple):
 
     @property
     def aspect(self) -> float:
-        """Ratio of a pixel's longer side to the shorter."""
+        """Ratio of a pixel's longer side to its shorter side."""
         return max(self.rows, self.cols) / self.mixed
 
     @property
@@ -193,12 +196,12 @@ class ElementShape(NamedTuple):
         return row, 1 / row
 
     def forces(self, lame: Lame, d: Float64Array) -> Float64Array:
-        """Return the force of all elements on each site: the stiffness matrix times d."""
+        """Return the total force of the elements on each site: the stiffness matrix times d."""
         return element_forces(lame, self, d)
 
 
 class Differences(NamedTuple):
-    """D_r, D_c and D_x of every element, each (2, H - 1, W - 1) with the component first."""
+    """D_r, D_c and D_x of every element, each with shape (2, H - 1, W - 1), component first."""
 
     rows: Float64Array
     cols: Float64Array
@@ -206,7 +209,7 @@ class Differences(NamedTuple):
 
 
 def of_elements(values: Float64Array) -> Float64Array:
-    """Return the mean over each element's sites: four, or eight in a volume."""
+    """Return the mean over the sites of each element: four, or eight in a volume."""
     mean: Float64Array = of_corners(values, np.add) / 2**values.ndim
     return mean
 
@@ -217,12 +220,12 @@ def lame_ratio(poisson: float, strain: bool) -> float:
 
 
 def contrast(m: npt.NDArray[np.float32]) -> float:
-    """Return the ratio of the largest stiffness to the least, of tissue that is not rigid."""
+    """Return the ratio of the largest to the smallest stiffness of non-rigid tissue."""
     return stiffest(m) / min(float(m.min(where=m > 0, initial=np.inf)), stiffest(m))
 
 
 def stiffest(m: npt.NDArray[np.float32]) -> float:
-    """Return the largest stiffness of tissue that is not rigid; 1 if all tissue is."""
+    """Return the largest stiffness of non-rigid tissue, or 1 if all tissue is rigid."""
     most = float(m.max())
     if math.isinf(most):
         most = float(m.max(where=np.isfinite(m), initial=0.0)) or 1.0
@@ -230,7 +233,7 @@ def stiffest(m: npt.NDArray[np.float32]) -> float:
 
 
 def lame_parameters(m: Float64Array, poisson: Any, strain: bool) -> Lame:
-    """Return Lame's parameters of each element, from the means of its sites; 0 if one is void.
+    """Return Lame's parameters of each element from the means of its sites; 0 if a site is void.
 
     Parameters
     ----------
@@ -251,7 +254,7 @@ def lame_parameters(m: Float64Array, poisson: Any, strain: bool) -> Lame:
 
 
 def differences(d: Float64Array) -> Differences:
-    """Return the differences of every element of a displacement (H, W, 2)."""
+    """Return the differences of every element for a displacement (H, W, 2)."""
     d = np.moveaxis(d, -1, 0)
     d00, d01, d10, d11 = d[:, :-1, :-1], d[:, :-1, 1:], d[:, 1:, :-1], d[:, 1:, 1:]
     left, right = d10 - d00, d11 - d01
@@ -260,9 +263,9 @@ def differences(d: Float64Array) -> Differences:
 
 @lru_cache(maxsize=16)
 def element_stiffness(shape: Any) -> tuple[Float64Array, Float64Array]:
-    """Return the stiffness matrices of one element for lambda = 1, mu = 0 and the reverse.
+    """Return the stiffness matrices of one element for (lambda, mu) = (1, 0) and (0, 1).
 
-    They have shape (8, 8), or (24, 24) in a volume.
+    The matrices have shape (8, 8), or (24, 24) in a volume.
     """
     corners = (2,) * shape.axes
     size = shape.axes * 2**shape.axes
@@ -275,7 +278,7 @@ def element_stiffness(shape: Any) -> tuple[Float64Array, Float64Array]:
 
 
 def element_forces(lame: Lame, k: ElementShape, d: Float64Array) -> Float64Array:
-    """Return the force of all elements on each site, (H, W, 2): the stiffness matrix times d."""
+    """Return the total force of the elements on each site, (H, W, 2): stiffness matrix times d."""
     first, shear = lame
     (rr, rc), (cr, cc), (xr, xc) = differences(d)
     own = k.twist_volume * first + 2 * shear

@@ -1,32 +1,34 @@
 """Elements for large motion: finite strain and rotation, in NumPy and float64.
 
-Six numbers describe a deformed element, per side of a pixel: its two mean sides and its twist,
+Six numbers describe a deformed element: its two mean sides, relative to the undeformed sides h_r
+and h_c, and its twist,
 
     z = (a, b, x):  a = e_r + D_r / 2 h_r,  b = e_c + D_c / 2 h_c,  x = D_x
 
-Here a and b are the columns of the mean deformation gradient F. An element is bilinear, so that its
-Jacobian is linear within it: if it is positive at the four corners, the pixel is folded nowhere.
-The mean Jacobian and the Jacobian at each corner are quadratic in z,
+Here a and b are the columns of the mean deformation gradient F. The displacement of an element is
+bilinear, so its Jacobian is linear within the element: if the Jacobian is positive at the four
+corners, the element is not folded anywhere. The mean Jacobian and the Jacobian at each corner are
+quadratic in z,
 
     J = z . Q z / 2.
 
-The energy of an element is that of a neo-Hookean solid, plus the energy of the twist, plus a
-barrier that rises as a corner comes close to folding:
+The energy of an element is the neo-Hookean energy, plus the energy of the twist, plus a barrier
+that increases as a corner approaches folding:
 
     U = mu/2 (|F|^2 - 2) + g(J) + t/2 |x|^2 + mu kappa/4 sum over corners of b(J_k)
     plane strain:  g = lambda/4 (J^2 - 1) - (mu + lambda/2) ln J
     plane stress:  g = (mu + lambda/2) (ln((mu + lambda J^2/2) / (mu + lambda/2)) / 2 - ln J)
     below J_0:     b = -(J - J_0)^2 ln(J / J_0)
 
-For small motion this is linear elasticity. Let e_g be the growth strain, which tissue would have if
-it were free. The energy is then that of the deformation from the grown shape, for the grown amount
-of tissue:
+For small motion, this is linear elasticity. Let e_g be the growth strain, which is the strain of
+tissue that grows freely. The energy then measures the deformation relative to the grown shape, and
+is multiplied by the amount of grown tissue:
 
     (a, b) -> (a, b) (1 + e_g)^-1,    J, J_k -> J / det(1 + e_g),    U -> det(1 + e_g) U
 
-Growth across the image multiplies the amount of tissue by one plus its strain. In plane strain,
-where the slice cannot thicken, J is also divided by this factor in g. External forces are not part
-of the energy of an element.
+Out-of-plane growth multiplies the amount of tissue by one plus its strain. In plane strain, where
+the slice cannot thicken, J in g is also divided by this factor. External forces are not part of the
+energy of an element.
 """
 
 from __future__ import annotations
@@ -52,9 +54,9 @@ from napari_hmrf.solver.real_arrays import FloatArray
 
 #: Strength of the barrier, kappa, in units of mu.
 BARRIER = 10.0
-#: Jacobian below which the barrier acts, J_0.
+#: Value J_0 of the Jacobian below which the barrier acts.
 BARRIER_BEGIN = 0.5
-# The numbers z of an element at rest.
+# Value of z for an element at rest.
 _AT_REST = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
@@ -66,11 +68,12 @@ def grown_sizes(growth: FloatArray, axes: int) -> Float64Array:
     growth : ndarray
         Growth strain, as in `Loads`: a number or a tensor for each site.
     axes : int
-        Number of axes of the grid, n.
+        Number of axes of the grid, 2 or 3.
 
     Returns
     -------
     ndarray, shape (H, W) or (D, H, W), float64
+        Factor on the area or the volume.
     """
     if growth.ndim == axes:
         return np.asarray((1.0 + growth.astype(np.float64)) ** axes)
@@ -84,13 +87,13 @@ class Moduli(NamedTuple):
     Attributes
     ----------
     numbers : tuple of ndarray, shape (H - 1, W - 1), or float
-        Seven numbers for each element: mu, 0 in void; lambda, as for a volume; mu + lambda/2, the
-        modulus of a change of volume at rest; t, the modulus of the twist; and the inverse of
-        growth, (1 + e_g)^-1: along rows, mixed, and along columns.
+        Seven numbers per element: mu, 0 in void; lambda as for a volume; mu + lambda/2, the modulus
+        of volume change at rest; t, the modulus of the twist; and the components rr, rc and cc of
+        the inverse growth (1 + e_g)^-1.
     bulges : bool
-        True if tissue is free to become thicker: plane stress.
+        True if tissue is free to become thicker, as in plane stress.
     stored : float
-        Energy that does not depend on the motion.
+        Part of the energy that does not depend on the motion.
     """
 
     numbers: tuple[Float64Array | float, ...]
@@ -100,7 +103,7 @@ class Moduli(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FiniteMaterial(ElasticMaterial):
-    """Material of a problem's tissue in large motion, as the kernels use it.
+    """Tissue of a problem in large motion, as required by the kernels.
 
     Attributes
     ----------
@@ -120,16 +123,16 @@ class FiniteMaterial(ElasticMaterial):
     __hash__ = None
 
     def is_tissue_of(self, other: FiniteMaterial) -> bool:
-        """Return whether the other is the same tissue; growth may differ."""
+        """Return whether both materials are the same tissue; their growth may differ."""
         return ElasticMaterial.__eq__(self, other)
 
     def grown(self, part: float) -> FiniteMaterial:
-        """Return the tissue with a fraction of its growth."""
+        """Return the material with a fraction of its growth."""
         return self if self.growth is None else replace(self, growth=self.growth * np.float32(part))
 
     @property
     def most_growth(self) -> float:
-        """Largest factor by which growth enlarges or reduces the size of any free tissue."""
+        """Largest factor by which growth enlarges or reduces any free tissue."""
         if self.growth is None:
             return 1.0
         sizes = grown_sizes(self.growth, self.m.ndim)[self.m > 0]
@@ -141,8 +144,8 @@ class FiniteMaterial(ElasticMaterial):
         Parameters
         ----------
         stand_in : float
-            Stiffness used for rigid tissue, in units of the stiffest other tissue; 0 leaves its
-            elements out.
+            Stiffness that represents rigid tissue, relative to the stiffest non-rigid tissue; 0
+            excludes rigid elements.
         """
         m = self.relative(stand_in)
         lame = lame_parameters(m, self.poisson, self.strain)
@@ -159,21 +162,23 @@ def moduli_of(
     growth: Float64Array | None = None,
     across: Float64Array | float = 0.0,
 ) -> Moduli:
-    """Return the moduli of elements from their Lame's parameters for small motion in the plane.
+    """Return the moduli of elements from their in-plane Lame's parameters for small motion.
 
     Parameters
     ----------
     lame : Lame
+        Lame's parameters of linear elasticity in the plane.
     shape : ElementShape
+        Factors on the differences of an element.
     growth : ndarray, shape (2, 2, H - 1, W - 1), optional
         Growth strain of each element.
     across : ndarray or float
-        Growth strain across the image.
+        Growth strain perpendicular to the image.
     """
     bulges = shape.twist_volume > 0
     first, shear = lame
-    # The energy of a twist must not depend on the rotation of its element, so the mean over both
-    # directions is used for oblong pixels.
+    # The energy of a twist must not depend on the rotation of its element, so oblong pixels use the
+    # mean over both directions.
     of_twist = shear + (shape.twist_volume * first + shear) / 2
     if bulges:
         stretches = shear > 0
@@ -204,7 +209,9 @@ class FiniteElements:
     Parameters
     ----------
     moduli : Moduli
+        Moduli of the elements.
     shape : ElementShape
+        Factors on the differences of an element.
     """
 
     def __init__(self, moduli: Moduli, shape: ElementShape) -> None:
@@ -214,13 +221,13 @@ class FiniteElements:
         )
         self._is_tissue = self._shear > 0
         row, mixed, col = growth
-        # Factor of growth on a Jacobian, and matrix of growth on the sides in z.
+        # Factor that removes growth from a Jacobian, and matrix that removes it from sides in z.
         self._area = row * col - mixed**2
         undone = np.moveaxis(np.array([[row, mixed], [mixed, col]]), (0, 1), (-2, -1))
         self._sides = np.einsum("ijkl,pq->ijkplq", undone, np.eye(2)).reshape(*row.shape, 4, 4)
 
     def energy(self, d: Float64Array) -> float:
-        """Return the energy of a displacement (H, W, 2) in pixels; infinite if tissue is folded."""
+        """Return the energy of a displacement (H, W, 2) in pixels, or infinity if tissue folds."""
         z = self._deformed(d)
         mean, corners = self._jacobians(z)
         if (corners[:, self._is_tissue] <= 0).any():
@@ -254,7 +261,7 @@ class FiniteElements:
         return total
 
     def tangents(self, d: Float64Array) -> Float64Array:
-        """Return second derivatives by (D_r, D_c, D_x) of each element, (H - 1, W - 1, 6, 6)."""
+        """Return second derivatives with respect to (D_r, D_c, D_x), (H - 1, W - 1, 6, 6)."""
         z = self._deformed(d)
         slopes, bends = self._slopes(z)
         quadratic = _quadratic(self._shape)
@@ -276,12 +283,12 @@ class FiniteElements:
         return np.asarray(_AT_REST + np.moveaxis(changes, 0, -1))
 
     def _scale(self) -> Float64Array:
-        """Return the factors from the differences of an element to z."""
+        """Return the factors that convert the differences of an element to z."""
         rows, cols = np.sqrt(self._shape.rows), np.sqrt(self._shape.cols)
         return np.array([rows, rows, cols, cols, 1.0, 1.0])
 
     def _own(self) -> Float64Array:
-        """Return the second derivatives of the energy of stretch and twist by z."""
+        """Return second derivatives of the stretch and twist energy with respect to z."""
         matrices = np.zeros((*self._shear.shape, 6, 6))
         square = np.einsum("ijab,ijbc->ijac", self._sides, self._sides)
         matrices[..., :4, :4] = self._shear[..., None, None] * square
@@ -293,7 +300,7 @@ class FiniteElements:
         return jacobians[0], jacobians[1:]
 
     def _slopes(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return first and second derivatives of the energy by the Jacobians, (5, H - 1, W - 1)."""
+        """Return first and second derivatives with respect to the Jacobians, (5, H - 1, W - 1)."""
         mean, corners = self._jacobians(z)
         mean, corners = self._area * mean, self._area * corners
         shear, first, whole = self._shear, self._first, self._whole
@@ -315,7 +322,7 @@ class FiniteElements:
         return slopes, bends
 
 
-# Signs of each corner along rows and columns, and the sites at this corner of the elements.
+# Signs of each corner along the row and column axes, and the sites at this corner of the elements.
 _CORNERS = (
     (-1, -1, np.s_[:-1, :-1]),
     (-1, 1, np.s_[:-1, 1:]),
@@ -326,7 +333,7 @@ _CORNERS = (
 
 @lru_cache(maxsize=16)
 def _quadratic(shape: ElementShape) -> Float64Array:
-    """Return Q of the mean Jacobian and of the Jacobian at each corner, (5, 6, 6)."""
+    """Return Q of the mean Jacobian and of the Jacobian at each corner, shape (5, 6, 6)."""
     a, b, x = slice(0, 2), slice(2, 4), slice(4, 6)
     cross = np.array([[0.0, 1.0], [-1.0, 0.0]])
     mean, down, right = np.zeros((3, 6, 6))

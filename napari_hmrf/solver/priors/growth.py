@@ -1,11 +1,11 @@
-"""Forces of growth at each site, in NumPy and float64, for images and volumes.
+"""Forces of growth on each site, in NumPy and float64, for images and volumes.
 
-An element with the growth strain e_g has the energy of the strain e - e_g. With s_g = C : e_g
+An element with growth strain e_g has the energy of the strain e - e_g. With s_g = C : e_g,
 
     U = 1/2 integral of e : C : e  -  integral of e : s_g  +  1/2 integral of e_g : s_g
 
-As e_g is the mean over the sites of the element, only the mean of the strain e counts in the second
-integral.
+Within an element e_g is constant, the mean over its sites, so the second integral depends only on
+the mean of the strain e.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from napari_hmrf.solver.neighbours import pairs
 from napari_hmrf.solver.priors.elements import Float64Array, Lame, of_elements
 from napari_hmrf.solver.real_arrays import FloatArray
 
-# Number of elements that are processed at once: all elements of a volume would need more memory
-# than its solve.
+# Number of elements that are processed at once. Processing all elements of a volume together would
+# require more memory than its solve.
 _BLOCK_SIZE = 1 << 17
 
 
 class Load(NamedTuple):
-    """Contribution of loads to the energy, linear in displacement.
+    """Contribution of loads to the energy, linear in the displacement.
 
     Attributes
     ----------
     forces : ndarray, shape (H, W, 2) or (D, H, W, 3)
         Force on each site, in pixels.
     energy : float
-        Energy of undisplaced tissue, in pixels squared.
+        Energy at zero displacement, in pixels squared.
     """
 
     forces: Float64Array
@@ -59,9 +59,10 @@ def growth_load(
     sides : tuple of float
         Lengths of the sides of an element, scaled to a product of 1.
     lame_of : callable
-        Returns Lame's parameters of the elements between the sites in a range of the first axis.
+        Function that returns Lame's parameters of the elements between the sites in a range of the
+        first axis.
     across : bool
-        True if growth across an image exerts forces: plane strain.
+        True if growth perpendicular to the image exerts forces, as in plane strain.
     """
     axes = len(grid)
     forces, energy = np.zeros((*grid, axes)), 0.0
@@ -82,7 +83,7 @@ def growth_load(
 
 
 def slabs(grid: tuple[int, ...]) -> Iterator[slice]:
-    """Yield ranges of sites along the first axis; each element lies within exactly one of them."""
+    """Yield ranges of sites along the first axis; each element is within exactly one range."""
     length, *others = grid
     step = max(1, _BLOCK_SIZE // math.prod(others))
     for begin in range(0, length - 1, step):
@@ -91,7 +92,7 @@ def slabs(grid: tuple[int, ...]) -> Iterator[slice]:
 
 
 def element_strains(growth: FloatArray, axes: int) -> tuple[Float64Array, Float64Array]:
-    """Return the growth strain of each element within the grid, and across an image.
+    """Return the growth strain of each element, in the grid and perpendicular to an image.
 
     Parameters
     ----------
@@ -103,7 +104,9 @@ def element_strains(growth: FloatArray, axes: int) -> tuple[Float64Array, Float6
     Returns
     -------
     strains : ndarray, shape (n, n, H - 1, W - 1) or (n, n, D - 1, H - 1, W - 1)
+        Growth strain along the axes of the grid.
     across : ndarray, shape (H - 1, W - 1) or ()
+        Growth strain perpendicular to the image; 0 in volumes.
     """
     if growth.ndim == axes:
         mean = of_elements(growth.astype(np.float64))
@@ -121,7 +124,7 @@ def element_strains(growth: FloatArray, axes: int) -> tuple[Float64Array, Float6
 
 
 def _pulls(stresses: Float64Array, sides: tuple[float, ...]) -> Float64Array:
-    """Return the forces on the sites from the stress, (n, n), of each element."""
+    """Return the forces on the sites for the stress tensor, (n, n), of each element."""
     axes = len(sides)
     total = np.zeros((*(size + 1 for size in stresses.shape[2:]), axes))
     for component in range(axes):

@@ -1,13 +1,14 @@
 """Elements of a volume and their forces, in NumPy and float64.
 
-Displacement is trilinear between the eight sites of an element. In coordinates from -1 to 1 along
-each axis it is a sum of *modes*: 1, the coordinates, their products in pairs, and the product of
-all three. The share of a mode is the mean over the eight corners, each with the sign that the mode
-has there (Walsh functions). Modes are orthogonal, so each contributes to the energy by itself. Only
-the two terms of a shear strain can vary in the same mode.
+The displacement is trilinear between the eight sites of an element. In coordinates from -1 to 1
+along each axis, it is a sum of *modes*: 1, the coordinates, their pairwise products, and the
+product of all three. The coefficient of a mode is the mean of the values at the eight corners,
+multiplied by the sign of the mode at each corner (Walsh functions). The modes are orthogonal, so
+their energies add up. The only coupling within a mode is between the two terms of a shear strain.
 
-Only the change of volume of the whole element counts, as in plane strain (selective reduced
-integration): counting it at each point would lock nearly incompressible tissue.
+Only the mean volume change of an element contributes to the energy, as in plane strain (selective
+reduced integration). Including the volume change at each point would lock nearly incompressible
+tissue.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ import numpy as np
 
 from napari_hmrf.solver.priors.elements import Float64Array, Lame
 
-#: Shape of an array of modes: the index is 1 on the axes whose coordinates are factors, else 0.
+#: Shape of an array of modes. An index is 1 if the coordinate of that axis is a factor, else 0.
 _MODES = (2, 2, 2)
 _AXES = range(3)
 
 
 class BrickShape(NamedTuple):
-    """Factors from an element's modes to derivatives, from the size of a voxel.
+    """Factors that convert an element's modes to derivatives, for the size of a voxel.
 
     Attributes
     ----------
     planes, rows, cols : float
-        Factor from the sum over all corners, with their signs along an axis, to the derivative
-        along this axis.
+        Factors that convert the sum over all corners, with signs along an axis, to the derivative
+        along that axis.
     """
 
     planes: float
@@ -44,7 +45,7 @@ class BrickShape(NamedTuple):
 
     @property
     def aspect(self) -> float:
-        """Ratio of a voxel's longest side to the shortest."""
+        """Ratio of a voxel's longest side to its shortest side."""
         return max(self) / min(self)
 
     @property
@@ -53,19 +54,19 @@ class BrickShape(NamedTuple):
         return tuple(1 / (4 * each) for each in self)
 
     def forces(self, lame: Lame, d: Float64Array) -> Float64Array:
-        """Return the force of all elements on each site: the stiffness matrix times d."""
+        """Return the total force of the elements on each site: the stiffness matrix times d."""
         stresses = self._stresses(lame, self._gradients(modes(d)))
         return corners(self._pulls(stresses))
 
     def energy(self, lame: Lame, d: Float64Array) -> float:
-        """Return U of a displacement (D, H, W, 3) in voxels."""
+        """Return U for a displacement (D, H, W, 3) in voxels."""
         gradients = self._gradients(modes(d))
         return float((self._stresses(lame, gradients) * gradients).sum() / 2)
 
     def _gradients(self, shares: Float64Array) -> Float64Array:
-        """Return the derivatives along each axis, in modes: (axis, mode, component)."""
+        """Return the derivatives along each axis as coefficients (axis, mode, component)."""
         gradients = np.zeros((len(_AXES), *shares.shape))
-        # The derivative of a mode along an axis is the mode without this coordinate as a factor.
+        # The derivative of a mode along an axis is the mode without that coordinate as a factor.
         for axis in _AXES:
             _without(gradients[axis], axis)[...] = self[axis] * _with(shares, axis)
         return gradients
@@ -78,7 +79,7 @@ class BrickShape(NamedTuple):
         return pulls
 
     def _stresses(self, lame: Lame, gradients: Float64Array) -> Float64Array:
-        """Return the stresses, with each mode weighted by the mean of its square."""
+        """Return the stresses, with each mode weighted by its mean square."""
         by_component = np.moveaxis(gradients, 4, 1)
         sheared: Float64Array = lame.shear * (by_component + by_component.swapaxes(0, 1))
         thirds = 3.0 ** -np.indices(_MODES).sum(axis=0)
@@ -91,13 +92,13 @@ class BrickShape(NamedTuple):
 
 
 def brick_shape(spacing: tuple[float, ...]) -> BrickShape:
-    """Return the factors for a voxel size; only the proportions of the voxel matter."""
+    """Return the factors for a voxel size; only the ratios of the sides matter."""
     unit = float(np.prod(spacing)) ** (1 / 3)
     return BrickShape(*(unit / side / 4 for side in spacing))
 
 
 def modes(d: Float64Array) -> Float64Array:
-    """Return eight times the shares of the modes, (2, 2, 2, 3, D - 1, H - 1, W - 1)."""
+    """Return eight times the mode coefficients, shape (2, 2, 2, 3, D - 1, H - 1, W - 1)."""
     values = np.moveaxis(d, -1, 0)
     for axis in (-1, -2, -3):
         ends = np.moveaxis(values, axis, 0)
@@ -119,14 +120,14 @@ def corners(pulls: Float64Array) -> Float64Array:
 
 
 def _with(shares: Float64Array, axis: int) -> Float64Array:
-    """Return the modes with the coordinate of an axis as a factor."""
+    """Return the modes that have the coordinate of an axis as a factor."""
     index: Any = (*(slice(None),) * axis, 1)
     part: Float64Array = shares[index]
     return part
 
 
 def _without(shares: Float64Array, axis: int) -> Float64Array:
-    """Return the modes without the coordinate of an axis as a factor."""
+    """Return the modes that do not have the coordinate of an axis as a factor."""
     index: Any = (*(slice(None),) * axis, 0)
     part: Float64Array = shares[index]
     return part

@@ -1,7 +1,7 @@
-"""Large motion without folding: finite strain on the pixel grid, in a reference implementation.
+"""Large motion without folding: reference implementation of finite strain on the grid.
 
-Every 2 x 2 block of tissue sites is an element, as in `ElasticPrior`, but it may turn and stretch
-without limit. Its energy is defined in `finite_strain`.
+The elements are those of `ElasticPrior`, but their rotation and stretch are unlimited.
+`finite_strain` defines their energy in an image, and `finite_bricks` in a volume.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from napari_hmrf.solver.real_arrays import first_index
 
 @dataclass(frozen=True, eq=False)
 class NeoHookeanPrior:
-    """Neo-Hookean tissue of an image: it may move far, turns without strain, and never folds.
+    """Neo-Hookean tissue, for large displacements and rotations without folding.
 
-    For small motion it equals `ElasticPrior`, which takes a tenth of the time. Use that prior if
-    displacements are less than a tenth of the distances over which they vary.
+    For small motion, it is equivalent to `ElasticPrior`, which takes a tenth of the time. Use
+    `ElasticPrior` if displacements are less than a tenth of the distances over which they vary.
 
     Parameters
     ----------
-    poisson : float or array_like, shape (H, W)
-        Poisson's ratio at small strain, 0 to 0.499, of all tissue or of each site.
+    poisson : float or array_like, shape (H, W) or (D, H, W)
+        Poisson's ratio at small strain, from 0 to 0.499, of all tissue or of each site.
     plane : {"stress", "strain"}
-        As for `ElasticPrior`.
+        Same as for `ElasticPrior`.
     penalty : float, optional
-        As for `ElasticPrior`.
+        Same as for `ElasticPrior`.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
@@ -55,12 +55,12 @@ class NeoHookeanPrior:
 
     @property
     def at_rest(self) -> ElasticPrior:
-        """Prior for small motion, with the same parameters."""
+        """Prior for small motion with the same parameters."""
         return ElasticPrior(self.poisson, plane=self.plane, penalty=self.penalty)
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters by name (JSON types only); a map of ratios by its shape and digest."""
+        """Parameters by name (JSON types only), with the shape and digest of a map of ratios."""
         return {**self.at_rest.parameters, "name": "NeoHookeanPrior"}
 
     def __eq__(self, other: object) -> bool:
@@ -71,11 +71,11 @@ class NeoHookeanPrior:
 
     @property
     def kernels(self) -> str:
-        """Kernels of this prior, as a key."""
+        """Key of the kernels that this prior uses."""
         return "large motion"
 
     def rehearsal(self, shape: tuple[int, ...]) -> NeoHookeanPrior:
-        """Return a prior with the same kernels, for a small problem of this shape."""
+        """Return a prior that uses the same kernels, for a small problem of the given shape."""
         return NeoHookeanPrior(0.3, plane=self.plane)
 
     def resolved(self, problem: Problem) -> NeoHookeanPrior:
@@ -84,14 +84,14 @@ class NeoHookeanPrior:
         Raises
         ------
         ProblemError
-            For a volume, for growth that turns tissue inside out, and as for `ElasticPrior`.
+            If growth turns tissue inside out, or in the cases of `ElasticPrior.resolved`.
         """
         _check_growth(problem)
         self.at_rest.resolved(problem)
         return self.in_force(problem)
 
     def in_force(self, problem: Problem) -> NeoHookeanPrior:
-        """Return the prior with an infinite penalty if no observation of the problem may slip."""
+        """Return the prior with an infinite penalty if the problem's observations cannot slip."""
         return replace(self, penalty=self.at_rest.in_force(problem).penalty)
 
     def can_slip(self, problem: Problem) -> bool:
@@ -99,29 +99,29 @@ class NeoHookeanPrior:
         return self.at_rest.can_slip(problem)
 
     def material(self, problem: Problem) -> FiniteMaterial:
-        """Return the properties of a problem's tissue that the kernels need."""
+        """Return the properties of a problem's tissue that the kernels require."""
         same = self.at_rest.material(problem)
         growth = None if problem.loads is None else problem.loads.growth
         return FiniteMaterial(same.m, same.poisson, same.strain, same.shape, growth)
 
     def limit(self, problem: Problem) -> Float64Array | None:
-        """Return the limits of `ElasticPrior.limit`."""
+        """Return the force limits; see `ElasticPrior.limit`."""
         return self.at_rest.limit(problem)
 
     def force_unit(self, problem: Problem) -> float:
-        """Return the force unit of `ElasticPrior.force_unit`."""
+        """Return the unit of force; see `ElasticPrior.force_unit`."""
         return self.at_rest.force_unit(problem)
 
     def load(self, problem: Problem) -> Load | None:
-        """Return the dead loads, forces that do not depend on the motion; None without any."""
+        """Return the dead loads, which do not depend on the motion, or None if there are none."""
         if problem.loads is None or problem.loads.force is None:
             return None
         return Load(problem.loads.force / np.float64(self.force_unit(problem)), 0.0)
 
     def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
-        """Return U, in pixels squared, for a displacement (H, W, 2) in units of ``spacing``.
+        """Return U, in pixels squared, for a displacement in units of ``spacing``.
 
-        U is the energy stored in tissue, less the work of forces.
+        U is the elastic energy minus the work of forces.
         """
         d, load = _pixels(problem, displacement), self.load(problem)
         stored = self._elements(problem).energy(d)
@@ -134,21 +134,23 @@ class NeoHookeanPrior:
         return forces if load is None else forces - load.forces
 
     def tangents(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return second derivatives of the energy of each element.
+        """Return the second derivatives of the energy of each element.
+
+        In an image they are with respect to the differences of an element. In a volume they are
+        with respect to the displacement of its eight corners, and do not include the barrier.
 
         Returns
         -------
         ndarray, shape (H - 1, W - 1, 6, 6) or (D - 1, H - 1, W - 1, 24, 24)
-            With respect to the differences of an element of an image, or to the displacement of
-            the eight corners of an element of a volume.
+            Second derivatives.
         """
         return self._elements(problem).tangents(_pixels(problem, displacement))
 
     def corner_jacobians(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return the numbers that bound the Jacobian of each element; 1 in void.
+        """Return numbers that bound the Jacobian of each element; they are 1 in void.
 
-        If all are positive, the element is folded nowhere. They include growth: tissue that has
-        grown to twice its size has 2.
+        If all are positive, the element is not folded anywhere. The numbers include growth: in
+        tissue that has doubled its area or volume, they are 2.
 
         Returns
         -------
@@ -165,7 +167,7 @@ class NeoHookeanPrior:
 
 
 def _check_growth(problem: Problem) -> None:
-    """Refuse growth tensors that shrink tissue to nothing in some direction."""
+    """Raise an error if growth shrinks tissue to nothing in some direction."""
     growth = None if problem.loads is None else problem.loads.growth
     if growth is None:
         return

@@ -1,16 +1,17 @@
-"""The energies of the paper, equation by equation.
+"""Energies of the paper, equation by equation.
 
-This is the readable reference, in NumPy and float64, for the kernels of both backends; the tests
+This module is the readable reference, in NumPy and float64, for the kernels of both backends; tests
 compare the kernels with it. Lengths are in pixels (``Problem.unit``).
 
-Three sites s - t - u in a line, t in the middle, make a clique; there are four directions of lines
-(figure 2): vertical, horizontal and the two diagonals. In a volume there are thirteen: the three
-axes, the six diagonals of faces and the four of space. With the stiffness ratios r_u = m_t / m_u
-and r_s = m_t / m_s, its potential (eqs. 9-11) is, summed over the components it carries,
+Three sites s - t - u in a line, with t in the middle, form a clique. In an image, lines have four
+directions (figure 2): vertical, horizontal and the two diagonals. In a volume they have thirteen:
+the three axes, the six face diagonals and the four space diagonals. With the stiffness ratios
+r_u = m_t / m_u and r_s = m_t / m_s, the potential of a clique (eqs. 9-11) is, summed over the
+components to which its line contributes,
 
     V = (r_u (d_t - d_s) - (d_u - d_t))^2 + (r_s (d_t - d_u) - (d_s - d_t))^2
 
-A clique exists where its three sites lie in the image and in tissue.
+A clique exists if all three sites are in the image and in tissue.
 """
 
 from __future__ import annotations
@@ -39,15 +40,15 @@ from napari_hmrf.solver.quadtree import levels, sampled
 Float64Array = npt.NDArray[np.float64]
 Conditional = Literal["centred", "blanket"]
 
-# K in uniform tissue, by the number of axes: one pixel of deviation from the observation then has
-# the energy of a difference of 200 pixels from the neighbours.
+# K in uniform tissue, by the number of axes. The energy of one pixel of deviation from the
+# observation then equals that of a difference of 200 pixels from the neighbours.
 _UNIFORM_PENALTY = {2: 1e4, 3: 3e4}
-# Range of penalties: float32 energies overflow beyond it.
+# Range of penalties; beyond it, float32 energies would overflow.
 _SMALLEST_PENALTY, _LARGEST_PENALTY = 1e-30, 1e30
 
 
 class SiteParabola(NamedTuple):
-    """A site's prior energy as a function of its own displacement: curvature * (d - lowest)^2."""
+    """Prior energy of a site as a function of its displacement: curvature * (d - lowest)^2."""
 
     curvature: Float64Array
     lowest: Float64Array
@@ -55,25 +56,25 @@ class SiteParabola(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SeilerPrior:
-    """The paper's prior and observation energy (eqs. 8-11 and 16-19).
+    """Prior and observation energy of the paper (eqs. 8-11 and 16-19).
 
     Parameters
     ----------
     penalty : float, optional
-        K of eq. 19: the largest force with which a site of confidence 1 is held at its observed
-        position; where tissue pulls harder, the site slips. Its unit is that of the energy: it is
-        the cost of one pixel of deviation. By default 10^4 in uniform tissue (3 x 10^4 in volumes,
-        where three times as many cliques pull), times the ratio by which the energy at the steepest
-        observed site is steeper than in uniform tissue, so that boundaries hold between any
-        tissues.
+        K of eq. 19: the largest force that an observation of confidence 1 exerts on its site. The
+        site slips where the force would exceed this limit. K is the energy of one pixel of
+        deviation from the observation. By default, it is 10^4 in uniform tissue (3 x 10^4 in
+        volumes, which have three times as many cliques). In other tissue, this value is multiplied
+        by the largest curvature of the energy at any observed site relative to uniform tissue, so
+        that boundaries do not slip in any tissue.
     conditional : {"centred", "blanket"}
-        Cliques that determine the displacement of a site (line 8 of the algorithm): ``"centred"``,
-        those with the site in the middle; ``"blanket"``, all that contain the site, which is the
-        textbook reading of eq. 7, for images only. docs/method.md compares their accuracy.
+        Cliques that determine the displacement of a site (line 8 of the algorithm). ``"centred"``:
+        the cliques centred at the site. ``"blanket"``: all cliques that contain the site, which is
+        the textbook reading of eq. 7, for images only. docs/method.md compares their accuracy.
     damping : float, optional
-        Fraction of the step to its best displacement that a site takes, as all sites move at once.
-        By default 1 for centred; 0.6 for blanket, which diverges undamped (below 2/3 is safe for
-        any stiffness).
+        Factor on the step of each site to its best displacement, as all sites move simultaneously.
+        The default is 1 for centred, and 0.6 for blanket, which diverges without damping (values
+        below 2/3 are safe for any stiffness).
     """
 
     penalty: float | None = None
@@ -97,26 +98,26 @@ class SeilerPrior:
 
     @property
     def kernels(self) -> str:
-        """Kernels of this prior, as a key: its reading."""
+        """Key of the kernels that this prior uses: its reading."""
         return self.conditional
 
     def rehearsal(self, shape: tuple[int, ...]) -> SeilerPrior:
-        """Return a prior with the same kernels, for a small problem of this shape."""
+        """Return a prior that uses the same kernels, for a small problem of the given shape."""
         return self
 
     @property
     def relaxation(self) -> float:
-        """Damping that is used: the given value, or the default of the reading."""
+        """Damping in use: the given value, or the default of the reading."""
         if self.damping is not None:
             return self.damping
         return 1.0 if self.conditional == "centred" else 0.6
 
     def penalty_for(self, problem: Problem) -> float:
-        """Return K for a problem: the given penalty, or a value that holds its boundaries."""
+        """Return K for a problem: the given penalty, or a value at which boundaries do not slip."""
         if self.penalty is not None:
             return self.penalty
         weights = line_weights(problem.spacing)
-        # Component by component: NumPy takes ten times as long to reduce such a short axis.
+        # Combine the components one by one: NumPy reduces over a short axis ten times more slowly.
         observed = reduce(np.logical_or, np.moveaxis(problem.known, -1, 0))
         steepest = max(
             _steepest(sampled(problem.stiffness, level), sampled(observed, level), weights)
@@ -127,18 +128,19 @@ class SeilerPrior:
         return min(penalty, _LARGEST_PENALTY)
 
     def resolved(self, problem: Problem) -> SeilerPrior:
-        """Return this prior with the penalty for a problem, after a check of the problem.
+        """Check that the prior supports the problem, and return the prior with its penalty.
 
         Raises
         ------
         ProblemError
-            If there is rigid tissue, the blanket reading is used for a volume, or there are loads.
+            If there is rigid tissue, if the blanket reading is used for a volume, or if there are
+            loads.
         """
         if problem.loads is not None:
             raise ProblemError(
                 "loads",
                 "are given, but the paper's prior uses only ratios of stiffness and has no forces. "
-                "Use ElasticPrior, or leave them out.",
+                "Use ElasticPrior, or remove the loads.",
             )
         if problem.is_volume and self.conditional == "blanket":
             raise ProblemError(
@@ -160,24 +162,25 @@ class SeilerPrior:
         return limit
 
     def material(self, problem: Problem) -> SeilerMaterial:
-        """Return the properties of a problem's tissue that the kernels of multigrid need."""
+        """Return the properties of a problem's tissue that the multigrid kernels require."""
         square = len(set(problem.spacing)) == 1
         blanket = self.conditional == "blanket"
         return SeilerMaterial(problem.stiffness, line_weights(problem.spacing), square, blanket)
 
     def site_energy(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return each site's share of U_total (eq. 7): cliques centred on it, and its data term.
+        """Return each site's contribution to U_total (eq. 7): centred cliques and data term.
 
         Parameters
         ----------
         problem : Problem
+            Tissue and observations.
         displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
             Displacement, in the unit of ``problem.spacing``.
 
         Returns
         -------
         ndarray, shape (H, W) or (D, H, W)
-            Energies, in pixels squared; their sum over all sites is U_total.
+            Energies in pixels squared; their sum over all sites is U_total.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         y = problem.observed / np.float64(problem.unit)
@@ -190,18 +193,18 @@ class SeilerPrior:
         return energy
 
     def mean_energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
-        """Return U_total divided by the number of sites of tissue, in pixels squared."""
+        """Return U_total divided by the number of tissue sites, in pixels squared."""
         return float(self.site_energy(problem, displacement).sum() / problem.tissue.sum())
 
     def site_parabola(self, problem: Problem, displacement: npt.ArrayLike) -> SiteParabola:
-        """Return the prior energy that each site minimises, given its neighbours.
+        """Return the prior energy that each site minimizes, given its neighbours.
 
         Returns
         -------
         SiteParabola
-            Two arrays of shape (H, W, 2) or (D, H, W, 3): the curvature A (0 where a site is in no
-            clique), and the lowest point q in the unit of ``problem.spacing`` (the site's own
-            displacement where A = 0).
+            Two arrays of shape (H, W, 2) or (D, H, W, 3): the curvature A, which is 0 if the site
+            is not in any clique, and the minimizer q in the unit of ``problem.spacing``, which is
+            the present displacement of the site if A = 0.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         cliques_at_sites = self._cliques_of(problem, d)
@@ -220,12 +223,12 @@ class SeilerPrior:
 
 
 def _inside(problem: Problem) -> Slices:
-    """Return the slices of the grid in a padded array."""
+    """Return the slices that select the grid in a padded array."""
     return (slice(2, -2),) * len(problem.shape)
 
 
 def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
-    """Return a mask of the sites in a clique that carries each component, (H, W, 2)."""
+    """Return, per component, the mask of sites in a clique that contributes to it, (H, W, 2)."""
     mask = np.zeros(problem.observed.shape, dtype=np.bool_)
     carried = line_weights(problem.spacing) > 0
     for line, sites in _cliques(problem.shape):
@@ -255,7 +258,7 @@ def _steepest(
 
 
 def _cliques(shape: tuple[int, ...]) -> Iterator[tuple[int, tuple[Slices, Slices, Slices]]]:
-    """Yield all cliques of a grid, line by line, as three views (s, t, u) of equal shape."""
+    """Yield the index of each line, and its cliques as three slices (s, t, u) of equal shape."""
     for line, step in enumerate(line_steps(len(shape))):
         views = [
             tuple(

@@ -1,4 +1,4 @@
-"""Images of a problem on which marks are drawn, and the painting of marks."""
+"""Canvas: the images of a problem on which marks are drawn, and functions that draw marks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FloatArray = npt.NDArray[np.float32]
 #: Box of an image, one slice per axis; an empty box has slices of length 0.
 Box = tuple[slice, ...]
 
-#: Values of the actions of strokes in `Canvas.kinds`; painted tissue is stored in the labels.
+#: Value of each stroke action in `Canvas.kinds`. Painted tissue is stored in the labels instead.
 KINDS: dict[Action, int] = {"pin": 1, "free": 2, "move": 3, "expand": 4, "confidence": 5}
 
 
@@ -44,8 +44,8 @@ class Canvas:
     labels : ndarray of int, shape ([D,] H, W)
         Tissue labels, for strokes that paint tissue.
     kinds : ndarray of uint8, shape ([D,] H, W)
-        Number in `KINDS` of the last painted action, for display only; 0 in unpainted pixels.
-        Painted confidence does not change it.
+        Value in `KINDS` of the last painted action, for display only; 0 in unpainted pixels.
+        Painted confidence does not change this value.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis.
     """
@@ -63,7 +63,7 @@ class Canvas:
         spacing: Sequence[float] | None = None,
         labels: npt.NDArray[Any] | None = None,
     ) -> Canvas:
-        """Return a canvas without observations; if `labels` is None, it has a single tissue."""
+        """Create a canvas without observations; if `labels` is None, there is a single tissue."""
         n = len(shape)
         y, kinds = np.zeros((*shape, n), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         tissue = kinds.copy() if labels is None else labels
@@ -103,7 +103,7 @@ def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
 
 
 def is_empty(box: Box) -> bool:
-    """Return whether a box has no pixels."""
+    """Return whether a box contains no pixels."""
     return any(side.start >= side.stop for side in box)
 
 
@@ -144,7 +144,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         sides = zip(box, region, strict=True)
         at = tuple(slice(side.start - of.start, side.stop - of.start) for side, of in sides)
         moves = normals[at][where]
-        # The inside of a patch is free, even over earlier marks.
+        # The interior of a patch is free, even where earlier marks prescribe a displacement.
         y[where] = np.float32(mark.amount) * moves[:, components]
         c[where] = mark.confidence * moves.any(axis=-1, keepdims=True)
     elif mark.action == "confidence":
@@ -163,7 +163,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
 
 
 def refuse_open_line(stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]) -> None:
-    """Refuse an expanding stroke that has no inside.
+    """Raise an error if an expanding stroke has no interior.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def covered(mark: Mark, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bo
 
 
 def covers(stroke: Stroke, point: Point, spacing: Sequence[float]) -> bool:
-    """Return whether a stroke covers a point, given in pixels."""
+    """Return whether a stroke covers a position, which is in pixels."""
     lines = [np.array(line) - point for line in stroke.lines]
     pixel = distance_to(lines, stroke.radius, spacing, (slice(0, 1),) * len(point))
     return bool(pixel.item() <= stroke.radius)
@@ -192,7 +192,7 @@ def distance_to(
     spacing: Sequence[float],
     window: Box,
 ) -> FloatArray:
-    """Compute the distance of each pixel of a window from the nearest of some lines.
+    """Compute the distance from each pixel of a window to the nearest line.
 
     Only the parts of the lines near the window are evaluated.
 
@@ -201,10 +201,11 @@ def distance_to(
     lines : iterable of array_like, shape (N, n)
         Points of each line, in pixels.
     radius : float
-        Distance up to which the result is computed, in the unit of `spacing`.
+        Distance up to which the result is required, in the unit of `spacing`.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     window : Box
+        Pixels for which the distance is computed.
 
     Returns
     -------
@@ -238,7 +239,7 @@ def distance_to(
 
 
 def brush_reach(radius: float, spacing: Sequence[float]) -> float:
-    """Return the radius of a brush, enlarged so that it covers the centre of at least one pixel."""
+    """Return the radius of a brush, enlarged so that at least one pixel centre is covered."""
     return max(radius, 0.5 * math.hypot(*spacing)) * (1 + 1e-6)
 
 
@@ -247,7 +248,7 @@ def _outward(
     stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]
 ) -> tuple[FloatArray, Box]:
     """Return the outward normals of the region that a stroke covers, and the box of the region."""
-    # The region may extend beyond the image, so the box has one image size more on each side.
+    # The region may extend beyond the image, so extend the box by one image size on each side.
     box = box_of(stroke, spacing, tuple(slice(-size, 2 * size) for size in shape))
     normals = outward_normals(covered(stroke, spacing, box), spacing, "a brush stroke")
     normals.setflags(write=False)

@@ -32,7 +32,7 @@ _VERSION = 1
 
 
 class Hit(NamedTuple):
-    """Mark at a position: its index in the drawing, and the end that was hit."""
+    """Mark found at a position: its index in the drawing, and the end that was hit."""
 
     number: int
     part: Literal["head", "base"]
@@ -73,7 +73,7 @@ class Drawing:
         confidence: float = 1.0,
         shape: Sequence[int] | None = None,
     ) -> Drawing:
-        """Return a drawing of pairs of landmarks.
+        """Create a drawing from pairs of landmarks.
 
         Parameters
         ----------
@@ -96,7 +96,7 @@ class Drawing:
         ------
         ProblemError
             If there are no pairs, if sources and targets differ in number, if a value is NaN or
-            infinite, if two sources are in the same pixel, or if one is outside the image.
+            infinite, if two sources are in the same pixel, or if a source is outside the image.
         """
         sources, targets = _points("source", source), _points("target", target)
         if sources.shape != targets.shape:
@@ -172,8 +172,8 @@ class Drawing:
         Returns
         -------
         Hit or None
-            The nearest end. At equal distances, heads take precedence over bases, and later marks
-            over earlier marks.
+            Nearest end, or None if there is no end within `reach`. At equal distances, heads take
+            precedence over bases, and later marks over earlier marks.
         """
         ends = (
             (math.hypot(*between(point, end, spacing)), order, -number)
@@ -196,7 +196,7 @@ class Drawing:
         Returns
         -------
         int or None
-            Index of the stroke; None if there is none.
+            Index of the stroke, or None if no stroke covers the position.
         """
         for number in reversed(range(len(self.marks))):
             mark = self.marks[number]
@@ -233,12 +233,12 @@ class Drawing:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Drawing:
-        """Return the drawing from a dictionary of `as_dict`.
+        """Create a drawing from a dictionary that `as_dict` returned.
 
         Raises
         ------
         ValueError
-            If the dictionary is not from `as_dict`, or is from a newer version.
+            If the dictionary is not from `as_dict`, or if it is from another version.
         """
         try:
             version, marks = values["version"], tuple(values["marks"])
@@ -257,7 +257,7 @@ class Drawing:
 
 
 class Rendering:
-    """Images with a drawing; an edit rewrites only the pixels that it may have changed.
+    """Rendering of a drawing on images; an edit redraws only pixels that may have changed.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ class Rendering:
         Raises
         ------
         ProblemError
-            As for `Drawing.render`; the images then keep the previous drawing.
+            As for `Drawing.render`; the images then still show the previous drawing.
         """
         window = self._changed(drawing)
         if window is not None:
@@ -327,7 +327,7 @@ class Rendering:
 
 
 def _points(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Check points, (N, 2) or (N, 3), and return them as an array."""
+    """Return points as an array of shape (N, 2) or (N, 3); raise an error if they are invalid."""
     points = as_numbers("landmarks", values).astype(np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
         raise ProblemError(
@@ -340,7 +340,7 @@ def _points(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
-    """Return the head and base of an arrow or landmark; empty for other marks."""
+    """Return the head and base of an arrow or landmark, or an empty tuple for other marks."""
     if isinstance(mark, Arrow):
         return mark.head(spacing), mark.at
     if isinstance(mark, Landmark):

@@ -1,8 +1,8 @@
 """Marks of a drawing: arrows, landmarks and brush strokes.
 
 Positions are (row, col) in pixels of the image, or (plane, row, col) in a volume, and may be
-fractions of a pixel. Lengths, such as displacements and radii, are in the unit of the pixel
-spacing. Displacements are material: tissue at X moves to X + by.
+fractional. Lengths, such as displacements and radii, are in the unit of the pixel spacing.
+Displacements are material: tissue at X moves to X + by.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
 _LARGEST = sys.float_info.max
 _SHARE = (_number(0, 1), "a value from 0 to 1")
 _PLACE = (_place, "finite numbers: (row, col), or (plane, row, col) of a volume")
-#: For each field: conversion to a plain value, or to None if it is invalid, and the remedy.
+#: For each field: function that converts a value to a plain type, or to None if the value is
+#: invalid; and valid values, for the error message.
 _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "at": _PLACE,
     "by": _PLACE,
@@ -78,7 +79,10 @@ _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
 
 
 def _checked(name: str, value: Any) -> Any:
-    """Convert a value to a plain type, so that marks can be compared and saved; or refuse it."""
+    """Convert a value to a plain type, or raise an error if it is invalid.
+
+    Marks with plain types can be compared and saved.
+    """
     make_plain, give = _VALUES[name]
     plain = make_plain(value)
     if plain is None:
@@ -87,9 +91,9 @@ def _checked(name: str, value: Any) -> Any:
 
 
 class _Checked:
-    """Base class of marks: converts their values to plain types and refuses invalid values."""
+    """Base class of marks, which converts values to plain types and rejects invalid values."""
 
-    #: True if a confidence of 0 is allowed: a stroke can erase earlier marks.
+    #: True if a confidence of 0 is allowed, because a stroke can erase earlier marks.
     _may_doubt = False
     confidence: float
 
@@ -127,12 +131,12 @@ class Arrow(_Checked):
     confidence : float
         Confidence in the displacement, above 0 and up to 1 (certain).
     components : {"both", "row", "col"}
-        Prescribed components; earlier marks still determine the other component.
+        Components that the mark prescribes; earlier marks determine the other components.
 
     Raises
     ------
     ProblemError
-        If a value is not a number, or out of range.
+        If a value is not a number or is out of range.
     """
 
     at: Point
@@ -143,7 +147,7 @@ class Arrow(_Checked):
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
-        """Position of the mark, as the lines of a stroke of one point."""
+        """Position of the mark, as a single path with one point; see `Stroke.lines`."""
         return ((self.at,),)
 
     def head(self, spacing: Iterable[float]) -> Point:
@@ -154,7 +158,7 @@ class Arrow(_Checked):
 
 @dataclass(frozen=True)
 class Landmark(_Checked):
-    """Point of the tissue and its position after the motion.
+    """Point of the tissue, with its positions before and after the motion.
 
     Attributes
     ----------
@@ -166,7 +170,7 @@ class Landmark(_Checked):
     Raises
     ------
     ProblemError
-        If a value is not a number, or out of range.
+        If a value is not a number or is out of range.
     """
 
     source: Point
@@ -176,7 +180,7 @@ class Landmark(_Checked):
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
-        """Position of the mark, as the lines of a stroke of one point."""
+        """Position of the mark, as a single path with one point; see `Stroke.lines`."""
         return ((self.source,),)
 
     def arrow(self, spacing: Iterable[float]) -> Arrow:
@@ -192,35 +196,36 @@ class Stroke(_Checked):
     Attributes
     ----------
     action : {"pin", "free", "move", "expand", "confidence", "tissue"}
-        Effect on the tissue under the brush. "pin": it stays in place. "free": it is not observed,
-        even where earlier marks are. "move": it moves by `by`. "expand": it moves by `amount` along
-        the outward normal of the painted region; a ring moves as a whole, a filled patch only at
-        its rim, and its inside is not observed. "confidence": the confidence of earlier marks
-        changes. "tissue": it becomes tissue of `label`.
+        Effect on the tissue under the brush. "pin": the tissue does not move. "free": the motion
+        is not observed, even under earlier marks. "move": the tissue moves by `by`. "expand": the
+        tissue moves by `amount` along the outward normal of the painted region. A ring moves as a
+        whole; a filled patch moves only at its rim, and its interior is not observed.
+        "confidence": the confidence of earlier marks changes. "tissue": the label changes to
+        `label`.
     lines : tuple of tuple of tuple of float
-        Paths of the brush, (row, col) or (plane, row, col) in pixels; a path of one point is a
-        spot. All paths together paint one region.
+        Points of each path of the brush, (row, col) or (plane, row, col) in pixels. A path with
+        one point is a spot. All paths together paint one region.
     radius : float
         Radius of the brush, in the unit of the pixel spacing.
     by : tuple of float
         For "move": displacement along each axis, in the unit of the pixel spacing.
     amount : float
-        For "expand": displacement in the unit of the pixel spacing; the region shrinks if it is
-        negative.
+        For "expand": displacement in the unit of the pixel spacing. A negative value shrinks the
+        region.
     confidence : float
         Confidence of the displacement, from 0 (not observed) to 1 (certain).
     softness : float
         For "confidence": fraction of the radius, from 0 to 1, over which the confidence of the
-        stroke fades into that of earlier marks.
+        stroke fades into the confidence of earlier marks.
     label : int
         For "tissue": label of the tissue.
     components : {"both", "row", "col"}
-        Prescribed components; earlier marks still determine the other component.
+        Components that the mark prescribes; earlier marks determine the other components.
 
     Raises
     ------
     ProblemError
-        If a value is not a number, or out of range.
+        If a value is not a number or is out of range.
     """
 
     _may_doubt = True
@@ -241,7 +246,7 @@ class Stroke(_Checked):
 
     @property
     def moves_nowhere(self) -> bool:
-        """True if the stroke moves or expands tissue by a distance of 0."""
+        """True if the action is "move" or "expand" with a distance of 0."""
         by = {"move": self.by, "expand": (self.amount,)}.get(self.action, (1.0,))
         return not any(by)
 
@@ -255,7 +260,7 @@ class Stroke(_Checked):
         return _with_lines(self, (*self.lines, (_checked("at", point),)))
 
     def added_to(self, earlier: Stroke) -> Stroke | None:
-        """Return the part added to an earlier stroke; None if this stroke does not continue it."""
+        """Return the part added to an earlier stroke; None if the stroke does not extend it."""
         count, last = len(earlier.lines), len(earlier.lines[-1])
         if _with_lines(self, earlier.lines) != earlier or len(self.lines) < count:
             return None
@@ -275,7 +280,7 @@ def mark_as_dict(mark: Mark) -> dict[str, Any]:
 
 
 def mark_from_dict(values: Mapping[str, Any]) -> Mark:
-    """Return a mark from a dictionary of `mark_as_dict`.
+    """Create a mark from a dictionary that `mark_as_dict` returned.
 
     Raises
     ------
@@ -290,7 +295,7 @@ def mark_from_dict(values: Mapping[str, Any]) -> Mark:
 
 
 def _with_lines(stroke: Stroke, lines: tuple[tuple[Point, ...], ...]) -> Stroke:
-    """Replace the lines of a stroke without checking all of its points again."""
+    """Return a stroke with other lines, without validating all points again."""
     other = object.__new__(Stroke)
     other.__dict__.update(stroke.__dict__, lines=lines)
     return other

@@ -1,4 +1,4 @@
-"""Fixtures of the backends' tests."""
+"""Fixtures of the backend tests."""
 
 import pytest
 
@@ -7,6 +7,6 @@ from tests.support.opengl import require_opengl
 
 @pytest.fixture(params=["fragment", "compute"])
 def stage(request) -> str:
-    """Stage that the shaders run in; the test is skipped where it is missing."""
+    """Return the shader stage; skip the test if the stage is not available."""
     require_opengl(request.param)
     return request.param

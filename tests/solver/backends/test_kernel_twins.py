@@ -1,6 +1,6 @@
-"""Every kernel three times: as a shader in both stages, as a compiled loop, and as the energies.
+"""Agreement of shaders, compiled loops and the energies of the paper.
 
-The fields are random: nothing about them is smooth, symmetric or small that could hide an error.
+The fields are random so that no smoothness or symmetry can hide an error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STEPS = (1.0, 0.1, 0.01, 0.001)
 PENALTY = 1e3
 #: Odd, prime, not square, one site wide, smaller than a clique.
 SHAPES = [(31, 37), (64, 48), (1, 17), (13, 1), (2, 3), (1, 2), (101, 7)]
-#: Of tissue, every combination of contrast and pixels on one grid, and each of both on the others.
+#: All combinations of contrast and pixel size on one grid, and two of them on the others.
 SOFT, HARD, SQUARE, OBLONG = 4.0, 1e4, (1.0, 1.0), (2.0, 0.5)
 CASES = [((31, 37), ratio, spacing) for ratio in (SOFT, HARD) for spacing in (SQUARE, OBLONG)]
 CASES += [
@@ -35,7 +35,7 @@ CASES += [
 
 @dataclass
 class Example:
-    """A problem with random tissue, holes and observations, and a random displacement of it."""
+    """Problem with random tissue, holes and observations, and a random displacement."""
 
     problem: Problem
     displacement: np.ndarray  # (H, W, 2), pixels, 0 in void
@@ -72,8 +72,8 @@ def example(shape, ratio=4.0, spacing=(1.0, 1.0), seed=0) -> Example:
     return Example(problem, d)
 
 
-def swept(backend, given: Example, rule: SiteRule, sweeps: int = 1):
-    """The displacement after some sweeps, U_total before each, and U_total now."""
+def relaxed(backend, given: Example, rule: SiteRule, sweeps: int = 1):
+    """Return the displacement after some sweeps, U_total before each sweep, and U_total now."""
     stiffness = backend.upload(given.stiffness)
     observation = backend.upload(given.observation)
     moved, before = backend.relax(
@@ -84,7 +84,7 @@ def swept(backend, given: Example, rule: SiteRule, sweeps: int = 1):
 
 
 def with_backends(stage: str, job):
-    """What a job makes of the compiled loops and of the shaders."""
+    """Return the results of a job with the compiled loops and with the shaders."""
 
     def both():
         answers = []
@@ -99,16 +99,18 @@ def with_backends(stage: str, job):
 
 
 def assert_same(actual, expected, relative=1e-5):
-    """Equal to a fraction of the largest value, as float32 arithmetic allows."""
+    """Assert equality to a fraction of the largest value, the accuracy of float32."""
     np.testing.assert_allclose(actual, expected, rtol=0, atol=relative * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("conditional", ["centred", "blanket"])
 @pytest.mark.parametrize(("shape", "ratio", "spacing"), CASES)
-def test_a_closed_form_sweep_is_the_same_everywhere(stage, shape, ratio, spacing, conditional):
+def test_a_closed_form_sweep_agrees_in_shaders_loops_and_equations(
+    stage, shape, ratio, spacing, conditional
+):
     given = example(shape, ratio, spacing)
     prior = SeilerPrior(penalty=PENALTY, conditional=conditional)
-    loops, shaders = with_backends(stage, lambda b: swept(b, given, given.rule(prior)))
+    loops, shaders = with_backends(stage, lambda b: relaxed(b, given, given.rule(prior)))
     for theirs, ours in zip(loops, shaders, strict=True):
         assert_same(ours, theirs)
 
@@ -126,10 +128,12 @@ def test_a_closed_form_sweep_is_the_same_everywhere(stage, shape, ratio, spacing
 
 @pytest.mark.parametrize("conditional", ["centred", "blanket"])
 @pytest.mark.parametrize(("shape", "ratio", "spacing"), CASES)
-def test_a_site_takes_the_best_candidate_everywhere(stage, shape, ratio, spacing, conditional):
+def test_a_site_takes_the_best_candidate_in_shaders_and_loops(
+    stage, shape, ratio, spacing, conditional
+):
     given = example(shape, ratio, spacing)
     prior = SeilerPrior(penalty=PENALTY, conditional=conditional)
-    loops, shaders = with_backends(stage, lambda b: swept(b, given, given.rule(prior, STEPS)))
+    loops, shaders = with_backends(stage, lambda b: relaxed(b, given, given.rule(prior, STEPS)))
 
     unit = given.problem.unit
     oracle = prior.site_parabola(given.problem, given.displacement * unit)
@@ -145,7 +149,7 @@ def test_a_site_takes_the_best_candidate_everywhere(stage, shape, ratio, spacing
     candidates = np.array([local_energy(given.displacement + move) for move in moves])
     scale = local_energy(given.displacement) + 1e-30
     for moved in (loops[0], shaders[0]):
-        # Of two candidates that are equal up to rounding, either may be taken.
+        # Either of two candidates that are equal up to rounding may be taken.
         worse = local_energy(moved.astype(float)) - candidates.min(axis=0)
         assert (worse / scale).max() < 1e-5
         off_grid = [np.abs(moved - given.displacement - move).max(axis=-1) for move in moves]
@@ -155,7 +159,7 @@ def test_a_site_takes_the_best_candidate_everywhere(stage, shape, ratio, spacing
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing"), CASES)
-def test_each_pairs_share_of_the_energy_is_that_of_the_equations(stage, shape, ratio, spacing):
+def test_the_energy_of_each_pair_of_sites_matches_the_equations(stage, shape, ratio, spacing):
     given = example(shape, ratio, spacing)
     prior = SeilerPrior(penalty=PENALTY)
     weights = {"weights": line_weights(spacing).astype(np.float32)}
@@ -195,15 +199,15 @@ def test_each_pairs_share_of_the_energy_is_that_of_the_equations(stage, shape, r
 
 @pytest.mark.parametrize("components", [2, 4])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_fields_are_given_back_as_they_came_whatever_their_width(shape, components):
+def test_fields_of_any_width_survive_a_storage_round_trip(shape, components):
     values = np.random.default_rng(0).normal(size=(*shape, components)).astype(np.float32)
     stored = as_stored(values)
     assert stored.shape[1] % 2 == 0
-    assert not stored[:, shape[1] :].any()  # the one column more is void
+    assert not stored[:, shape[1] :].any()  # the added column is void
     np.testing.assert_array_equal(as_given(stored, shape, components), values)
 
 
-def test_the_mask_shows_every_pair_with_tissue_and_no_other_within_its_window():
+def test_the_mask_marks_exactly_the_pairs_with_tissue():
     require_opengl("fragment")
     tissue = np.zeros((7, 9), np.float32)
     tissue[0, 3], tissue[2, 6], tissue[6, 8] = 1, 0.5, 1e-30
@@ -245,7 +249,9 @@ def test_every_work_group_with_tissue_is_listed(across, monkeypatch):
         for shape in SHAPES
     ],
 )
-def test_how_many_texels_an_invocation_does_changes_nothing(shape, conditional, monkeypatch):
+def test_the_number_of_texels_per_invocation_does_not_change_the_result(
+    shape, conditional, monkeypatch
+):
     require_opengl("compute")
     given = example(shape)
     rule = given.rule(SeilerPrior(penalty=PENALTY, conditional=conditional), STEPS)
@@ -254,7 +260,7 @@ def test_how_many_texels_an_invocation_does_changes_nothing(shape, conditional, 
         monkeypatch.setattr(the_device(), "rows", rows)
         backend = OpenGLBackend(lambda: None, "compute")
         try:
-            return swept(backend, given, rule, sweeps=5)
+            return relaxed(backend, given, rule, sweeps=5)
         finally:
             backend.close()
 
@@ -264,8 +270,8 @@ def test_how_many_texels_an_invocation_does_changes_nothing(shape, conditional, 
             np.testing.assert_array_equal(ours, theirs)
 
 
-def test_what_is_drawn_elsewhere_never_shows_up_in_void(stage):
-    # Only tissue is drawn: whatever a texture held before must not be counted.
+def test_void_contains_no_values_of_earlier_solves(stage):
+    # Only tissue is drawn, so earlier values of a texture must be ignored.
     rows, cols = np.mgrid[:70, :50]
     disc = np.hypot(rows - 35, cols - 25) < 20
     full = Problem(np.ones((70, 50, 2)), np.ones((70, 50, 2)) * disc[..., None], np.ones((70, 50)))
@@ -277,7 +283,7 @@ def test_what_is_drawn_elsewhere_never_shows_up_in_void(stage):
     np.testing.assert_allclose(found.energy, expected.energy, rtol=0.02, atol=1e-3)
 
 
-def test_one_backend_keeps_two_bodies_on_one_grid_apart(stage):
+def test_two_problems_on_one_grid_do_not_interfere(stage):
     soft, torn = np.ones((24, 24)), np.ones((24, 24))
     torn[:, 14:] = 0
     torn[12, 12:14] = 5
@@ -304,14 +310,14 @@ def test_one_backend_keeps_two_bodies_on_one_grid_apart(stage):
 
 @pytest.mark.parametrize("kept", [True, False], ids=["kept", "blocks"])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_energies_of_many_sweeps_come_back_in_order(stage, shape, kept):
+def test_the_energies_of_many_sweeps_are_returned_in_order(stage, shape, kept):
     given = example(shape)
     rule = given.rule(SeilerPrior(penalty=PENALTY))
 
     def job(backend):
         if isinstance(backend, OpenGLBackend):
             backend._keeps_shares = kept
-        return swept(backend, given, rule, sweeps=37)
+        return relaxed(backend, given, rule, sweeps=37)
 
     loops, shaders = with_backends(stage, job)
     np.testing.assert_allclose(shaders[1], loops[1], rtol=1e-5)
@@ -320,7 +326,7 @@ def test_the_energies_of_many_sweeps_come_back_in_order(stage, shape, kept):
 
 
 @pytest.mark.parametrize("shape", [(31, 37), (1, 17)])
-def test_an_atlas_that_is_full_is_read_and_filled_again(stage, shape, monkeypatch):
+def test_a_full_atlas_of_energies_is_read_and_reused(stage, shape, monkeypatch):
     given = example(shape)
     rule = given.rule(SeilerPrior(penalty=PENALTY))
 
@@ -328,15 +334,15 @@ def test_an_atlas_that_is_full_is_read_and_filled_again(stage, shape, monkeypatc
         if isinstance(backend, OpenGLBackend):
             backend._keeps_shares = False
             monkeypatch.setattr(the_device(), "largest", max(singles(shape)))
-        return swept(backend, given, rule, sweeps=30)
+        return relaxed(backend, given, rule, sweeps=30)
 
     loops, shaders = with_backends(stage, job)
     np.testing.assert_allclose(shaders[1], loops[1], rtol=1e-5)
 
 
 @pytest.mark.parametrize("longest", [0.0, 1e-4])
-def test_a_pass_cut_into_strips_changes_nothing(stage, longest, monkeypatch):
-    monkeypatch.setattr(regions, "_ACROSS", 2)  # so that the list of work groups has rows, too
+def test_splitting_a_pass_into_strips_does_not_change_the_result(stage, longest, monkeypatch):
+    monkeypatch.setattr(regions, "_ACROSS", 2)  # so that the list of work groups has several rows
     given = example((67, 41))
     rule = given.rule(SeilerPrior(penalty=PENALTY), STEPS)
     waits = []
@@ -349,7 +355,7 @@ def test_a_pass_cut_into_strips_changes_nothing(stage, longest, monkeypatch):
                 backend._pace._longest = longest
                 backend._pace._seconds_per_site = 0.05 / 41 / 3  # three rows make a batch
                 backend._pace._measured = True
-            return swept(backend, given, rule, sweeps=5)
+            return relaxed(backend, given, rule, sweeps=5)
         finally:
             backend.close()
 
@@ -361,7 +367,7 @@ def test_a_pass_cut_into_strips_changes_nothing(stage, longest, monkeypatch):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_every_level_takes_the_nearest_pixels(stage, shape):
+def test_every_level_samples_the_nearest_pixels(stage, shape):
     given = example(shape)
 
     def projected(backend):
@@ -383,7 +389,7 @@ def test_every_level_takes_the_nearest_pixels(stage, shape):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_displacement_is_carried_down_a_level_alike(stage, shape):
+def test_prolonged_displacements_match_the_loops(stage, shape):
     given = example(shape)
     coarse = levels(shape)[1]
     d = np.random.default_rng(3).normal(size=(*coarse.shape, 2)).astype(np.float32)
@@ -398,7 +404,7 @@ def test_displacement_is_carried_down_a_level_alike(stage, shape):
     assert not shaders[~given.problem.tissue].any()
 
 
-def test_a_straight_field_stays_straight_on_the_way_down(stage):
+def test_prolongation_is_exact_for_linear_fields(stage):
     coarse, fine = (20, 15), (40, 30)
     tissue = {shape: np.ones((*shape, 2), np.float32) for shape in (coarse, fine)}
     sites = np.moveaxis(np.indices(coarse), 0, -1).astype(np.float32)
@@ -410,7 +416,7 @@ def test_a_straight_field_stays_straight_on_the_way_down(stage):
         )
 
     _, shaders = with_backends(stage, prolonged)
-    # The centre of fine site i lies at (i + 1/2) / 2 - 1/2 in coarse sites.
+    # The centre of fine site i is at (i + 1/2) / 2 - 1/2 in coarse sites.
     expected = (np.moveaxis(np.indices(fine), 0, -1) + 0.5) / 2 - 0.5
     inside = (slice(1, -1), slice(1, -1))
     np.testing.assert_allclose(shaders[inside], expected[inside], atol=1e-6)
@@ -419,5 +425,5 @@ def test_a_straight_field_stays_straight_on_the_way_down(stage):
 def test_void_does_not_move(stage):
     given = example((31, 37))
     rule = given.rule(SeilerPrior(penalty=PENALTY), STEPS)
-    _, shaders = with_backends(stage, lambda b: swept(b, given, rule, sweeps=10))
+    _, shaders = with_backends(stage, lambda b: relaxed(b, given, rule, sweeps=10))
     assert not shaders[0][~given.problem.tissue].any()

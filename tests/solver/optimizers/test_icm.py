@@ -1,4 +1,4 @@
-"""The schedule finds what the paper's algorithm finds, and tissue behaves like tissue."""
+"""ICM: agreement with the paper's algorithm, and behaviour of the tissue."""
 
 import itertools
 
@@ -17,22 +17,22 @@ CONVERGED = ICM(iterations=20000, steps=None, energy_change=1e-9)
 
 
 def bar(length, ratio, width=5):
-    """Two halves end to end, the left `ratio` times stiffer; pulled by a tenth of the length."""
+    """Return a bar stretched by a tenth, with a left half that is `ratio` times stiffer."""
     shape = (width, length)
     m = np.ones(shape)
     m[:, : length // 2] = ratio
     y = np.zeros((*shape, 2))
     c = np.zeros((*shape, 2))
     c[:, [0, -1]] = 1
-    c[[0, -1], :, 0] = 1  # the sides do not bulge
+    c[[0, -1], :, 0] = 1  # prevent the sides from bulging
     y[:, -1, 1] = length / 10
     return Problem(y, c, m)
 
 
 @pytest.mark.parametrize("conditional", ["centred", "blanket"])
-def test_one_sweep_takes_the_best_of_all_candidates(conditional):
-    # On the single level of a one-sweep schedule the sites start from rest.
-    shape = (3, 2)  # levels 3x2, 2x1, 1x1: only the finest has cliques
+def test_a_sweep_moves_each_site_to_its_best_candidate(conditional):
+    # With one sweep per level, the finest level starts from the prolonged coarse field.
+    shape = (3, 2)  # the levels are 3x2, 2x1 and 1x1, and only the finest has cliques
     rng = np.random.default_rng(5)
     steps = ICM().steps
     moves = [(0.0, 0.0)]
@@ -52,7 +52,7 @@ def test_one_sweep_takes_the_best_of_all_candidates(conditional):
 
 
 def coarse_start(problem, prior, steps):
-    """What the finest level of a small grid starts from, by the same schedule without it."""
+    """Return the start of the finest level: the prolonged solution of the coarse levels."""
     finest, *coarser = levels(problem.shape)
     at = np.ix_(
         *[[min(2 * i + 1, size - 1) for i in range(-(-size // 2))] for size in finest.shape]
@@ -73,8 +73,8 @@ def coarse_start(problem, prior, steps):
     return start
 
 
-def test_the_loops_do_what_the_literal_program_does():
-    # Rounding decides between candidates of equal energy, so single sites part by a small step.
+def test_the_loops_agree_with_the_literal_implementation():
+    # Rounding decides between candidates of equal energy, so single sites may differ.
     problem = frame_problem((48, 37))
     literal = solve_literally(problem, optimizer=ICM(iterations=30))
     ours = solve(problem, SeilerPrior(), optimizer=ICM(iterations=30), backend="cpu").displacement
@@ -91,7 +91,7 @@ def test_the_converged_field_is_the_fixed_point(seed):
     assert off.max() < 0.01
 
 
-def test_the_converged_field_honours_void():
+def test_the_converged_field_is_exact_beside_void():
     rng = np.random.default_rng(2)
     shape = (64, 60)
     i, j = np.mgrid[:64, :60]
@@ -111,7 +111,7 @@ def test_the_converged_field_honours_void():
 
 @pytest.mark.parametrize(("ratio", "expected"), [(2.0, 2.04), (5.0, 5.7)])
 @pytest.mark.parametrize("length", [32, 128])
-def test_a_bar_strains_where_it_is_soft_whatever_the_number_of_pixels(ratio, expected, length):
+def test_a_bar_strains_where_it_is_soft_at_any_resolution(ratio, expected, length):
     solution = solve(bar(length, ratio), SeilerPrior(), optimizer=CONVERGED, backend="cpu")
     along = solution.displacement[2, :, 1]
     strain = np.diff(along)
@@ -120,7 +120,7 @@ def test_a_bar_strains_where_it_is_soft_whatever_the_number_of_pixels(ratio, exp
     assert soft / stiff == pytest.approx(expected, rel=0.05)
 
 
-def test_uniform_tissue_follows_its_border_linearly():
+def test_uniform_tissue_with_an_affine_border_moves_affinely():
     i, j = np.mgrid[:40, :33]
     affine = np.stack([0.02 * i - 0.05 * j, 0.03 * j + 0.01 * i], axis=-1)
     c = np.zeros((40, 33, 2))
@@ -139,7 +139,7 @@ def test_nothing_moves_when_the_boundary_is_fixed():
         ).all()
 
 
-def test_only_ratios_of_stiffness_matter():
+def test_the_field_depends_only_on_ratios_of_stiffness():
     problem = frame_problem((33, 20))
     scaled = Problem(problem.observed, problem.confidence, problem.stiffness * 1024)
     first = solve(problem, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu").displacement
@@ -159,7 +159,7 @@ def test_the_unit_of_length_does_not_matter():
 
 
 @pytest.mark.parametrize("shape", [(32, 32), (64, 16)])
-def test_flipped_tissue_moves_the_flipped_way(shape):
+def test_mirrored_tissue_has_the_mirrored_displacement(shape):
     # Powers of two: the quadtree itself is not symmetric on other grids.
     problem = frame_problem(shape)
     sides = Problem(
@@ -172,7 +172,7 @@ def test_flipped_tissue_moves_the_flipped_way(shape):
     np.testing.assert_allclose(first, second, atol=0.01)
 
 
-def test_more_confidence_brings_tissue_closer_to_what_was_observed():
+def test_higher_confidence_brings_tissue_closer_to_its_observation():
     shape = (17, 17)
     off = []
     for confidence in (0.01, 0.1, 1.0):
@@ -190,7 +190,7 @@ def test_more_confidence_brings_tissue_closer_to_what_was_observed():
     assert off[2] < 1e-3
 
 
-def test_the_recorded_energy_is_that_of_the_field():
+def test_the_recorded_energy_is_the_energy_of_the_field():
     problem = frame_problem((50, 41))
     for prior in (SeilerPrior(penalty=50), SeilerPrior(conditional="blanket")):
         solution = solve(problem, prior, backend="cpu")
@@ -198,7 +198,7 @@ def test_the_recorded_energy_is_that_of_the_field():
         assert solution.mean_energy == pytest.approx(expected, rel=1e-4)
 
 
-def test_the_history_has_every_iteration_coarse_to_fine():
+def test_the_history_contains_every_iteration_from_coarse_to_fine():
     problem = frame_problem((50, 41))
     solution = solve(problem, SeilerPrior(), optimizer=ICM(iterations=13), backend="cpu")
     assert [run.shape for run in solution.levels] == [
@@ -209,7 +209,7 @@ def test_the_history_has_every_iteration_coarse_to_fine():
     assert np.isfinite(solution.energy).all()
 
 
-def test_a_tolerance_leaves_each_level_when_its_energy_has_settled():
+def test_a_tolerance_ends_each_level_once_its_energy_is_constant():
     problem = frame_problem((64, 64))
     fixed = solve(problem, SeilerPrior(), optimizer=ICM(iterations=500, steps=None), backend="cpu")
     loose = solve(
@@ -223,7 +223,7 @@ def test_a_tolerance_leaves_each_level_when_its_energy_has_settled():
     assert loose.mean_energy == pytest.approx(fixed.mean_energy, rel=0.05)
 
 
-def test_blanket_with_its_damping_lowers_the_energy_with_every_sweep():
+def test_the_damped_blanket_conditional_lowers_the_energy_in_every_sweep():
     problem = frame_problem((40, 40), ratio=50)
     prior = SeilerPrior(conditional="blanket")
     solution = solve(problem, prior, optimizer=ICM(iterations=200, steps=None), backend="cpu")
@@ -231,7 +231,7 @@ def test_blanket_with_its_damping_lowers_the_energy_with_every_sweep():
     assert (np.diff(finest) <= 1e-6 * finest[0]).all()
 
 
-def test_blanket_without_damping_diverges():
+def test_the_blanket_conditional_diverges_without_damping():
     problem = frame_problem((40, 40))
     undamped = SeilerPrior(conditional="blanket", damping=1.0)
     finest = solve(
@@ -242,7 +242,7 @@ def test_blanket_without_damping_diverges():
 
 @pytest.mark.parametrize("ratio", [1.0, 40.0, 1000.0])
 @pytest.mark.parametrize("optimizer", [ICM(), ICM(steps=None)])
-def test_a_thin_plate_goes_where_it_is_pushed_however_stiff_it_is(ratio, optimizer):
+def test_a_thin_plate_of_any_stiffness_reaches_its_prescribed_position(ratio, optimizer):
     shape = (64, 64)
     m = np.ones(shape)
     m[:, 32] = ratio
@@ -262,7 +262,9 @@ def test_a_thin_plate_goes_where_it_is_pushed_however_stiff_it_is(ratio, optimiz
     decades=st.floats(0, 5),
     void=st.booleans(),
 )
-def test_tissue_never_moves_further_than_something_pushes_it(height, width, seed, decades, void):
+def test_tissue_never_moves_further_than_its_largest_observation(
+    height, width, seed, decades, void
+):
     # The centred update is a weighted mean with positive weights: a maximum principle.
     if height * width == 1:
         return
@@ -297,6 +299,6 @@ def test_tissue_never_moves_further_than_something_pushes_it(height, width, seed
         {"energy_change": float("nan")},
     ],
 )
-def test_a_schedule_that_makes_no_sense_is_refused(wrong):
+def test_an_invalid_schedule_is_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         ICM(**wrong)

@@ -1,4 +1,4 @@
-"""Results of large motion that may never be returned: folds, and errors that are not numbers."""
+"""Large motion never returns folded fields or errors that are NaN."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PRIOR = NeoHookeanPrior(0.49, plane="strain")
 
 
 def dragged(way: float, spacing: tuple[float, float] = (1.0, 1.0)) -> Problem:
-    """Make a disc that is dragged towards an edge that stays, through tissue of two kinds."""
+    """Return a disc that is pulled towards a fixed edge through soft and stiff tissue."""
     row, col = np.indices((14, 20))
     disc = np.hypot(row - 6.5, col - 8) < 3
     c, y = np.zeros((2, 14, 20, 2))
@@ -33,7 +33,7 @@ def dragged(way: float, spacing: tuple[float, float] = (1.0, 1.0)) -> Problem:
 
 
 def crushed(phase: float) -> Problem:
-    """Make a disc that grows to four times its length beside one that is dragged 40 px."""
+    """Return a disc that grows to four times its length beside a disc that is pulled by 40 px."""
     row, col = np.indices((12, 28))
     disc = np.hypot(row - 5.5, col - 16.8) < 3.5
     c, y = np.zeros((2, 12, 28, 2))
@@ -51,36 +51,36 @@ def model_of(problem: Problem) -> CpuFiniteModel:
 
 
 def squeezed(left: float, pushed: float) -> np.ndarray:
-    """Make a field that squeezes 2 x 2 sites to a part of their width, after a push."""
+    """Return a translation of 2 x 2 sites that also compresses their width."""
     d = np.full((2, 2, 2), pushed)
     d[:, 1, 1] += left - 1
     return d
 
 
-def test_a_corner_below_the_floor_that_rises_at_first_still_ends_a_step() -> None:
+def test_a_corner_whose_jacobian_first_rises_still_limits_the_step() -> None:
     problem = Problem(np.zeros((2, 2, 2)), np.ones((2, 2, 2)), np.ones((2, 2)))
     model, d, way = model_of(problem), squeezed(1e-6, 0.0), np.zeros((2, 2, 2))
-    way[:, 1, 1] = 1e-3  # wider
-    way[1, :, 0] = -1.0  # and flatter, so that J = (1 - t) (1e-6 + 1e-3 t)
+    way[:, 1, 1] = 1e-3  # makes the element wider
+    way[1, :, 0] = -1.0  # and flatter: J = (1 - t) (1e-6 + 1e-3 t)
     length, _ = model.length(host.planes(d), host.planes(way), 0.25, 1e-5)
     assert length == pytest.approx(1 - 1e-3)
     assert least_corner(problem, d + length * way) >= 0.99e-6
 
 
-def test_no_step_is_taken_that_folds_however_long_it_seems_to_be(monkeypatch) -> None:
-    """Steps are looked at once they are taken, and not only before."""
+def test_a_step_that_folds_tissue_is_rejected_after_it_is_taken(monkeypatch) -> None:
+    """Check that fields are tested for folds after a step, not only before."""
     unlimited = np.inf, np.full((13, 19), np.inf)
     monkeypatch.setattr(CpuFiniteModel, "length", lambda *_, **__: unlimited)
     problem = dragged(15.0)
     try:
         found = solve(problem, PRIOR, backend="cpu")
     except ConvergenceError:
-        return  # that is an answer, too
+        return  # an error is also acceptable
     assert least_corner(problem, found.displacement) > 0
     assert math.isfinite(found.convergence.error)
 
 
-def test_after_a_step_to_what_is_no_field_the_last_one_is_returned(monkeypatch) -> None:
+def test_the_last_valid_field_is_returned_after_a_step_to_nan(monkeypatch) -> None:
     steps = []
 
     def pull(self, d, way, y, held):
@@ -95,10 +95,12 @@ def test_after_a_step_to_what_is_no_field_the_last_one_is_returned(monkeypatch) 
     assert math.isfinite(found.convergence.error)
 
 
-def test_single_precision_is_left_where_it_would_fold() -> None:
+def test_the_field_has_double_precision_if_single_precision_would_fold() -> None:
     problem = Problem(np.zeros((2, 2, 2)), np.ones((2, 2, 2)), np.ones((2, 2)))
     model, far = model_of(problem), squeezed(1e-6, 100.3)
-    assert not least_corner(problem, far.astype(np.float32)) > 0, "single precision holds it"
+    assert not least_corner(problem, far.astype(np.float32)) > 0, (
+        "single precision resolves the field"
+    )
     found, _, least = large_motion._returned(model, problem, host.planes(far), 1e-3)
     assert found.dtype == np.float64
     assert least == pytest.approx(1e-6, rel=1e-3)
@@ -109,7 +111,7 @@ def test_single_precision_is_left_where_it_would_fold() -> None:
 
 
 @pytest.mark.parametrize("left", [-0.1, 0.0, math.nan])
-def test_what_is_folded_after_all_is_an_error(left) -> None:
+def test_a_folded_result_raises_an_error(left) -> None:
     problem = Problem(np.zeros((2, 2, 2)), np.ones((2, 2, 2)), np.ones((2, 2)))
     d = host.planes(squeezed(left, 0.0))
     with pytest.raises(ConvergenceError, match="crushed to nothing"):
@@ -117,7 +119,7 @@ def test_what_is_folded_after_all_is_an_error(left) -> None:
 
 
 @pytest.mark.parametrize("phase", [1.2, 1.4, 5.0])
-def test_tissue_that_is_crushed_between_stiff_parts_folds_nothing(phase) -> None:
+def test_tissue_crushed_between_stiff_parts_does_not_fold(phase) -> None:
     problem = crushed(phase)
     found = solve(problem, PRIOR, backend="cpu")
     assert least_corner(problem, found.displacement) > 0
@@ -127,22 +129,22 @@ def test_tissue_that_is_crushed_between_stiff_parts_folds_nothing(phase) -> None
     assert count_folds(found.displacement, spacing=problem.spacing) == 0
 
 
-def test_crushed_tissue_that_did_not_come_to_rest_is_named(tmp_path) -> None:
+def test_crushed_tissue_out_of_equilibrium_is_reported(tmp_path) -> None:
     problem = crushed(1.0)
     found = solve(problem, PRIOR, backend="cpu")
     reach, error = found.reach, found.convergence.error
-    assert error > 1e-3, "it came to rest"
+    assert error > 1e-3, "the solve reached equilibrium"
     assert reach.unbalanced == pytest.approx(error * problem.unit)
     assert problem.tissue[reach.unbalanced_at]
-    assert not problem.known[reach.unbalanced_at].all(), "that is held"
+    assert not problem.known[reach.unbalanced_at].all(), "the site is prescribed"
     said = shortfall(reach, "mm")
-    assert f"{reach.unbalanced:.3g} mm from balance" in said
+    assert f"{reach.unbalanced:.3g} mm from equilibrium" in said
     assert str(reach.unbalanced_at) in said
     assert Solution.read(found.write(tmp_path / "crushed.npz")).reach == reach
 
 
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
-def test_a_file_keeps_the_precision_in_which_nothing_folds(precision, tmp_path) -> None:
+def test_a_solution_file_keeps_the_floating_point_precision(precision, tmp_path) -> None:
     solution = solve(dragged(0.5), PRIOR, backend="cpu")
     solution = replace(solution, displacement=(solution.displacement + 1 / 3).astype(precision))
     loaded = Solution.read(solution.write(tmp_path / "precise.npz"))
@@ -150,7 +152,7 @@ def test_a_file_keeps_the_precision_in_which_nothing_folds(precision, tmp_path) 
     np.testing.assert_array_equal(loaded.displacement, solution.displacement)
 
 
-def test_tissue_at_rest_is_not_said_to_move_on() -> None:
+def test_tissue_in_equilibrium_is_not_reported_as_unbalanced() -> None:
     found = solve(dragged(0.5), PRIOR, backend="cpu")
     assert found.convergence.error <= 1e-3
     assert found.reach.unbalanced == 0

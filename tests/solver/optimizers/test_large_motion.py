@@ -1,4 +1,4 @@
-"""Claims about tissue that moves far: where it goes, that it never folds, and what it says."""
+"""Large motion: displacement, absence of folds, and reports."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Field = npt.NDArray[np.float64]
 
 
 def dragged(size: int, radius: float, far: float) -> Problem:
-    """A disc in the middle of a held frame that moves to the right."""
+    """Return a disc that is moved to the right inside a fixed frame."""
     row, col = np.indices((size, size)) - size // 2
     inside = row**2 + (col + far / 2) ** 2 <= radius**2
     c = np.ones((size, size, 2))
@@ -36,24 +36,24 @@ def dragged(size: int, radius: float, far: float) -> Problem:
     return Problem(y, c, np.ones((size, size)))
 
 
-def corners(problem: Problem, solution: Solution) -> Field:
+def jacobians_of(problem: Problem, solution: Solution) -> Field:
     return NeoHookeanPrior().corner_jacobians(problem, solution.displacement)
 
 
-def some_loads(random: np.random.Generator, shape: tuple[int, int]) -> Loads:
-    """Growth along all directions, and forces."""
+def random_loads(random: np.random.Generator, shape: tuple[int, int]) -> Loads:
+    """Return random growth along all directions and random forces."""
     strain = random.normal(size=(*shape, 3, 3)) * 0.1
     return Loads(growth=strain + strain.swapaxes(-1, -2), force=random.normal(size=(*shape, 2)))
 
 
 @pytest.mark.parametrize("grows", [False, True])
 @pytest.mark.parametrize("plane", ["stress", "strain"])
-def test_its_forces_and_tangents_are_derivatives_of_its_energy(plane, grows) -> None:
+def test_forces_and_tangents_are_derivatives_of_the_energy(plane, grows) -> None:
     random = np.random.default_rng(4)
     m = random.uniform(1, 3, (6, 7))
     m[0, 0] = 0
     c = np.ones((6, 7, 2))
-    loads = some_loads(random, (6, 7)) if grows else None
+    loads = random_loads(random, (6, 7)) if grows else None
     if loads is not None:
         pulls = np.array(loads.force)
         pulls[0, 0] = 0
@@ -61,7 +61,9 @@ def test_its_forces_and_tangents_are_derivatives_of_its_energy(plane, grows) -> 
     problem = Problem(c, c, m, spacing=(1, 2), loads=loads)
     prior = NeoHookeanPrior(0.4, plane=plane)
     d, way = random.normal(size=(2, 6, 7, 2)) * 0.15 * problem.unit
-    assert 0 < prior.corner_jacobians(problem, d).min() < 0.5, "not every part of it is looked at"
+    assert 0 < prior.corner_jacobians(problem, d).min() < 0.5, (
+        "the field does not cover small Jacobians"
+    )
     step, short = way / problem.unit, 1e-5
     energies = [prior.energy(problem, d + side * short * way) for side in (-1, 1)]
     slope = float((prior.forces(problem, d) * step).sum())
@@ -76,7 +78,7 @@ def test_its_forces_and_tangents_are_derivatives_of_its_energy(plane, grows) -> 
     assert found == pytest.approx(bend, rel=1e-6)
 
 
-def test_the_compiled_loops_know_the_same_energy_forces_and_tangents() -> None:
+def test_the_compiled_energy_forces_and_tangents_match_the_prior() -> None:
     from napari_hmrf.solver.backends import host
     from napari_hmrf.solver.backends.cpu.finite_model import CpuFiniteModel
 
@@ -85,7 +87,7 @@ def test_the_compiled_loops_know_the_same_energy_forces_and_tangents() -> None:
     m[10:14, 7:9] = 0
     c = np.ones((40, 37, 2))
     d = random.normal(size=c.shape) * 0.15
-    grown = Loads(growth=some_loads(random, (40, 37)).growth)
+    grown = Loads(growth=random_loads(random, (40, 37)).growth)
     for plane, loads in (("stress", None), ("strain", None), ("stress", grown), ("strain", grown)):
         problem, prior = Problem(c, c, m, loads=loads), NeoHookeanPrior(0.4, plane=plane)
         model = CpuFiniteModel((40, 37))
@@ -110,7 +112,7 @@ def test_the_compiled_loops_know_the_same_energy_forces_and_tangents() -> None:
 
 @pytest.mark.parametrize("plane", ["stress", "strain"])
 @pytest.mark.parametrize("name", ["pulled", "bent", "sheared"])
-def test_it_goes_where_an_independent_method_says(name, plane) -> None:
+def test_large_motion_agrees_with_an_independent_solver(name, plane) -> None:
     ends = {
         "pulled": np.broadcast_to([0.0, 7.0], (16, 2)),
         "bent": turned(16, 24, 60),
@@ -124,7 +126,7 @@ def test_it_goes_where_an_independent_method_says(name, plane) -> None:
     assert found.convergence.error <= 1e-3
 
 
-def test_little_motion_is_that_of_linear_elasticity() -> None:
+def test_small_motion_agrees_with_linear_elasticity() -> None:
     random = np.random.default_rng(6)
     m = random.uniform(1, 4, (24, 30))
     m[5:9, 11:14] = 0
@@ -138,7 +140,7 @@ def test_little_motion_is_that_of_linear_elasticity() -> None:
 
 
 @pytest.mark.parametrize("spacing", [(1, 1), (0.5, 1.5)])
-def test_tissue_turns_without_strain(spacing) -> None:
+def test_tissue_rotates_without_strain(spacing) -> None:
     row, col = np.indices((20, 26))
     angle, size = np.deg2rad(30), np.array(spacing)
     x = np.stack([row, col], axis=-1) * size
@@ -155,18 +157,18 @@ def test_tissue_turns_without_strain(spacing) -> None:
         assert np.abs(length - 1).max() < 1e-4
 
 
-def test_a_patch_that_is_dragged_far_folds_nothing() -> None:
+def test_a_patch_that_is_pulled_far_causes_no_folds() -> None:
     problem = dragged(60, 4, 22)
     linear = solve(problem, ElasticPrior(), backend="cpu")
-    assert corners(problem, linear).min() < 0, "this is no test of folding"
+    assert jacobians_of(problem, linear).min() < 0, "the linear solution does not fold"
     found = solve(problem, NeoHookeanPrior(), backend="cpu")
-    least = corners(problem, found).min()
+    least = jacobians_of(problem, found).min()
     assert found.reach.least_jacobian == pytest.approx(least, abs=1e-6)
     assert least > 0.05
     assert (found.reach.part, found.reach.where) == (1.0, None)
 
 
-def test_what_cannot_be_met_is_met_as_far_as_it_goes() -> None:
+def test_an_unreachable_prescribed_motion_is_followed_as_far_as_possible() -> None:
     c, y = np.zeros((2, 32, 32, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
     inside = np.zeros((32, 32), dtype=bool)
@@ -175,14 +177,14 @@ def test_what_cannot_be_met_is_met_as_far_as_it_goes() -> None:
     problem = Problem(y, c, np.ones((32, 32)))
     found = solve(problem, NeoHookeanPrior(), backend="cpu")
     reach = found.reach
-    assert corners(problem, found).min() > 0
+    assert jacobians_of(problem, found).min() > 0
     assert inside[reach.where]
     assert 0 < reach.sites <= inside.sum()
     assert reach.missing == pytest.approx(30 - found.displacement[reach.where][1], abs=0.02)
     assert 0.2 < reach.part < 0.9
 
 
-def test_a_drag_goes_on_from_the_last_fields() -> None:
+def test_a_drag_starts_from_the_last_fields() -> None:
     frames = [solve(dragged(48, 4, 6), NeoHookeanPrior(), backend="cpu")]
     base = np.array(dragged(48, 4, 6).observed)
     moved = base[..., 1] > 0
@@ -198,7 +200,7 @@ def test_a_drag_goes_on_from_the_last_fields() -> None:
     assert np.abs(found.displacement - cold.displacement).max() < 0.02
 
 
-def test_a_solve_is_told_about_and_can_be_stopped() -> None:
+def test_a_solve_reports_progress_and_can_be_cancelled() -> None:
     said, stop = [], threading.Event()
 
     def tell(monitor) -> None:
@@ -208,11 +210,11 @@ def test_a_solve_is_told_about_and_can_be_stopped() -> None:
 
     with pytest.raises(Cancelled):
         solve(dragged(60, 4, 22), NeoHookeanPrior(), backend="cpu", progress=tell, cancel=stop)
-    assert any("px to pull" in each.message for each in said)
+    assert any("px left to pull" in each.message for each in said)
     assert all(0 <= each.fraction <= 1 for each in said)
 
 
-def test_what_it_does_not_take_is_refused_in_a_sentence() -> None:
+def test_unsupported_problems_are_rejected_with_an_explanation() -> None:
     c = np.ones((4, 4, 4, 3))
     with pytest.raises(ProblemError, match="large motion is for 2-D"):
         solve(Problem(c, c, np.ones((4, 4, 4))), NeoHookeanPrior())
@@ -232,7 +234,7 @@ def test_what_it_does_not_take_is_refused_in_a_sentence() -> None:
         solve(Problem(c, c, loose), NeoHookeanPrior())
 
 
-def test_how_far_it_got_is_saved_with_it(tmp_path) -> None:
+def test_the_reach_is_saved_with_the_solution(tmp_path) -> None:
     found = solve(bar(8, 12, np.broadcast_to([0.0, 4.0], (8, 2))), NeoHookeanPrior(), backend="cpu")
     again = Solution.read(found.write(tmp_path / "far.npz"))
     assert again.reach == found.reach

@@ -1,4 +1,4 @@
-"""Claims about rigid tissue within tissue that moves far."""
+"""Rigid tissue in large motion."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ Field = npt.NDArray[np.float64]
 SIZE = 28
 ROW, COL = np.indices((SIZE, SIZE))
 BONE = (abs(ROW - 13) < 4) & (abs(COL - 10) < 4)
-# Sites of elements that have a corner in it.
+# Sites of all elements with a corner in the bone.
 BODY = (abs(ROW - 13) < 5) & (abs(COL - 10) < 5)
 STIFFNESS = np.where(BONE, np.inf, 1.0)
 
 
 def framed(y: Field, at: npt.NDArray[np.bool_], loads: Loads | None = None) -> Problem:
-    """Tissue that is held all around, and moved where it is said to."""
+    """Return tissue with a fixed edge on all sides and prescribed motion at some sites."""
     c = np.zeros((SIZE, SIZE, 2))
     c[[0, -1]] = c[:, [0, -1]] = 1
     c[at] = 1
     return Problem(np.where(at[..., None], y, 0), c, STIFFNESS, loads=loads)
 
 
-def turned(degrees: float) -> Field:
-    """How the bone's pixels move as it turns around its middle."""
+def rotated(degrees: float) -> Field:
+    """Return the displacement of a rotation around the middle of the bone."""
     angle = np.deg2rad(degrees)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     places = np.stack([ROW - 13, COL - 10], axis=-1)
     return places @ turn.T - places
 
 
-def shape_of(problem: Problem, found: Solution) -> tuple[float, float]:
-    """How far the body is from its own shape, and how far it has turned, in degrees."""
+def deviation_and_angle(problem: Problem, found: Solution) -> tuple[float, float]:
+    """Return the deviation of the body from a rigid motion, and its rotation in degrees."""
     size = np.array(problem.spacing)
     before = np.stack([ROW[BODY], COL[BODY]], axis=-1) * size
     after = before + found.displacement[BODY]
@@ -48,27 +48,27 @@ def shape_of(problem: Problem, found: Solution) -> tuple[float, float]:
     return float(np.abs(before @ turn - after).max()), angle
 
 
-def test_a_bone_in_sheared_tissue_turns_as_one() -> None:
+def test_a_bone_in_sheared_tissue_rotates_rigidly() -> None:
     c = np.zeros((SIZE, SIZE, 2))
     c[[0, -1]] = 1
     y = np.zeros_like(c)
     y[-1] = 0, 9
     found = solve(Problem(y, c, STIFFNESS), NeoHookeanPrior(), backend="cpu")
-    off, angle = shape_of(Problem(y, c, STIFFNESS), found)
+    off, angle = deviation_and_angle(Problem(y, c, STIFFNESS), found)
     assert off < 1e-5
     assert angle > 5
-    # Stiffer and stiffer tissue comes as close as it is stiff.
+    # Very stiff tissue approximates rigid tissue.
     stiff = Problem(y, c, np.where(BONE, 1e5, 1.0))
     assert np.abs(found.displacement - solved(stiff, NeoHookeanPrior(), 4)).max() < 2e-3
 
 
-def test_forces_turn_a_bone_as_those_of_very_stiff_tissue_do() -> None:
+def test_forces_rotate_a_bone_like_very_stiff_tissue() -> None:
     force = np.zeros((SIZE, SIZE, 2))
     force[9, 6:15], force[17, 6:15] = (0, 0.4), (0, -0.4)
     nothing = np.zeros_like(force)
     problem = framed(nothing, BODY & False, Loads(force=force) + growth(0.3 * (COL > 20)))
     found = solve(problem, NeoHookeanPrior(), backend="cpu")
-    off, angle = shape_of(problem, found)
+    off, angle = deviation_and_angle(problem, found)
     assert off < 1e-5
     assert abs(angle) > 5
     c = problem.confidence
@@ -79,42 +79,42 @@ def test_forces_turn_a_bone_as_those_of_very_stiff_tissue_do() -> None:
 
 
 @pytest.mark.parametrize("where", ["everywhere", "in two places"])
-def test_a_bone_may_be_turned_far(where) -> None:
+def test_a_bone_can_be_rotated_far(where) -> None:
     at = BODY.copy()
     if where != "everywhere":
         at[:] = False
         at[10, 7] = at[16, 13] = True
-    problem = framed(turned(50), at)
+    problem = framed(rotated(50), at)
     found = solve(problem, NeoHookeanPrior(), backend="cpu")
-    off, angle = shape_of(problem, found)
+    off, angle = deviation_and_angle(problem, found)
     assert off < 1e-5
     assert angle == pytest.approx(50, abs=1e-3)
     assert found.reach.part == 1
     assert NeoHookeanPrior().corner_jacobians(problem, found.displacement).min() > 0
 
 
-def test_a_bone_that_is_dragged_at_one_pixel_turns_freely() -> None:
+def test_a_bone_pulled_at_one_pixel_rotates_freely() -> None:
     at = BODY & False
     at[10, 7] = True
     problem = framed(np.broadcast_to([4.0, 3.0], (SIZE, SIZE, 2)), at)
     found = solve(problem, NeoHookeanPrior(), backend="cpu")
-    off, angle = shape_of(problem, found)
+    off, angle = deviation_and_angle(problem, found)
     assert off < 1e-5
     assert abs(angle) > 5
     assert found.displacement[10, 7] == pytest.approx([4.0, 3.0], abs=1e-5)
 
 
-def test_a_bone_that_cannot_go_on_stops_as_one() -> None:
+def test_a_bone_stopped_by_tissue_keeps_its_shape() -> None:
     problem = framed(np.broadcast_to([0.0, 25.0], (SIZE, SIZE, 2)), BODY)
     found = solve(problem, NeoHookeanPrior(), backend="cpu")
-    off, _ = shape_of(problem, found)
+    off, _ = deviation_and_angle(problem, found)
     assert off < 1e-5
     assert NeoHookeanPrior().corner_jacobians(problem, found.displacement).min() > 0
     assert 0.2 < found.reach.part < 1
     assert found.reach.sites == BODY.sum()
 
 
-def test_a_bone_that_would_be_stretched_is_refused() -> None:
+def test_a_prescribed_stretch_of_a_bone_is_rejected() -> None:
     places = np.stack([ROW - 13, COL - 10], axis=-1)
     with pytest.raises(ProblemError, match=r"rigid body around \(13, 10\) against each"):
         solve(framed(0.2 * places, BODY), NeoHookeanPrior(), backend="cpu")

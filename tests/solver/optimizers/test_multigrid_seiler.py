@@ -1,4 +1,4 @@
-"""The paper's prior, converged: multigrid finds the field that ICM would end at, and proves it."""
+"""Multigrid of the paper's prior: the converged field and its error bound."""
 
 import numpy as np
 import pytest
@@ -20,11 +20,11 @@ from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
 from tests.support.cancel_flags import During
 
-READINGS = ["centred", "blanket"]
+CONDITIONALS = ["centred", "blanket"]
 
 
 def random_problem(shape=(49, 62), spacing=(1.0, 1.0), ratio=5.0, seed=0):
-    """Random tissue, smooth but for a hole and a stiff lump, whose border is held at random."""
+    """Return random tissue with a hole and random prescribed displacements at its border."""
     rng = np.random.default_rng(seed)
     m = np.kron(ratio ** rng.random((-(-shape[0] // 7), -(-shape[1] // 7))), np.ones((7, 7)))
     m = m[: shape[0], : shape[1]]
@@ -34,8 +34,8 @@ def random_problem(shape=(49, 62), spacing=(1.0, 1.0), ratio=5.0, seed=0):
     return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
 
 
-def doubtful(spacing=(1.0, 1.0), seed=1):
-    """Soft and stiff tissue, some of whose sites are observed, more or less surely."""
+def uncertain_problem(spacing=(1.0, 1.0), seed=1):
+    """Return soft and stiff tissue with observations of random confidence."""
     rng = np.random.default_rng(seed)
     shape = (11, 13)
     m = np.where(rng.random(shape) < 0.5, 1.0, 4.0)
@@ -47,10 +47,10 @@ def doubtful(spacing=(1.0, 1.0), seed=1):
     return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
 
 
-def slow_and_sure(problem, prior):
-    """The field where no site wants to move, in float64: one observed component after the other.
+def reference_solution(problem, prior):
+    """Return the converged field in float64, relaxing one observed component at a time.
 
-    The rest is eliminated first. What a site is pulled with is measured by impulses.
+    Free components are eliminated first. The matrix is measured with unit displacements.
     """
     size = problem.observed.size
     steep = prior.site_parabola(problem, np.zeros(problem.observed.shape)).curvature.ravel()
@@ -81,10 +81,10 @@ def slow_and_sure(problem, prior):
     return field.reshape(problem.observed.shape) * problem.unit
 
 
-@pytest.mark.parametrize("reading", READINGS)
+@pytest.mark.parametrize("reading", CONDITIONALS)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.0, 2.0)])
 @pytest.mark.parametrize("shape", [(31, 37), (3, 40), (2, 2)])
-def test_the_loops_pull_as_the_energies_say(shape, spacing, reading):
+def test_compiled_forces_match_the_energies(shape, spacing, reading):
     problem = random_problem(shape, spacing, ratio=1e3)
     prior = SeilerPrior(conditional=reading)
     d = np.random.default_rng(3).normal(size=(*shape, 2))
@@ -109,9 +109,9 @@ def test_the_loops_pull_as_the_energies_say(shape, spacing, reading):
     assert energy == pytest.approx(total, rel=1e-9)
 
 
-@pytest.mark.parametrize("reading", READINGS)
+@pytest.mark.parametrize("reading", CONDITIONALS)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.0, 2.0)])
-def test_the_field_is_that_of_a_direct_solve(reading, spacing):
+def test_the_field_matches_a_direct_solve(reading, spacing):
     problem = random_problem(spacing=spacing)
     found = solve(problem, SeilerPrior(conditional=reading), optimizer=Multigrid(1e-3))
     expected = solve_exactly(problem, reading)
@@ -120,15 +120,15 @@ def test_the_field_is_that_of_a_direct_solve(reading, spacing):
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-@pytest.mark.parametrize("reading", READINGS)
-def test_a_phantom_moves_as_a_direct_solve_says(name, reading):
+@pytest.mark.parametrize("reading", CONDITIONALS)
+def test_the_field_of_a_phantom_matches_a_direct_solve(name, reading):
     problem = phantom(name, 64).problem
     found = solve(problem, SeilerPrior(conditional=reading), optimizer=Multigrid(1e-3)).displacement
     assert np.abs(found - solve_exactly(problem, reading))[problem.tissue].max() < 1e-3
 
 
-@pytest.mark.parametrize("reading", READINGS)
-def test_it_is_where_the_papers_sweeps_would_end(reading):
+@pytest.mark.parametrize("reading", CONDITIONALS)
+def test_multigrid_matches_the_limit_of_many_icm_sweeps(reading):
     problem = phantom("expansion", 20).problem
     prior = SeilerPrior(conditional=reading)
     patient = solve(
@@ -140,22 +140,20 @@ def test_it_is_where_the_papers_sweeps_would_end(reading):
     assert quick.iterations < patient.iterations / 10
 
 
-@pytest.mark.parametrize("reading", READINGS)
+@pytest.mark.parametrize("reading", CONDITIONALS)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 1.0)])
 @pytest.mark.parametrize("penalty", [30.0, pytest.param(3.0, marks=pytest.mark.campaign), 0.3])
-def test_what_is_observed_gives_way_where_it_is_pulled_harder_than_its_confidence(
-    reading, spacing, penalty
-):
-    problem = doubtful(spacing)
+def test_observations_slip_where_the_force_exceeds_their_confidence(reading, spacing, penalty):
+    problem = uncertain_problem(spacing)
     prior = SeilerPrior(penalty=penalty, conditional=reading)
-    expected = slow_and_sure(problem, prior)
+    expected = reference_solution(problem, prior)
     found = solve(problem, prior, optimizer=Multigrid(1e-4)).displacement
     assert np.abs(found - expected)[problem.tissue].max() < 2e-4
     slipped = (np.abs(expected - problem.observed) > 1e-3)[problem.confidence > 0]
     assert 0 < slipped.sum() < slipped.size or penalty != 3.0
 
 
-def test_the_number_of_cycles_hardly_depends_on_the_size():
+def test_the_number_of_cycles_is_nearly_independent_of_the_size():
     for name in ("mass-effect", "expansion", "bar"):
         cycles = [
             solve(phantom(name, size).problem, SeilerPrior(), optimizer=Multigrid(0.01)).iterations
@@ -167,7 +165,7 @@ def test_the_number_of_cycles_hardly_depends_on_the_size():
 
 @pytest.mark.parametrize("ratio", [1e2, 1e4, 1e6])
 @pytest.mark.parametrize("name", ["expansion", "mass-effect"])
-def test_a_tumour_that_swims_in_soft_tissue_is_found(ratio, name):
+def test_a_stiff_tumour_in_soft_tissue_is_solved_accurately(ratio, name):
     problem = phantom(name, 64).problem
     m = np.where(problem.stiffness == 40, ratio, np.where(problem.stiffness > 0, 1.0, 0.0))
     problem = Problem(problem.observed, problem.confidence, m)
@@ -176,7 +174,7 @@ def test_a_tumour_that_swims_in_soft_tissue_is_found(ratio, name):
     assert np.abs(found.displacement - expected)[problem.tissue].max() < 1e-3
 
 
-def test_nothing_moves_further_than_something_pushes_it():
+def test_tissue_never_moves_further_than_its_largest_observation():
     problem = random_problem(ratio=1e3, seed=2)
     found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-4)).displacement
     for component in (0, 1):
@@ -187,7 +185,7 @@ def test_nothing_moves_further_than_something_pushes_it():
         assert found[..., component].min() >= min(pushed.min(), 0) - 1e-4
 
 
-def test_a_bars_halves_strain_as_their_stiffness_says_at_any_length():
+def test_the_strain_ratio_of_a_bar_does_not_depend_on_its_length():
     for length in (64, 300):
         m = np.ones((3, length))
         m[:, : length // 2] = 5
@@ -202,8 +200,8 @@ def test_a_bars_halves_strain_as_their_stiffness_says_at_any_length():
         assert ratio == pytest.approx(5.71, abs=0.03)
 
 
-@pytest.mark.parametrize("reading", READINGS)
-def test_only_ratios_of_stiffness_and_lengths_matter(reading):
+@pytest.mark.parametrize("reading", CONDITIONALS)
+def test_the_field_depends_only_on_ratios_of_stiffness_and_lengths(reading):
     problem = random_problem((24, 31), spacing=(1, 2))
     prior = SeilerPrior(conditional=reading)
     first = solve(problem, prior, optimizer=Multigrid(1e-4)).displacement
@@ -219,8 +217,8 @@ def test_only_ratios_of_stiffness_and_lengths_matter(reading):
     np.testing.assert_allclose(found, first, atol=5e-4)
 
 
-@pytest.mark.parametrize("reading", READINGS)
-def test_a_warm_start_ends_at_the_same_field(reading):
+@pytest.mark.parametrize("reading", CONDITIONALS)
+def test_a_warm_start_converges_to_the_same_field(reading):
     problem = random_problem()
     prior = SeilerPrior(conditional=reading)
     cold = solve(problem, prior, optimizer=Multigrid(1e-4))
@@ -232,8 +230,8 @@ def test_a_warm_start_ends_at_the_same_field(reading):
     np.testing.assert_allclose(warm.displacement, expected, atol=3e-4)
 
 
-def test_a_start_from_elsewhere_moves_nothing_that_nothing_moves():
-    # A free border has no clique around it: it stays, whatever the start says.
+def test_a_warm_start_does_not_move_a_free_border():
+    # A free border belongs to no clique as its middle, so it stays at rest for any start.
     y, c = np.zeros((12, 12, 2)), np.zeros((12, 12, 2))
     c[4:8, 4:8] = 1
     y[4:8, 4:8, 0] = 2
@@ -244,7 +242,7 @@ def test_a_start_from_elsewhere_moves_nothing_that_nothing_moves():
     np.testing.assert_allclose(found, solve_exactly(problem, "centred"), atol=1e-4)
 
 
-def test_a_piece_that_nothing_holds_is_named():
+def test_an_unconstrained_piece_is_named():
     m = np.zeros((20, 30))
     m[3:17, 2:12] = 1
     m[5:15, 18:27] = 1
@@ -256,7 +254,7 @@ def test_a_piece_that_nothing_holds_is_named():
     c[9, 18:27] = 1
     with pytest.raises(ProblemError, match=r"90 pixels around \(9, 22\) could still grow along"):
         solve(Problem(0 * c, c, m), prior, optimizer=Multigrid())
-    # Centred, a border that is the middle of no clique holds it.
+    # In the centred conditional, a border that is not the middle of any clique stays at rest.
     y = np.zeros_like(c)
     y[3:17, 2:4] = 1
     found = solve(
@@ -265,22 +263,22 @@ def test_a_piece_that_nothing_holds_is_named():
     assert np.abs(found[5:15, 18:27]).max() < 1e-3
 
 
-def test_what_cannot_converge_is_an_error_and_not_a_field():
+def test_a_solve_without_convergence_raises_an_error():
     problem = phantom("mass-effect", 48).problem
-    with pytest.raises(ConvergenceError, match=r"not certain to be within 1e-06 px"):
+    with pytest.raises(ConvergenceError, match=r"still above 1e-06 px"):
         solve(problem, SeilerPrior(), optimizer=Multigrid(tolerance=1e-6, max_iterations=2))
-    with pytest.raises(ConvergenceError, match=r"px from converged after 2 cycles"):
+    with pytest.raises(ConvergenceError, match=r"px after 2 cycles"):
         solve(problem, ElasticPrior(), optimizer=Multigrid(tolerance=1e-6, max_iterations=2))
 
 
-@pytest.mark.parametrize("reading", READINGS)
-def test_it_can_be_cancelled_on_the_way(reading):
+@pytest.mark.parametrize("reading", CONDITIONALS)
+def test_a_solve_can_be_cancelled_between_cycles(reading):
     problem, prior = phantom("bar", 64).problem, SeilerPrior(conditional=reading)
     with pytest.raises(Cancelled):
         solve(problem, prior, optimizer=Multigrid(), cancel=During("cycle 2"))
 
 
-def test_the_papers_schedule_stays_the_default():
+def test_the_schedule_of_the_paper_is_the_default():
     levels = solve(phantom("bar", 48).problem, SeilerPrior()).levels
     assert len(levels) == 7
     assert {level.iterations for level in levels} == {70}

@@ -1,4 +1,4 @@
-"""Where observations slip, there is one answer: also where forces tie, or nothing holds a piece."""
+"""Uniqueness of slip: balanced forces and unconstrained pieces."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ from napari_hmrf.solver.rigid_modes import free_motions
 PENALTY = 1e-9
 
 
-def torn(contrast, spacing=(1.0, 1.0), shape=(6, 7), seed=0):
-    """A block whose first row is said to move by 1 pixel, and its last by 3, equally surely."""
+def contradictory_problem(contrast, spacing=(1.0, 1.0), shape=(6, 7), seed=0):
+    """Return a block observed to move by 1 px in its first row and 3 px in its last row."""
     rng = np.random.default_rng(seed)
     y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     c[[0, -1]] = 1
@@ -26,8 +26,8 @@ def torn(contrast, spacing=(1.0, 1.0), shape=(6, 7), seed=0):
     ("reading", "contrast"),
     [("elastic", 1.0), ("elastic", 1e3), ("elastic", 1e6), ("blanket", 1e3), ("blanket", 1e6)],
 )
-def test_of_all_places_that_cost_the_same_a_piece_takes_the_nearest(reading, contrast, spacing):
-    problem = torn(contrast, spacing)
+def test_a_piece_moves_to_the_nearest_of_equally_good_positions(reading, contrast, spacing):
+    problem = contradictory_problem(contrast, spacing)
     prior = (
         ElasticPrior(penalty=PENALTY)
         if reading == "elastic"
@@ -40,7 +40,7 @@ def test_of_all_places_that_cost_the_same_a_piece_takes_the_nearest(reading, con
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.3, 1.0), (2.0, 0.7)])
-def test_a_free_motion_costs_nothing_whatever_the_shape_of_pixels(spacing):
+def test_a_free_rigid_motion_has_no_energy_for_any_pixel_shape(spacing):
     shape = (7, 9)
     c = np.zeros((*shape, 2))
     c[2, 3] = 1
@@ -49,12 +49,12 @@ def test_a_free_motion_costs_nothing_whatever_the_shape_of_pixels(spacing):
     assert len(ways) == 1
     model = CpuElasticModel(ElasticPrior().material(problem))
     energy, _ = model.work(host.planes(ways[0]))
-    assert abs(energy) < 1e-17, "rounding, of either sign"
+    assert abs(energy) < 1e-17, "the energy exceeds rounding errors"
 
 
 @pytest.mark.parametrize("penalty", [None, 0.1])
 @pytest.mark.parametrize("shape", [(2, 2), (1, 2)])
-def test_what_no_clique_pulls_at_stays_where_it_was_seen(shape, penalty):
+def test_sites_outside_all_cliques_match_their_observation(shape, penalty):
     y = np.random.default_rng(1).normal(size=(*shape, 2)) / 4
     problem = Problem(y, np.ones((*shape, 2)), np.ones(shape))
     found = solve(
@@ -63,8 +63,8 @@ def test_what_no_clique_pulls_at_stays_where_it_was_seen(shape, penalty):
     np.testing.assert_allclose(found, y, atol=1e-6)
 
 
-def test_a_stiff_part_that_hangs_on_soft_tissue_is_where_its_weakest_side_allows():
-    # A bar whose stiff half is pulled at by one observation that gives way.
+def test_a_stiff_part_on_soft_tissue_moves_in_proportion_to_the_slip_force():
+    # One slipping observation pulls the stiff half of a bar.
     m = np.ones((3, 12))
     m[:, 6:] = 1e5
     y, c = np.zeros((3, 12, 2)), np.zeros((3, 12, 2))
@@ -75,14 +75,14 @@ def test_a_stiff_part_that_hangs_on_soft_tissue_is_where_its_weakest_side_allows
     for penalty in (1e-8, 2e-8):
         found = solve(Problem(y, c, m), ElasticPrior(penalty=penalty), optimizer=Multigrid(1e-5))
         ends.append(found.displacement[1, -1, 1] / penalty)
-    # It slips, so it moves in proportion to the force.
+    # The displacement is proportional to the force at which the observation slips.
     assert ends[1] == pytest.approx(ends[0], rel=1e-2)
 
 
 @pytest.mark.parametrize("penalty", [None, 0.01])
-def test_a_row_that_tilts_at_no_cost_is_refused_whatever_rounding_makes_of_it(penalty):
-    # Two sites hang on the middle one alone, and their tilt moves nothing else. Stiff tissue beside
-    # soft tissue rounds the factors so coarsely that the tilt seems to cost something.
+def test_a_row_that_tilts_without_energy_is_rejected_despite_rounding(penalty):
+    # Two sites are connected only to the middle site, so they can tilt freely. Because of the
+    # stiffness contrast, rounding errors of the factorization hide this zero-energy mode.
     stiff, soft = 25123.590, 0.014527673
     m = np.array([[0, 1, 0], [1, 1, 1], [1, 1, 1], [0, 1, 1], [0, 0, 0]]) * stiff
     m[3, 0] = m[4, 1] = soft
@@ -90,9 +90,11 @@ def test_a_row_that_tilts_at_no_cost_is_refused_whatever_rounding_makes_of_it(pe
     c[2, 0] = 1
     y[2, 0] = (0.14, 0.03)
     prior = SeilerPrior(penalty=penalty, conditional="blanket")
-    with pytest.raises(ProblemError, match=r"8 pixels around \(2, 1\) could still bend along col"):
+    with pytest.raises(
+        ProblemError, match=r"8 pixels around \(2, 1\) could still bend along the col"
+    ):
         solve(Problem(y, c, m), prior, optimizer=Multigrid(), backend="cpu")
-    # A second mark in the row stops it.
+    # A second observation in the row prevents the tilt.
     c[2, 2, 1] = 1
     found = solve(Problem(y, c, m), prior, optimizer=Multigrid(), backend="cpu").displacement
     np.testing.assert_allclose(found[1:4, 1, 1], found[2, [0, 2], 1].mean(), atol=1e-3)

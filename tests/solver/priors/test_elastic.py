@@ -1,4 +1,4 @@
-"""Elastic tissue: the energy is that of finite elements, and multigrid finds its field."""
+"""Elastic prior: energy of finite elements, and solution by multigrid."""
 
 import threading
 
@@ -29,7 +29,7 @@ PLANES = ["stress", "strain"]
 
 
 def random_problem(shape=(9, 7), spacing=(1.0, 1.0), void=False, ratio=5.0, seed=0):
-    """Random tissue whose border is held at random displacements."""
+    """Return random tissue with random prescribed displacements at its border."""
     rng = np.random.default_rng(seed)
     m = ratio ** rng.random(shape)
     if void:
@@ -41,7 +41,7 @@ def random_problem(shape=(9, 7), spacing=(1.0, 1.0), void=False, ratio=5.0, seed
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45])
-def test_the_energy_is_that_of_bilinear_finite_elements(spacing, poisson):
+def test_the_energy_matches_bilinear_finite_elements(spacing, poisson):
     shape = (9, 7)
     first, shear = lame_parameters(1.0, poisson)
     first = 2 * first * shear / (first + 2 * shear)  # plane stress
@@ -61,7 +61,7 @@ def test_the_energy_is_that_of_bilinear_finite_elements(spacing, poisson):
 
 @pytest.mark.parametrize("plane", PLANES)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
-def test_forces_are_the_slope_of_the_energy(plane, spacing):
+def test_forces_are_the_gradient_of_the_energy(plane, spacing):
     problem = random_problem((5, 6), spacing, void=True)
     prior = ElasticPrior(0.4, plane=plane)
     d = np.random.default_rng(2).normal(size=(5, 6, 2)) * problem.unit
@@ -76,7 +76,7 @@ def test_forces_are_the_slope_of_the_energy(plane, spacing):
 
 
 @pytest.mark.parametrize("count", [2, 3, 7])
-def test_however_many_threads_share_the_rows_the_field_is_the_same(count, monkeypatch):
+def test_the_number_of_threads_does_not_change_the_field(count, monkeypatch):
     problem = random_problem((123, 96), void=True, ratio=1e3)
     monkeypatch.setattr(elastic_model, "_last", [])
     monkeypatch.setattr(forces, "parts", lambda height: 1)
@@ -91,7 +91,7 @@ def test_however_many_threads_share_the_rows_the_field_is_the_same(count, monkey
 
 @pytest.mark.parametrize("shape", [(31, 37), (2, 2), (13, 2), (101, 8)])
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
-def test_the_loops_pull_as_the_energy_says(shape, spacing):
+def test_compiled_forces_match_the_energy(shape, spacing):
     problem = random_problem(shape, spacing, void=shape[0] > 13, ratio=1e4)
     prior = ElasticPrior(0.45, plane="strain")
     d = np.random.default_rng(3).normal(size=(*shape, 2))
@@ -118,7 +118,7 @@ def test_the_loops_pull_as_the_energy_says(shape, spacing):
 
 @pytest.mark.parametrize("plane", PLANES)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 1.5)])
-def test_uniform_tissue_follows_its_border_evenly(plane, spacing):
+def test_uniform_tissue_with_an_affine_border_moves_affinely(plane, spacing):
     i, j = np.mgrid[:120, :90]
     affine = np.stack([0.02 * i - 0.05 * j, 0.03 * j + 0.01 * i], axis=-1)
     c = np.zeros((120, 90, 2))
@@ -131,7 +131,7 @@ def test_uniform_tissue_follows_its_border_evenly(plane, spacing):
 
 @pytest.mark.parametrize("plane", PLANES)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.0, 2.5)])
-def test_the_field_is_that_of_a_direct_solve(plane, spacing):
+def test_the_field_matches_a_direct_solve(plane, spacing):
     problem = random_problem((49, 62), spacing, void=True)
     prior = ElasticPrior(0.45, plane=plane)
     found = solve(problem, prior, optimizer=Multigrid(tolerance=1e-4))
@@ -140,7 +140,7 @@ def test_the_field_is_that_of_a_direct_solve(plane, spacing):
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect"])
-def test_a_brain_moves_as_finite_elements_say(name):
+def test_the_displacement_of_a_brain_matches_finite_elements(name):
     problem = phantom(name, 128).problem
     found = solve(problem, ElasticPrior(poisson=0.3))
     expected = plane_stress_displacement(problem, poisson=0.3)
@@ -149,22 +149,22 @@ def test_a_brain_moves_as_finite_elements_say(name):
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49, 0.499])
 @pytest.mark.parametrize("ratio", [1.0, 1e3, 1e6])
-def test_any_material_converges_to_what_was_asked(poisson, ratio):
+def test_any_material_converges_to_the_tolerance(poisson, ratio):
     problem = phantom("mass-effect", 64).problem
     m = np.where(problem.stiffness == 40, ratio, np.where(problem.stiffness > 0, 1.0, 0.0))
     problem = Problem(problem.observed, problem.confidence, m)
     for plane in PLANES:
         if ratio == 1e6 and poisson == 0.499 and plane == "strain":
-            continue  # beyond single precision: the next test
+            continue  # beyond single precision
         prior = ElasticPrior(poisson, plane=plane)
         found = solve(problem, prior, optimizer=Multigrid(tolerance=1e-3))
         off = np.abs(found.displacement - direct_solution(problem, prior))[problem.tissue]
         assert off.max() < 3e-3
 
 
-def test_what_cannot_converge_is_an_error_and_not_a_field():
+def test_a_solve_without_convergence_raises_an_error():
     problem = phantom("mass-effect", 48).problem
-    with pytest.raises(ConvergenceError, match=r"still .* px from converged after 2 cycles"):
+    with pytest.raises(ConvergenceError, match=r"still .* px after 2 cycles"):
         solve(problem, ElasticPrior(), optimizer=Multigrid(tolerance=1e-6, max_iterations=2))
 
 
@@ -179,10 +179,10 @@ def test_the_number_of_cycles_does_not_depend_on_the_size():
     assert max(cycles) < 12
 
 
-def test_compressed_tissue_bulges_as_its_poissons_ratio_says():
+def test_compressed_tissue_bulges_according_to_its_poisson_ratio():
     shape = (41, 61)
     y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-    c[:, 0, 1] = c[:, -1, 1] = 1  # squeezed along columns, free to slide along rows
+    c[:, 0, 1] = c[:, -1, 1] = 1  # compressed along columns, free to slide along rows
     c[20, 0, 0] = 1
     y[:, -1, 1] = -3
     for poisson in (0.0, 0.25, 0.45):
@@ -195,14 +195,14 @@ def test_compressed_tissue_bulges_as_its_poissons_ratio_says():
 
 
 def test_nearly_incompressible_tissue_does_not_lock():
-    # A bent beam: locked elements would keep its middle straight.
+    # Elements that lock would keep the middle of a bent beam straight.
     shape = (13, 97)
     i, j = np.mgrid[: shape[0], : shape[1]]
     y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     x, height = (j - 48) / 48, i - 6
     y[..., 0] = 4 * x**2
     y[..., 1] = -8 * x / 48 * height
-    c[:, [0, -1]] = 1  # its ends are turned
+    c[:, [0, -1]] = 1  # the ends are rotated
     sag = []
     for poisson in (0.3, 0.499):
         prior = ElasticPrior(poisson, plane="strain")
@@ -212,7 +212,7 @@ def test_nearly_incompressible_tissue_does_not_lock():
     assert sag[1] == pytest.approx(sag[0], abs=0.2)
 
 
-def test_only_ratios_of_stiffness_and_lengths_matter():
+def test_the_field_depends_only_on_ratios_of_stiffness_and_lengths():
     problem = random_problem((24, 31), spacing=(1, 2))
     first = solve(problem, ElasticPrior()).displacement
     harder = Problem(
@@ -227,7 +227,7 @@ def test_only_ratios_of_stiffness_and_lengths_matter():
 
 
 def pieces():
-    """Two islands of tissue; the left one's left edge is held."""
+    """Return two islands of tissue, the left of which is fixed at its left edge."""
     m = np.zeros((20, 30))
     m[3:17, 2:12] = 1
     m[5:15, 18:27] = 1
@@ -236,7 +236,7 @@ def pieces():
     return m, c
 
 
-def test_a_piece_that_nothing_holds_is_named():
+def test_an_unconstrained_piece_is_named():
     m, c = pieces()
     with pytest.raises(ProblemError, match=r"90 pixels around \(9, 22\) is not held anywhere"):
         solve(Problem(0 * c, c, m), ElasticPrior())
@@ -246,11 +246,11 @@ def test_a_piece_that_nothing_holds_is_named():
     ("sites", "way"),
     [
         ([(9, 20, 0), (9, 20, 1)], "by turning"),
-        ([(9, 20, 0), (12, 24, 0)], "along columns"),
-        ([(9, 20, 1), (12, 24, 1)], "along rows"),
+        ([(9, 20, 0), (12, 24, 0)], "along the column axis"),
+        ([(9, 20, 1), (12, 24, 1)], "along the row axis"),
     ],
 )
-def test_a_piece_that_is_held_too_little_is_told_how_it_could_move(sites, way):
+def test_the_free_motion_of_an_underconstrained_piece_is_named(sites, way):
     m, c = pieces()
     for site in sites:
         c[site] = 1
@@ -258,7 +258,7 @@ def test_a_piece_that_is_held_too_little_is_told_how_it_could_move(sites, way):
         solve(Problem(0 * c, c, m), ElasticPrior())
 
 
-def test_what_is_let_go_is_noticed_after_what_was_held_more():
+def test_a_removed_constraint_is_noticed_after_a_solve_with_more_constraints():
     m, c = pieces()
     c[9, 20] = c[9, 24, 0] = 1
     more, less = c.copy(), c.copy()
@@ -270,7 +270,7 @@ def test_what_is_let_go_is_noticed_after_what_was_held_more():
         solve(Problem(0 * c, less, m), ElasticPrior())
 
 
-def test_two_points_hold_a_piece():
+def test_two_points_constrain_a_piece():
     m, c = pieces()
     c[9, 20] = c[9, 24, 0] = 1
     y = np.zeros_like(c)
@@ -281,7 +281,7 @@ def test_two_points_hold_a_piece():
     assert np.abs(found[3:17, 2:12]).max() < 1e-3
 
 
-def test_tissue_one_pixel_wide_everywhere_is_refused():
+def test_tissue_only_one_pixel_wide_is_rejected():
     m = np.zeros((9, 9))
     m[4] = 1
     c = np.ones((9, 9, 2))
@@ -297,7 +297,7 @@ def test_a_cancelled_solve_has_no_result():
         solve(phantom("bar", 64).problem, ElasticPrior(), cancel=stop)
 
 
-def test_a_solution_says_how_it_was_reached():
+def test_a_solution_records_its_prior_and_optimizer():
     problem = phantom("bar", 48).problem
     solution = solve(problem, ElasticPrior(0.4, plane="strain"))
     prior = solution.provenance.parameters["prior"]
@@ -307,13 +307,13 @@ def test_a_solution_says_how_it_was_reached():
     assert solution.mean_energy == pytest.approx(expected / problem.tissue.sum(), rel=1e-3)
 
 
-def test_priors_and_optimizers_that_do_not_go_together_are_refused():
+def test_a_prior_with_an_unsuitable_optimizer_is_rejected():
     problem = phantom("bar", 32).problem
     with pytest.raises(ValueError, match="Use Multigrid for ElasticPrior"):
         solve(problem, ElasticPrior(), optimizer=ICM())
 
 
-def test_smoothers_know_how_steep_their_model_can_be():
+def test_smoother_bounds_are_ordered_and_limited():
     problem = random_problem((6, 6))
     for prior in (ElasticPrior(0.3), ElasticPrior(0.499, plane="strain")):
         usual, worst = smoother_bounds(prior.material(problem))
@@ -337,21 +337,21 @@ def test_smoothers_know_how_steep_their_model_can_be():
         {"penalty": 1j},
     ],
 )
-def test_a_prior_that_makes_no_sense_is_refused(wrong):
+def test_invalid_parameters_of_a_prior_are_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         ElasticPrior(**wrong)
 
 
 @pytest.mark.parametrize("wrong", [{"tolerance": 0}, {"tolerance": np.nan}, {"max_iterations": 0}])
-def test_an_iteration_that_makes_no_sense_is_refused(wrong):
+def test_invalid_parameters_of_multigrid_are_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Multigrid(**wrong)
 
 
-def test_a_piece_that_hangs_on_one_corner_could_still_turn():
+def test_a_piece_attached_at_one_corner_can_still_rotate():
     m = np.zeros((16, 16))
     m[:8, :8] = 1
-    m[7:, 7:] = 1  # meets the other in the site (7, 7) only
+    m[7:, 7:] = 1  # touches the first piece only at the site (7, 7)
     c = np.zeros((16, 16, 2))
     c[0] = 1
     with pytest.raises(ProblemError, match=r"of 81 pixels around \(11, 11\) could still move by"):

@@ -1,4 +1,4 @@
-"""The energies mean what the paper's equations and examples say."""
+"""Energies of the paper's prior, checked against its equations and examples."""
 
 import numpy as np
 import pytest
@@ -18,15 +18,15 @@ def random_problem(shape=(7, 9), seed=0, void=True, **more):
 
 
 def three_in_a_row(first, second, third, m):
-    """Three sites along a col; the fourth and far one makes a problem of it."""
+    """Return a problem of three sites in a column, and their displacement."""
     d = np.array([[first], [second], [third]], dtype=float)
     m = np.array(m, dtype=float)[:, None]
     return Problem(np.zeros_like(d), np.ones_like(d), m), d
 
 
-def test_example_1_of_the_paper_has_no_energy_in_its_first_term():
-    # m_t / m_u = 2 and the strain doubles from s-t to t-u; V's second term is (1 * -2 + 1)^2 = 1,
-    # the contradiction of eq. 7 that the documentation explains.
+def test_the_first_energy_term_of_example_1_of_the_paper_is_zero():
+    # m_t / m_u = 2 and the strain doubles from s-t to t-u. The second term of V is
+    # (1 * -2 + 1)^2 = 1, the contradiction in eq. 7 that the documentation explains.
     problem, d = three_in_a_row((1, 0), (2, 0), (4, 0), (20, 20, 10))
     observed = 5.0 * np.abs(d).sum()
     energy = SeilerPrior(penalty=5.0).site_energy(problem, d).sum() - observed
@@ -34,8 +34,8 @@ def test_example_1_of_the_paper_has_no_energy_in_its_first_term():
 
 
 def test_example_2_of_the_paper_is_8_not_2_8():
-    # Eq. 13 for (1, 1), (2, 2), (1, 1): 2^2 + 2^2 = 8 (the paper prints its square root). On a
-    # diagonal line both components count; V has the mirrored term as well, equal here.
+    # Eq. 13 for (1, 1), (2, 2), (1, 1) gives 2^2 + 2^2 = 8; the paper prints the square root.
+    # V also has the mirrored term, which has the same value here.
     d = np.zeros((3, 3, 2))
     d[0, 0], d[1, 1], d[2, 2] = 1, 2, 1
     m = np.zeros((3, 3))
@@ -45,7 +45,7 @@ def test_example_2_of_the_paper_is_8_not_2_8():
 
 
 @pytest.mark.parametrize("conditional", ["centred", "blanket"])
-def test_the_total_is_the_sum_over_all_cliques(conditional):
+def test_the_total_energy_is_the_sum_over_all_cliques(conditional):
     problem, d = random_problem()
     prior = SeilerPrior(penalty=3.5, conditional=conditional)
     shares = prior.site_energy(problem, d)
@@ -60,7 +60,7 @@ def test_up_to_twelve_cliques_contain_a_site():
 
 
 @pytest.mark.parametrize("conditional", ["centred", "blanket"])
-def test_the_parabola_is_the_energy_a_site_sees(conditional):
+def test_the_parabola_of_a_site_matches_its_local_energy(conditional):
     problem, d = random_problem((5, 6), seed=3)
     prior = SeilerPrior(conditional=conditional)
     parabola = prior.site_parabola(problem, d)
@@ -75,21 +75,21 @@ def test_the_parabola_is_the_energy_a_site_sees(conditional):
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.7, 2.0)])
-def test_uniform_tissue_stretches_evenly_at_no_cost(spacing):
+def test_a_uniform_strain_of_uniform_tissue_has_no_energy(spacing):
     i, j = np.mgrid[:6, :8]
     d = np.stack([0.1 * i - 0.3 * j + 1, 0.2 * i + 0.05 * j - 2], axis=-1)
     problem = Problem(d, np.ones_like(d), np.full((6, 8), 3.0), spacing=spacing)
     assert SeilerPrior().site_energy(problem, problem.observed).sum() == pytest.approx(0, abs=1e-6)
 
 
-def test_only_ratios_of_stiffness_matter():
+def test_the_energy_depends_only_on_ratios_of_stiffness():
     problem, d = random_problem()
     scaled = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
     prior = SeilerPrior()
     np.testing.assert_allclose(prior.site_energy(scaled, d), prior.site_energy(problem, d))
 
 
-def test_the_unit_of_length_does_not_matter():
+def test_the_energy_does_not_depend_on_the_unit_of_length():
     problem, d = random_problem()
     metres = Problem(
         problem.observed * 1e-3, problem.confidence, problem.stiffness, spacing=(1e-3, 1e-3)
@@ -124,22 +124,22 @@ def test_void_belongs_to_no_clique():
     m[3, 3] = 0
     energy = SeilerPrior().site_energy(Problem(problem.observed, problem.confidence, m), d)
     wild = d.copy()
-    wild[3, 3] = 1e6  # whatever is there
+    wild[3, 3] = 1e6  # an arbitrary value
     np.testing.assert_array_equal(
         SeilerPrior().site_energy(Problem(problem.observed, problem.confidence, m), wild), energy
     )
     assert energy[3, 3] == 0
 
 
-def test_square_pixels_weigh_as_the_paper_does():
+def test_the_line_weights_of_square_pixels_match_the_paper():
     np.testing.assert_allclose(
         line_weights((3.0, 3.0)), [[1, 0], [0, 1], [1, 1], [1, 1]], atol=1e-12
     )
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0), (3.0, 1.0), (1.0, 1.2)])
-def test_the_continuum_does_not_depend_on_the_shape_of_pixels(spacing):
-    # Second moments of the lines, in physical lengths: 3 along the component, 2 across, no shear.
+def test_the_continuum_limit_does_not_depend_on_the_pixel_shape(spacing):
+    # Second moments of the lines in physical lengths: a ratio of 3 to 2, and no shear.
     weights = line_weights(spacing)
     assert (weights >= 0).all()
     steps = np.array(line_steps(2)) * spacing
@@ -163,13 +163,13 @@ def test_the_continuum_does_not_depend_on_the_shape_of_pixels(spacing):
         {"damping": "none"},
     ],
 )
-def test_a_prior_that_makes_no_sense_is_refused(wrong):
+def test_invalid_parameters_of_a_prior_are_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         SeilerPrior(**wrong)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0)])
-def test_the_penalty_grows_with_what_pulls_at_a_boundary(spacing):
+def test_the_penalty_grows_with_the_stiffness_beside_observations(spacing):
     shape = (16, 16)
     c = np.zeros((*shape, 2))
     c[8, 8] = 1
@@ -180,7 +180,7 @@ def test_the_penalty_grows_with_what_pulls_at_a_boundary(spacing):
     m[8, 8] = 50
     stiff = SeilerPrior().resolved(Problem(y, c, m, spacing=spacing))
     assert stiff.penalty > 100 * uniform.penalty
-    m[8, 8], m[0, 0] = 1, 50  # elsewhere it pulls at nothing that was observed
+    m[8, 8], m[0, 0] = 1, 50  # stiff tissue far from any observation
     far = SeilerPrior().resolved(Problem(y, c, m, spacing=spacing))
     assert far.penalty == pytest.approx(1e4)
     assert SeilerPrior(penalty=7).resolved(Problem(y, c, m, spacing=spacing)).penalty == 7

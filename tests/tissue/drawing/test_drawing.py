@@ -1,4 +1,4 @@
-"""What is drawn: marks on images, found again, saved, undone."""
+"""Tests of drawings: rendering, picking, storage and undo of marks."""
 
 import json
 
@@ -53,7 +53,7 @@ dabs = st.builds(
     amount=st.integers(-2, 2),
 )
 marks = arrows | landmarks | strokes | dabs
-#: An edit: what to do, which mark to do it to, and with what.
+#: Edits: the action, the number of the mark, a new mark and a place.
 edits = st.tuples(
     st.sampled_from(["add", "replace", "remove", "onward", "drag", "drop", "undo", "redo"]),
     st.integers(0, 100),
@@ -63,7 +63,7 @@ edits = st.tuples(
 
 
 def canvas(shape=SHAPE, spacing=SPACING):
-    """Images on which something is observed already, everywhere else for each component."""
+    """Return a canvas on which every third row is observed already."""
     found = Canvas.blank(shape, spacing, np.ones(shape, np.uint8))
     found.observed[::3], found.confidence[::3] = (0.5, -0.5), 0.75
     return found
@@ -78,7 +78,7 @@ def same(one, other):
 
 
 def edited(drawing, edit):
-    """A drawing after an edit; the same if the edit does not apply."""
+    """Return the drawing after an edit; the same drawing if the edit does not apply."""
     what, number, mark, place = edit
     if what == "add" or not drawing.marks:
         return drawing.with_mark(mark)
@@ -94,7 +94,7 @@ def edited(drawing, edit):
 # Marks on images
 
 
-def test_an_arrow_moves_its_patch_and_nothing_else():
+def test_an_arrow_moves_only_its_patch():
     drawn = Drawing((Arrow((10, 12), (3, -2), radius=4, confidence=0.5),)).render(
         Canvas.blank((30, 40), (1.0, 2.0))
     )
@@ -107,14 +107,14 @@ def test_an_arrow_moves_its_patch_and_nothing_else():
 
 
 @given(st.tuples(st.floats(0, SHAPE[0] - 1), st.floats(0, SHAPE[1] - 1)))
-def test_the_smallest_patch_still_has_a_pixel(place):
+def test_the_smallest_patch_contains_a_pixel(place):
     drawn = Drawing((Arrow(place, (1, 1), radius=1e-6),)).render(Canvas.blank(SHAPE, SPACING))
     nearest = tuple(round(along) for along in place)
     assert drawn.confidence[nearest].all()
     assert 1 <= (drawn.confidence[..., 0] > 0).sum() <= 4
 
 
-def test_an_arrow_of_one_component_leaves_the_other_as_it_is_beneath():
+def test_an_arrow_of_one_component_does_not_change_the_other_component():
     base = Canvas.blank((9, 9))
     base.observed[:], base.confidence[:] = (0, 5), (0, 1)
     drawn = Drawing((Arrow((4, 4), (2, 7), radius=1, components="row"),)).render(base)
@@ -123,7 +123,7 @@ def test_an_arrow_of_one_component_leaves_the_other_as_it_is_beneath():
     assert not drawn.observed[0, 0, 0]
 
 
-def test_where_marks_overlap_the_later_one_wins():
+def test_a_later_mark_covers_an_earlier_mark():
     first, second = Arrow((5, 5), (1, 0), 3), Arrow((5, 7), (0, 1), 3)
     one = Drawing((first, second)).render(Canvas.blank((12, 14)))
     other = Drawing((second, first)).render(Canvas.blank((12, 14)))
@@ -131,12 +131,12 @@ def test_where_marks_overlap_the_later_one_wins():
     assert tuple(other.observed[5, 6]) == (1, 0)
 
 
-def test_a_landmark_takes_its_place_to_where_it_should_be():
+def test_a_landmark_moves_its_source_to_its_target():
     drawn = Drawing((Landmark((4, 5), (6, 2), radius=0.5),)).render(Canvas.blank((9, 9), (0.5, 2)))
     assert tuple(drawn.observed[4, 5]) == (1.0, -6.0)
 
 
-def test_brushes_pin_free_and_move_what_they_touch():
+def test_brushes_pin_free_and_move_the_painted_pixels():
     line = (((5, 2), (5, 12)),)
     base = canvas((11, 15), (1.0, 1.0))
     for action, moved, certain in [("pin", (0, 0), 1), ("free", (0, 0), 0), ("move", (2, 1), 1)]:
@@ -162,7 +162,7 @@ def test_a_painted_ring_expands_outward_and_shrinks_inward():
         assert np.allclose(np.linalg.norm(drawn.observed[painted], axis=-1), 2, atol=1e-5)
 
 
-def test_an_open_line_cannot_expand_and_nothing_is_changed():
+def test_an_open_line_that_expands_is_refused_and_changes_no_pixel():
     good = Drawing((Arrow((5, 5), (1, 0), 2),))
     bad = good.with_mark(Stroke("expand", (((10, 2), (10, 38)),), radius=1, amount=1))
     rendering = Rendering(Canvas.blank((20, 40)))
@@ -173,7 +173,7 @@ def test_an_open_line_cannot_expand_and_nothing_is_changed():
     assert same(rendering.canvas, good.render(Canvas.blank((20, 40))))
 
 
-def test_a_soft_brush_fades_the_confidence_of_what_is_observed():
+def test_a_soft_brush_fades_the_confidence_of_observed_pixels():
     base = Canvas.blank((21, 21))
     base.observed[:, :15], base.confidence[:, :15] = (1, 0), 1
     stroke = Stroke("confidence", (((10, 10),),), radius=8, confidence=0.2, softness=0.5)
@@ -182,7 +182,7 @@ def test_a_soft_brush_fades_the_confidence_of_what_is_observed():
     assert across[0] == pytest.approx(0.2)
     assert (np.diff(drawn.confidence[10, 3:10, 0]) <= 0).all()
     assert 0.2 < drawn.confidence[10, 4, 0] < 1
-    assert not drawn.confidence[:, 15:].any(), "what is not observed stays so"
+    assert not drawn.confidence[:, 15:].any(), "the brush made an unobserved pixel observed"
     assert np.array_equal(drawn.observed, base.observed)
 
 
@@ -193,7 +193,7 @@ def test_a_tissue_brush_paints_labels():
     assert (drawn.labels == 3).sum() < 25
 
 
-def test_what_is_drawn_is_what_tissue_does():
+def test_tissue_follows_the_drawing():
     held = Stroke("pin", (((0, 0), (0, 19), (19, 19), (19, 0), (0, 0)),), radius=0.5)
     drawn = Drawing((held, Arrow((10, 10), (2, 1), radius=2))).render(Canvas.blank((20, 20)))
     moved = solve(
@@ -222,7 +222,7 @@ def test_what_is_drawn_is_what_tissue_does():
         (lambda: Stroke("pin", ((),), 1), "paths of a brush"),
     ],
 )
-def test_marks_that_mean_nothing_are_refused(make, hint):
+def test_invalid_marks_are_refused(make, hint):
     with pytest.raises(ProblemError, match=hint) as refused:
         make()
     assert refused.value.field == "drawing"
@@ -231,7 +231,7 @@ def test_marks_that_mean_nothing_are_refused(make, hint):
 # Edits
 
 
-def test_every_edit_leaves_the_drawing_it_came_from():
+def test_an_edit_returns_a_new_drawing():
     empty = Drawing()
     arrow, other = Arrow((1, 1), (1, 0), 1), Arrow((5, 5), (0, 1), 1)
     one = empty.with_mark(arrow)
@@ -245,7 +245,7 @@ def test_every_edit_leaves_the_drawing_it_came_from():
             two.without(number)
 
 
-def test_an_arrow_is_picked_up_at_its_head_or_its_base():
+def test_an_arrow_is_hit_at_its_head_or_its_base():
     drawing = Drawing(
         (
             Arrow((10, 10), (4, 8), radius=2),
@@ -253,20 +253,20 @@ def test_an_arrow_is_picked_up_at_its_head_or_its_base():
             Stroke("pin", (((0, 0),),), 3),
         )
     )
-    spacing = (1.0, 2.0)  # so that the arrow's head is at (14, 14)
+    spacing = (1.0, 2.0)  # The head of the arrow is at (14, 14).
     assert drawing.at((10, 10.2), 1.5, spacing) == Hit(0, "base")
     assert drawing.at((14, 14), 1.5, spacing) == Hit(0, "head")
     assert drawing.at((20.5, 20), 1.5, spacing) == Hit(1, "head")
     assert drawing.at((10, 14), 1.5, spacing) == Hit(1, "base")
-    assert drawing.at((10, 11), 1.5, spacing) is None, "two lengths away, though one pixel"
+    assert drawing.at((10, 11), 1.5, spacing) is None, "a hit at one pixel, but two lengths"
     assert drawing.at((0, 0), 1.5, spacing) is None
     on_top = drawing.with_mark(Arrow((10, 10), (1, 1), 1))
-    assert on_top.at((10, 10), 0.5, spacing) == Hit(3, "base"), "the later of two"
+    assert on_top.at((10, 10), 0.5, spacing) == Hit(3, "base"), "the earlier of two marks was hit"
 
 
 @given(st.lists(marks, max_size=4), st.lists(edits, max_size=12))
 @settings(max_examples=150, deadline=None)
-def test_a_rendering_kept_up_to_date_is_that_made_anew(begin, sequence):
+def test_an_updated_rendering_equals_a_new_rendering(begin, sequence):
     drawing, base = Drawing(tuple(begin)), canvas()
     rendering, before = Rendering(base), base.copy()
     rendering.show(drawing)
@@ -278,14 +278,14 @@ def test_a_rendering_kept_up_to_date_is_that_made_anew(begin, sequence):
         if window is not None:
             for mine, its in zip(old.images, rendering.canvas.images, strict=True):
                 mine[window] = its[window]
-        assert same(old, rendering.canvas), "changed beyond the pixels it named"
+        assert same(old, rendering.canvas), "a pixel changed outside the reported window"
     assert same(base, before)
 
 
 @given(st.lists(edits, max_size=25))
 @settings(max_examples=150, deadline=None)
-def test_undo_gives_back_exactly_what_was_there_and_redo_what_came(sequence):
-    """Against two plain lists, as a person would keep them; a drag counts once."""
+def test_undo_and_redo_restore_the_drawing_exactly(sequence):
+    """Compare with two lists of drawings, in which a drag is one step."""
     base, model = canvas(), StudyModel()
     said = []
     model.changed.connect(lambda _, value: said.append(value))
@@ -335,7 +335,7 @@ def test_undo_gives_back_exactly_what_was_there_and_redo_what_came(sequence):
     assert model.undo() is None
 
 
-def test_steps_have_words_and_an_empty_one_is_none():
+def test_steps_have_descriptions_and_unchanged_drawings_add_no_step():
     arrow, model = Arrow((1, 1), (1, 0), 1), StudyModel()
     model.draw(Drawing((arrow,)), "drew an arrow")
     model.draw(Drawing((arrow,)), "did nothing")
@@ -353,7 +353,7 @@ def test_steps_have_words_and_an_empty_one_is_none():
         model.update_drawing(Drawing())
 
 
-def test_history_forgets_the_oldest_steps():
+def test_history_drops_the_oldest_steps():
     model = StudyModel(3)
     for number in range(1, 6):
         model.draw(Drawing((Arrow((number, 0), (1, 0), 1),)), f"step {number}")
@@ -361,11 +361,11 @@ def test_history_forgets_the_oldest_steps():
     assert model.drawing.marks[0].at == (2, 0)
 
 
-# Keeping
+# Storage
 
 
 @given(st.lists(marks, max_size=5))
-def test_a_drawing_comes_back_from_json_as_it_was(made):
+def test_a_drawing_survives_storage_as_json(made):
     drawing = Drawing(tuple(made))
     assert Drawing.from_dict(json.loads(json.dumps(drawing.as_dict()))) == drawing
 
@@ -383,12 +383,12 @@ def test_a_drawing_comes_back_from_json_as_it_was(made):
         {"version": 1, "marks": 3},
     ],
 )
-def test_what_is_no_drawing_is_refused(values):
+def test_invalid_stored_drawings_are_refused(values):
     with pytest.raises(ValueError, match=r"not a (drawing|mark)|version"):
         Drawing.from_dict(values)
 
 
-def test_an_edit_of_a_large_image_is_drawn_where_it_changes_something():
+def test_an_edit_of_a_large_image_redraws_only_the_changed_pixels():
     rendering = Rendering(Canvas.blank((1200, 1200)))
     zigzag = tuple((10.0 + 5 * number % 1100, 3.0 * number) for number in range(390))
     drawing = Drawing((Stroke("pin", (zigzag,), 12), Arrow((600, 600), (5, 5), 60)))
@@ -415,8 +415,11 @@ def test_an_edit_of_a_large_image_is_drawn_where_it_changes_something():
     assert most(brush) <= 40**2
 
 
-def test_what_is_said_against_folds_helps():
-    """Tissue held all around: moved less it does not fold; a larger patch helps in the middle."""
+def test_the_advice_against_folds_is_effective():
+    """Check the advice for tissue with a prescribed edge.
+
+    A smaller motion does not fold. A larger patch has fewer folds in the middle of the image.
+    """
     base = Canvas.blank((96, 96))
     base.confidence[...] = 1
     base.confidence[2:-2, 2:-2] = 0
@@ -431,10 +434,10 @@ def test_what_is_said_against_folds_helps():
 
     assert folds(48, 8, 4) == folds(70, 8, 4) == 0 < folds(48, 20, 4)
     assert folds(48, 20, 8) < folds(48, 20, 4)
-    assert folds(70, 14, 16) > folds(70, 14, 4) > 0, "near what is held there is less room"
+    assert folds(70, 14, 16) > folds(70, 14, 4) > 0, "a larger patch at the edge folds less"
 
 
-def test_a_mark_alone_or_what_is_none_is_refused_by_name():
+def test_a_drawing_refuses_a_single_mark_and_other_types():
     arrow = Arrow((8, 8), (0, 2), 3)
     for wrong in (arrow, None, (1,), "arrow"):
         with pytest.raises(ArgumentError, match=r"marks must be a tuple of Arrow, .* Drawing\(\(A"):

@@ -1,4 +1,4 @@
-"""What the user does with the curve of stiffness and with materials, by mouse and by keys."""
+"""Tests of editing the stiffness curve and the materials by mouse and keyboard."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kP
 
 
 class Person:
-    """Somebody with a mouse over a plot."""
+    """Simulated user with a mouse over the plot."""
 
     def __init__(self, qtbot, editor):
         self.qtbot, self.plot = qtbot, editor.plot
@@ -36,7 +36,7 @@ class Person:
         self.plot.settled.connect(self.settled.append)
 
     def at(self, point):
-        """Where a point of intensity and stiffness is seen, in pixels of the canvas."""
+        """Return the canvas position, in pixels, of a point (intensity, stiffness)."""
         (axes,), ratio = self.canvas.figure.axes, self.canvas.device_pixel_ratio
         across, up = axes.transData.transform(point) / ratio
         return QPointF(across, self.canvas.height() - up).toPoint()
@@ -46,7 +46,7 @@ class Person:
         return self.plot.canvas
 
     def move(self, place):
-        """As `QTest` does, but with the button held while the mouse moves."""
+        """Send a mouse move with the button pressed, which `QTest` does not support."""
         event = QMouseEvent(
             QMouseEvent.Type.MouseMove,
             QPointF(place),
@@ -73,7 +73,7 @@ def editor(qtbot):
     made.plot.show_intensities(np.linspace(0, 255, 10_000).reshape(100, 100))
     QApplication.processEvents()
     yield made
-    QApplication.processEvents()  # what is still to be drawn is drawn while it is there
+    QApplication.processEvents()  # Finish pending drawing before the editor is deleted.
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def person(qtbot, editor):
 # The plot and the table
 
 
-def test_a_point_is_dragged_and_the_curve_follows_all_the_way(editor, person):
+def test_the_curve_follows_a_dragged_point(editor, person):
     start = person.at((100, 20))
     person.drag(start, start + QPoint(10, -10), start + QPoint(30, -25))
     intensity, stiffness = editor.curve.points[1]
@@ -97,7 +97,7 @@ def test_a_point_is_dragged_and_the_curve_follows_all_the_way(editor, person):
 
 
 @pytest.mark.parametrize("logarithmic", [True, False])
-def test_a_point_is_where_the_mouse_is_as_long_as_it_is_dragged(editor, person, logarithmic):
+def test_a_dragged_point_remains_under_the_mouse(editor, person, logarithmic):
     editor.curve = replace(CURVE, logarithmic=logarithmic)
     QApplication.processEvents()
     start = person.at((100, 20))
@@ -109,25 +109,25 @@ def test_a_point_is_where_the_mouse_is_as_long_as_it_is_dragged(editor, person, 
     assert place.y() == pytest.approx(start.y() - 25, abs=1.5)
 
 
-def test_a_point_may_be_dragged_past_another_but_not_off_the_axes(editor, person):
+def test_a_dragged_point_may_pass_another_point_but_remains_on_the_axes(editor, person):
     start = person.at((100, 20))
     person.drag(start, QPoint(2000, -2000))
     intensities = [intensity for intensity, _ in editor.curve.points]
     assert intensities == [50, 200, 255]
     person.drag(start, QPoint(20, 20))
-    assert len(person.changed) == 1, "nothing was there to be taken hold of"
+    assert len(person.changed) == 1, "a drag without a point changed the curve"
     QApplication.processEvents()
     person.drag(person.at(editor.curve.points[2]), QPoint(-2000, 2000))
     assert editor.curve.points[0][0] == 0
     assert editor.curve.points[0][1] > 0
 
 
-def test_a_click_alone_changes_nothing(editor, person, qtbot):
+def test_a_click_does_not_change_the_curve(editor, person, qtbot):
     qtbot.mouseClick(person.canvas, Qt.MouseButton.LeftButton, pos=person.at((200, 40)))
     assert person.changed == []
 
 
-def test_a_double_click_adds_a_point_that_a_right_click_removes(editor, person, qtbot):
+def test_a_double_click_adds_a_point_and_a_right_click_removes_the_point(editor, person, qtbot):
     place = person.at((150, 15))
     qtbot.mouseDClick(person.canvas, Qt.MouseButton.LeftButton, pos=place)
     assert len(editor.curve.points) == 4
@@ -140,28 +140,28 @@ def test_a_double_click_adds_a_point_that_a_right_click_removes(editor, person, 
     for _ in range(2):
         qtbot.mouseClick(person.canvas, right, pos=person.at(editor.curve.points[0]))
         QApplication.processEvents()
-    assert editor.curve.points == CURVE.points[1:], "two stay"
+    assert editor.curve.points == CURVE.points[1:], "fewer than two points remain"
 
 
-def typed(qtbot, field, text):
-    """Type something into a field, and Return; returns what it says then."""
+def type_text(qtbot, field, text):
+    """Type a text and Return into a field; return the new value of the field."""
     field.native.clear()
     qtbot.keyClicks(field.native, text)
     qtbot.keyClick(field.native, Qt.Key.Key_Return)
     return field.value
 
 
-def test_fields_say_and_take_the_curve(editor, person, qtbot):
+def test_fields_show_and_edit_the_curve(editor, person, qtbot):
     said = []
     editor.refusal.connect(said.append)
     assert editor.points.value == "50: 10; 100: 20; 200: 40"
     assert (editor.void_below.value, editor.unit.value) == ("20", "kPa")
-    typed(qtbot, editor.points, "50:10;200 : 40 ; 100: 30,5;0:0.001")
+    type_text(qtbot, editor.points, "50:10;200 : 40 ; 100: 30,5;0:0.001")
     assert editor.curve.points == ((0, 0.001), (50, 10), (100, 30.5), (200, 40))
     for text, void_below in (("7", 7), ("", None), ("7,5", 7.5)):
-        typed(qtbot, editor.void_below, text)
+        type_text(qtbot, editor.void_below, text)
         assert editor.curve.void_below == void_below
-    typed(qtbot, editor.unit, "MPa")
+    type_text(qtbot, editor.unit, "MPa")
     assert editor.curve.unit == "MPa"
     editor.joined.value = "smooth", False
     assert (editor.curve.between, editor.curve.logarithmic) == ("smooth", False)
@@ -182,19 +182,19 @@ def test_fields_say_and_take_the_curve(editor, person, qtbot):
         ("", "a point that is not a pair of numbers"),
     ],
 )
-def test_what_is_no_curve_is_refused_and_put_back(editor, person, qtbot, text, why):
+def test_an_invalid_curve_is_refused_and_the_field_is_reset(editor, person, qtbot, text, why):
     said = []
     editor.refusal.connect(said.append)
-    assert typed(qtbot, editor.points, text) == "50: 10; 100: 20; 200: 40"
+    assert type_text(qtbot, editor.points, text) == "50: 10; 100: 20; 200: 40"
     assert why in said[0]
-    assert typed(qtbot, editor.void_below, "x") == "20"
-    assert "threshold of tissue that is no finite number" in said[1]
+    assert type_text(qtbot, editor.void_below, "x") == "20"
+    assert "tissue threshold that is not a finite number" in said[1]
     assert len(said) == 2
     assert not [each for each in said if "(" in each or "nan" in each or "void_below" in each]
     assert person.changed == []
 
 
-def test_to_leave_a_field_as_it_is_changes_nothing(editor, person, qtbot):
+def test_return_in_an_unchanged_field_does_not_change_the_curve(editor, person, qtbot):
     fine = StiffnessCurve(((1 / 3, 1e-7), (2 / 3, 1e7)), void_below=1e-9)
     editor.curve = fine
     for field in (editor.points, editor.void_below, editor.unit):
@@ -203,12 +203,12 @@ def test_to_leave_a_field_as_it_is_changes_nothing(editor, person, qtbot):
     assert person.changed == []
 
 
-def test_setting_a_curve_is_no_edit(editor, person):
+def test_setting_a_curve_emits_no_edit(editor, person):
     editor.curve = replace(CURVE, points=CURVE.points[:2])
     assert (person.changed, person.settled) == ([], [])
 
 
-def test_a_picture_of_anything_can_be_drawn(editor, qtbot):
+def test_any_array_of_intensities_can_be_plotted(editor, qtbot):
     for values in (np.full((4, 4), np.nan), np.zeros((4, 4), np.uint8), np.array([[0, np.inf]])):
         editor.plot.show_intensities(values)
         editor.curve = StiffnessCurve(((-1e9, 1e-6), (1e9, 1e9)), void_below=2e9)
@@ -216,7 +216,7 @@ def test_a_picture_of_anything_can_be_drawn(editor, qtbot):
         assert not editor.native.grab().isNull()
 
 
-def test_nothing_is_drawn_before_somebody_looks(qtbot):
+def test_the_plot_is_not_made_before_it_is_visible(qtbot):
     editor = CurveEditor(CURVE)
     qtbot.addWidget(editor.native)
     editor.plot.show_intensities(np.arange(100.0).reshape(10, 10))
@@ -226,7 +226,7 @@ def test_nothing_is_drawn_before_somebody_looks(qtbot):
     assert editor.native.findChildren(FigureCanvasQTAgg) == [editor.plot.canvas]
 
 
-# The tissue made by it
+# Tissue from the curve
 
 
 def grey(shape=(24, 30)):
@@ -236,37 +236,37 @@ def grey(shape=(24, 30)):
     return np.broadcast_to(one, shape).copy()
 
 
-def made(widget, pixels=None, **place):
+def show_stiffness(widget, pixels=None, **place):
     viewer = widget._viewer
     image = viewer.add_image(grey() if pixels is None else pixels, name="MR", **place)
     widget._form.intensity.native.click()
-    return viewer, image, shown(viewer)
+    return viewer, image, stiffness_layer(viewer)
 
 
-def shown(viewer):
-    """The layer that shows what a curve makes of an image; None if there is none."""
+def stiffness_layer(viewer):
+    """Return the layer that shows the stiffness of an image, or None if there is none."""
     return next((layer for layer in viewer.layers if "stiffness" in layer.name), None)
 
 
-def test_one_button_has_tissue_go_by_brightness_and_shows_it(widget):
-    viewer, image, layer = made(widget, scale=(0.5, 0.5), units="mm")
+def test_one_button_derives_tissue_from_brightness_and_shows_its_stiffness(widget):
+    viewer, image, layer = show_stiffness(widget, scale=(0.5, 0.5), units="mm")
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)"]
     assert widget.image is image
     assert widget.tissue == "brightness"
     assert not widget._form.tissue.editor.native.isHidden()
-    assert (layer.data[0] == 0).all(), "air"
+    assert (layer.data[0] == 0).all(), "air is not void"
     assert (layer.data[12, 10:20] > 0).all()
     assert "Drag the points" in widget.status
-    assert widget.curve.unit == "", "what is guessed is no measured stiffness"
+    assert widget.curve.unit == "", "a guessed stiffness has a unit"
     assert widget._form.tissue.editor.unit.value == ""
     curve = widget.curve
     widget._form.intensity.native.click()
     assert len(viewer.layers) == 2
-    assert widget.curve == curve, "there is one already"
+    assert widget.curve == curve, "the existing curve was replaced"
 
 
 @pytest.mark.parametrize("shape", [(24, 30), (4, 24, 30)])
-def test_stiffness_is_shown_where_its_image_lies_and_air_lets_that_through(widget, shape):
+def test_stiffness_is_shown_at_the_place_of_its_image_with_transparent_air(widget, shape):
     place = {
         "scale": (3.0, 0.5, 0.7),
         "translate": (1.0, 2.0, 3.0),
@@ -274,7 +274,7 @@ def test_stiffness_is_shown_where_its_image_lies_and_air_lets_that_through(widge
         "axis_labels": ("t", "y", "x"),
     }
     here = {name: values[-len(shape) :] for name, values in place.items()}
-    viewer, image, layer = made(widget, grey(shape), rotate=20.0, **here)
+    viewer, image, layer = show_stiffness(widget, grey(shape), rotate=20.0, **here)
     corner = (0, 23, 29)[-len(shape) :]
     viewer.dims.set_current_step(0, 0)
     widget.tissue_from_intensity()
@@ -285,8 +285,8 @@ def test_stiffness_is_shown_where_its_image_lies_and_air_lets_that_through(widge
     np.testing.assert_array_equal(drawn[:, 3], layer.data.ravel() > 0)
 
 
-def test_what_is_dragged_is_seen_while_it_is_dragged_and_is_one_step(docked, qtbot, wait_for):
-    _, image, layer = made(docked)
+def test_dragging_a_point_updates_the_stiffness_layer_and_is_one_undo_step(docked, qtbot, wait_for):
+    _, image, layer = show_stiffness(docked)
     person = Person(qtbot, docked._form.tissue.editor)
     QApplication.sendEvent(person.plot, QShowEvent())
     first = docked.curve
@@ -297,7 +297,7 @@ def test_what_is_dragged_is_seen_while_it_is_dragged_and_is_one_step(docked, qtb
         person.move(start - QPoint(0, up))
         wait_for(lambda before=before: (layer.data != before).any())
         before = layer.data.copy()
-    assert person.settled == [], "the button is still down"
+    assert person.settled == [], "the curve is settled although the button is down"
     qtbot.mouseRelease(person.canvas, Qt.MouseButton.LeftButton, pos=start - QPoint(0, 20))
     assert person.settled == [docked.curve]
     np.testing.assert_array_equal(layer.data, docked.curve(image.data))
@@ -306,8 +306,8 @@ def test_what_is_dragged_is_seen_while_it_is_dragged_and_is_one_step(docked, qtb
     wait_for(lambda: np.array_equal(layer.data, first(image.data)))
 
 
-def test_the_layer_changes_with_the_curve_and_keeps_its_looks(widget, wait_for):
-    _, image, layer = made(widget)
+def test_the_stiffness_layer_follows_the_curve_and_retains_its_appearance(widget, wait_for):
+    _, image, layer = show_stiffness(widget)
     layer.opacity, layer.colormap = 0.9, "gray"
     widget.curve = softer = StiffnessCurve(((0, 1), (255, 10)))
     wait_for(lambda: np.array_equal(layer.data, softer(image.data)))
@@ -317,8 +317,8 @@ def test_the_layer_changes_with_the_curve_and_keeps_its_looks(widget, wait_for):
     wait_for(lambda: np.array_equal(layer.data, softer(image.data)))
 
 
-def test_the_layer_is_left_alone_while_neither_slice_nor_curve_is_another(widget, wait_for):
-    _, _, layer = made(widget)
+def test_the_stiffness_layer_is_not_updated_for_an_unchanged_slice_and_curve(widget, wait_for):
+    _, _, layer = show_stiffness(widget)
     told = []
     layer.events.data.connect(told.append)
     widget.live = True
@@ -329,66 +329,66 @@ def test_the_layer_is_left_alone_while_neither_slice_nor_curve_is_another(widget
     assert told == []
 
 
-def test_the_layer_goes_when_tissue_is_something_else(widget, wait_for):
-    viewer, image, _ = made(widget)
+def test_the_stiffness_layer_is_removed_if_tissue_is_chosen_from_another_layer(widget, wait_for):
+    viewer, image, _ = show_stiffness(widget)
     labels = viewer.add_labels(np.ones((24, 30), np.uint8), name="painted")
     curve = widget.curve
     for other in (labels, image, None):
         widget.tissue = other
         assert widget.curve is None
         assert widget._form.tissue.editor.native.isHidden()
-        wait_for(lambda: shown(viewer) is None)
+        wait_for(lambda: stiffness_layer(viewer) is None)
         widget.tissue = "brightness"
         assert widget.curve == curve
-        wait_for(lambda: shown(viewer) is not None)
+        wait_for(lambda: stiffness_layer(viewer) is not None)
     widget.curve = None
     assert widget.tissue is None
     viewer.layers.remove(image)
     wait_for(lambda: len(viewer.layers) == 1)
 
 
-def test_each_image_has_a_curve_of_its_own(widget, wait_for):
-    viewer, image, _ = made(widget)
+def test_each_image_has_its_own_curve(widget, wait_for):
+    viewer, image, _ = show_stiffness(widget)
     first = widget.curve
     other = viewer.add_image(255 - grey(), name="CT")
     widget.image = other
     assert widget.curve is None
-    wait_for(lambda: shown(viewer) is None)
+    wait_for(lambda: stiffness_layer(viewer) is None)
     widget.curve = CURVE
-    wait_for(lambda: shown(viewer) is not None)
-    assert shown(viewer).name == "CT stiffness (kPa)"
+    wait_for(lambda: stiffness_layer(viewer) is not None)
+    assert stiffness_layer(viewer).name == "CT stiffness (kPa)"
     widget.image = image
     assert widget.curve == first
-    wait_for(lambda: shown(viewer).name == "MR stiffness (relative)")
+    wait_for(lambda: stiffness_layer(viewer).name == "MR stiffness (relative)")
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)", "CT"]
     widget.image = other
     assert widget.curve == CURVE
 
 
-def test_nothing_is_shown_of_a_dock_that_is_closed(frame, wait_for):
+def test_a_closed_dock_leaves_no_stiffness_layer(frame, wait_for):
     closed = quick(frame.open())
-    viewer, _, _ = made(closed)
+    viewer, _, _ = show_stiffness(closed)
     curve = closed.curve
     frame.close(closed)
-    assert shown(viewer) is None
+    assert stiffness_layer(viewer) is None
     again = frame.open()
     assert again._viewer is viewer
-    assert again.tissue_from_intensity() == curve, "it is the image's"
-    wait_for(lambda: shown(viewer) is not None)
+    assert again.tissue_from_intensity() == curve, "the curve of the image was lost"
+    wait_for(lambda: stiffness_layer(viewer) is not None)
 
 
 def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
-    viewer, _, layer = made(widget)
+    viewer, _, layer = show_stiffness(widget)
     widget._form.make.native.click()
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)", "Boundary"]
-    assert widget.tissue == "brightness", "there is no other tissue to paint"
+    assert widget.tissue == "brightness", "the tissue was replaced by a layer to paint on"
     widget.boundary.data[12, 6] = 1
     widget.boundary.data[12, 24] = 2
     widget.rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 2.0)))
     widget.settings = replace(widget.settings, sweeps=50)
     first = run(widget).solution.displacement.copy()
     assert first[12, 24, 1] == pytest.approx(2, abs=0.05)
-    assert not layer.visible, "it would tint what was deformed"
+    assert not layer.visible, "the stiffness layer tints the deformed image"
     low, high = (at for at, _ in widget.curve.points[::2])
     widget.curve = StiffnessCurve(((low, 1000), (high, 1)))
     wait_for(lambda: widget.status.startswith("Changed"))
@@ -396,10 +396,10 @@ def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
     assert np.abs(second - first).max() > 0.1
 
 
-def test_tissue_from_intensity_is_pulled_and_follows_its_curve(widget, wait_for):
+def test_pulled_tissue_follows_a_change_of_its_curve(widget, wait_for):
     image = widget._viewer.add_image(grey(), name="MR")
     curve = widget.tissue_from_intensity()
-    layer = shown(widget._viewer)
+    layer = stiffness_layer(widget._viewer)
     widget.live = True
     widget.start()
     assert not layer.visible
@@ -418,7 +418,7 @@ def test_tissue_from_intensity_is_pulled_and_follows_its_curve(widget, wait_for)
     ("dtype", "lazy"), [(np.uint8, False), (np.int16, True), (np.float32, False)]
 )
 @pytest.mark.parametrize("shape", [(24, 30), (3, 24, 30), (24, 30, 3), (2, 3, 24, 30)])
-def test_the_slice_of_any_image_gets_the_stiffness_of_its_pixels(widget, dtype, lazy, shape):
+def test_the_stiffness_of_a_slice_of_any_image_follows_its_pixels(widget, dtype, lazy, shape):
     coloured = shape[-1] == 3
     pixels = np.repeat(grey()[..., None], 3, axis=-1) if coloured else grey(shape)
     pixels = pixels / 255 if coloured and dtype != np.uint8 else pixels
@@ -432,14 +432,14 @@ def test_the_slice_of_any_image_gets_the_stiffness_of_its_pixels(widget, dtype, 
         viewer.dims.set_current_step(axis, 1)
     curve = widget.tissue_from_intensity()
     seen = luminance(pixels) if coloured else pixels[(1,) * image_axes]
-    np.testing.assert_array_equal(np.squeeze(shown(viewer).data), curve(seen))
+    np.testing.assert_array_equal(np.squeeze(stiffness_layer(viewer).data), curve(seen))
     np.testing.assert_array_equal(Ground.of(widget.study).stiffness, curve(seen))
 
 
-def test_of_a_stack_the_slice_that_is_looked_at_is_shown(widget, wait_for):
+def test_the_stiffness_of_the_displayed_slice_of_a_stack_is_shown(widget, wait_for):
     stack = grey((3, 24, 30))
     stack[1] = 255 - stack[1]
-    viewer, _, layer = made(widget, stack)
+    viewer, _, layer = show_stiffness(widget, stack)
     for number in (1, 2):
         viewer.dims.set_current_step(0, number)
         expected = widget.curve(stack[number])
@@ -449,7 +449,7 @@ def test_of_a_stack_the_slice_that_is_looked_at_is_shown(widget, wait_for):
     np.testing.assert_array_equal(Ground.of(widget.study).stiffness, CURVE(stack[2]))
 
 
-def test_a_first_curve_is_that_of_the_slice_that_is_shown(widget):
+def test_the_initial_curve_is_derived_from_the_displayed_slice(widget):
     viewer = widget._viewer
     viewer.add_image(np.stack([grey(), grey() // 4]), name="MR")
     viewer.dims.set_current_step(0, 1)
@@ -459,7 +459,7 @@ def test_a_first_curve_is_that_of_the_slice_that_is_shown(widget):
     assert widget.curve.points[-1][0] > 100
 
 
-def test_a_script_says_the_curve_and_reads_it_back(widget):
+def test_a_script_sets_and_reads_the_curve(widget):
     image = widget._viewer.add_image(grey(), name="MR")
     with pytest.raises(ValueError, match="not a valid choice"):
         widget.tissue = "brightness"
@@ -475,7 +475,7 @@ def test_a_script_says_the_curve_and_reads_it_back(widget):
     assert widget.tissue == "brightness"
 
 
-def test_a_layer_with_a_curve_of_former_times_is_an_image_of_stiffness(widget):
+def test_a_stiffness_layer_of_an_earlier_version_is_an_image_of_stiffness(widget):
     viewer = widget._viewer
     kept = {METADATA: {"role": TISSUE, "curve": CURVE.as_dict(), "source": "MR", "unit": "kPa"}}
     viewer.add_image(grey(), name="MR")
@@ -485,7 +485,7 @@ def test_a_layer_with_a_curve_of_former_times_is_an_image_of_stiffness(widget):
     np.testing.assert_array_equal(Ground.of(widget.study).stiffness, layer.data)
 
 
-def test_start_anew_is_a_step_of_its_own(widget):
+def test_guessing_a_new_curve_is_an_undo_step(widget):
     widget._viewer.add_image(grey(), name="MR")
     widget.tissue_from_intensity(CURVE)
     widget._form.tissue.editor.guess.native.click()
@@ -494,7 +494,7 @@ def test_start_anew_is_a_step_of_its_own(widget):
     assert widget.curve == CURVE
 
 
-def test_without_an_image_a_sentence_says_what_to_do(widget):
+def test_a_missing_image_causes_an_error_with_a_hint(widget):
     with pytest.raises(HmrfError, match=r"[Oo]pen an image"):
         widget.tissue_from_intensity()
     with pytest.raises(HmrfError, match=r"[Oo]pen an image"):
@@ -506,8 +506,8 @@ def test_without_an_image_a_sentence_says_what_to_do(widget):
     assert not [layer for layer in widget._viewer.layers if layer.name != "flat"]
 
 
-def test_what_shows_a_curve_is_nothing_to_choose(widget):
-    _, image, layer = made(widget)
+def test_the_stiffness_layer_is_not_offered_in_menus(widget):
+    _, image, layer = show_stiffness(widget)
     for choice in (widget._form.image, widget._form.tissue.choice):
         assert layer not in choice.offered
         assert image in choice.offered
@@ -534,7 +534,7 @@ def test_every_preset_is_offered_with_its_source(widget, small_sample):
     assert widget.status == said
 
 
-def test_materials_are_taken_from_another_layer(widget, small_sample):
+def test_materials_are_copied_from_another_layer(widget, small_sample):
     viewer = widget._viewer
     small_sample(viewer)
     rows = (Material(1, "jelly", 7.0), Material(2, "bone", 900.0))
@@ -549,12 +549,14 @@ def test_materials_are_taken_from_another_layer(widget, small_sample):
     taken.actions()[0].trigger()
     assert widget.materials[1:] == rows
     assert tissue.metadata[METADATA]["unit"] == "Pa"
-    assert widget.materials[0].stiffness == 0, "air stays air"
+    assert widget.materials[0].stiffness == 0, "air became tissue"
     with pytest.raises(HmrfError, match="'nothing' has no table"):
         widget.take_materials(viewer.layers["nothing"])
 
 
-def test_materials_go_through_a_file(widget, small_sample, monkeypatch, tmp_path):
+def test_materials_are_saved_to_a_file_and_loaded_again(
+    widget, small_sample, monkeypatch, tmp_path
+):
     small_sample(widget._viewer)
     path = str(tmp_path / "table.json")
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (path, ""))
@@ -571,11 +573,11 @@ def test_materials_go_through_a_file(widget, small_sample, monkeypatch, tmp_path
     with open(path, "w", encoding="utf-8") as file:
         file.write("{}")
     entries(widget._form.tissue.menu)["Load from file ..."].trigger()
-    assert widget.status.startswith("table.json holds no label names. Give a file of materials")
+    assert widget.status.startswith("table.json contains no label names. Give a material file")
     assert widget.materials == before
 
 
-def test_a_saved_table_says_whose_values_they_are(widget, small_sample, tmp_path):
+def test_a_saved_table_names_the_source_of_its_values(widget, small_sample, tmp_path):
     small_sample(widget._viewer)
     preset = PRESETS[1]
     widget.take_materials(preset)
@@ -592,7 +594,7 @@ def test_a_saved_table_says_whose_values_they_are(widget, small_sample, tmp_path
     assert again.source == preset.source
 
 
-def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample):
+def test_a_table_emits_one_change_per_edit(widget, small_sample):
     small_sample(widget._viewer)
     table = widget._form.tissue.table
     said = []
@@ -607,17 +609,19 @@ def test_a_table_says_once_for_each_edit_what_it_has_become(widget, small_sample
     assert hash(before) == hash(table.contents)
 
 
-def test_a_file_of_void_alone_is_refused(widget, small_sample, tmp_path):
+def test_a_table_with_only_void_is_not_saved(widget, small_sample, tmp_path):
     small_sample(widget._viewer)
     widget.materials = (Material(0, "air", 0.0), Material(1, "hole", 0.0))
     with pytest.raises(HmrfError, match="above 0"):
         widget.save_materials(tmp_path / "void.json")
 
 
-# What stays
+# Saved results
 
 
-def test_a_saved_result_keeps_its_materials_for_other_images(widget, small_sample, run, tmp_path):
+def test_materials_of_a_saved_result_are_copied_to_another_image(
+    widget, small_sample, run, tmp_path
+):
     from napari_hmrf.contributions import open_solution, write_solution
 
     viewer = widget._viewer
@@ -634,8 +638,8 @@ def test_a_saved_result_keeps_its_materials_for_other_images(widget, small_sampl
     assert widget.materials[1] == Material(1, "gel", 20.0)
 
 
-def test_a_result_keeps_the_curve_it_was_made_with(widget, run):
-    made(widget)
+def test_a_result_stores_the_curve_of_its_tissue(widget, run):
+    show_stiffness(widget)
     widget.make_layers()
     widget.boundary.data[12, 6] = 1
     widget.boundary.data[12, 24] = 2
@@ -647,8 +651,8 @@ def test_a_result_keeps_the_curve_it_was_made_with(widget, run):
 
 
 @pytest.mark.parametrize("shape", [(24, 30), (3, 24, 30)])
-def test_the_status_bar_tells_the_stiffness_that_came_from_intensity(widget, run, wait_for, shape):
-    viewer, *_ = made(widget, grey(shape))
+def test_the_status_bar_shows_the_stiffness_derived_from_intensity(widget, run, wait_for, shape):
+    viewer, *_ = show_stiffness(widget, grey(shape))
     widget.make_layers()
     widget.boundary.data[..., 12, 6] = 1
     widget.boundary.data[..., 12, 24] = 2

@@ -1,4 +1,4 @@
-"""Painting and placing landmarks with a pointer, without a window."""
+"""Tests of brushes and landmarks as tools, without a window."""
 
 from typing import get_args
 
@@ -36,7 +36,7 @@ def model():
 
 @pytest.fixture
 def brush(model):
-    """Return the brush with an action."""
+    """Return a function that makes the brush of an action."""
     return lambda action: BY_NAME[action](model, SPACING, SHAPE)
 
 
@@ -47,7 +47,7 @@ def landmark(model):
 
 @pytest.fixture
 def drag(model):
-    """Drag a tool; return the name of the undo step, or "" if there is none."""
+    """Return a function that drags a tool and returns the undo step, or "" if there is none."""
 
     def done(tool, settings, *points, reach=1.0, **options):
         before = model.next_undo
@@ -73,7 +73,7 @@ def ring(middle=(30, 25), radius=14.0, count=40):
     return list(zip(rows.tolist(), cols.tolist(), strict=True))
 
 
-def test_a_drag_of_the_brush_is_one_stroke_and_one_step(brush, drag, model):
+def test_a_drag_of_the_brush_is_one_stroke_and_one_undo_step(brush, drag, model):
     assert drag(brush("pin"), paint(), (10, 10), (20, 10), (30, 10)) == "held tissue"
     assert model.drawing.marks == (Stroke("pin", (((10, 10), (20, 10), (30, 10)),), 4.0),)
     assert model.undo().word == "held tissue"
@@ -90,20 +90,22 @@ def test_a_drag_of_the_brush_is_one_stroke_and_one_step(brush, drag, model):
         ("confidence", paint(confidence=0.25), (7, 8), (0.25, 0.25)),
     ],
 )
-def test_each_brush_says_its_own_of_what_it_covers(brush, drag, model, action, settings, y, c):
+def test_each_brush_sets_displacement_and_confidence_of_its_stroke(
+    brush, drag, model, action, settings, y, c
+):
     model.draw(Drawing((Arrow((20, 20), (7, 8), 15.0, 0.8),)), "pulled")
     drag(brush(action), settings, (18, 20), (22, 20))
     canvas = rendered(model)
     assert canvas.observed[20, 20] == pytest.approx(y)
     assert canvas.confidence[20, 20] == pytest.approx(c)
-    assert canvas.observed[32, 20] == pytest.approx((7, 8)), "beside the brush nothing has changed"
+    assert canvas.observed[32, 20] == pytest.approx((7, 8)), "a pixel beside the stroke changed"
 
 
-def test_tissue_becomes_what_is_painted(brush, drag, model):
+def test_the_tissue_brush_sets_labels(brush, drag, model):
     drag(brush("tissue"), paint(label=3), (20, 20), (30, 20))
     labels = rendered(model).labels
     assert (labels[25, 20], labels[25, 30]) == (3, 1)
-    assert not rendered(model).confidence.any(), "and nothing is held by that"
+    assert not rendered(model).confidence.any(), "the tissue brush prescribed a displacement"
 
 
 def test_a_soft_brush_fades_confidence_out(brush, drag, model):
@@ -125,7 +127,7 @@ def test_a_ring_expands_outward_and_shrinks_inward(brush, drag, model):
     assert rendered(model).observed[16, 25] == pytest.approx((2, 0), abs=0.15)
 
 
-def test_an_open_line_cannot_expand_and_leaves_nothing(brush, model):
+def test_an_open_line_that_expands_is_refused_and_leaves_no_mark(brush, model):
     grow = brush("expand")
     grow.press((5, 5), 1.0, paint(1.0, amount=2.0))
     for row in range(6, 50):
@@ -138,20 +140,20 @@ def test_an_open_line_cannot_expand_and_leaves_nothing(brush, model):
     assert not grow.error_message
 
 
-def test_a_region_is_painted_on_where_the_brush_goes_over_it_again(brush, drag, model):
+def test_an_expanding_region_is_extended_by_a_stroke_over_it(brush, drag, model):
     grow, settings = brush("expand"), paint(amount=1.0)
     drag(grow, settings, (20, 20), (30, 20))
     drag(grow, settings, (28, 21), (28, 28))
     assert len(model.drawing.marks) == 1
     assert len(model.drawing.marks[0].lines) == 2
     drag(grow, settings, (50, 40))
-    assert len(model.drawing.marks) == 2, "elsewhere another one begins"
+    assert len(model.drawing.marks) == 2, "a separate stroke extended the region"
     model.undo()
     model.undo()
     assert len(model.drawing.marks[0].lines) == 1
 
 
-def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, drag, model):
+def test_settings_change_the_last_stroke_except_its_radius(brush, drag, model):
     push = brush("move")
     drag(push, paint(by=(1, 0)), (20, 20))
     push.change(paint(by=(3, 0), confidence=0.5))
@@ -163,7 +165,7 @@ def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, drag, model)
     assert push.selected is None
 
 
-def test_what_was_painted_in_a_volume_is_dragged_to_where_it_goes(drag, model):
+def test_a_painted_region_of_a_volume_is_dragged_to_its_target(drag, model):
     push = BY_NAME["move"](model, (2.0, *SPACING), (9, *SHAPE))
     settings = paint(by=(0, 0, 0))
     drag(push, settings, (4, 20, 20))
@@ -171,7 +173,7 @@ def test_what_was_painted_in_a_volume_is_dragged_to_where_it_goes(drag, model):
     assert model.drawing.marks[0].by == (2, SPACING[0], 3 * SPACING[1])
 
 
-def test_a_cancelled_stroke_leaves_nothing_and_what_was_selected(brush, drag, model):
+def test_a_cancelled_stroke_leaves_no_mark_and_restores_the_selection(brush, drag, model):
     hold, settings = brush("pin"), paint()
     drag(hold, settings, (20, 20))
     before = model.drawing
@@ -184,15 +186,17 @@ def test_a_cancelled_stroke_leaves_nothing_and_what_was_selected(brush, drag, mo
     assert hold.selected == 0
 
 
-def test_moved_tissue_is_painted_where_it_came_from(brush, drag, model):
+def test_a_stroke_on_moved_tissue_is_stored_at_the_origin_of_the_tissue(brush, drag, model):
     def origin(point):
         return None if point[1] > 30 else (point[0] - 5, point[1])
 
     drag(brush("pin"), paint(), (20, 20), (20, 40), origin=origin)
-    assert model.drawing.marks[0].lines == (((15, 20), (20, 40)),), "beyond it, the place itself"
+    assert model.drawing.marks[0].lines == (((15, 20), (20, 40)),), (
+        "a place without an origin was not stored unchanged"
+    )
 
 
-def test_the_uppermost_stroke_is_found_under_a_place():
+def test_the_uppermost_stroke_at_a_place_is_found():
     drawing = Drawing(
         (
             Stroke("pin", (((10, 10), (30, 10)),), 4.0),
@@ -203,10 +207,10 @@ def test_the_uppermost_stroke_is_found_under_a_place():
     assert drawing.painted_at((20, 10.5), SPACING) == 1
     assert drawing.painted_at((20, 11.9), SPACING) == 0
     assert drawing.painted_at((20, 12.1), SPACING) is None
-    assert drawing.painted_at((10, 10), SPACING) == 0, "an arrow is nothing painted"
+    assert drawing.painted_at((10, 10), SPACING) == 0, "an arrow was found as a stroke"
 
 
-def test_what_was_painted_last_is_known_of_each_pixel():
+def test_each_pixel_stores_the_kind_of_its_uppermost_stroke():
     marks = (
         Stroke("pin", (((20, 20),),), 8.0),
         Stroke("free", (((20, 20),),), 3.0),
@@ -227,7 +231,7 @@ def test_one_drag_makes_a_landmark(landmark, drag, model):
     assert model.undo().word == "drew a landmark"
 
 
-def test_escape_gives_a_landmark_up(landmark, model):
+def test_escape_cancels_a_landmark(landmark, model):
     landmark.press((10, 10), 1.0, grip(3.0))
     landmark.move((14, 12))
     assert landmark.cancel()
@@ -235,7 +239,7 @@ def test_escape_gives_a_landmark_up(landmark, model):
     assert (model.drawing, model.next_undo) == (Drawing(), None)
 
 
-def test_landmarks_are_taken_up_again_by_either_end(landmark, drag, model):
+def test_a_landmark_is_dragged_by_either_end(landmark, drag, model):
     model.draw(Drawing((Landmark((10, 10), (20, 20), 3.0),)), "opened")
     assert drag(landmark, grip(3.0), (20, 20), (22, 20)) == "moved a landmark"
     drag(landmark, grip(3.0), (10, 10), (9, 10))
@@ -244,69 +248,67 @@ def test_landmarks_are_taken_up_again_by_either_end(landmark, drag, model):
     assert model.undo().word == "removed a landmark"
 
 
-def test_an_arrow_in_the_hand_of_landmarks_speaks_of_the_directions_it_spoke_of(
-    landmark, drag, model
-):
+def test_an_arrow_edited_with_the_landmark_tool_retains_its_components(landmark, drag, model):
     model.draw(Drawing((Arrow((10, 10), (4, 0), 3.0, components="row"),)), "opened")
     drag(landmark, grip(3.0), (14, 10), (15, 11))
     landmark.change(grip(2.0, 0.5))
     assert model.drawing.marks == (Arrow((10, 10), (5, 0), 2.0, 0.5, "row"),)
 
 
-def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(landmark, drag, model):
+def test_a_landmark_starts_at_the_origin_of_tissue_and_ends_at_the_pointer(landmark, drag, model):
     drag(landmark, grip(3.0), (10, 10), (14, 14), origin=lambda _: (8.0, 9.0))
     assert model.drawing.marks == (Landmark((8, 9), (14, 14), 3.0),)
     assert landmark.press((40, 40), 1.0, grip(3.0), lambda _: None) == NOTHING
 
 
-def test_what_was_painted_has_a_colour_of_its_own():
+def test_each_kind_of_stroke_has_its_own_colour():
     picture = np.zeros((4, 4), np.uint8)
     colours = {7: (0.2, 0.4, 0.6)}
     layer = Labels(picture, colormap=painted_colours(colours))
-    assert not layer.colormap.colors[0].any(), "nothing hides the image where nothing is painted"
+    assert not layer.colormap.colors[0].any(), "unpainted pixels hide the image"
     seen = [layer.get_color(number_of(action)) for action in COLOURS]
     for colour, expected in zip(seen, COLOURS.values(), strict=True):
         assert colour[:3] == pytest.approx(expected, abs=0.01)
     assert layer.get_color(number_of("tissue", label=7))[:3] == pytest.approx(colours[7], abs=0.01)
 
 
-def test_what_was_painted_to_move_is_dragged_to_where_it_goes(brush, drag, model):
+def test_a_painted_region_that_moves_is_dragged_to_its_target(brush, drag, model):
     push = brush("move")
     drag(push, paint(), (20, 20), (24, 20))
     assert model.drawing.marks[0].moves_nowhere
     assert drag(push, paint(), (22, 20), (25, 21), (27, 24)) == "pushed what was painted"
     (stroke,) = model.drawing.marks
     assert stroke.by == pytest.approx((5 * SPACING[0], 4 * SPACING[1]))
-    assert stroke.lines == (((20, 20), (24, 20)),), "dragged, and not painted on"
+    assert stroke.lines == (((20, 20), (24, 20)),), "the drag extended the stroke"
     drag(push, paint(by=stroke.by), (22, 20), (20, 20))
     assert model.drawing.marks[0].by == pytest.approx((3 * SPACING[0], 4 * SPACING[1]))
     model.undo()
     assert model.drawing.marks == (stroke,)
     drag(push, paint(), (50, 40))
-    assert len(model.drawing.marks) == 2, "elsewhere another region is painted"
+    assert len(model.drawing.marks) == 2, "a drag elsewhere painted no new region"
 
 
-def test_a_landmark_that_is_not_dragged_says_that_it_holds(landmark, model):
+def test_a_landmark_without_a_drag_shows_a_message(landmark, model):
     landmark.press((10, 10), 1.0, grip(3.0), lambda _: (8.0, 9.0))
     assert landmark.release() == NO_WAY
     landmark.press((10, 10), 1.0, grip(3.0))
-    assert landmark.release() is None, "an old one leads where it did"
+    assert landmark.release() is None, "a click on an old landmark shows a message"
     landmark.press((30, 30), 1.0, grip(3.0))
     landmark.move((30, 34))
     assert landmark.release() is None
 
 
-def test_a_region_that_moves_says_what_is_missing_until_it_is_pushed(brush, model):
+def test_a_moving_region_shows_a_message_until_it_is_dragged(brush, model):
     push = brush("move")
     assert push.press((20, 20), 1.0, paint()) == NO_STEP
-    assert push.release() is None, "the message stays"
+    assert push.release() is None, "the message was cleared"
     assert push.press((20, 20), 1.0, paint()) == NO_STEP
     push.move((20, 24))
     assert push.release() == ""
     assert not brush("pin").press((40, 40), 1.0, paint())
 
 
-def test_a_brush_paints_inside_the_image_only(brush, model):
+def test_a_brush_paints_only_inside_the_image(brush, model):
     hold = brush("pin")
     for point in [(-1, 20), (20, 50)]:
         assert hold.press(point, 1.0, paint()) == OUTSIDE
@@ -317,7 +319,7 @@ def test_a_brush_paints_inside_the_image_only(brush, model):
     assert hold.stroke is None
 
 
-def test_another_tissue_is_for_the_next_stroke_or_for_one_picked_up(brush, drag, model):
+def test_a_new_label_applies_to_the_next_or_to_the_selected_stroke(brush, drag, model):
     tissue = brush("tissue")
     drag(tissue, paint(label=3), (20, 20))
     tissue.change(paint(label=4))
@@ -330,7 +332,7 @@ def test_another_tissue_is_for_the_next_stroke_or_for_one_picked_up(brush, drag,
     assert model.drawing.marks[1].label == 5
 
 
-def test_the_circle_around_the_pointer_is_gone_while_a_tool_drags(brush, landmark):
+def test_the_circle_of_the_cursor_is_hidden_during_a_drag(brush, landmark):
     for tool in (brush("pin"), landmark):
         assert tool.cursor(grip(3.0)) == 3.0
         tool.press((10, 10), 1.0, grip(3.0))

@@ -1,4 +1,4 @@
-"""Tissue that is pulled: in a real window, with real mouse and key events, and without one."""
+"""Tests of pulling tissue with mouse and keyboard, in a window and without one."""
 
 import numpy as np
 import pytest
@@ -13,11 +13,11 @@ from tests.support.person import CTRL, SHIFT, by_name, only, settle_moves
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
 
-#: What napari shows of each layer beside the canvas has no part in what is claimed.
+#: Omits napari's controls of layers, which have no effect on these tests.
 bare = pytest.mark.usefixtures("without_controls")
 
 
-def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
+def test_tissue_follows_the_mouse_during_a_drag(pulling, settle, qtbot):
     person, widget = pulling
     still = by_name(person.viewer, "MR deformed, elastic").data.copy()
     seen, drawn = [], []
@@ -27,7 +27,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     for step in range(1, 5):
         person.move(30 + step, 30 + 2 * step)
         qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
-    assert widget.study_model.drawing_in_progress, "the button is still down"
+    assert widget.study_model.drawing_in_progress, "the drag ended before the button was released"
     moved = by_name(person.viewer, "MR deformed, elastic").data
     assert (moved != still).mean() > 0.05
     person.release(34, 38)
@@ -38,7 +38,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     field = seen[-1].solution.displacement
     at = tuple(round(along) for along in arrow.at)
     assert field[at] == pytest.approx(arrow.by, abs=0.02)
-    assert not field[0].any(), "the edge is held"
+    assert not field[0].any(), "the edge moved"
     assert 0.5 < np.linalg.norm(field[20, 20]) < 8
     assert np.array_equal(drawn[-1].solution.displacement, field)
     assert person.viewer.layers.selection.active.name == "Motion"
@@ -46,7 +46,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     assert widget.study_model.next_undo.word == "drew an arrow"
 
 
-def test_an_arrow_is_picked_up_again_by_its_head_and_by_its_base(pulling_beside, settle):
+def test_an_arrow_is_dragged_by_its_head_or_its_base(pulling_beside, settle):
     person, widget = pulling_beside
     person.drag((30, 30), (34, 34), (36, 36))
     settle(widget)
@@ -57,20 +57,20 @@ def test_an_arrow_is_picked_up_again_by_its_head_and_by_its_base(pulling_beside,
     assert only(widget).by == pytest.approx((8, 10), abs=0.8)
 
 
-def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling_beside, settle):
+def test_a_drag_on_moved_tissue_pulls_the_displayed_tissue(pulling_beside, settle):
     person, widget = pulling_beside
     person.drag((30, 30), (36, 36))
     settle(widget)
     person.drag((40, 44), (40, 44))
     settle(widget)
     held = widget.drawing.marks[1]
-    assert held.at[0] < 39.5, "it has come from further up"
+    assert held.at[0] < 39.5, "the arrow does not start at the origin of the tissue, further up"
     assert np.add(held.at, held.by) == pytest.approx((40, 44), abs=0.6)
     assert widget.study_model.next_undo.word == "drew an arrow"
 
 
 @bare
-def test_keys_remove_undo_and_redo(pulling, settle):
+def test_keys_remove_undo_and_redo_an_arrow(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
     drawn = widget.drawing
@@ -90,7 +90,7 @@ def test_keys_remove_undo_and_redo(pulling, settle):
     assert np.array_equal(by_name(person.viewer, "MR deformed, elastic").data, image)
 
 
-def test_escape_gives_a_drag_up(pulling_beside):
+def test_escape_cancels_a_drag(pulling_beside):
     person, widget = pulling_beside
     person.press(30, 30)
     person.move(35, 35)
@@ -103,7 +103,7 @@ def test_escape_gives_a_drag_up(pulling_beside):
 
 
 @bare
-def test_the_view_stays_while_tissue_is_pulled_and_moves_while_space_is_held(pulling):
+def test_the_view_is_fixed_during_a_drag_and_moves_while_space_is_pressed(pulling):
     person, widget = pulling
     before = person.where(0, 0)
     person.drag((30, 30), (34, 34))
@@ -121,7 +121,7 @@ def test_the_view_stays_while_tissue_is_pulled_and_moves_while_space_is_held(pul
     assert layer.cursor_size == pytest.approx(2 * widget.fields.radius.value)
 
 
-def test_another_active_layer_pauses_the_tool(pulling_beside):
+def test_activating_another_layer_pauses_the_tool(pulling_beside):
     person, widget = pulling_beside
     person.viewer.layers.selection.active = by_name(person.viewer, "MR")
     assert not widget.active
@@ -136,7 +136,7 @@ def test_another_active_layer_pauses_the_tool(pulling_beside):
 
 
 @bare
-def test_labels_keep_their_own_undo(pulling):
+def test_an_active_labels_layer_has_its_own_undo(pulling):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
@@ -144,13 +144,13 @@ def test_labels_keep_their_own_undo(pulling):
     assert labels.data.any()
     person.key(Qt.Key.Key_Z, CTRL)
     assert not labels.data.any()
-    assert widget.drawing.marks, "ours was not touched"
+    assert widget.drawing.marks, "undo of the labels removed a mark"
     person.viewer.layers.selection.active = by_name(person.viewer, "MR")
     person.key(Qt.Key.Key_Z, CTRL)
-    assert not widget.drawing.marks, "an image has no undo of its own"
+    assert not widget.drawing.marks, "undo with an active image did not remove the mark"
 
 
-def test_fields_change_the_selected_arrow_and_the_next_ones(pulling_beside, settle):
+def test_fields_change_the_selected_arrow_and_new_arrows(pulling_beside, settle):
     person, widget = pulling_beside
     fields, screen = widget.fields, Screen(widget)
     fields.components.value = "row"
@@ -169,7 +169,7 @@ def test_fields_change_the_selected_arrow_and_the_next_ones(pulling_beside, sett
     assert not screen.button("Remove all").isEnabled()
 
 
-def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
+def test_the_motion_layer_removed_during_a_drag_is_restored(pulling, settle):
     person, widget = pulling
     person.press(30, 30)
     person.move(34, 34)
@@ -188,7 +188,7 @@ def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
 
 
 @bare
-def test_the_image_deleted_in_mid_drag_ends_it(pulling, at_rest):
+def test_removing_the_image_ends_a_drag(pulling, at_rest):
     person, widget = pulling
     person.press(30, 30)
     person.move(34, 34)
@@ -199,10 +199,10 @@ def test_the_image_deleted_in_mid_drag_ends_it(pulling, at_rest):
     assert widget.image is None
     assert not widget.drawing.marks
     assert widget.status.startswith("'MR' is gone, and the drawing on it")
-    assert "Motion" not in person.viewer.layers, "nobody would answer it"
+    assert "Motion" not in person.viewer.layers, "the motion layer remains without its image"
 
 
-def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
+def test_renaming_or_removing_result_layers_does_not_interrupt_a_drag(pulling, settle):
     person, widget = pulling
     person.press(30, 30)
     person.move(32, 32)
@@ -214,12 +214,14 @@ def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
     person.release(34, 34)
     settle(widget)
     assert only(widget).by == pytest.approx((4, 4), abs=0.6)
-    assert "T1 deformed, elastic" in person.viewer.layers, "it is made again, by the new name"
+    assert "T1 deformed, elastic" in person.viewer.layers, (
+        "the result was not made again with the new name"
+    )
     assert by_name(person.viewer, "mine") is person.viewer.layers.selection.active
 
 
 @bare
-def test_another_image_on_the_same_pixels_is_shown_as_itself(pulling, settle):
+def test_another_image_on_the_same_pixels_has_its_own_result(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (33, 33))
     settle(widget)
@@ -238,11 +240,11 @@ def test_another_image_on_the_same_pixels_is_shown_as_itself(pulling, settle):
     shown.gamma = 0.7
     person.drag((40, 40), (42, 42))
     settle(widget)
-    assert shown.gamma == 0.7, "how somebody has it drawn stays"
-    assert np.array_equal(moved.data, before), "the other's result stays"
+    assert shown.gamma == 0.7, "the user's gamma was reset"
+    assert np.array_equal(moved.data, before), "the result of the other image changed"
 
 
-def test_a_slice_that_was_only_visited_leaves_no_layers(open_beside, settle):
+def test_a_slice_without_a_drawing_leaves_no_layers(open_beside, settle):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
     person, widget = open_beside(stack, scale=(5, 1, 1))
     viewer = person.viewer
@@ -269,16 +271,18 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     person.move(30, 30)
     person.release(30, 30)
     settle(widget)
-    assert not widget.drawing.marks, "nothing is drawn on this slice"
+    assert not widget.drawing.marks, "the drawing of another slice is shown"
     assert by_name(viewer, "Motion").data.shape[0] == 0
     here = by_name(viewer, "MR deformed, elastic (slice 2)").metadata[METADATA]["slice"]
     assert by_name(viewer, "Motion").metadata[METADATA]["slice"] == here
     viewer.dims.set_current_step(0, 1)
     settle(widget)
-    assert only(widget).by == pytest.approx((4, 0), abs=0.6), "the drag ended with the slice"
+    assert only(widget).by == pytest.approx((4, 0), abs=0.6), "the drag continued on another slice"
     assert (by_name(viewer, "Motion").data[:, 0, 0] == 1).all()
     assert by_name(viewer, "MR deformed, elastic (slice 1)").data.shape == (1, 48, 64)
-    assert "MR deformed, elastic (slice 2)" not in viewer.layers, "nothing has moved there"
+    assert "MR deformed, elastic (slice 2)" not in viewer.layers, (
+        "a slice without motion has a result"
+    )
     how = widget.status
     viewer.dims.ndisplay = 3
     at_rest()
@@ -288,7 +292,9 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     assert (widget.status, len(widget.drawing.marks)) == (how, 1)
 
 
-def test_a_viewer_with_nothing_drawn_yet_can_show_three_dimensions(pulling_beside, qtbot, at_rest):
+def test_the_tool_is_restored_after_three_dimensional_display_without_a_drawing(
+    pulling_beside, qtbot, at_rest
+):
     person, widget = pulling_beside
     person.viewer.dims.ndisplay = 3
     at_rest()
@@ -297,7 +303,7 @@ def test_a_viewer_with_nothing_drawn_yet_can_show_three_dimensions(pulling_besid
     qtbot.waitUntil(lambda: widget.active, timeout=LONG_MS)
 
 
-def test_void_cannot_be_taken_hold_of(open_beside, settle):
+def test_void_cannot_be_pulled(open_beside, settle):
     person, widget = open_beside()
     labels = np.zeros((64, 64), np.uint8)
     labels[10:50, 10:50] = 1
@@ -315,8 +321,8 @@ def test_void_cannot_be_taken_hold_of(open_beside, settle):
 
 
 @bare
-@pytest.mark.campaign  # test_live_mode.py has two viewers, too
-def test_two_viewers_pull_their_own_tissue(open_window, settle):
+@pytest.mark.campaign  # `test_live_mode.py` has a test of two viewers, too.
+def test_two_viewers_have_separate_drawings(open_window, settle):
     one, mine = open_window()
     other, its = open_window()
     for widget in (mine, its):
@@ -334,7 +340,7 @@ def test_two_viewers_pull_their_own_tissue(open_window, settle):
 
 
 @bare
-def test_a_window_closed_in_mid_drag_ends_everything(pulling, at_rest):
+def test_closing_a_window_during_a_drag_raises_no_error(pulling, at_rest):
     person, _ = pulling
     person.press(30, 30)
     person.move(34, 34)
@@ -343,7 +349,7 @@ def test_a_window_closed_in_mid_drag_ends_everything(pulling, at_rest):
 
 
 @bare
-def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
+def test_closing_the_dock_removes_the_motion_layer_and_a_new_dock_restores_it(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
     drawn = widget.drawing
@@ -361,7 +367,7 @@ def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
     assert not again.drawing.marks
 
 
-def test_scripts_draw_without_a_mouse(open_beside, settle):
+def test_a_script_draws_without_a_mouse(open_beside, settle):
     person, widget = open_beside()
     seen = []
     widget.deformation_changed.connect(seen.append)
@@ -375,7 +381,7 @@ def test_scripts_draw_without_a_mouse(open_beside, settle):
     assert Drawing.from_dict(solution.frame["drawing"]) == widget.drawing
 
 
-def test_a_sample_brings_its_tissue_and_hides_the_paint(open_beside, settle):
+def test_a_sample_selects_its_tissue_and_hides_its_paint(open_beside, settle):
     person, widget = open_beside()
     person.viewer.layers.clear()
     person.viewer.open_sample("napari-hmrf", "mass-effect")
@@ -395,10 +401,10 @@ def test_a_sample_brings_its_tissue_and_hides_the_paint(open_beside, settle):
     settle(widget)
     field = seen[-1].solution.displacement
     assert field[60, 100] == pytest.approx((2, 0), abs=0.02)
-    assert np.linalg.norm(field[painted], axis=-1).min() > 1, "the boundary moves, too"
+    assert np.linalg.norm(field[painted], axis=-1).min() > 1, "the painted boundary does not move"
 
 
-def test_each_tool_has_a_button_a_key_and_its_name_on_the_canvas(pulling_beside, settle):
+def test_each_tool_has_a_button_a_key_and_a_name_on_the_canvas(pulling_beside, settle):
     person, widget = pulling_beside
     screen, badge = Screen(widget), person.viewer.canvas.overlays.text
     assert (widget.tool, badge.text, badge.visible) == ("pull", "Pull", True)
@@ -412,13 +418,13 @@ def test_each_tool_has_a_button_a_key_and_its_name_on_the_canvas(pulling_beside,
     assert widget.fields.by_row.native.isVisibleTo(widget.native)
     assert not widget.fields.amount.native.isVisibleTo(widget.native)
     screen.press("Push")
-    assert not widget.active, "its button puts it down"
+    assert not widget.active, "a second press of its button did not deactivate the tool"
     assert not badge.visible
     with pytest.raises(ValueError, match="no tool 'saw'"):
         widget.tool = "saw"
 
 
-def test_an_edit_of_another_slice_is_taken_back_there(open_beside, settle):
+def test_undo_of_an_edit_on_another_slice_shows_that_slice(open_beside, settle):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
     person, widget = open_beside(stack, scale=(5, 1, 1))
     viewer = person.viewer
@@ -432,12 +438,12 @@ def test_an_edit_of_another_slice_is_taken_back_there(open_beside, settle):
     settle(widget)
     person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
-    assert Screen(widget).button("Undo").toolTip() == "Take back: drew an arrow (Ctrl+Z)"
+    assert Screen(widget).button("Undo").toolTip() == "Undo: drew an arrow (Ctrl+Z)"
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
-    assert viewer.dims.current_step[0] == 1, "it goes to where it happened"
+    assert viewer.dims.current_step[0] == 1, "the slice of the edit is not displayed"
     assert not widget.drawing.marks
-    assert widget.status == "Took back: drew an arrow."
+    assert widget.status == "Undone: drew an arrow."
     assert not Screen(widget).button("Undo").isEnabled()
     person.key(Qt.Key.Key_Y, CTRL)
     assert only(widget).by == pytest.approx((4, 0), abs=0.6)
@@ -448,7 +454,7 @@ def test_an_edit_of_another_slice_is_taken_back_there(open_beside, settle):
 
 
 @bare
-def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
+def test_undo_keys_work_while_the_dock_has_the_focus(pulling):
     person, widget = pulling
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
     person.viewer.layers.selection.active = by_name(person.viewer, "Motion")
@@ -460,20 +466,20 @@ def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
     box.setFocus()
     QTest.keyClick(box, Qt.Key.Key_Z, CTRL)
     assert widget.drawing == Drawing()
-    assert labels.data.any(), "what napari painted stays"
+    assert labels.data.any(), "undo removed paint of napari"
     QTest.keyClick(box, Qt.Key.Key_Y, CTRL)
     assert widget.drawing == drawn
 
 
 @bare
-def test_undo_keys_work_in_a_field_whose_number_is_taken_and_leave_what_is_being_typed(pulling):
+def test_undo_keys_in_a_field_undo_text_until_the_value_is_accepted(pulling):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
     drawn, field = widget.drawing, widget.fields.radius.native
     field.setFocus()
     QTest.keyClicks(field, "1")
     QTest.keyClick(field, Qt.Key.Key_Z, CTRL)
-    assert widget.drawing == drawn, "that was of the field's own text"
+    assert widget.drawing == drawn, "undo of the text changed the drawing"
     QTest.keyClick(field, Qt.Key.Key_Return)
     before = widget.drawing
     QTest.keyClick(field, Qt.Key.Key_Z, CTRL)
@@ -481,7 +487,7 @@ def test_undo_keys_work_in_a_field_whose_number_is_taken_and_leave_what_is_being
 
 
 @bare
-def test_keys_of_the_tools_work_after_a_choice_from_a_menu(pulling, settle):
+def test_keys_of_tools_work_after_a_choice_from_a_menu(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
     settle(widget)
@@ -502,7 +508,7 @@ def test_keys_of_the_tools_work_after_a_choice_from_a_menu(pulling, settle):
     assert widget.tool == "move"
 
 
-def test_an_image_that_is_removed_takes_its_steps_along(pulling_beside, at_rest):
+def test_removing_an_image_removes_its_undo_steps(pulling_beside, at_rest):
     person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
     assert Screen(widget).button("Undo").isEnabled()
@@ -510,10 +516,10 @@ def test_an_image_that_is_removed_takes_its_steps_along(pulling_beside, at_rest)
     at_rest()
     assert not Screen(widget).button("Undo").isEnabled()
     widget.undo()
-    assert widget.status == "There is nothing to take back."
+    assert widget.status == "There is nothing to undo."
 
 
-def test_a_table_that_is_edited_is_followed_and_a_step_among_the_others(open_beside, settle):
+def test_an_edit_of_a_table_updates_the_result_and_is_an_undo_step(open_beside, settle):
     person, widget = open_beside()
     viewer = person.viewer
     viewer.layers.clear()
@@ -530,12 +536,12 @@ def test_a_table_that_is_edited_is_followed_and_a_step_among_the_others(open_bes
     widget.drawing = Drawing((Arrow((60, 100), (2, 0), 8.0),))
     widget.undo()
     widget.undo()
-    assert widget.materials == rows, "one order of steps for all that is edited"
+    assert widget.materials == rows, "tables and drawings have separate undo orders"
     settle(widget)
     assert seen[-1].ground.stiffness.max() == before
 
 
-def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling_beside, settle):
+def test_the_drawing_is_scaled_with_a_new_unit_of_the_image(pulling_beside, settle):
     person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
     settle(widget)
@@ -550,7 +556,7 @@ def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling_besid
     assert "mm" in widget.fields.radius.label
 
 
-def test_a_drag_may_begin_at_any_edge_of_the_image(pulling_beside, settle):
+def test_a_drag_may_start_at_any_edge_of_the_image(pulling_beside, settle):
     person, widget = pulling_beside
     widget.hold_edge = False
     widget.fields.radius.value = 12.0
@@ -568,7 +574,7 @@ def test_a_drag_may_begin_at_any_edge_of_the_image(pulling_beside, settle):
         widget.clear()
 
 
-def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_beside, settle):
+def test_air_cannot_be_pulled_and_does_not_fold(open_beside, settle):
     rows, cols = np.indices((96, 96))
     noise = np.random.default_rng(0).integers(0, 6, (96, 96))
     disc = np.hypot(rows - 48, cols - 48) < 26
@@ -579,7 +585,7 @@ def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_beside, settle):
     assert widget.status == "There is no tissue to take hold of there."
     assert not widget.drawing.marks
     widget.hold_edge = False
-    # Air is squeezed between the body and the edge of the image, and nobody minds.
+    # Air is compressed between the body and the image edge without a warning.
     widget.drawing = Drawing((Arrow((48, 48), (0, 30), 20.0), Arrow((90, 90), (0, 0), 2.0)))
     settle(widget)
     assert "folds" not in widget.warning
@@ -588,7 +594,9 @@ def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_beside, settle):
     assert not solution.displacement[~disc].any()
 
 
-def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_beside, at_rest, settle):
+def test_a_message_about_three_dimensions_is_cleared_in_two_dimensions(
+    open_beside, at_rest, settle
+):
     person, widget = open_beside()
     settle(widget)
     person.viewer.dims.ndisplay = 3
@@ -600,7 +608,7 @@ def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_beside, a
     assert "rag tissue" in widget.status
 
 
-def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling_beside, settle):
+def test_the_status_tells_whether_the_tool_is_active(pulling_beside, settle):
     person, widget = pulling_beside
     how = widget.status
     person.drag((30, 30), (34, 34))
@@ -609,7 +617,7 @@ def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling_beside, settle):
     layers.selection.active = layers["MR"]
     assert "To draw on" in widget.status
     person.key(Qt.Key.Key_Z, CTRL)
-    assert widget.status.startswith("Took back: drew an arrow. To draw on")
+    assert widget.status.startswith("Undone: drew an arrow. To draw on")
     layers.selection.active = layers["Motion"]
     layers.selection.active = layers["MR"]
     assert widget.status.startswith("To draw on")
@@ -617,7 +625,7 @@ def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling_beside, settle):
     assert (widget.active, widget.status) == (True, how)
 
 
-def test_air_that_a_tissue_layer_calls_tissue_is_spoken_of(open_beside, settle):
+def test_a_warning_reports_air_labelled_as_tissue(open_beside, settle):
     rows, cols = np.indices((64, 64))
     disc = np.hypot(rows - 32, cols - 32) < 18
     person, widget = open_beside((150 * disc).astype(np.uint8))

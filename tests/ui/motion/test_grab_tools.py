@@ -1,4 +1,4 @@
-"""Brushes and landmarks: in a real window, with real mouse and key events, and beside a viewer."""
+"""Tests of brushes and landmarks with mouse and keyboard, in a window and without one."""
 
 from dataclasses import replace
 
@@ -27,17 +27,17 @@ from tests.support.windowless import Touch
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
 CONFIDENCE, MATERIAL, LANDMARK = Qt.Key.Key_C, Qt.Key.Key_T, Qt.Key.Key_L
 
-#: What napari shows of each layer beside the canvas is seen where tissue is pulled, in test_grab.
+#: Omits napari's controls of layers, which `test_grab` tests.
 pytestmark = pytest.mark.usefixtures("without_controls")
 
 
 def displacement(widget):
-    """How the tissue that is seen moves."""
+    """Return the displacement field of the displayed tissue."""
     return widget._pointer.display.moved.solution.displacement
 
 
 class Notes(Tool):
-    """Tool that draws nothing, and writes down where the mouse is."""
+    """Tool that records pointer positions without drawing a mark."""
 
     name, title, key, fields, hint = "notes", "Notes", "N", ("softness",), "Click a place."
 
@@ -59,8 +59,8 @@ class Notes(Tool):
         return None
 
 
-def seen_paint(person):
-    """The picture of what was painted; there is no layer of nothing."""
+def displayed_paint(person):
+    """Return the image of painted strokes, or zeros if there is no layer of strokes."""
     layers = person.viewer.layers
     return layers["Motion, painted"].data if "Motion, painted" in layers else np.zeros((64, 64))
 
@@ -72,7 +72,7 @@ def ring(middle, radius, count=16):
 
 
 def outward(widget):
-    """How far a ring of radius 12 around the middle moves along its normal, on average."""
+    """Return the mean outward displacement of a ring of radius 12 around the centre."""
     places = ring((32, 32), 12)
     moved = [displacement(widget)[round(row), round(col)] for row, col in places]
     normals = (np.array(places) - 32) / 12
@@ -80,8 +80,8 @@ def outward(widget):
 
 
 @pytest.fixture
-def narrow(settle):
-    """Give somebody a narrow brush, and have a wide patch pulled to the right before."""
+def narrow_brush(settle):
+    """Return a function that sets a narrow brush and pulls a wide patch to the right."""
 
     def given(person, widget):
         widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
@@ -93,29 +93,29 @@ def narrow(settle):
 
 
 @pytest.fixture
-def brushing(pulling, narrow):
-    """Somebody before a window, with a narrow brush."""
-    return narrow(*pulling)
+def brushing(pulling, narrow_brush):
+    """Return a simulated user and the dock with a narrow brush, in a window."""
+    return narrow_brush(*pulling)
 
 
 @pytest.fixture
-def brushing_beside(pulling_beside, narrow):
-    """The same without a window."""
-    return narrow(*pulling_beside)
+def brushing_beside(pulling_beside, narrow_brush):
+    """Return a simulated user and the dock with a narrow brush, without a window."""
+    return narrow_brush(*pulling_beside)
 
 
-def test_what_is_painted_is_seen_before_anything_is_solved(brushing, busy_thread, qtbot):
+def test_paint_is_displayed_before_the_solve(brushing, busy_thread, qtbot):
     person, _ = brushing
     person.key(PIN)
     person.press(20, 20)
-    assert seen_paint(person)[20, 20] == number_of("pin"), "at once"
+    assert displayed_paint(person)[20, 20] == number_of("pin"), "paint is not displayed at once"
     person.move(20, 36)
-    qtbot.waitUntil(lambda: seen_paint(person)[20, 28] == number_of("pin"), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: displayed_paint(person)[20, 28] == number_of("pin"), timeout=LONG_MS)
     assert not busy_thread.is_set()
     person.release(20, 36)
 
 
-def test_what_is_pinned_stays(brushing_beside, settle):
+def test_pinned_tissue_does_not_move(brushing_beside, settle):
     person, widget = brushing_beside
     before = displacement(widget)[20, 30]
     assert np.linalg.norm(before) > 0.3
@@ -125,33 +125,37 @@ def test_what_is_pinned_stays(brushing_beside, settle):
     person.release(20, 36)
     settle(widget)
     assert displacement(widget)[20, 22:35] == pytest.approx(0, abs=0.02)
-    assert seen_paint(person)[20, 28] == number_of("pin")
-    assert seen_paint(person)[26, 28] == 0
+    assert displayed_paint(person)[20, 28] == number_of("pin")
+    assert displayed_paint(person)[26, 28] == 0
     assert widget.study_model.next_undo.word == "held tissue"
 
 
-def test_what_is_freed_is_held_by_nothing(brushing_beside, settle):
+def test_freed_tissue_is_unconstrained(brushing_beside, settle):
     person, widget = brushing_beside
     person.key(FREE)
     widget.fields.radius.value = 9.0
     person.paint((44, 40), (44, 46))
     settle(widget)
-    assert np.abs(displacement(widget)).max() < 0.02, "the arrow says nothing any more"
-    assert set(np.unique(seen_paint(person))) == {0, number_of("free")}, "stripes"
+    assert np.abs(displacement(widget)).max() < 0.02, "the arrow still has an effect"
+    assert set(np.unique(displayed_paint(person))) == {0, number_of("free")}, (
+        "the region is not drawn with stripes"
+    )
 
 
-def test_what_is_moved_moves_and_its_paint_goes_along(brushing_beside, settle):
+def test_a_moved_region_moves_tissue_and_is_drawn_at_its_target(brushing_beside, settle):
     person, widget = brushing_beside
     person.key(MOVE)
     widget.fields.by_row.value = -4.0
     person.paint((20, 20), (20, 26))
     settle(widget)
     assert displacement(widget)[20, 22] == pytest.approx((-4, 0), abs=0.02)
-    assert seen_paint(person)[16, 22] == number_of("move")
-    assert seen_paint(person)[22, 22] == 0, "it was painted there, and has left"
+    assert displayed_paint(person)[16, 22] == number_of("move")
+    assert displayed_paint(person)[22, 22] == 0, "the region is still drawn at its origin"
     widget.fields.by_row.value = 2.0
     settle(widget)
-    assert displacement(widget)[20, 22] == pytest.approx((2, 0), abs=0.02), "of the stroke painted"
+    assert displacement(widget)[20, 22] == pytest.approx((2, 0), abs=0.02), (
+        "the field did not change the last stroke"
+    )
 
 
 def test_a_ring_expands_or_shrinks(brushing_beside, settle):
@@ -178,12 +182,10 @@ def test_a_patch_grows_without_a_tear(pulling_beside, settle, amount):
     area = jacobian_determinant(displacement(widget), spacing=1)
     assert area[26:39, 26:40] == pytest.approx((1 + amount / 10) ** 2, rel=0.15)
     assert not widget.warning
-    assert seen_paint(person)[32, 32], "all that was painted is seen"
+    assert displayed_paint(person)[32, 32], "a painted pixel is not displayed"
 
 
-def test_what_is_taken_back_and_done_again_is_selected_and_its_fields_say_so(
-    pulling_beside, settle
-):
+def test_undo_and_redo_select_a_stroke_and_show_its_settings(pulling_beside, settle):
     person, widget = pulling_beside
     person.key(EXPAND)
     amount = widget.fields.amount
@@ -199,16 +201,16 @@ def test_what_is_taken_back_and_done_again_is_selected_and_its_fields_say_so(
     assert not widget.drawing.marks
     assert not Screen(widget).button("Remove").isEnabled()
     person.key(Qt.Key.Key_Y, CTRL)
-    assert Screen(widget).button("Remove").isEnabled(), "it is selected"
+    assert Screen(widget).button("Remove").isEnabled(), "the restored stroke is not selected"
     amount.value = 1.0
-    assert only(widget).amount == 1.0, "and the field changes it"
+    assert only(widget).amount == 1.0, "the field did not change the restored stroke"
     person.key(PIN)
     person.key(Qt.Key.Key_Z, CTRL)
-    assert not Screen(widget).button("Remove").isEnabled(), "of another tool nothing is"
+    assert not Screen(widget).button("Remove").isEnabled(), "a stroke of another tool is selected"
     settle(widget)
 
 
-def test_an_open_line_cannot_expand_and_says_so(pulling_beside, settle):
+def test_an_open_line_that_expands_is_refused_with_a_message(pulling_beside, settle):
     person, widget = pulling_beside
     person.key(EXPAND)
     widget.fields.radius.value = 1.0
@@ -217,10 +219,10 @@ def test_an_open_line_cannot_expand_and_says_so(pulling_beside, settle):
     settle(widget)
     assert not widget.drawing.marks
     assert "no outside" in widget.status
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
 
 
-def test_a_line_that_is_to_be_a_ring_says_so_while_it_is_painted(pulling_beside, qtbot):
+def test_an_open_line_shows_a_message_while_it_is_painted(pulling_beside, qtbot):
     person, widget = pulling_beside
     person.key(EXPAND)
     widget.fields.radius.value = 1.0
@@ -235,7 +237,7 @@ def test_a_line_that_is_to_be_a_ring_says_so_while_it_is_painted(pulling_beside,
     assert "no outside" in widget.status
 
 
-def test_beside_the_image_a_brush_paints_nothing_and_keeps_the_fields(pulling_beside):
+def test_a_brush_outside_the_image_paints_nothing_and_does_not_change_the_fields(pulling_beside):
     person, widget = pulling_beside
     person.key(MATERIAL)
     person.paint((20, 20), (20, 26))
@@ -245,7 +247,7 @@ def test_beside_the_image_a_brush_paints_nothing_and_keeps_the_fields(pulling_be
     assert (widget.status, widget.drawing, material.value) == (OUTSIDE, before, 0)
 
 
-def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling_beside, settle):
+def test_an_unfinished_ring_is_removed_by_delete(pulling_beside, settle):
     person, widget = pulling_beside
     person.key(EXPAND)
     widget.fields.radius.value = 1.0
@@ -257,10 +259,10 @@ def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling_besid
     settle(widget)
     assert not widget.drawing.marks
     assert not widget.study_model.drawing_in_progress
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
 
 
-def test_confidence_is_painted_softly_over_what_moves(brushing_beside, settle):
+def test_a_soft_brush_paints_confidence_over_moved_tissue(brushing_beside, settle):
     person, widget = brushing_beside
     person.key(CONFIDENCE)
     fields = widget.fields
@@ -271,14 +273,16 @@ def test_confidence_is_painted_softly_over_what_moves(brushing_beside, settle):
     assert (stroke.action, stroke.confidence, stroke.softness) == ("confidence", 0.0, 1.0)
     sure = widget.drawing.render(widget._pointer.display.moved.ground.base).confidence[44, 40:46, 0]
     assert sure[0] == pytest.approx(0, abs=0.15)
-    assert (np.diff(sure) > 0).all(), "it fades out"
+    assert (np.diff(sure) > 0).all(), "the confidence does not increase with the distance"
     shown = by_name(person.viewer, "Confidence").data
     assert shown[44, 45] == pytest.approx(0, abs=0.2)
-    assert len(np.unique(shown[shown < 1].round(3))) > 12, "and is seen to, evenly"
-    assert not seen_paint(person).any()
+    assert len(np.unique(shown[shown < 1].round(3))) > 12, (
+        "the displayed confidence has too few values"
+    )
+    assert not displayed_paint(person).any()
 
 
-def test_with_the_last_stroke_the_layer_of_what_is_painted_goes_and_comes_again(
+def test_the_layer_of_strokes_is_removed_with_the_last_stroke_and_restored_by_redo(
     pulling_beside, settle
 ):
     person, widget = pulling_beside
@@ -290,19 +294,19 @@ def test_with_the_last_stroke_the_layer_of_what_is_painted_goes_and_comes_again(
         person.key(Qt.Key.Key_Z, CTRL)
         settle(widget)
         assert "Motion, painted" not in layers
-        assert widget.active, "the tool stays in the hand"
+        assert widget.active, "the tool was deactivated"
         person.key(Qt.Key.Key_Y, CTRL)
         settle(widget)
-        assert seen_paint(person)[20, 22] == number_of("pin")
+        assert displayed_paint(person)[20, 22] == number_of("pin")
     person.key(Qt.Key.Key_Z, CTRL)
     person.key(CONFIDENCE)
     person.paint((30, 30), (30, 34))
     settle(widget)
-    assert "Motion, painted" not in layers, "confidence has a layer of its own"
+    assert "Motion, painted" not in layers, "confidence is drawn in the layer of strokes"
     assert "Confidence" in layers
 
 
-def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pulling, settle):
+def test_stiffness_motion_and_confidence_are_painted_and_shown_as_layers(pulling, settle):
     person, widget = pulling
     viewer, fields = person.viewer, widget.fields
     fields.radius.value = 4.0
@@ -310,14 +314,18 @@ def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pu
     fields.material.value = 0
     person.paint((50, 10), (50, 20))
     settle(widget)
-    assert seen_paint(person)[50, 15] == number_of("tissue", label=0)
+    assert displayed_paint(person)[50, 15] == number_of("tissue", label=0)
     person.key(MOVE)
     person.paint((30, 28), (30, 34))
     person.paint((30, 31), (26, 31))
     settle(widget)
-    assert seen_paint(person)[26, 31] == number_of("move"), "where it has gone"
+    assert displayed_paint(person)[26, 31] == number_of("move"), (
+        "the stroke is not drawn at its target"
+    )
     steps = by_name(viewer, "Motion").data[:, 1]
-    assert steps[:, 0].min() == pytest.approx(-4, abs=0.6), "by how much, in arrows"
+    assert steps[:, 0].min() == pytest.approx(-4, abs=0.6), (
+        "the arrows do not show the displacement"
+    )
     assert "Confidence" not in viewer.layers
     person.key(CONFIDENCE)
     fields.stroke_confidence.value = 0.5
@@ -329,21 +337,23 @@ def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pu
     assert confidence.colorbar.visible
     moved = displacement(widget)[30, 31, 0]
     assert confidence.data[round(30 + moved), 31] == pytest.approx(0.5, abs=0.01)
-    assert confidence.data[0, 30] == 1, "the edge is held"
-    assert confidence.data[40, 50] == 0, "nobody says anything of this"
-    assert not confidence.colormap.map([0.0])[0, 3], "which the image shows through"
+    assert confidence.data[0, 30] == 1, "the confidence of the fixed edge is not 1"
+    assert confidence.data[40, 50] == 0, "an unconstrained site has a confidence"
+    assert not confidence.colormap.map([0.0])[0, 3], "a confidence of 0 hides the image"
     names = [layer.name for layer in viewer.layers]
     assert names.index("Confidence") == names.index("Motion, painted") - 1
     Screen(widget).choose("Jacobian")
     settle(widget)
     (overlay,) = (layer for layer in viewer.layers if "Jacobian" in layer.name)
     assert overlay.colorbar.visible
-    assert overlay.colorbar.position != confidence.colorbar.position, "each scale has its corner"
-    if hasattr(overlay, "name_overlay"):  # of napari 0.9
+    assert overlay.colorbar.position != confidence.colorbar.position, (
+        "two colour bars share a corner"
+    )
+    if hasattr(overlay, "name_overlay"):  # The name overlay exists since napari 0.9.
         assert confidence.name_overlay.position == confidence.colorbar.position
 
 
-def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_drawn(
+def test_a_mark_of_one_component_is_labelled_on_the_canvas_and_drawn_with_double_arrows(
     pulling_beside, settle
 ):
     person, widget = pulling_beside
@@ -363,15 +373,15 @@ def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_draw
     settle(widget)
     steps = by_name(person.viewer, "Motion").data[:, 1]
     longest = steps[np.abs(steps).sum(axis=1) > 1]
-    assert len(longest), "double arrows"
-    assert not longest[:, 0].any(), "to the sides alone"
+    assert len(longest), "there are no double arrows"
+    assert not longest[:, 0].any(), "a double arrow is not horizontal"
     fields.components.value = "both"
     assert text.text == "Hold"
     widget.clear()
     person.paint((20, 20), (20, 40))
     person.key(Qt.Key.Key_Escape)
     settle(widget)
-    assert by_name(person.viewer, "Motion").data[:, 1].all(), "crosses"
+    assert by_name(person.viewer, "Motion").data[:, 1].all(), "there are no crosses"
 
 
 def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing_beside, settle):
@@ -396,7 +406,7 @@ def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing_beside,
     assert "Confidence" not in layers
 
 
-def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing_beside, settle):
+def test_the_confidence_layer_moves_with_the_tissue(brushing_beside, settle):
     person, widget = brushing_beside
     person.key(CONFIDENCE)
     widget.fields.stroke_confidence.value, widget.fields.softness.value = 0.6, 0.0
@@ -409,10 +419,12 @@ def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing_beside, settl
     settle(widget)
     assert by_name(person.viewer, "Confidence") is layer
     assert layer.data[40, 42] == pytest.approx(0.6)
-    assert set(np.unique(layer.data)) == {0, np.float32(0.6), 1}, "nothing in between is made up"
+    assert set(np.unique(layer.data)) == {0, np.float32(0.6), 1}, (
+        "confidence values were interpolated"
+    )
 
 
-def test_paint_is_seen_where_all_of_the_motion_has_led_it_and_hidden_with_less(
+def test_paint_is_displayed_at_full_motion_and_hidden_at_a_part_of_the_motion(
     brushing_beside, settle
 ):
     person, widget = brushing_beside
@@ -430,15 +442,21 @@ def test_paint_is_seen_where_all_of_the_motion_has_led_it_and_hidden_with_less(
     person.key(PIN)
     person.paint((12, 20), (12, 26))
     settle(widget)
-    assert [layers[each.name].visible for each in paint] == [True, True], "a new result"
+    assert [layers[each.name].visible for each in paint] == [True, True], (
+        "a new result hides the paint"
+    )
     layers["Confidence"].visible = False
     for percent in (50, 100):
         widget.percent = percent
         settle(widget)
-    assert [each.visible for each in paint] == [True, False], "as somebody wants it"
+    assert [each.visible for each in paint] == [True, False], (
+        "the user's choice of visibility was changed"
+    )
 
 
-def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_beside, settle):
+def test_the_confidence_layer_belongs_to_a_slice_and_is_removed_with_image_or_dock(
+    open_beside, settle
+):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
     person, widget = open_beside(stack)
     viewer = person.viewer
@@ -454,7 +472,7 @@ def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_be
     assert layer.data_to_world((0, 0, 0))[0] == 1
     viewer.dims.set_current_step(0, 2)
     settle(widget)
-    assert "Confidence" not in viewer.layers, "here none is painted"
+    assert "Confidence" not in viewer.layers, "the confidence of another slice is displayed"
     viewer.dims.set_current_step(0, 1)
     settle(widget)
     assert "Confidence" in viewer.layers
@@ -463,7 +481,7 @@ def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_be
     assert "Confidence" not in viewer.layers
 
 
-def test_confidence_is_no_input_and_is_hidden_while_the_image_is_seen_as_it_was(
+def test_the_confidence_layer_is_not_offered_as_input_and_is_hidden_before_motion(
     brushing_beside, settle
 ):
     person, widget = brushing_beside
@@ -487,20 +505,20 @@ def test_confidence_is_no_input_and_is_hidden_while_the_image_is_seen_as_it_was(
     assert by_name(person.viewer, "Confidence").visible
 
 
-def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing_beside, settle):
+def test_tissue_is_painted_with_presets_if_there_is_no_table(brushing_beside, settle):
     person, widget = brushing_beside
     before = displacement(widget)[44, 14, 1]
     person.key(MATERIAL)
-    assert 0 in widget.fields.material.choices, "what is cut away is no tissue"
+    assert 0 in widget.fields.material.choices, "void is not offered"
     material = widget.fields.material.native
     said = [material.itemText(at) for at in range(material.count())]
     assert said[-1] == "bone or implant (rigid)"
-    assert material.currentText() == "tumour (40)", "rigid is no first guess"
+    assert material.currentText() == "tumour (40)", "rigid tissue is the default"
     widget.fields.material.value = 0
     person.paint((30, 22), (36, 22), (42, 22), (48, 22), (54, 22))
     settle(widget)
     after = displacement(widget)
-    assert after[44, 14, 1] < 0.8 * before, "a gap passes nothing on"
+    assert after[44, 14, 1] < 0.8 * before, "the gap transmits motion"
     assert not after[44, 22].any()
     assert widget.study_model.next_undo.word == "painted tissue"
     person.key(Qt.Key.Key_Z, CTRL)
@@ -508,7 +526,7 @@ def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing_bes
     assert displacement(widget)[44, 14, 1] == pytest.approx(before, abs=0.02)
 
 
-def test_tissue_is_painted_from_the_table_of_its_layer(open_beside, settle):
+def test_tissue_is_painted_with_the_table_of_its_layer(open_beside, settle):
     person, widget = open_beside()
     labels = np.ones((64, 64), np.uint8)
     materials = (Material(1, "gel", 1.0), Material(7, "bone", 1000.0))
@@ -525,17 +543,19 @@ def test_tissue_is_painted_from_the_table_of_its_layer(open_beside, settle):
     widget.drawing = Drawing((*widget.drawing.marks, Arrow((32, 20), (0, 4), 3.0)))
     settle(widget)
     moved = displacement(widget)
-    assert moved[32, 42, 1] > 3.5, "a bone moves as a whole"
-    assert (by_name(person.viewer, "T").data == 1).all(), "the layer itself is as it was"
+    assert moved[32, 42, 1] > 3.5, "a stiff inclusion is deformed"
+    assert (by_name(person.viewer, "T").data == 1).all(), "the layer of labels changed"
     material.value = 1
-    assert widget.drawing.marks[0].label == 7, "that is for what is painted next"
+    assert widget.drawing.marks[0].label == 7, "the menu changed the label of an earlier stroke"
     person.pick(32, 44)
     assert material.value == 7
     material.value = 1
-    assert widget.drawing.marks[0].label == 1, "of what was picked up it is changed"
+    assert widget.drawing.marks[0].label == 1, (
+        "the menu did not change the label of the selected stroke"
+    )
 
 
-def test_a_drag_is_a_landmark_and_escape_gives_one_up(pulling, settle):
+def test_a_drag_makes_a_landmark_and_escape_cancels_it(pulling, settle):
     person, widget = pulling
     person.key(LANDMARK)
     person.press(30, 30)
@@ -549,12 +569,14 @@ def test_a_drag_is_a_landmark_and_escape_gives_one_up(pulling, settle):
     assert isinstance(mark, Landmark)
     assert displacement(widget)[30, 30] == pytest.approx((4, 2), abs=0.6)
     person.paint((34, 32), (36, 32))
-    assert only(widget).target == pytest.approx((36, 32), abs=0.6), "its head is taken up again"
+    assert only(widget).target == pytest.approx((36, 32), abs=0.6), (
+        "the head of the landmark was not dragged"
+    )
     person.key(Qt.Key.Key_Delete)
     assert not widget.drawing.marks
 
 
-def test_a_click_is_a_landmark_that_holds_and_says_so(pulling_beside, settle):
+def test_a_click_makes_a_fixed_landmark_with_a_message(pulling_beside, settle):
     person, widget = pulling_beside
     person.key(LANDMARK)
     assert "or click what stays there" in widget.status
@@ -562,16 +584,16 @@ def test_a_click_is_a_landmark_that_holds_and_says_so(pulling_beside, settle):
     assert only(widget).source == only(widget).target == (30, 30)
     assert widget.status == NO_WAY
     person.drag((30, 30), (30, 34))
-    assert only(widget).target == (30, 34), "it is dragged to where it should be"
+    assert only(widget).target == (30, 34), "the landmark was not dragged to its target"
     assert widget.status != NO_WAY
     settle(widget)
     person.drag((50, 50), (50, 50))
-    assert widget.status == NO_WAY, "of tissue that has moved, too"
+    assert widget.status == NO_WAY, "there is no message for moved tissue"
     person.drag((30, 34), (30, 34))
-    assert widget.status != NO_WAY, "an old one leads where it did"
+    assert widget.status != NO_WAY, "a click on an old landmark shows a message"
 
 
-def test_points_are_landmarks_beside_those_that_are_drawn(pulling_beside, settle):
+def test_points_are_added_as_landmarks_to_drawn_landmarks(pulling_beside, settle):
     person, widget = pulling_beside
     viewer = person.viewer
     person.key(LANDMARK)
@@ -591,26 +613,26 @@ def test_points_are_landmarks_beside_those_that_are_drawn(pulling_beside, settle
     widget.take_landmarks(where, should)
     settle(widget)
     assert displacement(widget)[30, 30] == pytest.approx((4, 0), abs=0.02)
-    assert len(widget.drawing.marks) == 3, "those that were taken before are replaced"
+    assert len(widget.drawing.marks) == 3, "earlier landmarks of the same points were not replaced"
 
 
-def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling_beside, settle):
+def test_a_first_stroke_has_an_effect_or_shows_a_message(pulling_beside, settle):
     person, widget = pulling_beside
     fields = widget.fields
     person.key(EXPAND)
-    assert fields.amount.value == 1.3, "a third of the radius"
+    assert fields.amount.value == 1.3, "the default amount is not a third of the radius"
     person.key(MOVE)
     person.paint((30, 28), (30, 34))
     assert "Now drag it to where it goes" in widget.status
     fields.by_col.value = 3
     assert fields.words == "Push 3 right"
     settle(widget)
-    assert displacement(widget)[30, 31] == pytest.approx((0, 3), abs=0.02), "as it is told now"
+    assert displacement(widget)[30, 31] == pytest.approx((0, 3), abs=0.02), (
+        "the region does not move by the displayed amount"
+    )
 
 
-def test_the_stiffness_that_is_read_is_that_of_the_tissue_that_was_brushed(
-    widget, small_sample, settle
-):
+def test_the_status_bar_shows_the_stiffness_of_painted_tissue(widget, small_sample, settle):
     small_sample(widget._viewer, (48, 64))
     widget.model, widget.live = "elastic", True
     settle(widget)
@@ -626,7 +648,7 @@ def test_the_stiffness_that_is_read_is_that_of_the_tissue_that_was_brushed(
         assert "stiffness" in line
 
 
-def test_undo_and_redo_go_through_all_tools(pulling, settle):
+def test_undo_and_redo_apply_to_all_tools(pulling, settle):
     person, widget = pulling
     widget.fields.radius.value = 3.0
     states = [widget.drawing]
@@ -657,11 +679,11 @@ def test_undo_and_redo_go_through_all_tools(pulling, settle):
     settle(widget)
     widget.clear()
     settle(widget)
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
     assert not by_name(person.viewer, "Motion").data.any()
 
 
-def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing_beside, settle):
+def test_a_stroke_is_picked_changed_and_removed(brushing_beside, settle):
     person, widget = brushing_beside
     person.key(MOVE)
     widget.fields.by_row.value = -4.0
@@ -670,7 +692,7 @@ def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing_beside
     person.key(Qt.Key.Key_G)
     widget.fields.by_row.value = 1.0
     person.pick(16, 22)
-    assert widget.tool == "move", "it is found where it has gone"
+    assert widget.tool == "move", "the stroke was not found at its target"
     assert widget.fields.by_row.value == -4.0
     assert "Delete removes it" in widget.status
     person.key(Qt.Key.Key_Delete)
@@ -679,7 +701,7 @@ def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing_beside
     assert "Nothing is drawn there" in widget.status
 
 
-def test_keys_change_the_size_of_the_brush(pulling_beside):
+def test_keys_change_the_radius_of_the_brush(pulling_beside):
     person, widget = pulling_beside
     person.key(PIN)
     widget.fields.radius.value = 4.0
@@ -690,7 +712,9 @@ def test_keys_change_the_size_of_the_brush(pulling_beside):
     assert widget.fields.radius.value == 4.0
 
 
-def test_any_tool_has_the_mouse_and_the_keys_and_shows_its_fields(pulling_beside, monkeypatch):
+def test_a_registered_tool_receives_mouse_and_keys_and_shows_its_fields(
+    pulling_beside, monkeypatch
+):
     person, widget = pulling_beside
     monkeypatch.setitem(BY_NAME, Notes.name, Notes)
     layer, before = by_name(person.viewer, "Motion"), widget.drawing
@@ -712,7 +736,7 @@ def test_any_tool_has_the_mouse_and_the_keys_and_shows_its_fields(pulling_beside
     assert layer.cursor == "circle"
 
 
-def test_the_circle_of_a_tool_leaves_napari_s_own_modes_alone(pulling_beside):
+def test_the_cursor_of_a_tool_is_not_set_in_other_modes_of_napari(pulling_beside):
     person, widget = pulling_beside
     layer = by_name(person.viewer, "Motion")
     layer.mode = "transform"
@@ -725,7 +749,7 @@ def test_the_circle_of_a_tool_leaves_napari_s_own_modes_alone(pulling_beside):
     assert (layer.cursor, layer.cursor_size) == ("circle", pytest.approx(14.0))
 
 
-def test_escape_gives_a_stroke_up(brushing_beside, settle):
+def test_escape_cancels_a_stroke(brushing_beside, settle):
     person, widget = brushing_beside
     before = widget.drawing
     person.key(PIN)
@@ -736,10 +760,10 @@ def test_escape_gives_a_stroke_up(brushing_beside, settle):
     person.release(20, 40)
     settle(widget)
     assert (widget.drawing, widget.status) == (before, "Cancelled; everything is as before.")
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
 
 
-def test_another_slice_in_mid_stroke_ends_it_there(open_beside, settle):
+def test_changing_the_slice_during_a_stroke_ends_the_stroke(open_beside, settle):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
     person, widget = open_beside(stack)
     viewer = person.viewer
@@ -754,15 +778,15 @@ def test_another_slice_in_mid_stroke_ends_it_there(open_beside, settle):
     person.release(30, 30)
     settle(widget)
     assert not widget.drawing.marks
-    assert not seen_paint(person).any()
+    assert not displayed_paint(person).any()
     viewer.dims.set_current_step(0, 1)
     settle(widget)
     assert only(widget).lines[0][-1] == pytest.approx((24, 30), abs=0.6)
-    assert seen_paint(person).shape == (1, 48, 64)
-    assert seen_paint(person)[0, 22, 30] == number_of("pin")
+    assert displayed_paint(person).shape == (1, 48, 64)
+    assert displayed_paint(person)[0, 22, 30] == number_of("pin")
 
 
-def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle):
+def test_removing_or_renaming_result_layers_does_not_interrupt_a_stroke(brushing, settle):
     person, widget = brushing
     person.key(PIN)
     image, arrows = by_name(person.viewer, "MR"), by_name(person.viewer, "Motion")
@@ -781,15 +805,13 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle)
         person.release(row, 30)
         settle(widget)
         assert widget.drawing.marks[number].lines[0][-1] == pytest.approx((row, 30), abs=0.6), gone
-        assert seen_paint(person)[row, 25] == number_of("pin"), gone
+        assert displayed_paint(person)[row, 25] == number_of("pin"), gone
 
 
 @pytest.mark.parametrize(
     ("gone", "said"), [("Motion", "The layer 'Motion' is gone"), ("MR", "'MR' is gone")]
 )
-def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(
-    brushing_beside, at_rest, gone, said
-):
+def test_removing_the_motion_layer_or_the_image_ends_a_stroke(brushing_beside, at_rest, gone, said):
     person, widget = brushing_beside
     person.key(PIN)
     person.press(20, 20)
@@ -803,7 +825,7 @@ def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(
     assert not person.viewer.canvas.overlays.text.visible
 
 
-def test_two_viewers_have_tools_of_their_own(open_beside, settle):
+def test_two_viewers_have_separate_tools(open_beside, settle):
     one, mine = open_beside()
     other, its = open_beside()
     for widget in (mine, its):
@@ -821,7 +843,7 @@ def test_two_viewers_have_tools_of_their_own(open_beside, settle):
     assert "Motion, painted" not in other.viewer.layers
 
 
-def test_a_closed_dock_takes_its_paint_and_its_words_along(unstyled, make_napari_viewer, settle):
+def test_closing_the_dock_removes_its_paint_and_its_text(unstyled, make_napari_viewer, settle):
     viewer = make_napari_viewer()
     viewer.add_image(np.full((64, 64), 100, np.uint8), name="MR")
     person, widget = Touch(viewer), dock_in(viewer)
@@ -838,10 +860,10 @@ def test_a_closed_dock_takes_its_paint_and_its_words_along(unstyled, make_napari
     again = SoftTissue(person.viewer)
     window.add_dock_widget(again.native, name="Soft tissue")
     settle(again)
-    assert len(again.drawing.marks) == 2, "what was drawn stays"
+    assert len(again.drawing.marks) == 2, "the drawing was lost"
 
 
-def test_text_of_others_on_the_canvas_stays(open_beside):
+def test_text_of_another_plugin_on_the_canvas_is_not_changed(open_beside):
     person, widget = open_beside()
     text = person.viewer.canvas.overlays.text
     text.text, text.visible = "patient 7", True
@@ -851,7 +873,7 @@ def test_text_of_others_on_the_canvas_stays(open_beside):
     assert text.visible
 
 
-def test_scripts_paint_without_a_mouse(open_beside, settle):
+def test_a_script_paints_without_a_mouse(open_beside, settle):
     person, widget = open_beside()
     assert widget.start()
     widget.tool = "pin"
@@ -868,9 +890,7 @@ def test_scripts_paint_without_a_mouse(open_beside, settle):
     assert Drawing.from_dict(kept) == widget.drawing
 
 
-def test_the_presets_offer_their_tissues_and_the_first_is_what_is_not_painted(
-    brushing_beside, settle
-):
+def test_presets_offer_their_tissues_and_unpainted_tissue_is_the_first(brushing_beside, settle):
     person, widget = brushing_beside
     person.key(MATERIAL)
     fields = widget.fields
@@ -885,10 +905,12 @@ def test_the_presets_offer_their_tissues_and_the_first_is_what_is_not_painted(
     fields.material.value = fields.preset.value.materials[0].label
     person.paint((20, 20), (30, 20))
     settle(widget)
-    assert displacement(widget) == pytest.approx(before, abs=0.02), "it was that already"
+    assert displacement(widget) == pytest.approx(before, abs=0.02), (
+        "painting the tissue of the unpainted sites changed the displacement"
+    )
 
 
-def test_a_radius_that_is_typed_is_one_step(pulling_beside, settle):
+def test_a_typed_radius_is_one_undo_step(pulling_beside, settle):
     person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
     settle(widget)
@@ -904,7 +926,7 @@ def test_a_radius_that_is_typed_is_one_step(pulling_beside, settle):
     assert widget.study_model.next_undo.word == "drew an arrow"
 
 
-def test_the_brush_of_tissue_begins_with_one_that_is_tissue(open_beside, settle):
+def test_the_tissue_brush_starts_with_a_label_of_tissue(open_beside, settle):
     person, widget = open_beside()
     labels = person.viewer.add_labels(np.ones((64, 64), np.uint8), name="T")
     rows = (Material(0, "x", 1.0), Material(1, "gel", 2.0), Material(2, "air", 0.0))

@@ -1,4 +1,4 @@
-"""Drawing with a pointer, without a window: what is taken hold of, how it looks, what it moves."""
+"""Tests of the *Pull* tool without a window: drags, arrows and the resulting problem."""
 
 import threading
 from dataclasses import replace
@@ -40,7 +40,7 @@ def pull(model):
 
 @pytest.fixture
 def drag(pull, model):
-    """Drag the tool; return the name of the undo step, or "" if there is none."""
+    """Return a function that drags the tool and returns the undo step, or "" if there is none."""
 
     def done(*points, reach=1.0, settings=GRIP, **options):
         before = model.next_undo
@@ -61,38 +61,38 @@ def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(drag, model):
     assert not model.drawing.marks
 
 
-def test_a_click_holds_tissue_where_it_is_seen(drag, model):
+def test_a_click_pins_tissue_at_its_displayed_position(drag, model):
     settings = {**GRIP, "confidence": 0.5}
     assert drag((10, 10), settings=settings, origin=lambda _: (8.0, 11.0)) == "drew an arrow"
     assert model.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
 
 
-def test_what_is_no_tissue_is_not_taken_hold_of(pull, model):
+def test_void_is_not_pulled(pull, model):
     assert pull.press((10, 10), 1, GRIP, lambda _: None) == NOTHING
     assert not pull.is_dragging
     pull.move((12, 12))
     assert (pull.release(), model.drawing.marks, model.next_undo) == (None, (), None)
 
 
-def test_an_arrow_is_changed_by_its_head_or_its_base_wherever_it_was_taken(drag, model):
+def test_an_arrow_is_dragged_by_its_head_or_its_base_within_reach(drag, model):
     drag((10, 10), (14, 12))
-    drag((14.5, 12), (16.5, 13))  # beside its head, by half a pixel
+    drag((14.5, 12), (16.5, 13))  # Half a pixel beside the head.
     assert model.drawing.marks == (Arrow((10, 10), (6, 6), 3.0),)
     drag((10, 10), (11, 10))
-    assert model.drawing.marks == (Arrow((11, 10), (5, 6), 3.0),), "the head stays"
+    assert model.drawing.marks == (Arrow((11, 10), (5, 6), 3.0),), "the head moved with the base"
     assert model.undo().word == "moved an arrow"
     assert model.undo().word == "moved an arrow"
     assert model.undo().word == "drew an arrow"
 
 
-def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(drag, pull, model):
+def test_a_click_on_an_arrow_adds_no_undo_step(drag, pull, model):
     drag((10, 10), (14, 12))
     assert drag((14, 12)) == ""
     assert pull.selected == 0
     assert model.next_undo.word == "drew an arrow"
 
 
-def test_an_arrow_of_one_component_stays_on_its_line(drag, pull, model):
+def test_an_arrow_of_one_component_stays_on_its_axis(drag, pull, model):
     drag((10, 10), (14, 13), settings={**GRIP, "components": "row"})
     assert model.drawing.marks[0].by == (4, 0)
     pull.change({**GRIP, "components": "col"})
@@ -107,16 +107,16 @@ def test_the_selected_arrow_is_changed_and_removed(drag, pull, model):
     assert model.drawing.marks[1] == Arrow((20, 20), (1, 2), 5.0, 0.25)
     before = model.next_undo
     pull.change(pull.mark_settings)
-    assert model.next_undo is before, "that makes no difference"
+    assert model.next_undo is before, "an unchanged setting added an undo step"
     assert pull.remove()
     assert len(model.drawing.marks) == 1
     assert pull.selected is None
     assert not pull.remove()
     model.undo()
-    assert pull.selected is None, "what comes back is not selected"
+    assert pull.selected is None, "a restored arrow is selected"
 
 
-def test_a_cancelled_drag_leaves_nothing(drag, pull, model):
+def test_a_cancelled_drag_leaves_no_mark(drag, pull, model):
     drag((10, 10), (14, 12))
     before = model.drawing
     pull.press((20, 20), 1, GRIP)
@@ -135,7 +135,7 @@ def test_a_landmark_is_moved_by_either_end(drag, model):
     assert model.drawing.marks == (Landmark((4, 4), (9, 9), 2),)
 
 
-def test_what_is_seen_at_a_point_is_found_where_it_came_from():
+def test_the_origin_of_displayed_tissue_is_found():
     rows, cols = np.indices((40, 30)).astype(np.float32)
     field = np.stack([3 * np.sin(cols / 8), 0.2 * rows], axis=-1)
     tissue = np.ones((40, 30), bool)
@@ -148,10 +148,10 @@ def test_what_is_seen_at_a_point_is_found_where_it_came_from():
     assert inverse_point((500.0, 28.0), field, SPACING, tissue) is None
 
 
-# How it looks
+# Appearance
 
 
-def test_an_arrow_is_drawn_from_where_tissue_was_to_where_it_goes():
+def test_an_arrow_is_drawn_from_the_origin_to_the_target_of_tissue():
     drawing = Drawing((Arrow((10, 10), (4, 6), 3.0), Arrow((30, 30), (0, 0), 2.0, 0.5)))
     lines, colours = arrow_lines(drawing, SPACING, selected=1)
     ends = lines[:, 0] + lines[:, 1]
@@ -165,19 +165,21 @@ def test_an_arrow_is_drawn_from_where_tissue_was_to_where_it_goes():
 
 @pytest.mark.parametrize(("components", "axis"), [("row", 0), ("col", 1)])
 @pytest.mark.parametrize("by", [(0, 0), (3, 4)])
-def test_an_arrow_of_one_component_has_a_double_arrow_along_that_at_its_head(components, axis, by):
+def test_an_arrow_of_one_component_has_a_double_arrow_at_its_head(components, axis, by):
     arrow = Arrow((10, 20), by, 2.0, components=components)
     plain = arrow_lines(Drawing((replace(arrow, components="both"),)), SPACING)[0]
     lines = arrow_lines(Drawing((arrow,)), SPACING)[0]
     added = [line for line in lines.tolist() if line not in plain.tolist()]
     shaft, *barbs = np.array(added) * SPACING
     head = np.array(arrow.head(SPACING)) * SPACING
-    assert shaft[1, 1 - axis] == 0, "along one direction only"
-    assert shaft[1, axis] > 2 * arrow.radius, "seen beyond the patch"
+    assert shaft[1, 1 - axis] == 0, "the double arrow is not parallel to its axis"
+    assert shaft[1, axis] > 2 * arrow.radius, "the double arrow does not extend beyond the patch"
     assert shaft[0] + shaft[1] / 2 == pytest.approx(head)
-    assert len(barbs) == 4, "it points both ways"
+    assert len(barbs) == 4, "the double arrow does not have two heads"
     held = not any(by)
-    assert len(lines) == len(plain) + 5 - (2 if held else 0), "in place of a cross"
+    assert len(lines) == len(plain) + 5 - (2 if held else 0), (
+        "a fixed arrow has both a cross and a double arrow"
+    )
 
 
 def test_arrows_lie_on_their_slice():
@@ -187,7 +189,7 @@ def test_arrows_lie_on_their_slice():
     assert tuple(made.attributes["scale"]) == (5, 2, 2)
 
 
-# What it moves
+# The problem
 
 
 def disc(shape=(40, 40), radius=12):
@@ -196,7 +198,7 @@ def disc(shape=(40, 40), radius=12):
     return inside, (inside * 180 + 10 + (rows + cols) % 7).astype(np.uint8)
 
 
-def test_without_a_tissue_layer_what_is_not_background_is_tissue_and_its_edge_is_held():
+def test_without_a_tissue_layer_the_foreground_is_tissue_with_a_fixed_edge():
     inside, picture = disc()
     ground = read_ground(Image(picture, scale=(2, 2), name="MR"))
     assert (ground.stiffness[inside] == 1).all()
@@ -212,7 +214,7 @@ def test_without_a_tissue_layer_what_is_not_background_is_tissue_and_its_edge_is
     assert not free.base.confidence.any()
 
 
-def test_what_is_painted_to_hold_or_move_lies_under_the_drawing():
+def test_a_painted_boundary_is_combined_with_the_drawing():
     _, picture = disc()
     labels = np.zeros((40, 40), np.uint8)
     labels[18:22, 18:22] = 2
@@ -225,7 +227,7 @@ def test_what_is_painted_to_hold_or_move_lies_under_the_drawing():
 
 
 @pytest.mark.parametrize("shape", [(24, 30), (14, 16, 18)])
-def test_what_is_painted_as_held_is_held_but_where_it_is_drawn_over_which_is_said(shape):
+def test_painted_fixed_tissue_under_a_pulled_patch_moves_and_causes_a_note(shape):
     labels = np.zeros(shape, np.uint8)
     labels[..., :3] = 1
     middle = tuple(size // 2 for size in shape[:-1])
@@ -241,11 +243,13 @@ def test_what_is_painted_as_held_is_held_but_where_it_is_drawn_over_which_is_sai
         return np.abs(solve_study(study).displacement).max(axis=-1), said
 
     far, said = moved(8)
-    assert not far[labels == 1].any(), "exactly"
+    assert not far[labels == 1].any(), "fixed tissue outside the patch moves"
     assert not said
     near, said = moved(4)
     over = near[labels == 1] > 0
-    assert 0 < over.sum() < (16 if len(shape) == 2 else 64), "what lies under the patch goes along"
+    assert 0 < over.sum() < (16 if len(shape) == 2 else 64), (
+        "fixed tissue under the patch does not move"
+    )
     assert len(said) == 1
 
 
@@ -255,7 +259,7 @@ def test_a_photograph_has_no_background():
     assert (read_ground(Image(photograph, rgb=True)).stiffness == 1).all()
 
 
-def test_a_tissue_layer_says_how_stiff_what_is():
+def test_a_tissue_layer_sets_the_stiffness():
     inside, picture = disc()
     materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0, 0.3))
     labels = Labels(inside.astype(np.uint8), metadata=layer_metadata(TISSUE, materials, "kPa"))
@@ -273,7 +277,7 @@ def test_a_tissue_layer_says_how_stiff_what_is():
         read_ground(Image(picture), Image(np.where(inside, 3.0, -1.0)))
 
 
-def test_infinite_stiffness_of_an_image_is_rigid_and_a_number_too_large_is_not():
+def test_infinite_stiffness_in_an_image_is_rigid_and_too_large_values_are_refused():
     inside, picture = disc()
     bone = np.where(inside, np.inf, 3.0)
     ground = read_ground(Image(picture), Image(bone, contrast_limits=(0, 3)), hold_edge=False)
@@ -284,7 +288,7 @@ def test_infinite_stiffness_of_an_image_is_rigid_and_a_number_too_large_is_not()
             read_ground(Image(picture), image)
 
 
-def test_rigid_tissue_can_be_painted_where_there_is_no_table():
+def test_rigid_tissue_can_be_painted_without_a_table():
     _, picture = disc()
     ground = read_ground(Image(picture))
     rigid = ground.palette.materials[-1]
@@ -296,10 +300,10 @@ def test_rigid_tissue_can_be_painted_where_there_is_no_table():
     problem, prior = stated.problem, stated.prior
     assert np.array_equal(np.isinf(problem.stiffness), rendering.canvas.labels == rigid.label)
     assert np.isinf(problem.stiffness).sum() > 20
-    assert isinstance(prior.poisson, float), "what is rigid has no ratio of its own"
+    assert isinstance(prior.poisson, float), "rigid tissue has a Poisson's ratio of its own"
 
 
-def test_beside_rigid_tissue_what_is_unsure_is_held_exactly_and_it_is_said():
+def test_uncertain_sites_near_rigid_tissue_are_prescribed_exactly_with_a_note():
     inside, picture = disc()
     bone = Image(np.where(inside, np.inf, 3.0), contrast_limits=(0, 3), name="E")
     ground = read_ground(Image(picture), bone)
@@ -310,7 +314,7 @@ def test_beside_rigid_tissue_what_is_unsure_is_held_exactly_and_it_is_said():
     assert any("beside rigid tissue nothing may slip" in note for note in ground.notes_on(stated))
 
 
-def test_a_piece_of_tissue_that_nobody_holds_stays_where_it_is():
+def test_unconstrained_tissue_is_excluded_and_does_not_move():
     two = np.zeros((20, 40), np.uint8)
     two[5:15, 5:15] = two[5:15, 25:35] = 1
     materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
@@ -328,7 +332,7 @@ def test_a_piece_of_tissue_that_nobody_holds_stays_where_it_is():
     assert unsure.prior.can_slip(unsure.problem)
 
 
-def test_a_doubt_in_one_place_lets_nothing_slip_in_another():
+def test_a_low_confidence_at_one_site_does_not_affect_certain_sites():
     _, picture = disc()
     ground = read_ground(Image(picture))
     rendering = Rendering(ground.base)
@@ -343,11 +347,11 @@ def test_a_doubt_in_one_place_lets_nothing_slip_in_another():
     stated = ground.statement(rendering.canvas)
     problem, prior = stated.problem, stated.prior
     found = solve(problem, prior, optimizer=Multigrid(1e-3)).displacement
-    assert found[26, 20, 0] > -4, "what is hardly sure gives way"
+    assert found[26, 20, 0] > -4, "the tissue follows a landmark of low confidence exactly"
     assert found[14, 20] == pytest.approx((9, 0), abs=1e-4)
 
 
-def test_a_study_is_the_same_until_something_is_painted():
+def test_a_study_is_equal_until_a_layer_is_painted():
     _, picture = disc()
     image, copies = Image(picture), LayerCopies()
 
@@ -357,13 +361,13 @@ def test_a_study_is_the_same_until_something_is_painted():
     one = read()
     assert one.same_as(read())
     image.refresh()
-    assert one.same_as(read()), "it was looked at again, and is the same"
+    assert one.same_as(read()), "a refresh without a change made the study unequal"
     assert not one.same_as(read(hold_edge=True))
     image.data = picture[::-1].copy() // 2
     assert not one.same_as(read())
 
 
-# Handing over
+# Calls from other threads
 
 
 def test_calls_from_other_threads_run_in_order_on_the_gui_thread(qtbot, at_rest):
@@ -384,20 +388,20 @@ def test_calls_from_other_threads_run_in_order_on_the_gui_thread(qtbot, at_rest)
     gui.release()
     gui.submit(partial(call, 51))
     at_rest()
-    assert len(called) == 50, "nothing is called after the release"
+    assert len(called) == 50, "a call after the release was executed"
 
 
-def test_holes_in_tissue_are_free_and_what_lies_in_them_is_held():
+def test_holes_in_tissue_have_free_edges_and_enclosed_tissue_has_a_fixed_edge():
     rows, cols = np.indices((60, 70))
     radius = np.hypot(rows - 30, cols - 30)
-    # A skull, a gap around the brain in it, and a hole in that; a speck beside.
+    # A skull, a gap, the brain with a hole, and a separate speck.
     m = np.where((radius > 25) | ((radius > 6) & (radius < 18)), 1.0, 0.0)
     m[:, 62:] = 0
     m[5, 66] = 1
     ground = read_ground(Image(np.ones(m.shape), name="MR"), Image(m, name="stiffness"))
     held = (ground.base.confidence > 0).all(axis=-1)
-    assert held[radius < 9].sum() == 0, "the hole in the brain"
-    assert held[(radius > 17.4) & (radius < 18)].all(), "the brain's outline"
-    assert not held[(radius > 25) & (radius < 28)].any(), "the skull's inside"
+    assert held[radius < 9].sum() == 0, "the edge of the hole in the brain is fixed"
+    assert held[(radius > 17.4) & (radius < 18)].all(), "the outline of the brain is free"
+    assert not held[(radius > 25) & (radius < 28)].any(), "the inside of the skull is fixed"
     assert held[[0, -1], :62].all()
     assert held[5, 66]

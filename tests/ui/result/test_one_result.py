@@ -1,4 +1,4 @@
-"""Of an image and a slice there is one result, however one came to it: the newest."""
+"""Tests that an image and slice have one result, which is the newest."""
 
 from dataclasses import replace
 
@@ -17,32 +17,32 @@ from tests.support.person import CTRL, Person
 from tests.support.screen import Screen
 from tests.support.windowless import Touch
 
-#: What napari shows of each layer beside the canvas is seen in the tests of single tools.
+#: Omits napari's controls of layers, which the tests of single tools include.
 pytestmark = pytest.mark.usefixtures("unstyled", "without_controls")
 
 
-def told_when(dock):
-    """The dock, elastic, which computes when it is told to."""
+def without_live_mode(dock):
+    """Set the dock to the elastic model on the CPU, without live mode; return the dock."""
     dock.settings = replace(dock.settings, device="cpu")
     dock.live = False
     return dock
 
 
 @pytest.fixture
-def in_window(make_napari_viewer, small_sample, qtbot, at_rest):
-    """A person before a window with a small sample, and the dock."""
+def user_in_window(make_napari_viewer, small_sample, qtbot, at_rest):
+    """Return a simulated user before a window with a small sample, and the dock."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
-    dock = told_when(dock_in(viewer))
+    dock = without_live_mode(dock_in(viewer))
     at_rest()
     return Person(viewer, qtbot), dock
 
 
 @pytest.fixture
-def at_hand(frame, small_sample, at_rest):
-    """A hand at a small sample, and the dock."""
+def pointer_and_dock(frame, small_sample, at_rest):
+    """Return a simulated pointer on a small sample without a window, and the dock."""
     small_sample(frame.viewer, (48, 64))
-    dock = told_when(frame.open())
+    dock = without_live_mode(frame.open())
     at_rest()
     return Touch(frame.viewer), dock
 
@@ -54,20 +54,20 @@ def grab(dock):
 
 
 def drag_a_patch(person, dock, settle):
-    """Grab, drag a patch, and wait for the tissue."""
+    """Activate *Pull*, drag a patch and wait for the result."""
     grab(dock)
     settle(dock)
     person.drag((24, 30), (28, 36))
     settle(dock)
 
 
-def seen(viewer):
-    """The names of the layers that are seen, but for the image."""
+def visible_names(viewer):
+    """Return the names of the visible layers except the image."""
     return {layer.name for layer in viewer.layers if layer.visible} - {"MR"}
 
 
-def pictures(viewer):
-    """The layers that show the image moved, by their names."""
+def deformed_images(viewer):
+    """Return the names of the layers that show the deformed image."""
     return [layer.name for layer in viewer.layers if metadata_of(layer).get("kind") == "image"]
 
 
@@ -75,25 +75,25 @@ DEFORMED = {"MR deformed, elastic", "MR arrows, elastic"}
 
 
 def parts(viewer, kind):
-    """The layers of a kind."""
+    """Return the layers of a kind."""
     return [layer for layer in viewer.layers if metadata_of(layer).get("kind") == kind]
 
 
-def test_what_is_pulled_goes_on_from_what_was_deformed(at_hand, run, settle):
-    person, dock = at_hand
+def test_pulling_continues_from_the_deformed_result(pointer_and_dock, run, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     run(dock)
-    assert seen(viewer) >= DEFORMED
+    assert visible_names(viewer) >= DEFORMED
     grab(dock)
     settle(dock)
-    assert seen(viewer) == {*DEFORMED, "Motion"}, "paint would tint what has moved"
+    assert visible_names(viewer) == {*DEFORMED, "Motion"}, "visible paint tints the result"
     person.drag((24, 30), (28, 36))
     settle(dock)
-    assert seen(viewer) == {*DEFORMED, "Motion"}
+    assert visible_names(viewer) == {*DEFORMED, "Motion"}
 
 
-def test_of_a_pull_and_a_deformation_of_an_image_the_one_made_last_is_seen(in_window, run, settle):
-    person, dock = in_window
+def test_the_newer_of_a_pulled_and_a_deformed_result_is_displayed(user_in_window, run, settle):
+    person, dock = user_in_window
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     picture = viewer.layers["MR deformed, elastic"]
@@ -107,12 +107,12 @@ def test_of_a_pull_and_a_deformation_of_an_image_the_one_made_last_is_seen(in_wi
     assert len(dock.drawing.marks) == 2
     assert np.array_equal(picture.data, dock._pointer.display.moved.image)
     assert not np.array_equal(picture.data, outputs.layers["image"].data)
-    assert parts(viewer, "image") == [picture], "one result takes the place of the other"
+    assert parts(viewer, "image") == [picture], "two results are shown for one image"
     assert len(parts(viewer, "arrows")) == 1
 
 
-def test_choosing_the_layer_goes_on_pulling(at_hand, settle):
-    person, dock = at_hand
+def test_activating_the_motion_layer_activates_the_tool(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     pulled = viewer.layers["MR deformed, elastic"].data.copy()
@@ -123,8 +123,8 @@ def test_choosing_the_layer_goes_on_pulling(at_hand, settle):
     assert np.array_equal(viewer.layers["MR deformed, elastic"].data, pulled)
 
 
-def test_eyes_stay_as_somebody_left_them(at_hand, settle):
-    person, dock = at_hand
+def test_visibility_chosen_by_the_user_is_preserved(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     arrows = viewer.layers["MR arrows, elastic"]
@@ -135,8 +135,8 @@ def test_eyes_stay_as_somebody_left_them(at_hand, settle):
         assert arrows.visible == shown
 
 
-def test_what_was_deformed_is_pulled_on_with_the_value_of_what_is_seen(at_hand, run, settle):
-    person, dock = at_hand
+def test_the_status_bar_reads_the_displayed_result_while_pulling(pointer_and_dock, run, settle):
+    person, dock = pointer_and_dock
     run(dock)
     settle(dock)
     assert dock.at((24.0, 40.0)).displacement[0] == pytest.approx(0, abs=0.05)
@@ -150,23 +150,23 @@ def test_what_was_deformed_is_pulled_on_with_the_value_of_what_is_seen(at_hand, 
 
 
 @pytest.fixture
-def pulled(at_hand, run, settle):
-    """What was deformed, and then pulled, which is seen."""
-    person, dock = at_hand
+def pulled(pointer_and_dock, run, settle):
+    """Return the viewer and the dock after a deformation and a pull."""
+    person, dock = pointer_and_dock
     run(dock)
     drag_a_patch(person, dock, settle)
     return person.viewer, dock
 
 
-def test_what_was_pulled_is_seen_as_it_was_too(pulled):
+def test_a_pulled_image_can_be_shown_before_its_motion(pulled):
     viewer, dock = pulled
     dock.before = True
-    assert seen(viewer) <= {"Motion"}
+    assert visible_names(viewer) <= {"Motion"}
     dock.before = False
     assert viewer.layers["MR deformed, elastic"].visible
 
 
-def test_colours_of_what_was_pulled_are_named_after_the_image(pulled, settle):
+def test_overlays_of_a_pulled_result_are_named_after_the_image(pulled, settle):
     viewer, dock = pulled
     dock.overlay = "squeeze"
     settle(dock)
@@ -174,7 +174,7 @@ def test_colours_of_what_was_pulled_are_named_after_the_image(pulled, settle):
     assert dock.image is viewer.layers["MR"]
 
 
-def test_colours_of_a_result_are_gone_with_it_and_there_for_the_next(pulled, run, settle):
+def test_overlays_are_updated_for_a_new_result_and_removed_if_switched_off(pulled, run, settle):
     viewer, dock = pulled
     dock.overlay = "magnitude"
     settle(dock)
@@ -192,7 +192,7 @@ def test_colours_of_a_result_are_gone_with_it_and_there_for_the_next(pulled, run
 
 
 @pytest.mark.parametrize("name", ["magnitude", "grid", "labels", "stiffness"])
-def test_what_lay_over_a_picture_is_never_seen_over_the_next(pulled, run, settle, name):
+def test_an_overlay_is_never_displayed_over_a_newer_image(pulled, run, settle, name):
     viewer, dock = pulled
     dock.overlay = name
     settle(dock)
@@ -207,13 +207,13 @@ def test_what_lay_over_a_picture_is_never_seen_over_the_next(pulled, run, settle
     assert seen_over_another
     assert not any(seen_over_another)
     assert parts(viewer, name) == [layer]
-    assert layer.visible, "its own has come"
+    assert layer.visible, "the overlay of the new result is not displayed"
 
 
 @pytest.fixture
-def two_images(at_hand, settle):
-    """Two images that were pulled."""
-    person, dock = at_hand
+def two_images(pointer_and_dock, settle):
+    """Return the viewer and the dock with two pulled images."""
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     dock.image = viewer.add_image(viewer.layers["MR"].data // 2, name="CT")
@@ -222,7 +222,7 @@ def two_images(at_hand, settle):
     return viewer, dock
 
 
-def test_a_result_that_is_chosen_has_its_colours_alone(two_images, settle):
+def test_a_selected_result_shows_only_its_own_overlays(two_images, settle):
     viewer, dock = two_images
     for name, kinds in (("MR", ("magnitude", "grid")), ("CT", ("grid", "stiffness")), ("MR", ())):
         viewer.layers.selection.active = viewer.layers[f"{name} arrows, elastic"]
@@ -237,7 +237,7 @@ def test_a_result_that_is_chosen_has_its_colours_alone(two_images, settle):
     assert not any(layer.visible for layer in parts(viewer, "stiffness"))
 
 
-def test_nothing_of_an_image_that_is_deleted_stays(two_images, settle, wait_for):
+def test_removing_an_image_removes_its_result_layers(two_images, settle, wait_for):
     viewer, dock = two_images
     dock.overlay = "magnitude"
     settle(dock)
@@ -248,10 +248,10 @@ def test_nothing_of_an_image_that_is_deleted_stays(two_images, settle, wait_for)
     assert "MR deformed, elastic" in viewer.layers
     viewer.layers.remove("MR")
     wait_for(lambda: "MR deformed, elastic" not in viewer.layers)
-    assert "mine" in viewer.layers, "what somebody has named is theirs"
+    assert "mine" in viewer.layers, "a layer renamed by the user was removed"
 
 
-def test_all_layers_can_be_deleted_at_once(two_images, settle, wait_for):
+def test_all_layers_can_be_removed_at_once(two_images, settle, wait_for):
     viewer, dock = two_images
     dock.overlay = "magnitude"
     settle(dock)
@@ -263,8 +263,10 @@ def test_all_layers_can_be_deleted_at_once(two_images, settle, wait_for):
     assert dock.result is None
 
 
-def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, frame, settle, wait_for):
-    person, dock = at_hand
+def test_a_new_pull_resets_a_partial_motion_to_the_full_motion(
+    pointer_and_dock, frame, settle, wait_for
+):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     dock.percent, dock.overlay = 50, "grid"
@@ -282,41 +284,41 @@ def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, frame, se
     dock.percent = 40
     wait_for(lambda: not dock.busy and metadata_of(picture).get("percent") == 40)
     frame.close(dock)
-    assert np.array_equal(picture.data, whole), "put back"
+    assert np.array_equal(picture.data, whole), "the image of the full motion was not restored"
 
 
-def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
-    person, dock = at_hand
+def test_layers_hidden_by_the_user_remain_hidden(pointer_and_dock, run, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     run(dock)
     viewer.layers["MR arrows, elastic"].visible = False
     drag_a_patch(person, dock, settle)
     dock.rules = (dock.rules[0], BoundaryRule(2, "move", vector=(0.0, 2.0)))
     run(dock)
-    assert seen(viewer) == {"MR deformed, elastic", "Motion"}
+    assert visible_names(viewer) == {"MR deformed, elastic", "Motion"}
 
 
-def test_results_of_another_slice_stay_as_they_are(frame, small_sample, run, settle):
+def test_a_new_result_does_not_change_results_of_other_slices(frame, small_sample, run, settle):
     viewer = frame.viewer
     small_sample(viewer, (3, 20, 24))
-    dock = told_when(frame.open())
+    dock = without_live_mode(frame.open())
     viewer.dims.set_current_step(0, 0)
     run(dock)
-    before = seen(viewer) - {"Boundary", "Tissue"}
+    before = visible_names(viewer) - {"Boundary", "Tissue"}
     viewer.dims.set_current_step(0, 2)
     assert dock.start()
     dock.drawing = Drawing().with_mark(Arrow((10, 12), (2, 2), 3))
     settle(dock)
-    assert seen(viewer) >= before
+    assert visible_names(viewer) >= before
     dock.clear()
     settle(dock)
-    assert seen(viewer) >= before
+    assert visible_names(viewer) >= before
 
 
-def test_the_result_of_the_slice_that_is_shown_is_looked_at(frame, small_sample, run, settle):
+def test_the_result_of_the_displayed_slice_is_selected(frame, small_sample, run, settle):
     viewer = frame.viewer
     small_sample(viewer, (3, 20, 24))
-    dock = told_when(frame.open())
+    dock = without_live_mode(frame.open())
     for number in (0, 2):
         viewer.dims.set_current_step(0, number)
         run(dock)
@@ -326,20 +328,20 @@ def test_the_result_of_the_slice_that_is_shown_is_looked_at(frame, small_sample,
         assert metadata_of(dock.result)["slice"] == f"slice {number}"
 
 
-def test_a_reopened_dock_goes_on_with_the_result_that_is_there(in_window, run):
-    person, first = in_window
+def test_a_reopened_dock_replaces_the_existing_result(user_in_window, run):
+    person, first = user_in_window
     viewer = person.viewer
     run(first)
     viewer.window.remove_dock_widget(first.native)
     for _ in range(2):
-        dock = told_when(dock_in(viewer))
+        dock = without_live_mode(dock_in(viewer))
         run(dock)
-        assert pictures(viewer) == ["MR deformed, elastic"]
+        assert deformed_images(viewer) == ["MR deformed, elastic"]
         viewer.window.remove_dock_widget(dock.native)
 
 
-def test_a_reopened_dock_has_tissue_follow_edits_as_the_closed_one_did(at_hand, frame, run, settle):
-    _, first = at_hand
+def test_a_reopened_dock_restores_live_mode(pointer_and_dock, frame, run, settle):
+    _, first = pointer_and_dock
     viewer = frame.viewer
     run(first)
     frame.close(first)
@@ -350,13 +352,13 @@ def test_a_reopened_dock_has_tissue_follow_edits_as_the_closed_one_did(at_hand, 
     second.rules = (second.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     settle(second)
     assert (viewer.layers["MR deformed, elastic"].data != before).any()
-    assert pictures(viewer) == ["MR deformed, elastic"]
+    assert deformed_images(viewer) == ["MR deformed, elastic"]
 
 
-def test_what_was_edited_while_no_dock_was_open_counts_when_one_is_opened(
-    at_hand, frame, run, settle
+def test_edits_made_without_a_dock_are_applied_when_a_dock_is_opened(
+    pointer_and_dock, frame, run, settle
 ):
-    _, first = at_hand
+    _, first = pointer_and_dock
     run(first)
     assert first.solution.tissue[35, 30]
     frame.close(first)
@@ -366,14 +368,16 @@ def test_what_was_edited_while_no_dock_was_open_counts_when_one_is_opened(
     assert not second.solution.tissue[35, 30]
 
 
-def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(in_window, settle):
-    person, first = in_window
+def test_a_closed_dock_stops_pulling_and_a_new_dock_continues_with_its_layers(
+    user_in_window, settle
+):
+    person, first = user_in_window
     viewer = person.viewer
     drag_a_patch(person, first, settle)
     told = []
     first.deformation_changed.connect(told.append)
     viewer.window.remove_dock_widget(first.native)
-    second = told_when(dock_in(viewer))
+    second = without_live_mode(dock_in(viewer))
     grab(second)
     settle(second)
     assert len(second.drawing.marks) == 1
@@ -382,7 +386,7 @@ def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(in_win
     settle(second)
     assert len(second.drawing.marks) == 2
     assert not told
-    assert pictures(viewer) == ["MR deformed, elastic"]
+    assert deformed_images(viewer) == ["MR deformed, elastic"]
     names = [layer.name for layer in viewer.layers]
     assert len(names) == len({name.partition(" [")[0] for name in names}), names
     person.key(Qt.Key.Key_Z, CTRL)
@@ -390,31 +394,29 @@ def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(in_win
     assert not told
 
 
-def test_a_closed_dock_leaves_no_second_colours(at_hand, frame, run, settle):
-    _, dock = at_hand
+def test_a_closed_dock_leaves_no_duplicate_overlays(pointer_and_dock, frame, run, settle):
+    _, dock = pointer_and_dock
     viewer = frame.viewer
     run(dock)
     for _ in range(2):
         dock.overlay = "magnitude"
         settle(dock)
         frame.close(dock)
-        dock = told_when(frame.open())
+        dock = without_live_mode(frame.open())
         run(dock)
         settle(dock)
-        assert dock.overlay == "magnitude", "the next dock goes on with it"
+        assert dock.overlay == "magnitude", "the new dock did not restore the overlay"
     assert len(parts(viewer, "magnitude")) == 1
     assert np.unique([layer.name for layer in viewer.layers]).size == len(viewer.layers)
     assert not any("[1]" in layer.name for layer in viewer.layers)
 
 
-def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(
-    at_hand, frame, qtbot, at_rest
-):
-    _, first = at_hand
+def test_a_closed_dock_does_not_edit_the_tables_of_layers(pointer_and_dock, frame, qtbot, at_rest):
+    _, first = pointer_and_dock
     boundary = frame.viewer.layers["Boundary"]
     old = first.rules
     frame.close(first)
-    second = told_when(frame.open())
+    second = without_live_mode(frame.open())
     second.rules = (second.rules[0],)
     boundary.data[20:24, 30:34] = 5
     boundary.refresh()
@@ -424,10 +426,10 @@ def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(
     assert rows_of(boundary, BOUNDARY) == second.rules
     rules = second.rules
     frame.close(second)
-    assert told_when(frame.open()).rules == rules
+    assert without_live_mode(frame.open()).rules == rules
 
 
-# What an earlier result leaves behind
+# Layers of earlier results
 
 
 def pull(widget, by):
@@ -436,7 +438,7 @@ def pull(widget, by):
 
 @pytest.fixture
 def folding(widget, small_sample, run):
-    """A result with folds."""
+    """Return the dock with a result that has folds."""
     small_sample(widget._viewer)
     widget.settings = replace(widget.settings, sweeps=60)
     pull(widget, -40.0)
@@ -444,7 +446,7 @@ def folding(widget, small_sample, run):
     return widget
 
 
-def test_folds_are_marked_when_asked_for_and_gone_with_what_folded(folding, run, settle):
+def test_folds_are_marked_on_request_and_cleared_with_a_result_without_folds(folding, run, settle):
     assert "folds" in folding.warning
     assert "MR folds, paper" not in folding._viewer.layers
     Screen(folding).button("⚠  Folds at").click()
@@ -458,7 +460,9 @@ def test_folds_are_marked_when_asked_for_and_gone_with_what_folded(folding, run,
     assert {*map(tuple, np.argwhere(layer.data))} == places
     folding.percent = 0
     settle(folding)
-    assert np.array_equal(layer.data != 0, folded), "before it moves they lie where tissue is"
+    assert np.array_equal(layer.data != 0, folded), (
+        "folds are not marked at the origin of the tissue"
+    )
     folding.percent = 100
     pull(folding, 1.0)
     assert not run(folding).folds
@@ -473,7 +477,7 @@ def test_folds_are_marked_when_asked_for_and_gone_with_what_folded(folding, run,
     assert 0 < layer.data.sum() <= outputs.folds
 
 
-def test_what_is_no_longer_chosen_shows_no_earlier_result(folding, run, settle):
+def test_an_overlay_that_was_switched_off_shows_no_earlier_result(folding, run, settle):
     viewer = folding._viewer
     folding.overlay = "labels"
     settle(folding)
@@ -483,7 +487,7 @@ def test_what_is_no_longer_chosen_shows_no_earlier_result(folding, run, settle):
     folding.overlay = "nothing"
     pull(folding, 1.0)
     run(folding)
-    assert "MR deformed, paper" in seen(viewer)
+    assert "MR deformed, paper" in visible_names(viewer)
     assert not parts(viewer, "labels")
     folding.overlay = "labels"
     settle(folding)
@@ -492,12 +496,12 @@ def test_what_is_no_longer_chosen_shows_no_earlier_result(folding, run, settle):
     assert (labels.data != before).any()
 
 
-# What is said of what is pulled
+# Messages about pulled tissue
 
 
 @pytest.fixture
 def folded(pulling_beside, settle):
-    """Somebody who has pushed tissue through itself."""
+    """Return a simulated user and the dock after a pull that folds the tissue."""
     person, widget = pulling_beside
     widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 30), 4))
     settle(widget)
@@ -505,7 +509,7 @@ def folded(pulling_beside, settle):
     return person, widget
 
 
-def test_a_warning_of_folds_stays_as_long_as_they_are_seen_and_no_longer(folded, settle):
+def test_a_warning_about_folds_is_shown_only_while_the_result_has_folds(folded, settle):
     _, widget = folded
     widget.clear()
     settle(widget)
@@ -513,13 +517,13 @@ def test_a_warning_of_folds_stays_as_long_as_they_are_seen_and_no_longer(folded,
     widget.undo()
     settle(widget)
     assert "folds" in widget.warning
-    assert "Took back" in widget.status
+    assert "Undone" in widget.status
     widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 1), 4))
     settle(widget)
     assert not widget.warning
 
 
-def test_a_dock_that_is_opened_again_says_nothing_of_what_was(folded, settle):
+def test_a_reopened_dock_shows_no_earlier_message(folded, settle):
     touch, widget = folded
     widget.tool = "pin"
     touch.frame.close(widget)
@@ -529,10 +533,10 @@ def test_a_dock_that_is_opened_again_says_nothing_of_what_was(folded, settle):
     screen = Screen(again)
     assert not any(screen.button(tool.title).isChecked() for tool in TOOLS)
     settle(again)
-    assert "folds" in again.warning, "it does again"
+    assert "folds" in again.warning, "the warning about folds is missing after reopening"
 
 
-def test_beside_a_warning_it_is_said_what_was_done(folded, settle):
+def test_the_status_is_shown_besides_a_warning(folded, settle):
     person, widget = folded
     person.press(50, 30)
     person.move(52, 30)
@@ -544,12 +548,12 @@ def test_beside_a_warning_it_is_said_what_was_done(folded, settle):
     assert "folds" in widget.warning
 
 
-def test_what_was_said_is_over_when_the_next_thing_is_done(pulling_beside, settle):
+def test_a_new_action_replaces_the_status(pulling_beside, settle):
     person, widget = pulling_beside
     person.drag((30, 30), (33, 30))
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
-    assert "Took back" in widget.status
+    assert "Undone" in widget.status
     person.drag((30, 30), (33, 30))
     settle(widget)
     assert widget.status.startswith("Drag tissue")
@@ -564,33 +568,33 @@ def test_what_was_said_is_over_when_the_next_thing_is_done(pulling_beside, settl
     assert widget.status.startswith("Drag tissue")
 
 
-def test_pulling_begins_when_it_is_asked_for_on_an_image(frame, small_sample, at_rest):
-    viewer, widget = frame.viewer, told_when(frame.open())
+def test_pulling_starts_only_on_request_and_with_an_image(frame, small_sample, at_rest):
+    viewer, widget = frame.viewer, without_live_mode(frame.open())
     Screen(widget).press("Pull")
     assert "image" in widget.status
     small_sample(viewer)
     at_rest()
-    assert not widget.active, "tissue follows what is painted, and the mouse moves the view"
+    assert not widget.active, "pulling started without a request"
     assert "Motion" not in viewer.layers
 
 
-# What is painted on
+# Painting
 
 
-def test_paint_is_put_on_the_image_as_it_was(at_hand, settle):
-    person, dock = at_hand
+def test_painting_shows_the_image_before_its_motion(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     Screen(dock).click_row("gel")
-    assert not any(viewer.layers[name].visible for name in pictures(viewer))
+    assert not any(viewer.layers[name].visible for name in deformed_images(viewer))
     assert viewer.layers["MR"].visible
     grab(dock)
     settle(dock)
     assert viewer.layers["MR deformed, elastic"].visible
 
 
-def test_nothing_replaces_the_image_as_it_was_while_a_button_is_down(at_hand, settle):
-    person, dock = at_hand
+def test_a_new_result_is_not_displayed_during_a_stroke(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     dock.live = True
@@ -599,27 +603,29 @@ def test_nothing_replaces_the_image_as_it_was_while_a_button_is_down(at_hand, se
     dock.result_drawn.connect(found.append)
     person.press(20, 20)
     person.move(20, 30)
-    settle(dock)  # the tissue has followed, and the mouse is still
-    assert found, "a newer result is there"
+    settle(dock)  # The result is ready and the mouse does not move.
+    assert found, "there is no new result"
     assert dock.before
-    assert not any(viewer.layers[name].visible for name in pictures(viewer))
+    assert not any(viewer.layers[name].visible for name in deformed_images(viewer))
     person.release(20, 30)
     settle(dock)
     assert not dock.before
-    assert viewer.layers["MR deformed, elastic"].visible, "as it has moved"
+    assert viewer.layers["MR deformed, elastic"].visible, (
+        "the moved image is not displayed after the stroke"
+    )
 
 
-def test_a_number_can_be_typed_without_taking_up_a_brush(at_hand, settle):
-    person, dock = at_hand
+def test_clicking_a_cell_to_type_a_number_activates_no_brush(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     drag_a_patch(person, dock, settle)
     Screen(dock).cell("gel", "Stiffness").click()
-    assert dock.active, "the tool stays in the hand"
+    assert dock.active, "the tool was deactivated"
     Screen(dock).click_row("gel")
     assert not dock.active
 
 
-def test_where_the_only_pull_is_taken_back_there_is_no_result(at_hand, settle):
-    person, dock = at_hand
+def test_undo_of_the_only_pull_removes_the_result(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     dock.boundary = dock.tissue = None
     drag_a_patch(person, dock, settle)
     assert dock.at((28, 36)) is not None
@@ -635,7 +641,7 @@ def test_where_the_only_pull_is_taken_back_there_is_no_result(at_hand, settle):
     assert dock.at((28, 36)) is not None
 
 
-def test_undo_goes_to_the_image_that_was_drawn_on(two_images, settle):
+def test_undo_selects_the_image_of_the_undone_drawing(two_images, settle):
     viewer, dock = two_images
     dock.image = viewer.layers["MR"]
     settle(dock)
@@ -644,11 +650,13 @@ def test_undo_goes_to_the_image_that_was_drawn_on(two_images, settle):
     assert dock.image is viewer.layers["CT"]
     assert not dock.drawing.marks
     seen = dock.shown
-    assert seen is None or not seen.motion.drawing.marks, "and what is seen is without it"
+    assert seen is None or not seen.motion.drawing.marks, (
+        "the displayed result includes the undone mark"
+    )
 
 
-def test_undo_in_the_dock_takes_back_paint_that_came_last_as_the_keys_do(at_hand, settle):
-    person, dock = at_hand
+def test_undo_in_the_dock_undoes_paint_if_it_is_the_last_edit(pointer_and_dock, settle):
+    person, dock = pointer_and_dock
     drag_a_patch(person, dock, settle)
     Screen(dock).click_row("gel")
     layer = person.viewer.layers.selection.active
@@ -658,12 +666,12 @@ def test_undo_in_the_dock_takes_back_paint_that_came_last_as_the_keys_do(at_hand
     Screen(dock).press("Undo")
     settle(dock)
     assert (layer.data == before).all()
-    assert dock.drawing.marks, "what was pulled before stays"
+    assert dock.drawing.marks, "undo of paint removed a mark"
     Screen(dock).press("Undo")
     assert not dock.drawing.marks
 
 
-def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(pulling_beside, settle):
+def test_new_layers_to_paint_on_do_not_change_the_result(pulling_beside, settle):
     person, dock = pulling_beside
     person.drag((24, 30), (28, 36))
     settle(dock)
@@ -675,8 +683,8 @@ def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(pulling_beside, 
     assert dock.solution.displacement == pytest.approx(before.displacement, abs=0.01)
 
 
-def test_what_is_drawn_may_change_while_it_is_hidden(at_hand, settle):
-    person, puller = at_hand
+def test_the_drawing_may_change_while_its_layer_is_hidden(pointer_and_dock, settle):
+    person, puller = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, puller, settle)
     puller.tool = "move"
@@ -684,7 +692,9 @@ def test_what_is_drawn_may_change_while_it_is_hidden(at_hand, settle):
     settle(puller)
     drawn = len(viewer.layers["Motion"].data)
     viewer.layers["Motion"].visible = False
-    puller.drawing = Drawing(puller.drawing.marks[1:])  # napari's own code ran out of lines here
+    puller.drawing = Drawing(
+        puller.drawing.marks[1:]
+    )  # With fewer lines than before, code of napari failed here.
     settle(puller)
     assert len(viewer.layers["Motion"].data) < drawn
     puller.drawing = Drawing((Arrow((20, 20), (2, 2), 6.0),))
@@ -694,8 +704,10 @@ def test_what_is_drawn_may_change_while_it_is_hidden(at_hand, settle):
     assert len(arrows.edge_color) == len(arrows.data)
 
 
-def test_nothing_is_said_of_a_point_before_anybody_points(at_hand, run, settle):
-    person, dock = at_hand
+def test_the_status_bar_is_not_changed_without_a_pointer_on_the_canvas(
+    pointer_and_dock, run, settle
+):
+    person, dock = pointer_and_dock
     run(dock)
     settle(dock)
     person.viewer.mouse_over_canvas = False
@@ -703,11 +715,13 @@ def test_nothing_is_said_of_a_point_before_anybody_points(at_hand, run, settle):
     assert person.viewer.status == "Brain"
 
 
-def test_of_many_words_as_many_lines_are_seen_as_there_is_room_for(at_hand):
-    _, dock = at_hand
+def test_a_long_status_is_limited_to_the_available_lines(pointer_and_dock):
+    _, dock = pointer_and_dock
     footer = dock._form.footer
     label = footer._status.native
     for count, seen in ((1, 1), (40, 9), (5, 5)):
         footer.show_status("\n".join(["word"] * count))
         assert round(label.height() / label.fontMetrics().lineSpacing()) == seen
-        assert label.toolTip().count("word") == count, "all of it can be read"
+        assert label.toolTip().count("word") == count, (
+            "the tool tip does not contain the whole status"
+        )

@@ -1,4 +1,4 @@
-"""What else can be made of a result: numbers, files for others, and other layers moved with it."""
+"""Tests of the menu of a result: measurements, exported files and layers moved along."""
 
 import csv
 
@@ -24,7 +24,7 @@ MM = {"units": ("mm", "mm"), "scale": (0.5, 0.8)}
 
 @pytest.fixture
 def result(qtbot, small_sample, run, wait_for):
-    """A dock with a result in a viewer: gel of 20 x 24 pixels, pushed to the right."""
+    """Return a function that makes a dock with a result: 20 x 24 pixels of gel, pushed right."""
 
     def make(**place):
         viewer = ViewerModel()
@@ -41,8 +41,8 @@ def result(qtbot, small_sample, run, wait_for):
 
 
 @pytest.fixture
-def moved(wait_for):
-    """Have layers moved along; the new ones."""
+def move_layers(wait_for):
+    """Return a function that moves layers along with a result and returns the new layers."""
 
     def move(dock, viewer, *layers):
         dock.more.move_along(*layers)
@@ -53,8 +53,8 @@ def moved(wait_for):
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """Answer the question where to save."""
+def set_save_path(monkeypatch):
+    """Return a function that sets the answer of the save dialog."""
 
     def answer(path):
         monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_, **__: (str(path), ""))
@@ -62,10 +62,10 @@ def asked(monkeypatch):
     return answer
 
 
-# Other layers
+# Layers moved along
 
 
-def test_labels_and_channels_move_as_by_warp_and_get_no_new_values(result, moved):
+def test_labels_and_channels_are_warped_without_new_values(result, move_layers):
     dock, viewer = result(**MM)
     rng = np.random.default_rng(0)
     cells = viewer.add_labels(rng.choice([0, 3, 7, 90], (20, 24)), name="cells", **MM)
@@ -73,7 +73,7 @@ def test_labels_and_channels_move_as_by_warp_and_get_no_new_values(result, moved
     colours = viewer.add_image(
         rng.integers(0, 255, (20, 24, 3), dtype=np.uint8), name="H&E", rgb=True, **MM
     )
-    found = moved(dock, viewer, cells, other, colours)
+    found = move_layers(dock, viewer, cells, other, colours)
     d, tissue, spacing = dock.solution.displacement, dock.solution.tissue, (0.5, 0.8)
     for layer, new, order in zip((cells, other, colours), found, (0, 1, 1), strict=True):
         low = 0 if order == 0 or layer.rgb else layer.data.min()
@@ -90,10 +90,10 @@ def test_labels_and_channels_move_as_by_warp_and_get_no_new_values(result, moved
         assert viewer.layers.index(new) == viewer.layers.index(layer) + 1
     assert set(np.unique(found[0].data)) <= {0, 3, 7, 90}
     assert dock.status == "Moved along: 'cells, moved', 'T2, moved', 'H&E, moved'."
-    assert dock.image.name == "MR", "what was moved is not worked on"
+    assert dock.image.name == "MR", "a moved layer was selected as the image"
 
 
-def test_points_and_shapes_go_where_their_tissue_goes(result, moved):
+def test_points_and_shapes_move_with_the_tissue(result, move_layers):
     dock, viewer = result(**MM)
     at = np.array([[9.5, 6.0], [10.0, 20.5], [400.0, 3.0]])
     points = viewer.add_points(at, name="cells", features={"kind": [1, 2, 3]}, **MM)
@@ -107,12 +107,12 @@ def test_points_and_shapes_go_where_their_tissue_goes(result, moved):
         name="regions",
         **MM,
     )
-    new, drawn = moved(dock, viewer, points, shapes)
+    new, drawn = move_layers(dock, viewer, points, shapes)
     d, spacing = dock.solution.displacement, (0.5, 0.8)
     np.testing.assert_allclose(new.data[:2], moved_points(at[:2], d, spacing=spacing))
     np.testing.assert_array_equal(new.data[2], at[2])
     assert new.features["kind"].tolist() == [1, 2, 3]
-    assert new.data[1, 1] > at[1, 1] + 2, "to the right, as the tissue"
+    assert new.data[1, 1] > at[1, 1] + 2, "a point does not move right with the tissue"
     assert drawn.shape_type == ["line", "polygon", "polygon"]
     np.testing.assert_allclose(
         drawn.data[0], moved_points([[5, 5], [12, 20]], d, spacing=spacing), atol=1e-5
@@ -121,7 +121,7 @@ def test_points_and_shapes_go_where_their_tissue_goes(result, moved):
     np.testing.assert_allclose(drawn.data[1][[0, 8]], corners, atol=1e-5)
 
 
-def test_all_of_a_film_moves_and_of_a_volume_the_slice_of_the_result(result, moved):
+def test_all_frames_of_a_film_and_only_one_slice_of_a_volume_are_moved(result, move_layers):
     dock, viewer = result(
         more=(5,), units=("mm",) * 3, scale=(2.0, 0.5, 0.8), axis_labels=("z", "y", "x")
     )
@@ -129,14 +129,14 @@ def test_all_of_a_film_moves_and_of_a_volume_the_slice_of_the_result(result, mov
     volume = viewer.add_labels(
         rng.integers(0, 4, (5, 20, 24)), name="organs", units=("mm",) * 3, scale=(2.0, 0.5, 0.8)
     )
-    finer = viewer.add_image(  # the result's slice is from 3 to 5 mm
+    finer = viewer.add_image(  # The slice of the result extends from 3 to 5 mm.
         rng.random((12, 20, 24)), name="CT", units=("mm",) * 3, scale=(0.8, 0.5, 0.8)
     )
     film = viewer.add_image(rng.random((3, 5, 20, 24)), name="film", units=("s", "mm", "mm", "mm"),
                             scale=(1, 2.0, 0.5, 0.8))  # fmt: skip
     at = np.array([[2.2, 10, 20], [4.0, 10, 20]])
     points = viewer.add_points(at, name="cells", units=("mm",) * 3, scale=(2.0, 0.5, 0.8))
-    found = moved(dock, viewer, volume, finer, film, points)
+    found = move_layers(dock, viewer, volume, finer, film, points)
     solution = dock.solution
     how = {"spacing": solution.spacing, "tissue": solution.tissue}
 
@@ -153,16 +153,16 @@ def test_all_of_a_film_moves_and_of_a_volume_the_slice_of_the_result(result, mov
     np.testing.assert_array_equal(found[3].data[1], at[1])
 
 
-def test_a_stack_of_whose_axis_nothing_is_known_moves_whole(result, moved):
+def test_a_stack_with_an_unknown_axis_is_moved_as_a_whole(result, move_layers):
     dock, viewer = result()
     stack = np.random.default_rng(2).random((3, 2, 20, 24))
     layer = viewer.add_image(stack, name="channels")
-    (new,) = moved(dock, viewer, layer)
+    (new,) = move_layers(dock, viewer, layer)
     assert (new.data != stack).any(axis=(-2, -1)).all()
 
 
-def test_an_image_on_another_grid_moves_as_its_tissue(result, moved):
-    """Twice as fine, turned by a right angle and beyond the image: a blob goes where points go."""
+def test_an_image_on_another_grid_moves_with_the_tissue(result, move_layers):
+    """Move a blob and a point on a grid that is finer, rotated by 90 degrees and larger."""
     dock, viewer = result(**MM)
     rows, cols = np.indices((90, 120))
     turned = {"affine": [[0, 0.3, -3.0], [-0.25, 0, 20.0], [0, 0, 1]], "units": ("mm", "mm")}
@@ -171,7 +171,7 @@ def test_an_image_on_another_grid_moves_as_its_tissue(result, moved):
     layer = viewer.add_image(blob, name="fine", **turned)
     labels = viewer.add_labels((blob > 0.5).astype(int) * 5, name="spot", **turned)
     points = viewer.add_points(at, name="mark", **turned)
-    image, spot, mark = moved(dock, viewer, layer, labels, points)
+    image, spot, mark = move_layers(dock, viewer, layer, labels, points)
     world = np.array(layer.data_to_world(at[0])) / [0.5, 0.8]
     to = moved_points([world], dock.solution.displacement, spacing=(0.5, 0.8))[0] * [0.5, 0.8]
     np.testing.assert_allclose(mark.data_to_world(mark.data[0]), to, atol=1e-6)
@@ -183,21 +183,21 @@ def test_an_image_on_another_grid_moves_as_its_tissue(result, moved):
     np.testing.assert_array_equal(image.data[beside], blob[beside])
 
 
-def test_a_layer_that_lies_on_other_axes_is_refused_by_its_name(result):
+def test_a_layer_with_other_units_is_refused_by_name(result):
     dock, viewer = result(**MM)
     in_pixels = viewer.add_labels(np.ones((20, 24), int), name="cells")
     with pytest.raises(HmrfError, match="'cells' has other units than the result"):
         dock.more.move_along(in_pixels)
 
 
-def test_a_layer_that_is_moved_again_takes_the_place_of_the_first(result, moved, run, wait_for):
+def test_a_layer_moved_again_replaces_the_earlier_layer(result, move_layers, run, wait_for):
     dock, viewer = result()
     cells = viewer.add_labels(np.arange(480).reshape(20, 24), name="cells")
-    (first,) = moved(dock, viewer, cells)
+    (first,) = move_layers(dock, viewer, cells)
     dock.model = "paper"
     run(dock)
     wait_for(lambda: not dock.busy)
-    (second,) = moved(dock, viewer, cells)
+    (second,) = move_layers(dock, viewer, cells)
     assert first not in viewer.layers
     assert (first.data != second.data).any()
 
@@ -213,19 +213,21 @@ def test_the_menu_offers_the_layers_that_can_be_moved(result, wait_for):
     viewer.layers["Tissue"].visible = False
     along.actions()[-1].trigger()
     wait_for(lambda: not dock.busy)
-    assert viewer.layers["Tissue, moved"].visible, "though what it was made of is hidden"
+    assert viewer.layers["Tissue, moved"].visible, "the moved layer is hidden like its source"
     assert {"Tissue, moved", "Boundary, moved", "R&D, moved"} <= {e.name for e in viewer.layers}
 
 
-# Numbers
+# Measurements
 
 
-def test_measurements_are_shown_and_saved_in_the_image_s_unit(result, asked, tmp_path):
+def test_measurements_are_shown_and_saved_in_the_unit_of_the_image(result, set_save_path, tmp_path):
     dock, _ = result(**MM)
-    asked(tmp_path / "table.csv")
+    set_save_path(tmp_path / "table.csv")
     (gel,) = dock.more.measure()
     assert gel == measure(dock.solution, dock.study.tissue.labels, names={1: "gel"})[0]
-    assert gel.largest_displacement == pytest.approx(3.0, abs=0.01), "in mm, as painted"
+    assert gel.largest_displacement == pytest.approx(3.0, abs=0.01), (
+        "the largest displacement, in mm, is not the painted one"
+    )
     screen = Screen(dock)
     screen.entry("More", "Measurements").trigger()
     (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
@@ -250,8 +252,8 @@ def test_measurements_are_shown_and_saved_in_the_image_s_unit(result, asked, tmp
     assert float(row["mean_displacement"]) == gel.mean_displacement
 
 
-def test_in_the_table_what_nobody_sees_is_nothing(result, monkeypatch):
-    """In micrometres: a pixel is 0.5 of them wide."""
+def test_the_table_of_measurements_shows_negligible_values_as_zero(result, monkeypatch):
+    """Use micrometres: a pixel is 0.5 um wide."""
     still = Measurement(1, "gel", 100, 25.0, 3.4e-7, -2e-8, 3.4e-7, 1e-9, 2e-5, folds=3)
     dock, _ = result()
     monkeypatch.setattr(dock.more, "measure", lambda: [still])
@@ -262,7 +264,7 @@ def test_in_the_table_what_nobody_sees_is_nothing(result, monkeypatch):
     assert as_seen(6e-4, (0.5, 2.0)) == 6e-4
 
 
-def test_a_result_from_a_file_is_measured_by_the_labels_that_are_there(result, tmp_path):
+def test_a_result_from_a_file_is_measured_with_the_current_labels(result, tmp_path):
     dock, viewer = result()
     one = dock.more.measure()
     path = str(dock.solution.write(tmp_path / "kept.npz"))
@@ -276,7 +278,7 @@ def test_a_result_from_a_file_is_measured_by_the_labels_that_are_there(result, t
 # Files
 
 
-def test_each_way_of_the_field_is_asked_for_by_its_own_name(result, monkeypatch):
+def test_each_direction_of_the_field_has_its_own_menu_entry_and_file_name(result, monkeypatch):
     dock, _ = result()
     said = []
     answer = lambda *given: (said.append(given[1:3]), ("", ""))[1]  # noqa: E731
@@ -291,11 +293,13 @@ def test_each_way_of_the_field_is_asked_for_by_its_own_name(result, monkeypatch)
 
 
 @pytest.mark.parametrize("ending", [".mha", ".nrrd", ".nii.gz", ".h5"])
-def test_the_field_is_saved_from_the_menu_each_way(result, asked, wait_for, tmp_path, ending):
+def test_the_menu_saves_the_field_in_each_direction(
+    result, set_save_path, wait_for, tmp_path, ending
+):
     pytest.importorskip("SimpleITK")
     dock, _ = result(**MM)
     screen, path = Screen(dock), tmp_path / f"back{ending}"
-    asked(path)
+    set_save_path(path)
     screen.entry("More", "Save field for images").trigger()
     wait_for(lambda: not dock.busy)
     assert dock.status.startswith(f"Saved back{ending}: the backward field, which moves images. ")
@@ -306,7 +310,7 @@ def test_the_field_is_saved_from_the_menu_each_way(result, asked, wait_for, tmp_
     np.testing.assert_allclose(read_field(path).field.backward, back.displacement, atol=1e-5)
     assert f"{back.residual:.2g} px" in dock.status
     path = tmp_path / f"forth{ending}"
-    asked(path)
+    set_save_path(path)
     screen.entry("More", "Save field for points").trigger()
     wait_for(lambda: not dock.busy)
     if ending == ".h5":
@@ -317,7 +321,9 @@ def test_the_field_is_saved_from_the_menu_each_way(result, asked, wait_for, tmp_
     np.testing.assert_allclose(read, solution.displacement, atol=1e-5)
 
 
-def test_where_nothing_can_be_saved_it_is_said_plainly(result, asked, wait_for, tmp_path):
+def test_a_failure_to_save_is_reported_in_a_plain_sentence(
+    result, set_save_path, wait_for, tmp_path
+):
     pytest.importorskip("SimpleITK")
     dock, _ = result(**MM)
     (tmp_path / "folder.mha").mkdir()
@@ -325,16 +331,16 @@ def test_where_nothing_can_be_saved_it_is_said_plainly(result, asked, wait_for, 
         ("gone/a.mha", "its folder does not exist. Create the folder first, or choose another."),
         ("folder.mha", "it is a folder. Give the name of a file."),
     ):
-        asked(tmp_path / name)
+        set_save_path(tmp_path / name)
         Screen(dock).entry("More", "Save field for images").trigger()
         wait_for(lambda: not dock.busy)
         assert dock.status.endswith(f"cannot save the file: {why}")
         assert "Errno" not in dock.status
 
 
-def test_a_film_is_saved_from_the_menu(result, asked, wait_for, tmp_path, monkeypatch):
+def test_the_menu_saves_a_film(result, set_save_path, wait_for, tmp_path, monkeypatch):
     dock, _ = result()
-    asked(tmp_path / "gel.gif")
+    set_save_path(tmp_path / "gel.gif")
     Screen(dock).entry("More", "Save as film").trigger()
     wait_for(lambda: not dock.busy)
     assert dock.status == "Saved gel.gif."
@@ -347,11 +353,13 @@ def test_a_film_is_saved_from_the_menu(result, asked, wait_for, tmp_path, monkey
     assert not (tmp_path / "gel.mp4").exists()
 
 
-def test_what_cannot_be_saved_is_said(result, asked, wait_for, tmp_path, widget):
+def test_an_unsupported_format_or_a_missing_result_is_reported(
+    result, set_save_path, wait_for, tmp_path, widget
+):
     dock, _ = result()
-    asked(tmp_path / "field.txt")
+    set_save_path(tmp_path / "field.txt")
     Screen(dock).entry("More", "Save field for images").trigger()
     wait_for(lambda: not dock.busy)
-    assert dock.status.startswith("field.txt: fields are not written in such a format")
+    assert dock.status.startswith("field.txt: fields cannot be written in this format")
     with pytest.raises(HmrfError, match="There is no result to look at yet"):
         widget.more.measure()

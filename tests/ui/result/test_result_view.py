@@ -1,4 +1,4 @@
-"""What the user sees of a result."""
+"""Tests of the display of a result: slider, overlays, status bar and pictures."""
 
 from dataclasses import replace
 from functools import partial
@@ -37,7 +37,7 @@ def names(viewer):
 
 @pytest.fixture
 def deformed(widget, small_sample, run):
-    """The dock with a result: a block of gel, held left, pushed 3 px right at the right."""
+    """Return the dock with a result: gel fixed at the left and pushed right by 3 px."""
     small_sample(viewer_of(widget))
     widget.settings = replace(widget.settings, sweeps=60)
     run(widget)
@@ -46,14 +46,14 @@ def deformed(widget, small_sample, run):
 
 @pytest.fixture
 def look(deformed, wait_for):
-    """The same, when all of the result is drawn."""
+    """Return the dock with a result after all of its layers are drawn."""
     wait_for(lambda: not deformed.busy)
     return deformed
 
 
 @pytest.fixture
 def set_to(wait_for):
-    """Set what the user can set, and wait until it is seen."""
+    """Return a function that sets attributes of the dock and waits for the update."""
 
     def set_and_wait(look, **choices):
         for name, choice in choices.items():
@@ -64,14 +64,14 @@ def set_to(wait_for):
 
 
 def column_of_edge(layer, row=10):
-    """Where the tissue ends to the right, in labels that have moved."""
+    """Return the last column with tissue, in moved labels."""
     return int(np.flatnonzero(layer.data[row]).max())
 
 
-# Finding a result
+# Selection of a result
 
 
-def test_the_newest_result_is_looked_at_and_the_image_it_came_from(look):
+def test_the_newest_result_and_its_image_are_selected(look):
     viewer = viewer_of(look)
     assert look.result is viewer.layers["MR arrows, paper"]
     assert look.image is viewer.layers["MR"]
@@ -79,7 +79,7 @@ def test_the_newest_result_is_looked_at_and_the_image_it_came_from(look):
     assert "100 %: tissue moved up to 3 px" in look._form.result.how_far.value
 
 
-def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
+def test_a_missing_result_causes_a_hint_and_a_new_result_is_selected(
     widget, small_sample, run, wait_for
 ):
     small_sample(viewer_of(widget))
@@ -96,11 +96,11 @@ def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
     assert look.result is viewer_of(widget).layers["MR arrows, paper"]
     assert look._form.result.slider.enabled
     assert look.status.startswith("Tissue moved up to 3")
-    assert look.overlay == "jacobian", "what was asked for before there was a result is kept"
+    assert look.overlay == "jacobian", "the overlay chosen before the result was lost"
     assert "MR Jacobian (area ratio), paper" in names(viewer_of(widget))
 
 
-def test_a_renamed_image_is_the_one_that_moves(look, set_to):
+def test_the_slider_moves_a_renamed_image(look, set_to):
     viewer = viewer_of(look)
     viewer.layers["MR"].name = "T1"
     viewer.add_image(np.zeros((7, 7)), name="small")
@@ -113,7 +113,7 @@ def test_a_renamed_image_is_the_one_that_moves(look, set_to):
 # The slider
 
 
-def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(look, set_to):
+def test_half_of_the_deformation_warps_the_image_by_half_the_displacement(look, set_to):
     viewer = viewer_of(look)
     solution = metadata_of(look.result)["solution"]
     image, moved = viewer.layers["MR"], viewer.layers["MR deformed, paper"]
@@ -131,21 +131,21 @@ def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(loo
 
 
 def end_of(grid):
-    """The column in which a grid ends to the right."""
+    """Return the last column of a grid."""
     return grid.data.sum(axis=1)[:, 1].max()
 
 
-def test_labels_and_grid_move_along(look, set_to):
+def test_labels_and_grid_move_with_the_slider(look, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="labels")
     labels = viewer.layers["Tissue deformed, paper"]
-    assert column_of_edge(labels) == 24 - 1  # pushed 3 px, to where the image ends
+    assert column_of_edge(labels) == 24 - 1  # Pushed by 3 px to the edge of the image.
     set_to(look, percent=0)
     assert column_of_edge(labels) == 21
     set_to(look, overlay="grid")
-    assert labels not in viewer.layers, "one thing at a time"
+    assert labels not in viewer.layers, "two overlays are displayed"
     grid = viewer.layers["MR grid, paper"]
-    assert end_of(grid) == 21, "as much of it as of the image"
+    assert end_of(grid) == 21, "the grid is not at the position of the slider"
     set_to(look, percent=100)
     assert end_of(grid) == pytest.approx(21 + 3, abs=0.1)
     set_to(look, overlay="nothing", percent=0)
@@ -155,8 +155,8 @@ def test_labels_and_grid_move_along(look, set_to):
     assert end_of(viewer.layers["MR grid, paper"]) == pytest.approx(21 + 3, abs=0.1)
 
 
-def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
-    # A clock that goes on by a tenth of the way whenever it is looked at, however slow the machine.
+def test_playing_moves_back_and_forth_until_it_is_paused(look, wait_for, monkeypatch):
+    # This clock advances by a tenth of the period at each reading, on any machine.
     clock = SimpleNamespace(monotonic=partial(next, count(0.0, 0.1)))
     monkeypatch.setattr("napari_hmrf.ui.result.moving_layers.time", clock)
     monkeypatch.setattr("napari_hmrf.ui.result.moving_layers.SECONDS", 1.0)
@@ -166,7 +166,7 @@ def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeyp
     assert look.playing
     assert look._form.result.play.text == "Pause"
     wait_for(lambda: len(seen) > 8 and min(seen) < 30 and max(seen[seen.index(min(seen)) :]) > 60)
-    assert np.abs(np.diff([100, *seen])).max() <= 12, "it turns round at either end"
+    assert np.abs(np.diff([100, *seen])).max() <= 12, "the percentage jumps"
     look._form.result.play.native.click()
     assert not look.playing
     assert look._form.result.play.text == "Play"
@@ -178,7 +178,7 @@ def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeyp
     )
 
 
-def test_the_slider_in_the_hand_stops_playing(look, wait_for):
+def test_dragging_the_slider_pauses_the_player(look, wait_for):
     look.play()
     wait_for(lambda: look.percent < 100)
     look.percent = 70
@@ -187,7 +187,7 @@ def test_the_slider_in_the_hand_stops_playing(look, wait_for):
     assert look.percent == 70
 
 
-def test_an_image_that_was_not_moved_yet_is_moved_now(look, set_to):
+def test_a_removed_deformed_image_is_made_again_by_the_slider(look, set_to):
     viewer = viewer_of(look)
     whole = viewer.layers["MR deformed, paper"].data.copy()
     viewer.layers.remove("MR deformed, paper")
@@ -197,10 +197,10 @@ def test_an_image_that_was_not_moved_yet_is_moved_now(look, set_to):
     np.testing.assert_array_equal(viewer.layers["MR deformed, paper"].data, whole)
 
 
-def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_for):
+def test_a_slow_computation_does_not_block_the_window(look, busy_thread, wait_for):
     before = viewer_of(look).layers["MR deformed, paper"].data
     for percent in (10, 20, 30, 40):
-        look.percent = percent  # which would never end if it waited for the thread
+        look.percent = percent  # This assignment would block if it waited for the compute thread.
         QApplication.processEvents()
     assert viewer_of(look).layers["MR deformed, paper"].data is before
     assert look.busy
@@ -209,9 +209,7 @@ def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_
     assert metadata_of(viewer_of(look).layers["MR deformed, paper"])["percent"] == 40
 
 
-def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
-    look, run, set_to, wait_for
-):
+def test_a_new_result_is_shown_at_full_motion_and_replaces_the_old_one(look, run, set_to, wait_for):
     set_to(look, percent=50, overlay="magnitude")
     look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     outputs = run(look)
@@ -228,7 +226,7 @@ def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
 # Before and after
 
 
-def test_before_is_seen_as_long_as_the_button_is_held(look, set_to, qtbot):
+def test_the_undeformed_image_is_shown_while_the_button_is_pressed(look, set_to, qtbot):
     viewer = viewer_of(look)
     image, moved, arrows = (
         viewer.layers[name] for name in ("MR", "MR deformed, paper", "MR arrows, paper")
@@ -249,7 +247,7 @@ def test_before_is_seen_as_long_as_the_button_is_held(look, set_to, qtbot):
     assert not labels.visible
 
 
-def test_an_overlay_is_hidden_as_long_as_the_image_is_seen_as_it_was(look, set_to):
+def test_overlays_are_hidden_while_the_undeformed_image_is_shown(look, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="grid")
     layer = viewer.layers["MR grid, paper"]
@@ -262,11 +260,11 @@ def test_an_overlay_is_hidden_as_long_as_the_image_is_seen_as_it_was(look, set_t
     look.before = True
     set_to(look, overlay="jacobian")
     assert layer.name == "MR Jacobian (area ratio), paper"
-    assert layer.visible, "what is chosen is to be seen"
+    assert layer.visible, "the chosen overlay is hidden"
     assert not look.before
 
 
-def test_a_moment_that_is_still_to_be_drawn_is_not_drawn_over_what_came_since(look, set_to):
+def test_a_pending_frame_is_not_drawn_over_a_newer_overlay(look, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="grid", percent=50)
     look.percent = 20
@@ -276,7 +274,7 @@ def test_a_moment_that_is_still_to_be_drawn_is_not_drawn_over_what_came_since(lo
     assert "MR grid, paper" not in names(viewer)
 
 
-def test_an_overlay_that_is_deleted_is_no_longer_chosen(look, run, set_to):
+def test_an_overlay_removed_by_the_user_is_deselected(look, run, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="grid")
     viewer.layers.remove("MR grid, paper")
@@ -286,7 +284,7 @@ def test_an_overlay_that_is_deleted_is_no_longer_chosen(look, run, set_to):
     assert "MR grid, paper" not in names(viewer)
 
 
-def test_an_overlay_that_is_hidden_by_hand_is_drawn_anew_and_stays_hidden(look, run, set_to):
+def test_an_overlay_hidden_by_the_user_is_updated_and_remains_hidden(look, run, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="magnitude")
     layer = viewer.layers["MR displacement (px), paper"]
@@ -295,12 +293,14 @@ def test_an_overlay_that_is_hidden_by_hand_is_drawn_anew_and_stays_hidden(look, 
     run(look)
     set_to(look)
     assert (look.overlay, layer.visible) == ("magnitude", False)
-    assert np.nanmax(layer.data) == pytest.approx(1, abs=0.01), "whoever opens its eye sees no lie"
+    assert np.nanmax(layer.data) == pytest.approx(1, abs=0.01), (
+        "the hidden overlay shows an earlier result"
+    )
     set_to(look, overlay="jacobian")
-    assert layer.visible, "what is chosen is seen"
+    assert layer.visible, "the chosen overlay is hidden"
 
 
-def test_before_is_on_a_key_as_well(look):
+def test_a_key_shows_the_undeformed_image(look):
     viewer = viewer_of(look)
     (action,) = [held for key, held in viewer.keymap.items() if str(key) == "Shift+B"]
     holding = action(viewer)
@@ -313,17 +313,17 @@ def test_before_is_on_a_key_as_well(look):
 # Arrows and colours
 
 
-def test_arrows_are_as_long_as_their_layer_s_own_control_says(look, run, wait_for):
+def test_the_length_of_arrows_set_in_napari_is_preserved(look, run, wait_for):
     arrows = look.result
     arrows.length = 4
     look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     run(look)
     wait_for(lambda: not look.busy)
     assert look.result is arrows
-    assert arrows.length == 4, "those of the next result, too"
+    assert arrows.length == 4, "the length was reset by the next result"
 
 
-def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
+def test_colours_show_displacement_area_change_and_strain(look, set_to):
     viewer = viewer_of(look)
     solution = metadata_of(look.result)["solution"]
     set_to(look, overlay="magnitude")
@@ -334,9 +334,9 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     set_to(look, overlay="jacobian")
     assert layer.name == "MR Jacobian (area ratio), paper"
     inside = layer.data[10, 5:19]
-    assert ((inside > 1.02) & (inside < 1.4)).all(), "the block is pulled apart"
+    assert ((inside > 1.02) & (inside < 1.4)).all(), "the area of the pulled block does not grow"
     low, high = layer.contrast_limits
-    assert low + high == pytest.approx(2), "no change is in the middle"
+    assert low + high == pytest.approx(2), "an unchanged area is not at the middle of the scale"
     set_to(look, overlay="columns")
     assert layer.name == "MR in-plane strain from column to column (%), paper"
     np.testing.assert_allclose(layer.data[10, 5:19], 50 * (inside**2 - 1), atol=2)
@@ -345,22 +345,22 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     assert layer.name == "mine"
     assert layer.contrast_limits[0] == 0
     set_to(look, overlay="nothing")
-    assert layer in viewer.layers, "what somebody has named is theirs"
+    assert layer in viewer.layers, "a layer renamed by the user was removed"
     assert not layer.visible
     with pytest.raises(ValueError, match=r"'heat' is not a valid choice.*'nothing', 'magnitude'"):
         look.overlay = "heat"
 
 
 @pytest.mark.parametrize("overlay", ["jacobian", "labels"])
-def test_paint_tints_no_colours_of_a_result_whenever_it_comes(look, run, set_to, overlay):
+def test_paint_is_hidden_below_the_colours_of_a_result(look, run, set_to, overlay):
     viewer = viewer_of(look)
     for paint in ("Tissue", "Boundary"):
         viewer.layers[paint].visible = True
     set_to(look, overlay=overlay)
     for paint in ("Tissue", "Boundary"):
-        assert not viewer.layers[paint].visible, "where colours are clear the image is seen"
+        assert not viewer.layers[paint].visible, "paint tints transparent colours"
     (name,) = {"MR Jacobian (area ratio), paper", "Tissue deformed, paper"} & set(names(viewer))
-    assert names(viewer)[-2:] == [name, "MR arrows, paper"], "arrows are seen on colours, too"
+    assert names(viewer)[-2:] == [name, "MR arrows, paper"], "colours cover the arrows"
     for layer in (viewer.layers["Tissue"], viewer.layers["Boundary"]):
         viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
     look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
@@ -369,7 +369,7 @@ def test_paint_tints_no_colours_of_a_result_whenever_it_comes(look, run, set_to,
     assert names(viewer)[-1] == name
 
 
-def test_one_thing_at_a_time_lies_over_the_image(look, set_to):
+def test_one_overlay_is_shown_at_a_time(look, set_to):
     viewer = viewer_of(look)
     before = names(viewer)
     for name, shown in (
@@ -377,7 +377,7 @@ def test_one_thing_at_a_time_lies_over_the_image(look, set_to):
         ("stiffness", "MR stiffness (kPa), paper"),
         ("jacobian", "MR Jacobian (area ratio), paper"),
         ("labels", "Tissue deformed, paper"),
-        ("observed", "MR motion given where tissue was, paper"),
+        ("observed", "MR given motion, paper"),
         ("confidence", "MR confidence (0 to 1), paper"),
     ):
         set_to(look, overlay=name)
@@ -385,12 +385,12 @@ def test_one_thing_at_a_time_lies_over_the_image(look, set_to):
         assert viewer.layers[shown].visible
         assert look.overlay == name
     limits = viewer.layers["MR confidence (0 to 1), paper"].contrast_limits
-    assert limits == [0, 1], "its own scale, not that of what was seen before"
+    assert limits == [0, 1], "the scale of the earlier overlay was not replaced"
     set_to(look, overlay="nothing")
     assert names(viewer) == before
 
 
-def test_what_a_result_does_not_have_is_not_seen_and_said(look, set_to):
+def test_a_missing_quantity_is_reported_and_adds_no_layer(look, set_to):
     viewer = viewer_of(look)
     before = names(viewer)
     set_to(look, overlay="jacobian")
@@ -399,12 +399,12 @@ def test_what_a_result_does_not_have_is_not_seen_and_said(look, set_to):
     assert names(viewer) == before
 
 
-def test_arrows_end_where_the_tissue_is_seen(look, set_to):
+def test_arrows_end_at_the_displayed_position_of_the_tissue(look, set_to):
     arrows = look.result
     stored = arrows.data.copy()
     set_to(look, percent=28)
     assert arrows.length == pytest.approx(0.28)
-    arrows.length = 0.56  # by napari's control, as it is seen
+    arrows.length = 0.56  # As set with napari's control.
     set_to(look, percent=50)
     assert arrows.length == pytest.approx(1)
     set_to(look, percent=0)
@@ -418,8 +418,8 @@ def test_arrows_end_where_the_tissue_is_seen(look, set_to):
 
 
 @pytest.mark.parametrize("largest", [0.00042, 0.0123, 0.43, 0.49, 0.8, 0.97, 8.3, 44, 72, 96, 450])
-def test_numbers_can_be_read_beside_a_scale_to_both_sides(largest):
-    """Napari's bar asks vispy for its numbers, which may leave 0 alone between the ends."""
+def test_a_colour_bar_has_numbers_on_both_sides_of_zero(largest):
+    """Check vispy's ticks, which might show only the 0 between the ends of the scale."""
     reach = reach_of(np.array([largest]), signed=True, least=1e-6)
     assert largest <= reach <= 1.5 * largest
     bar = AxisVisual(pos=np.array([[1, 1], [1, 0]]), domain=(-reach, reach))
@@ -439,14 +439,14 @@ def column_of_edge_of_colours(layer):
     return int(np.flatnonzero(np.isfinite(layer.data[10])).max())
 
 
-def test_colours_are_those_of_the_moment_that_is_seen_on_one_scale(look, set_to):
+def test_colours_show_the_displayed_part_of_the_motion_on_a_fixed_scale(look, set_to):
     set_to(look, overlay="magnitude")
     layer = viewer_of(look).layers["MR displacement (px), paper"]
     solution = metadata_of(look.result)["solution"]
     for percent in (50, 10, 0, 100):
         set_to(look, percent=percent)
         np.testing.assert_allclose(layer.data, lengths_of(solution, percent / 100), rtol=1e-5)
-        assert layer.contrast_limits == [0, 3], "what grows is seen to grow"
+        assert layer.contrast_limits == [0, 3], "the scale changes with the part of the motion"
     set_to(look, overlay="columns", percent=50)
     values = viewer_of(look).layers["MR in-plane strain from column to column (%), paper"].data
     half = replace(solution, displacement=solution.displacement / 2)
@@ -454,14 +454,14 @@ def test_colours_are_those_of_the_moment_that_is_seen_on_one_scale(look, set_to)
 
 
 def lengths_of(solution, part):
-    """How far tissue has gone after a part of its way, where it is seen then."""
+    """Return the displacement after a part of the motion, at the displayed position of tissue."""
     lengths = part * np.linalg.norm(solution.displacement, axis=-1)
     lengths[~solution.tissue] = np.nan
     d = part * solution.displacement
     return warp(lengths, d, spacing=1, tissue=solution.tissue, order=0, fill=np.nan)
 
 
-def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
+def test_inputs_are_shown_at_the_displayed_position_of_the_tissue(look, set_to):
     for overlay, name in (
         ("stiffness", "MR stiffness (kPa), paper"),
         ("confidence", "MR confidence"),
@@ -477,18 +477,18 @@ def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
         assert not np.array_equal(moved, layer.data)
 
 
-def test_the_canvas_says_what_colours_and_marks_show_and_in_which_unit(look, set_to):
+def test_the_canvas_names_the_quantity_and_unit_of_an_overlay(look, set_to):
     set_to(look, overlay="equivalent")
     layer = viewer_of(look).layers["MR equivalent in-plane strain (%), paper"]
     if not hasattr(layer, "name_overlay"):
-        pytest.skip("napari before 0.9 writes no layer's name on the canvas")
+        pytest.skip("napari before 0.9 draws no layer names on the canvas")
     assert layer.name_overlay.visible
     assert layer.name_overlay.position == layer.colorbar.position
     set_to(look, overlay="observed")
-    assert viewer_of(look).layers["MR motion given where tissue was, paper"].name_overlay.visible
+    assert viewer_of(look).layers["MR given motion, paper"].name_overlay.visible
 
 
-def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
+def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     small_sample(viewer_of(widget))
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
     widget.settings = replace(widget.settings, sweeps=60)
@@ -502,7 +502,9 @@ def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
     assert folded.sum() == outputs.folds
     moved = warp(folded, solution.displacement, spacing=1, tissue=solution.tissue, order=0)
     np.testing.assert_array_equal(layer.data <= 0, moved)
-    assert layer.contrast_limits == [0, 2], "folds, and nothing else, are at the lower limit"
+    assert layer.contrast_limits == [0, 2], (
+        "sites without a fold are at the lower limit, or folds are not"
+    )
     values = coloured(solution, "jacobian").values
     said = f". Colours end at 0 (values to {np.nanmin(values):.3g})"
     assert said in widget._form.result.how_far.value
@@ -512,18 +514,18 @@ def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
     assert layer.colormap.map(np.array([1.0]))[0, :3] == pytest.approx((0.5, 0.23, 0.03), abs=0.05)
 
 
-# Under the cursor
+# The status bar
 
 
-def test_the_status_bar_tells_what_is_under_the_cursor(look):
+def test_the_status_bar_describes_the_point_under_the_cursor(look):
     viewer = viewer_of(look)
     viewer.layers.selection.active = viewer.layers["MR"]
     viewer.mouse_over_canvas = True
     viewer.cursor.position = (10, 5.2)
     status = viewer.status["coordinates"]
-    assert status.startswith("[10"), "what napari says stays"
+    assert status.startswith("[10"), "the text of napari was removed"
     assert status.count("Jacobian") == 1
-    assert " right)" in status, "words, not the sign of a number"
+    assert " right)" in status, "the direction is a sign instead of a word"
     assert "stiffness 20 kPa (gel)" in status
     viewer.cursor.position = (0, 0)
     assert "Jacobian" not in str(viewer.status)
@@ -533,19 +535,21 @@ def test_the_status_bar_tells_what_is_under_the_cursor(look):
 
 
 @pytest.mark.parametrize("jacobian", [-0.25, 0.25])
-def test_at_a_fold_it_is_said_of_what_the_jacobian_is(jacobian):
+def test_the_jacobian_of_a_fold_is_described_as_that_of_the_worst_corner(jacobian):
     probe = Probe((1, 2), (0.0, 3.0), 3.0, jacobian, 5.0)
     said = at_point("px", probe, Directions())
     assert f"Jacobian {jacobian:.3f}" in said
-    assert said.endswith("(folds: that of the worst corner)") == (jacobian < 0)
+    assert said.endswith("(folds: value at the worst corner)") == (jacobian < 0)
 
 
-def test_rigid_tissue_under_the_cursor_is_a_word():
+def test_the_stiffness_of_rigid_tissue_is_described_by_a_word():
     assert stiffness_of("skull", np.inf, "kPa") == "rigid (skull)"
-    assert stiffness_of("", np.inf, "kPa") == "rigid", "of an image of stiffness"
+    assert stiffness_of("", np.inf, "kPa") == "rigid", (
+        "an image of stiffness has no name of a material"
+    )
 
 
-def test_lengths_under_the_cursor_are_rounded_to_what_matters():
+def test_lengths_in_the_status_bar_are_rounded_to_significant_digits():
     def said(down, right):
         found = Probe((3, 4), (down, right), float(np.hypot(down, right)), 1.0, 0.0)
         return at_point("px", found, Directions())
@@ -555,8 +559,8 @@ def test_lengths_under_the_cursor_are_rounded_to_what_matters():
     assert said(-12.345, 0.0067) == "moves 12.3 px (12.3 up, 0.01 right), Jacobian 1.000"
 
 
-def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, set_to):
-    # Where the right border of the tissue is seen, it has come from 3 px further left.
+def test_the_status_bar_reads_the_origin_of_the_displayed_tissue(look, set_to):
+    # The right border of the tissue was displaced by 3 px to the right.
     found = look.at((10, 23.49))
     assert found.site[1] == 21
     assert found.displacement[1] == pytest.approx(3, abs=0.05)
@@ -569,7 +573,7 @@ def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, se
     assert look.at((-5, 3)) is None
 
 
-def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
+def test_the_status_bar_shows_the_displayed_strain(look, set_to):
     def said():
         return look._view.cursor.line_at((10, 12))
 
@@ -580,13 +584,13 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
     )
     col = look.at((10, 12)).site[1]
     assert f"in-plane strain from column to column {100 * along[10, col, 1, 1]:.3g} %" in said()
-    assert along[10, col, 1, 1] > 0.05, "it is pulled out"
+    assert along[10, col, 1, 1] > 0.05, "the tissue is not stretched"
     for other in ("magnitude", "labels", "grid", "nothing"):
         set_to(look, overlay=other)
         assert "strain" not in said()
 
 
-def test_what_is_read_says_that_it_is_of_the_whole_deformation(look, set_to):
+def test_the_status_bar_states_that_values_refer_to_the_full_motion(look, set_to):
     def said():
         return look._view.cursor.line_at((10, 20))
 
@@ -595,17 +599,17 @@ def test_what_is_read_says_that_it_is_of_the_whole_deformation(look, set_to):
     assert said().startswith("at 100 %: moves")
 
 
-def test_reading_under_the_cursor_waits_for_nothing(look, busy_thread):
+def test_the_status_bar_does_not_wait_for_the_compute_thread(look, busy_thread):
     look.percent = 50
     line = look._view.cursor.line_at((10.0, 12.0))
-    assert line.startswith("moves"), "the whole is seen as long as the half is not drawn"
+    assert line.startswith("moves"), "the line does not describe the last drawn frame"
     assert look.busy
 
 
-# Stacks, files, colours
+# Stacks, files and photographs
 
 
-def test_a_slice_of_a_stack_moves_in_its_place(make_stack, set_to):
+def test_the_result_of_a_slice_moves_at_its_place_in_the_stack(make_stack, set_to):
     look, outputs = make_stack
     viewer = viewer_of(look)
     set_to(look, percent=50, overlay="jacobian")
@@ -622,10 +626,10 @@ def test_a_slice_of_a_stack_moves_in_its_place(make_stack, set_to):
     np.testing.assert_array_equal(moved.data[0], expected)
     assert look._form.result.how_far.value.endswith("mm in z = 2")
     assert look.at((6, 20, 2.5)) is not None
-    assert look.at((3, 20, 2.5)) is None, "that is another slice"
+    assert look.at((3, 20, 2.5)) is None, "a point on another slice has a value"
 
 
-def test_a_result_says_of_which_slice_it_is(make_stack, wait_for):
+def test_a_result_names_its_slice(make_stack, wait_for):
     look, _ = make_stack
     viewer = viewer_of(look)
     wait_for(lambda: not look.busy)
@@ -637,7 +641,7 @@ def test_a_result_says_of_which_slice_it_is(make_stack, wait_for):
     assert line.value.endswith("mm in z = 2")
 
 
-def test_the_result_of_a_slice_may_go_at_any_time(make_stack, wait_for):
+def test_the_result_of_a_slice_can_be_removed_at_any_time(make_stack, wait_for):
     look, _ = make_stack
     viewer = viewer_of(look)
     wait_for(lambda: not look.busy)
@@ -656,9 +660,7 @@ def make_stack(widget, small_sample, run):
     return widget, run(widget)
 
 
-def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
-    widget, tmp_path, set_to, wait_for
-):
+def test_a_saved_result_is_displayed_with_and_without_an_image(widget, tmp_path, set_to, wait_for):
     y, c = np.zeros((8, 9, 2)), np.zeros((8, 9, 2))
     c[:, 0] = c[:, -1] = 1
     y[:, -1] = (0, 2)
@@ -684,7 +686,7 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     assert metadata_of(viewer.layers["late deformed, paper"])["percent"] == 50
 
 
-def test_a_photograph_moves_in_colour(widget, small_sample, run, set_to):
+def test_a_photograph_is_deformed_in_colour(widget, small_sample, run, set_to):
     viewer = viewer_of(widget)
     small_sample(viewer)
     colours = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
@@ -699,7 +701,7 @@ def test_a_photograph_moves_in_colour(widget, small_sample, run, set_to):
 # Pictures
 
 
-def test_a_picture_has_the_scale_that_the_viewer_shows(look):
+def test_a_picture_has_the_colour_scale_of_the_viewer(look):
     result = look._view.shown.answer
     for quantity, drawn in (
         ("jacobian", jacobian_picture),
@@ -711,7 +713,7 @@ def test_a_picture_has_the_scale_that_the_viewer_shows(look):
         assert map_.get_clim() == pytest.approx(seen)
 
 
-def test_pictures_are_saved_without_holding_up_the_window(look, busy_thread, tmp_path, wait_for):
+def test_saving_pictures_does_not_block_the_window(look, busy_thread, tmp_path, wait_for):
     got = []
     look.saved.connect(got.append)
     look.save_pictures(tmp_path)
@@ -725,16 +727,16 @@ def test_pictures_are_saved_without_holding_up_the_window(look, busy_thread, tmp
     assert look.status.startswith(f"Saved in {tmp_path}")
 
 
-def test_a_folder_that_is_missing_is_named(look, tmp_path, wait_for):
+def test_a_missing_folder_is_named_in_the_status(look, tmp_path, wait_for):
     look.save_pictures(tmp_path / "nowhere")
     wait_for(lambda: not look.busy)
     assert "nowhere" in look.status
 
 
-# Layers and windows that go
+# Removed layers and closed windows
 
 
-def test_where_there_is_no_result_nothing_is_seen_as_it_was(frame):
+def test_the_undeformed_view_has_no_effect_without_a_result(frame):
     viewer, look = frame.viewer, quick(frame.open())
     image = viewer.add_image(np.zeros((8, 9)), visible=False)
     Touch(viewer).key(Qt.Key.Key_B, SHIFT)
@@ -743,7 +745,7 @@ def test_where_there_is_no_result_nothing_is_seen_as_it_was(frame):
     assert not image.visible
 
 
-def test_a_result_that_is_not_looked_at_is_not_hidden(look):
+def test_a_deselected_result_is_not_hidden(look):
     viewer = viewer_of(look)
     look.result = None
     seen = [layer.visible for layer in viewer.layers]
@@ -751,7 +753,7 @@ def test_a_result_that_is_not_looked_at_is_not_hidden(look):
     assert [layer.visible for layer in viewer.layers] == seen
 
 
-def test_layers_may_go_at_any_time(look, set_to, wait_for):
+def test_layers_of_a_result_can_be_removed_at_any_time(look, set_to, wait_for):
     viewer = viewer_of(look)
     look.play()
     wait_for(lambda: look.percent < 98)
@@ -766,7 +768,7 @@ def test_layers_may_go_at_any_time(look, set_to, wait_for):
     assert look.at((10, 10)) is None
 
 
-def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(look, run, wait_for):
+def test_removing_the_arrows_shows_that_they_contain_the_result(look, run, wait_for):
     viewer_of(look).layers.remove("MR arrows, paper")
     wait_for(lambda: not look.busy)
     told = look.status
@@ -781,7 +783,7 @@ def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(look, ru
 
 @pytest.fixture
 def framed(frame, small_sample, run, wait_for):
-    """A dock that can be closed, with a result."""
+    """Return the viewer and a dock that can be closed, with a result."""
     look = quick(frame.open())
     small_sample(frame.viewer)
     run(look)
@@ -789,7 +791,7 @@ def framed(frame, small_sample, run, wait_for):
     return frame.viewer, look
 
 
-def test_closing_the_dock_leaves_the_whole_deformation_behind(framed, frame, set_to, at_rest):
+def test_closing_the_dock_restores_the_full_motion(framed, frame, set_to, at_rest):
     viewer, look = framed
     moved = viewer.layers["MR deformed, paper"]
     whole = moved.data.copy()
@@ -804,9 +806,7 @@ def test_closing_the_dock_leaves_the_whole_deformation_behind(framed, frame, set
     at_rest()
 
 
-def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(
-    framed, frame, wait_for, at_rest
-):
+def test_a_closed_dock_adds_no_status_and_can_be_opened_again(framed, frame, wait_for, at_rest):
     viewer, closed = framed
     frame.close(closed)
     at_rest()
@@ -824,7 +824,7 @@ def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(
     assert "Jacobian" in viewer.status
 
 
-def test_what_others_drew_since_is_not_put_back(look, set_to):
+def test_data_set_by_other_code_are_not_overwritten_by_the_full_motion(look, set_to):
     moved = viewer_of(look).layers["MR deformed, paper"]
     set_to(look, percent=20)
     newer = np.zeros_like(moved.data)
@@ -833,7 +833,7 @@ def test_what_others_drew_since_is_not_put_back(look, set_to):
     assert moved.data is newer
 
 
-def test_nothing_stays_of_the_circle_around_the_cursor(
+def test_the_circle_of_the_cursor_leaves_no_square(
     unstyled, without_controls, make_napari_viewer, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
@@ -842,7 +842,7 @@ def test_nothing_stays_of_the_circle_around_the_cursor(
     at_rest()
     arrows = viewer.add_vectors(np.array([[[2.0, 2.0], [0.0, 1.0]]]))
     viewer.mouse_over_canvas = True
-    arrows.cursor_size, arrows.cursor = 2, "circle"  # as something to be taken hold of
+    arrows.cursor_size, arrows.cursor = 2, "circle"  # As a tool does.
     person = Person(viewer, qtbot)
     person.move(20, 30, Qt.MouseButton.NoButton)
     at_rest()
@@ -852,12 +852,14 @@ def test_nothing_stays_of_the_circle_around_the_cursor(
         rows, cols = (slice(at - 15, at + 15) for at in (place.y(), place.x()))
         return (picture[rows, cols] == 255).all()
 
-    assert not white_at_the_cursor(), "the circle is there"
+    assert not white_at_the_cursor(), "the circle is not drawn"
     arrows.cursor = "standard"
-    assert white_at_the_cursor(), "napari's own square stayed there"
+    assert white_at_the_cursor(), "napari's square was not removed"
 
 
-def test_the_user_picks_where_and_a_new_folder_is_made(look, tmp_path, wait_for, monkeypatch):
+def test_pictures_are_saved_in_a_new_folder_in_the_chosen_place(
+    look, tmp_path, wait_for, monkeypatch
+):
     monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getExistingDirectory", lambda *_: str(tmp_path))
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)
     got = []
@@ -869,7 +871,9 @@ def test_the_user_picks_where_and_a_new_folder_is_made(look, tmp_path, wait_for,
     assert sorted(path.name for path in tmp_path.iterdir()) == ["MR pictures", "MR pictures 2"]
 
 
-def test_closing_the_window_while_playing_is_quiet(docked, small_sample, run, wait_for, at_rest):
+def test_closing_the_window_while_playing_raises_no_error(
+    docked, small_sample, run, wait_for, at_rest
+):
     viewer = viewer_of(docked)
     small_sample(viewer)
     run(docked)
@@ -879,7 +883,7 @@ def test_closing_the_window_while_playing_is_quiet(docked, small_sample, run, wa
     at_rest()
 
 
-def test_what_is_added_says_what_it_is(look, set_to):
+def test_an_added_layer_has_metadata_of_its_kind_and_source(look, set_to):
     viewer = viewer_of(look)
     for name, kind in (("grid", Vectors), ("labels", Labels), ("stretch", Image)):
         set_to(look, overlay=name)
@@ -887,20 +891,20 @@ def test_what_is_added_says_what_it_is(look, set_to):
         assert type(layer) is kind
     facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["source"] == "MR"
-    assert "percent" not in facts, "all of the deformation"
+    assert "percent" not in facts, "a layer of the full motion has a percentage"
     set_to(look, percent=30)
     facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["percent"] == 30
 
 
-def test_what_was_deformed_is_not_offered_as_stiffness(deformed):
+def test_a_deformed_image_is_not_offered_as_stiffness(deformed):
     offered = deformed._form.tissue.choice.offered
     image = viewer_of(deformed).layers["MR deformed, paper"]
     assert image not in offered
     assert viewer_of(deformed).layers["MR"] in offered
 
 
-def test_a_slice_without_a_name_is_called_one_once():
+def test_a_slice_without_an_axis_label_is_described_by_its_number():
     frame = SimpleNamespace(slice_seen="slice 7")
     result = SimpleNamespace(unit="mm", frame=frame, solution=SimpleNamespace(spacing=(1.0, 1.0)))
     assert how_far(result, 3.0, 100) == "100 %: tissue moved up to 3 mm in slice 7"

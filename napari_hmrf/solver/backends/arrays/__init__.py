@@ -1,5 +1,5 @@
-"""The host's part of linear models in NumPy, for shaders that run before loops are compiled.
+"""NumPy implementation of the host's part of linear models, for shaders.
 
-Each module is the twin of the module of the same name in `backends.cpu`. It is several times
-slower, but needs no compilation.
+These modules are used until the compiled loops of `backends.cpu` are available. Each module has a
+counterpart of the same name there, which is several times faster but requires compilation.
 """

@@ -46,7 +46,7 @@ class ArrayElasticLevel(ArrayLevel):
 
 
 class ArrayElasticModel(ArrayModel):
-    """The host's part of `LinearModel` for elastic tissue.
+    """NumPy implementation of the host's part of `LinearModel` for elastic tissue.
 
     Parameters
     ----------
@@ -69,13 +69,13 @@ class ArrayElasticModel(ArrayModel):
         self._rest = self.levels[0].vector()
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components on all levels."""
+        """Set the constrained components on all levels."""
         if self.material.rigid and (self._held is None or not np.array_equal(held, self._held)):
             self.bodies = Bodies(self._sites, self.material, held)
         super().hold(held)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d everywhere, in double precision."""
+        """Return -A d at all components, in double precision."""
         inner = np.moveaxis(d[:, 2:-2, 2:-2], 0, -1)
         made: Planes = np.zeros(d.shape)
         forces = element_forces(Lame(*self._elements), self.material.shape, inner)
@@ -100,7 +100,7 @@ class ArrayElasticModel(ArrayModel):
 
 
 def diagonal(lame: Float64Array, shape: ElementShape) -> Float64Array:
-    """Return the diagonal of the stiffness matrix, as planes, for Lame parameters of elements."""
+    """Return the diagonal of the stiffness matrix, as planes, from the Lame parameters."""
     total = np.zeros_like(lame)
     total[:, 1:, 1:] = lame[:, 1:, 1:] + lame[:, 1:, :-1] + lame[:, :-1, 1:] + lame[:, :-1, :-1]
     first, shear = total
@@ -111,7 +111,7 @@ def diagonal(lame: Float64Array, shape: ElementShape) -> Float64Array:
 
 
 def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> Float64Array:
-    """Return the parameters of coarse elements: the mean of four fine ones, with void as 0."""
+    """Return the parameters of coarse elements: the mean of four fine elements, 0 in void."""
     height, width = grid
     made = np.zeros((2, height + 4, width + 4))
     padded = np.pad(fine, ((0, 0), (0, 2), (0, 2)))[:, 2:, 2:]
@@ -126,7 +126,7 @@ in_child_of_fork(_last.clear)
 
 
 def the_model(material: ElasticMaterial) -> ArrayElasticModel:
-    """Return the model of a material, from the cache of one model if it is the same tissue."""
+    """Return the model of a material, from a cache with one model."""
     if not _last or _last[0].material != material:
         _last[:] = (ArrayElasticModel(material),)
     return _last[0]

@@ -1,4 +1,4 @@
-"""Displacements in double precision on the host, in NumPy: twins of the compiled `cpu.exact`.
+"""Displacements in double precision on the host, in NumPy: counterpart of the loops `cpu.exact`.
 
 Planes are float64 arrays (2, H + 4, W + 4), with the component as the first axis and a border of
 zeros, two sites wide.
@@ -32,10 +32,10 @@ def prescribe(
     d: Planes,
     held: HeldPlanes,
 ) -> None:
-    """Set `d` to share * y and `held` to True at observed components.
+    """Set `d` to ``share * y`` and `held` to True at observed components.
 
-    Other components become one * first + two * second, where both arrays are (H, W, 2). An array
-    whose factor is 0 may contain NaN.
+    Other components of `d` are set to ``one * first + two * second``. The arrays have shape
+    (H, W, 2). An array with factor 0 may contain NaN.
     """
     terms = (one, first), (two, second)
     begun = sum(np.float64(weight) * values for weight, values in terms if weight != 0)
@@ -44,20 +44,20 @@ def prescribe(
 
 
 def blend(values: Values, weight: float, held: HeldPlanes, d: Planes) -> None:
-    """Add weight * values, (H, W, 2), to `d` where it is not held."""
+    """Add ``weight * values``, shape (H, W, 2), to the unconstrained components of `d`."""
     _inside(d)[...] += np.where(_inside(held), 0.0, np.float64(weight) * values)
 
 
 def settle(
     values: Values, tissue: npt.NDArray[np.bool_], unit: float, row_finite: npt.NDArray[np.bool_]
 ) -> None:
-    """Multiply values by `unit` on tissue and set others to 0; mark rows of finite values."""
+    """Multiply values by `unit` on tissue, set others to 0, and mark rows of finite values."""
     row_finite[...] = np.isfinite(values).all(axis=(1, 2))
     values *= unit * tissue[..., None].astype(values.dtype)
 
 
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
-    """Add scale * correction to `d`."""
+    """Add ``scale * correction`` to `d`."""
     d += np.float64(scale) * correction
 
 

@@ -1,4 +1,4 @@
-"""One level of a linear model as arrays: held components, and springs on coarser levels."""
+"""One level of a linear model as arrays: constraints, and springs on coarser levels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Real = npt.NDArray[np.floating[Any]]
 
 
 class ArrayLevel:
-    """Level with the arrays that shaders need: tissue, held components and springs.
+    """Level with the arrays that shaders need: tissue, constraints and springs.
 
     Parameters
     ----------
@@ -27,15 +27,15 @@ class ArrayLevel:
     Attributes
     ----------
     steep : ndarray, shape (2, H + 4, W + 4)
-        Curvature of the model's energy; 0 where a component cannot move.
+        Curvature of the model's energy; 0 at components that cannot move.
     diagonal : ndarray, shape (2, H + 4, W + 4)
         Diagonal of the model's matrix, without springs.
     inverse : ndarray, shape (2, H + 4, W + 4)
-        Reciprocal of the diagonal with springs; 0 where a component does not move.
+        Reciprocal of the diagonal with springs; 0 at fixed components.
     pins : ndarray, shape (2, H + 4, W + 4)
-        Held components: 1 or 0 on the finest level, an interpolated count on coarser levels.
+        Constrained components: 1 or 0 on the finest level, an interpolated count on coarser levels.
     weight : ndarray, shape (2, H + 4, W + 4), or None
-        Strength of the springs; None on the finest level.
+        Stiffness of the springs; None on the finest level.
     """
 
     steep: Vector
@@ -54,22 +54,22 @@ class ArrayLevel:
         """Ignore the call; memory is freed with the last reference."""
 
     def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
-        """Return the largest absolute value of `a`, and the scalar product of both."""
+        """Return the largest absolute value of `a`, and the scalar product of `a` and `b`."""
         return float(np.abs(a).max()), float(np.vdot(a.astype(np.float64), b.astype(np.float64)))
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components of the finest level."""
+        """Set the constrained components of the finest level."""
         self.pins[...] = self._pinned(held)
         self._invert(self.diagonal, (self.steep > 0) & ~held)
 
     def _pinned(self, held: HeldPlanes) -> HeldPlanes:
-        """Return the mask of components that put springs on the next coarser level."""
+        """Return a mask of the components that put springs on the next coarser level."""
         return held
 
     def hold_as(self, finer: Self) -> None:
-        """Set the springs of sites near held sites of the next finer level.
+        """Set the springs at sites near constrained sites of the next finer level.
 
-        The strength of a spring is `coarse_levels.SPRING` times the site's `pins` and diagonal.
+        The stiffness of a spring is ``coarse_levels.SPRING * pins * diagonal``.
         """
         assert self.weight is not None
         inside = (slice(None), *[slice(2, -2)] * len(self.grid))
@@ -83,7 +83,7 @@ class ArrayLevel:
 
 
 def restricted(fine: Real, grid: tuple[int, ...]) -> Real:
-    """Apply the transpose of linear interpolation: coarse site i lies on fine site 2 i."""
+    """Apply the transpose of linear interpolation; coarse site i coincides with fine site 2 i."""
     fine = np.pad(fine, ((0, 0), *[(0, 2)] * len(grid)))
     for axis, count in enumerate(grid):
         fine = _along(fine, count, 1 + axis)

@@ -12,19 +12,19 @@ from napari_hmrf.solver.backends.linear import Planes
 
 
 class ArrayModel(HostModel):
-    """The host's part of `LinearModel` in NumPy; subclasses compute the forces.
+    """NumPy implementation of the host's part of `LinearModel`; subclasses compute the forces.
 
     Parameters
     ----------
     material : Any
-        An `Assembled` material.
+        Material of the model: an `Assembled` material.
     """
 
     def __init__(self, material: Any) -> None:
         self.material, self._held, self.earlier = material, None, EarlierResults()
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d everywhere, in double precision."""
+        """Return -A d at all components, in double precision."""
         raise NotImplementedError
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """The paper's cliques as arrays: their levels, and their forces in double precision.
 
-`stiffness` is (m, 1/m) as planes, 0 in void; `lines` is the weight of each line of cliques for each
-component. With centred cliques the model is A d = d - q(d), where q is the minimiser of the local
-energy. With blanket cliques it is half the gradient of U_total's cliques; weights of twice the size
+`stiffness` is (m, 1/m) as planes, 0 in void. `lines` is the weight of each line of cliques for each
+component. With centred cliques, the model is A d = d - q(d), where q is the minimiser of the local
+energy. With blanket cliques, A d is half the gradient of the cliques in U_total; twice the weights
 give the whole gradient.
 """
 
@@ -31,7 +31,7 @@ class ArraySeilerLevel(ArrayLevel):
     stiffness : ndarray, shape (2, H + 4, W + 4) or (2, D + 4, H + 4, W + 4)
         (m, 1/m), 0 in void.
     even : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
-        Factor that turns a weighted sum over the tissue around a site on the finer level into four
+        Factor that converts a weighted sum over the tissue around a site of the finer level to four
         times its mean.
     material : SeilerMaterial
     share : float
@@ -51,7 +51,7 @@ class ArraySeilerLevel(ArrayLevel):
     ) -> None:
         super().__init__(grid, finest)
         self.blanket = material.blanket or None
-        #: Weights for the kernels; None for the special kernels of square pixels.
+        #: Weights for the kernels; None if the special kernels for square pixels are used.
         plain = material.square and not material.blanket
         self.lines = None if plain else (share * material.lines).astype(np.float32)
         self._lines = share * material.lines
@@ -73,13 +73,13 @@ class ArraySeilerLevel(ArrayLevel):
 
 
 def pull(d: Real, m: Real, lines: Float64Array, blanket: bool) -> Float64Array:
-    """Return -A d everywhere."""
+    """Return -A d at all components."""
     curvature, slope, _ = cliques(d, m, lines, blanket)
     return slope if blanket else slope / np.maximum(curvature, 1e-30)
 
 
 class ArraySeilerModel(ArrayModel):
-    """The host's part of `LinearModel` for the paper's cliques.
+    """NumPy implementation of the host's part of `LinearModel` for the paper's cliques.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ class ArraySeilerModel(ArrayModel):
         for number, grid in enumerate(grids(m.shape)):
             if number > 0:
                 stiffness, even = _coarser(stiffness[0], grid)
-            # On the next coarser level, the energy of a clique is sixteen times as large for the
-            # same curvature of the displacement, but there are a quarter as many cliques.
+            # For the same curvature of the displacement, the energy of a clique is sixteen times as
+            # large on the next coarser level, but there are a quarter as many cliques.
             share = 2 * 0.25**number if material.blanket else 1.0
             self.levels.append(
                 ArraySeilerLevel(grid, stiffness, even, material, share, number == 0)
@@ -108,7 +108,7 @@ class ArraySeilerModel(ArrayModel):
         self._rest = self.levels[0].vector()
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d everywhere, in double precision."""
+        """Return -A d at all components, in double precision."""
         if low is not None:
             assert self.material.blanket
             pulls: Planes = self.material.pull(d, low)
@@ -116,7 +116,7 @@ class ArraySeilerModel(ArrayModel):
         return pull(d, self._m, self._lines, self.material.blanket)
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the cliques' part of U_total, and the norm of all forces."""
+        """Return the energy of the cliques in U_total, and the norm of all forces."""
         curvature, slope, energy = cliques(d, self._m, self._lines, self.material.blanket)
         pulls = slope if self.material.blanket else slope / np.maximum(curvature, 1e-30)
         return float(energy.sum()) / (2 if self.material.blanket else 1), float(
@@ -125,7 +125,7 @@ class ArraySeilerModel(ArrayModel):
 
     @property
     def steepness(self) -> Planes:
-        """Second derivative of each site's energy; 0 where a site has no clique."""
+        """Second derivative of each site's energy; 0 at sites without a clique."""
         at_rest = np.zeros((self._m.ndim, *self._m.shape))
         found = cliques(at_rest, self._m, self._lines, self.material.blanket).curvature
         return found if self.material.blanket else 2 * found
@@ -136,13 +136,13 @@ class ArraySeilerModel(ArrayModel):
 
 
 def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> tuple[Float64Array, Float64Array]:
-    """Return (m, 1/m) of a coarser level and its `even`; m is the mean of the tissue around."""
+    """Return (m, 1/m) and `even` of a coarser level; m is the mean over nearby fine tissue."""
     total, share = (restricted(each[None], grid)[0] for each in (fine, (fine > 0).astype(float)))
     made = np.zeros((3, *(size + 4 for size in grid)))
     inner = made[(slice(None), *[slice(2, -2)] * len(grid))]
     np.divide(total, share, out=inner[0], where=total > 0)
     np.divide(share, total, out=inner[1], where=total > 0)
-    # The sum is divided by at least a quarter of the weight of full surroundings.
+    # The divisor is at least a quarter of the weight of a complete neighbourhood.
     inner[2] = 4 / np.maximum(share, 2 ** len(grid) / 4)
     return made[:2], made[2]
 
@@ -152,7 +152,7 @@ in_child_of_fork(_last.clear)
 
 
 def the_model(material: SeilerMaterial) -> ArraySeilerModel:
-    """Return the model of a material, from the cache of one model if it is the same tissue."""
+    """Return the model of a material, from a cache with one model."""
     if not _last or _last[0].material != material:
         _last[:] = (ArraySeilerModel(material),)
     return _last[0]

@@ -1,7 +1,7 @@
-"""Process that compiles the loops for all other processes: how to start it and wait for it.
+"""Process that compiles the loops for all other processes: start, progress and waiting.
 
-At most one such process runs on a machine. One file holds its process number and progress, another
-the name of the requested loops, which it compiles next.
+At most one compiling process runs per machine. A status file contains its process number and
+progress. A request file contains the name of the job that it compiles next.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ import psutil
 from napari_hmrf.solver.backends.compile_cache import disk_cache, loops, sets
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 
-#: Module that the compiling process runs.
+#: Module that the compiling process executes.
 COMPILER = "napari_hmrf.compiling"
-#: Seconds between two readings of the progress; the longest time until a cancellation.
+#: Interval between two readings of the progress, in seconds; it limits the delay of cancellation.
 _POLL = 0.1
 
 
 class _State:
     """State of the compilation in this process."""
 
-    #: Compiling process that this process has started.
+    #: Compiling process that was started by this process.
 
     compiler: subprocess.Popen[bytes] | None = None
 
 
 class Stage(NamedTuple):
-    """Progress of the compiler.
+    """Progress of the compiling process.
 
     Attributes
     ----------
     job : str
         Current job, as named by `napari_hmrf.compiling`.
     done, of : int
-        Number of loops that are compiled now, and at the end of the job.
+        Number of loops compiled so far, and expected total at the end of the job.
     pace : float
         Seconds per loop; 0 if unknown.
     """
@@ -74,31 +74,31 @@ Report = Callable[[Stage], None]
 _NO_STAGE = Stage("", 0, 0, 0.0)
 
 
-# Processes that need loops
+# Processes that use loops
 
 
 def compile_meanwhile(job: str = "") -> None:
-    """Start another process that compiles the loops, unless one runs or they are compiled.
+    """Start a compiling process unless one is running or the loops are already compiled.
 
     Parameters
     ----------
     job : str
-        Job that compiles the needed loops; by default, the job of all usual loops.
+        Job that compiles the required loops; by default, the job of all usual loops.
     """
     ours = _State.compiler
     started = ours is not None and (job not in sets.ON_REQUEST or ours.poll() is None)
     if started or loops.are_compiled(job) or _another_process_compiles():
         return
-    folder = disk_cache.folder()  # may set a variable, so it comes before the environment is copied
+    folder = disk_cache.folder()  # may set a variable, so call this before starting the process
     optimized = ["-" + "O" * sys.flags.optimize] if sys.flags.optimize else []
-    with suppress(OSError):  # without loops, shaders solve
+    with suppress(OSError):  # without compiled loops, shaders solve
         folder.mkdir(parents=True, exist_ok=True)
         _State.compiler = _start_process([sys.executable, *optimized, "-m", COMPILER])
         atexit.register(_State.compiler.terminate)
 
 
 def request(job: str) -> None:
-    """Let another process compile the loops of a job next, because this process needs them."""
+    """Request that the compiling process compile the loops of a job next."""
     with suppress(OSError):
         _request_file().write_text(job, encoding="utf-8")
     compile_meanwhile(job)
@@ -111,16 +111,17 @@ def _start_process(command: list[str]) -> subprocess.Popen[bytes]:
 
 
 def provide(job: str, report: Report) -> None:
-    """Wait until another process has compiled the loops of a job, then use the loops.
+    """Wait until the compiling process has compiled the loops of a job, then use the loops.
 
-    If no other process can compile them, this process compiles each loop at its first call.
+    If no compiling process can run, this process compiles each loop at its first call.
 
     Parameters
     ----------
     job : str
         Name of the job in `napari_hmrf.compiling`; "" stands for all usual loops.
     report : callable
-        Called several times a second; raises to stop waiting. The compilation continues.
+        Function called with a `Stage` several times a second; it raises an exception to stop
+        waiting, in which case the compilation continues.
     """
     if not loops.are_compiled(job):
         request(job)
@@ -140,24 +141,24 @@ def provide(job: str, report: Report) -> None:
 
 
 def _is_compiling() -> bool:
-    """Return whether a compiling process, of this or of another process, is running."""
+    """Return whether a compiling process is running, whichever process started it."""
     ours = _State.compiler
     return (ours is not None and ours.poll() is None) or _another_process_compiles()
 
 
 def stage() -> Stage:
-    """Return the progress of the compiler."""
+    """Return the progress of the compiling process."""
     try:
         return Stage(*_status()[2:])
     except TypeError:
         return _NO_STAGE
 
 
-# The compiler itself
+# Compiling process
 
 
 def begin() -> bool:
-    """Make this the compiling process; return False if another process has this role."""
+    """Make this the compiling process; return False if another one exists."""
     if _another_process_compiles():
         return False
     try:
@@ -169,14 +170,14 @@ def begin() -> bool:
 
 
 def lower_priority() -> None:
-    """Lower the priority of this process to idle, because no process waits for the loops."""
+    """Lower the priority of this process to idle, because no process depends on the loops yet."""
     with suppress(psutil.Error, OSError):
         idle = getattr(psutil, "IDLE_PRIORITY_CLASS", 19)
         psutil.Process().nice(idle)
 
 
 def requested_job() -> str:
-    """Return the latest requested job; "" if none was requested."""
+    """Return the latest requested job, or "" if there is no request."""
     with suppress(OSError):
         return _request_file().read_text(encoding="utf-8")
     return ""
@@ -189,7 +190,7 @@ def publish_stage(reached: Stage) -> None:
 
 
 def end(compiled: bool) -> None:
-    """Remove the status file of this process, which `begin` wrote, and any request.
+    """Remove the status file of this process, which `begin` wrote, and any request file.
 
     Parameters
     ----------
@@ -204,7 +205,7 @@ def end(compiled: bool) -> None:
 
 
 def _another_process_compiles() -> bool:
-    """Return whether the recorded compiling process still runs and is not this process."""
+    """Return whether the recorded compiling process is running and is not this process."""
     try:
         number, begun, *_ = _status()
         return bool(number != os.getpid() and _start_time(number) == begun)
@@ -226,7 +227,7 @@ def _status() -> list[Any]:
 
 
 def _write_status(reached: Stage) -> None:
-    """Write the status file of this process; replace the old file in one step."""
+    """Write the status file of this process, replacing the old file atomically."""
     number, new = os.getpid(), _status_file().with_suffix(".new")
     new.write_text(json.dumps([number, _start_time(number), *reached]), encoding="utf-8")
     new.replace(_status_file())
@@ -241,7 +242,7 @@ def _request_file() -> Path:
 
 
 def _forget_compiler() -> None:
-    """Reset the state in the child of a fork, because the compiler belongs to the parent."""
+    """Reset the state in a forked child, because the compiling process belongs to the parent."""
     _State.compiler = None
 
 

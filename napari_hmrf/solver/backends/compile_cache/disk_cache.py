@@ -1,4 +1,4 @@
-"""Cache of compiled loops on disk: its folder, and files that mark loops as compiled."""
+"""Disk cache of compiled loops: its folder, and the files that mark loops as compiled."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from pathlib import Path
 from napari_hmrf.solver.backends.compile_cache import sets
 
 _PACKAGE = "napari_hmrf"
-#: Package of the loops of the solver, and its folder.
+#: Package that contains the loops of the solver, and its folder.
 _SOLVER = f"{_PACKAGE}.solver.backends.cpu"
 _LOOPS = Path(__file__).parents[1] / "cpu"
 #: Modules of loops that warp pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
 #: Environment variable that sets numba's cache folder.
 _CACHE_VARIABLE = "NUMBA_CACHE_DIR"
-#: Free bytes that a cache folder must have, and bytes that are written to test it.
+#: Required free space of a cache folder, and size of the file that tests writing, in bytes.
 _ROOM, _PROBE = 2**27, 2**16
 #: Modules of loops that warp pictures, volumes or meshes.
 _MOTION = (
@@ -43,47 +43,47 @@ def modules() -> tuple[str, ...]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the source files of loops in a folder."""
+    """Return the source files in a folder that contain loops."""
     return [path for path in sorted(folder.glob("*.py")) if b"numba" in path.read_bytes()]
 
 
 @cache
 def sources(folder: Path = _LOOPS) -> bytes:
-    """Return a digest of the source files of all loops in a folder."""
+    """Return a digest of all source files in a folder that contain loops."""
     return hashlib.sha256(b"".join(path.read_bytes() for path in _files(folder))).digest()
 
 
 def mark(job: str = "") -> Path:
-    """Return the file that marks the loops of this version as compiled, for this machine.
+    """Return the file that marks the loops of this version as compiled on this machine.
 
     Parameters
     ----------
     job : str
-        Job of `napari_hmrf.compiling` whose loops are marked; by default, all usual loops.
+        Job of `napari_hmrf.compiling` that compiled the loops; by default, all usual loops.
     """
     return folder() / f"loops-{_key()}{job and '-'}{job}.compiled"
 
 
 def compiled(job: str) -> bool:
-    """Return whether the loops of a job are compiled, by this job or by that of all loops."""
+    """Return whether the loops of a job are compiled, by that job or by the job of all loops."""
     return (job not in sets.ON_REQUEST and mark().exists()) or mark(job).exists()
 
 
 @cache
 def folder() -> Path:
-    """Return the cache folder, and redirect numba if its own choice is full or read-only."""
+    """Return the cache folder, redirecting numba if its default folder is full or read-only."""
     configured, beside = os.environ.get(_CACHE_VARIABLE, ""), _LOOPS / "__pycache__"
     caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     places = [*([Path(configured)] if configured else []), beside, caches / _PACKAGE]
     found = next(filter(_writable, places), None) or _temporary()
-    chosen = "" if found == beside else str(found)  # numba's default is beside the source
+    chosen = "" if found == beside else str(found)  # the default is next to the source files
     if chosen != configured:
         _redirect_numba(chosen)
     return found
 
 
 def _redirect_numba(folder: str) -> None:
-    """Set numba's cache folder, for this process and its child processes."""
+    """Set numba's cache folder for this process and its child processes."""
     os.environ[_CACHE_VARIABLE] = folder
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = folder
@@ -101,7 +101,10 @@ def _writable(folder: Path) -> bool:
 
 
 def _temporary() -> Path:
-    """Return a temporary folder that only this user can write to, because its code is executed."""
+    """Return a temporary folder to which only the current user can write.
+
+    Other users must not be able to write to it, because numba executes the cached code.
+    """
     user = getattr(os, "getuid", lambda: "user")()
     found = Path(tempfile.gettempdir()) / f"napari-hmrf-{user}"
     with suppress(OSError):
@@ -114,14 +117,14 @@ def _temporary() -> Path:
 
 @cache
 def _key() -> str:
-    """Return a digest of the source files of all loops, their compiler and the system."""
+    """Return a digest of the source files of all loops, the compiler versions and the system."""
     made = hashlib.sha256(sources())
     for name in _MOTION:
         made.update(_LOOPS.parents[3].joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     for package in ("numba", "llvmlite", "numpy"):
         with suppress(PackageNotFoundError):
             made.update(version(package).encode())
-    # The optimisation flag is part of the key, because it removes docstrings and assertions.
+    # The optimization flag is part of the key, because it removes docstrings and assertions.
     system = (sys.version, str(sys.flags.optimize), platform.machine(), platform.node())
     made.update("\n".join((*system, str(_LOOPS))).encode())
     return made.hexdigest()[:16]

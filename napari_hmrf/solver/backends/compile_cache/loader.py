@@ -1,8 +1,8 @@
-"""Loader of the cached loops: a background thread that works in small steps.
+"""Background thread that loads the cached loops in small steps.
 
 The window and the compute thread continue meanwhile, because each step holds the GIL for less time
-than a frame. The loader does not run loops, because numba's thread pool must not be entered from
-two threads at once.
+than a frame. The loader does not execute loops, because numba's thread pool must not be entered
+from two threads at once.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from typing import Any
 from napari_hmrf.solver.backends.compile_cache import disk_cache
 
 _log = logging.getLogger("napari_hmrf")
-#: Seconds of pause for each second of loading.
+#: Pause after each step, relative to the duration of the step.
 _REST = 1.0
 
 
 class _Loader:
-    """Thread that loads all loops once; the child of a fork gets a new loader."""
+    """Thread that loads all loops once; a forked child creates a new loader."""
 
     def __init__(self) -> None:
-        # Locked during each step and during a fork: otherwise the child of a fork could inherit a
-        # lock of numba that is never released.
+        # Held during each step and during a fork. Otherwise a forked child could inherit a lock of
+        # numba that is never released.
         self.step = threading.Lock()
         self.stopped, self.done = threading.Event(), threading.Event()
         self.thread: threading.Thread | None = None
@@ -45,7 +45,7 @@ class _Loader:
                 self.thread.start()
 
     def stop(self) -> None:
-        """End the thread before the interpreter ends and frees memory that it uses."""
+        """Stop the thread before the interpreter exits and frees memory that the thread uses."""
         self.stopped.set()
         if self.thread is not None:
             self.thread.join(2.0)
@@ -66,7 +66,7 @@ class _Loader:
 
 
 def loaded(wait: float = 0.0) -> bool:
-    """Start to load all loops; return whether they are in memory.
+    """Start loading all loops, and return whether they are in memory.
 
     Parameters
     ----------
@@ -78,12 +78,12 @@ def loaded(wait: float = 0.0) -> bool:
 
 
 def begun() -> bool:
-    """Return whether the loading has begun."""
+    """Return whether loading has started."""
     return _loader.thread is not None
 
 
 def _steps() -> Iterator[str]:
-    """Load modules and loops one after the other, and yield the name of each."""
+    """Load modules and loops one after the other, yielding the name of each."""
     before_numba()
     importlib.import_module("numba")
     yield "numba"
@@ -101,8 +101,8 @@ def before_numba() -> None:
 
     By default, a thread of GNU OpenMP that waits for other threads occupies its core for several
     milliseconds. If a window uses a core at the same time, a sweep of 0.1 ms then takes 10 ms; with
-    a short wait it takes 0.3 ms. Without a window the short wait costs nothing. The variable must
-    be set before OpenMP is loaded.
+    short waits it takes 0.3 ms. Without a window, short waits cost nothing. The environment
+    variable must be set before OpenMP is loaded.
     """
     disk_cache.folder()
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
@@ -110,7 +110,7 @@ def before_numba() -> None:
 
 
 def _tolerate_full_disks() -> None:
-    """Let numba warn once and continue if it cannot write a loop to its cache."""
+    """Make numba warn once and continue if it cannot write a loop to its cache."""
     from numba.core.caching import Cache  # heavy: numba
 
     save = Cache.save_overload
@@ -144,12 +144,12 @@ class _Unwritable:
 
 
 def is_unwritable() -> bool:
-    """Return whether numba has failed to cache a loop in this process."""
+    """Return whether numba has failed to write a loop to its cache in this process."""
     return _Unwritable.is_known
 
 
 def cached_loops() -> list[Any]:
-    """List the loops of the imported modules that have a cache on disk."""
+    """List the loops of the imported modules that numba caches on disk."""
     from numba.core.caching import NullCache  # heavy: numba
     from numba.core.dispatcher import Dispatcher  # heavy: numba
 
@@ -171,7 +171,7 @@ def is_cached(loop: Any) -> bool:
 
 
 def _signatures(loop: Any) -> list[Any]:
-    """Return the types for which the present source of a loop is cached for this processor."""
+    """Return the types for which the current source of a loop is cached for this processor."""
     cache, processor = loop._cache, loop.targetctx.codegen()
     index = cache._cache_file._load_index()
     return [key[0] for key in index if key == cache._index_key(key[0], processor)]

@@ -1,13 +1,13 @@
-"""State of the processor's loops: whether this process computes with them.
+"""State of the compiled loops in this process.
 
-Compiling all loops takes a minute or more, and in the process of a window it would hold the
-interpreter's lock. Another process therefore compiles them (`compile_cache.compiler`), and numba
-stores them on disk (`compile_cache.disk_cache`). Until then shaders solve, and `backends.arrays`
-does the host's part in NumPy. A process that has started without loops loads them in the background
-(`compile_cache.loader`) and switches to them between two solves.
+Compiling all loops takes a minute or more. In the process of a window, compilation would block the
+interpreter's lock, so another process compiles the loops (`compile_cache.compiler`) and numba
+stores them on disk (`compile_cache.disk_cache`). Until the loops are ready, shaders solve, and
+`backends.arrays` performs the host's part in NumPy. A process that has started without loops loads
+them in the background (`compile_cache.loader`) and switches to them between two solves.
 
-With ``NAPARI_HMRF_COMPILE=here`` in the environment no other process is started, and each solve
-compiles the loops that it needs. This mode is for batches and tests.
+If the environment contains ``NAPARI_HMRF_COMPILE=here``, no other process is started, and each
+solve compiles the loops that it requires. This mode is for batch jobs and tests.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ __all__ = [
     "use",
 ]
 
-#: Environment variable; with the value "here", each process compiles the loops that it needs.
+#: Environment variable; if its value is "here", each process compiles the loops that it requires.
 HERE = "NAPARI_HMRF_COMPILE"
 
 
 @dataclass
 class _Part:
-    """Use of a group of loops by this process."""
+    """Usage of a group of loops by this process."""
 
     #: True if this process computes with the loops.
     in_use: bool = False
-    #: True if this process has begun to compute without the loops.
+    #: True if this process has started to compute without the loops.
     begun_without: bool = False
 
 
 class _State:
-    """State of this process."""
+    """State of all groups of loops in this process."""
 
     solver = _Part()
     pictures = _Part()
@@ -56,12 +56,12 @@ class _State:
 
 
 def compile_here() -> bool:
-    """Return whether this process compiles the loops that it needs."""
+    """Return whether this process compiles the loops that it requires."""
     return _State.alone or os.environ.get(HERE) == "here"
 
 
 def compile_alone() -> None:
-    """Let this process compile the loops that it needs from now on."""
+    """Make this process compile the loops that it requires from now on."""
     _State.alone = True
 
 
@@ -71,7 +71,7 @@ def in_use() -> bool:
 
 
 def use() -> None:
-    """Solve with loops from now on, compiled or not."""
+    """Solve with loops from now on, whether or not they are compiled."""
     _State.solver.in_use = True
 
 
@@ -96,9 +96,10 @@ def ready_for_volumes() -> bool:
 
 
 def _ready(part: _Part, job: str = "") -> bool:
-    """Return whether a group of loops can be used now, and record its use."""
-    # Loading the loops takes as long as a few pictures. A process that has not computed yet can
-    # afford this delay; later it would interrupt a drag, so they are loaded in the background.
+    """Return whether a group of loops can be used now, and record the result."""
+    # Loading the loops takes as long as computing a few pictures. This delay is acceptable in a
+    # process that has not computed yet. Later it would interrupt a drag, so the loops are loaded in
+    # the background.
     if part.in_use or compile_here():
         return True
     if part.begun_without:
@@ -110,7 +111,7 @@ def _ready(part: _Part, job: str = "") -> bool:
 
 
 def only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a read-only view, so that the loops see one type of array."""
+    """Return a read-only view, so that all loops receive the same array type."""
     view = values.view()
     view.setflags(write=False)
     return view

@@ -1,4 +1,4 @@
-"""Sets of loops; `napari_hmrf.compiling` has a job of the same name for each set."""
+"""Sets of loops. For each set, `napari_hmrf.compiling` has a job of the same name."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ EVERYTHING = ""
 PICTURES = "pictures"
 #: Loops that solve elastic volumes.
 VOLUMES = "volume"
-#: Loops for tissue on which cycles converge slowly. No job compiles them, so a solve compiles them
-#: when it needs them.
+#: Loops for tissue on which cycles converge slowly. No job compiles this set, so a solve compiles
+#: it when required.
 HARDER = "harder"
-#: Sets that are compiled only when a solve needs them.
+#: Sets that are compiled only on request of a solve.
 ON_REQUEST = (VOLUMES, "volume-schedule", "volume-converged")
-#: Approximate number of loops in each set, for the progress of its compilation.
+#: Approximate number of loops in each set, for its compilation progress.
 COUNTS = {
     "elastic": 22,
     PICTURES: 5,

@@ -1,4 +1,4 @@
-"""Backend for machines without a GPU: kernels as loops that are compiled for the processor."""
+"""CPU backend: kernels as loops that are compiled for the processor."""
 
 from __future__ import annotations
 
@@ -27,27 +27,28 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.quadtree import Level, nearest_pixels
 
-# Upper bounds of the time for a site, by number of axes, from which the size of a batch follows.
+# Upper bounds of the time per site in seconds, by number of axes. They determine the batch size.
 # Measured on two cores: 1.5 to 4 ns in images, and 10 to 20 ns in volumes.
 _SLOWEST_SITE_SECONDS = {2: 10e-9, 3: 50e-9}
-# Number of sites below which a level is swept by one thread.
+# Levels with fewer sites than this are swept by a single thread.
 _SMALL = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class CpuField:
-    """Field as planes of float32 with a border of zeros, two sites wide.
+    """Field stored as float32 planes with a border of zeros, two sites wide.
 
     Attributes
     ----------
     planes : ndarray, shape (C, H + 4, W + 4) or (C, D + 4, H + 4, W + 4)
+        Values with the component as the first axis, including the border.
     """
 
     planes: FloatArray
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Grid of the level, (H, W) or (D, H, W)."""
+        """Shape of the grid, (H, W) or (D, H, W)."""
         return tuple(size - 4 for size in self.planes.shape[1:])
 
     @property
@@ -57,14 +58,15 @@ class CpuField:
 
     @property
     def rows(self) -> FloatArray:
-        """View of the planes as (C, R, W + 4), where R counts the padded rows of all slices."""
+        """View of the planes with shape (C, R, W + 4); R counts the padded rows of all slices."""
         return self.planes.reshape(len(self.planes), -1, self.planes.shape[-1])
 
     @cached_property
     def spans(self) -> npt.NDArray[np.int64]:
-        """Begin and end of the tissue in each of the `rows` of a stiffness, shape (R - 4, 2).
+        """Start and stop column of the tissue in each row of a stiffness field, shape (R - 4, 2).
 
-        Kernels skip the sites outside, which never move: a third of an image of a head is air.
+        Kernels skip the sites outside these spans because they never move. In an image of a head,
+        for example, a third of the sites are air.
         """
         tissue = self.rows[0, 2:-2, 2:-2] > 0
         first = tissue.argmax(axis=1)
@@ -73,12 +75,12 @@ class CpuField:
 
 
 class CpuBackend:
-    """Backend of compiled loops, with one thread per core.
+    """Backend that runs compiled loops, with one thread per core.
 
     Parameters
     ----------
     checkpoint : callable
-        Called between sweeps; raises to stop the work.
+        Function called between sweeps; it raises an exception to cancel the work.
     """
 
     name = "cpu"
@@ -94,7 +96,7 @@ class CpuBackend:
         self._checkpoint = checkpoint
         self._numba = numba
         self._threads = threads = numba.get_num_threads()
-        # Scratch arrays of the last sweeps, for the next sweeps on the same level.
+        # Scratch arrays of the previous sweeps, reused by the next sweeps on the same level.
         self._scratch_arrays: tuple[CpuField, FloatArray, FloatArray] | None = None
         self.renderer = f"compiled loops on {platform.machine()}, {threads} threads"
 
@@ -103,21 +105,21 @@ class CpuBackend:
         return None
 
     def upload(self, values: FloatArray) -> CpuField:
-        """Return a field with values of shape (H, W, C) or (D, H, W, C)."""
+        """Return a field that contains values of shape (H, W, C) or (D, H, W, C)."""
         field = CpuField(self._transfer.padded(values.shape[-1], values.shape[:-1]))
         field.inside[...] = np.moveaxis(values, -1, 0)
         return field
 
     def download(self, field: CpuField) -> FloatArray:
-        """Return the values of a field, shape (H, W, C) or (D, H, W, C)."""
+        """Return the values of a field as an array of shape (H, W, C) or (D, H, W, C)."""
         return np.ascontiguousarray(np.moveaxis(field.inside, 0, -1))
 
     def zeros(self, level: Level) -> CpuField:
-        """Return a displacement field of zeros on a level."""
+        """Return a zero displacement field on a level."""
         return CpuField(self._transfer.padded(len(level.shape), level.shape))
 
     def project(self, finest: CpuField, level: Level) -> CpuField:
-        """Project a field of level 0 to a coarser level by nearest neighbour."""
+        """Sample a field of level 0 on a coarser level by nearest neighbour."""
         field = CpuField(self._transfer.padded(len(finest.planes), level.shape))
         values = finest.inside
         for axis, pixels in enumerate(nearest_pixels(level, finest.shape)):
@@ -128,7 +130,7 @@ class CpuBackend:
     def prolong(
         self, coarse: CpuField, coarse_stiffness: CpuField, stiffness: CpuField
     ) -> CpuField:
-        """Interpolate displacement linearly to the next finer level."""
+        """Interpolate a displacement linearly to the next finer level."""
         axes = len(stiffness.shape)
         field = CpuField(self._transfer.padded(axes, stiffness.shape))
         prolong = self._transfer.prolong if axes == 2 else self._transfer.prolong_volume
@@ -147,7 +149,7 @@ class CpuBackend:
         even, (odd, share) = displacement.planes, self._scratch(stiffness)
         row_totals = np.empty((sweeps, len(stiffness.spans)))
         sites = math.prod(displacement.shape)
-        # On a small level, waking the other threads takes longer than the sweep.
+        # On a small level, waking the other threads would take longer than the sweep itself.
         self._numba.set_num_threads(1 if sites < _SMALL else self._threads)
         a_site = _SLOWEST_SITE_SECONDS[len(displacement.shape)]
         batch = max(1, int(BATCH_SECONDS / (a_site * sites)))
@@ -163,7 +165,7 @@ class CpuBackend:
     def energy(
         self, displacement: CpuField, stiffness: CpuField, observation: CpuField, rule: SiteRule
     ) -> float:
-        """Return U_total of a displacement, in pixels squared, computed by one sweep."""
+        """Return U_total of a displacement, in pixels squared."""
         totals, (odd, share) = np.empty((1, len(stiffness.spans))), self._scratch(stiffness)
         self._sweep(displacement.planes, odd, stiffness, observation, rule, share, totals)
         return float(totals.sum())
@@ -178,7 +180,7 @@ class CpuBackend:
         share: FloatArray,
         row_totals: EnergyArray,
     ) -> None:
-        """Run one sweep for each row of `row_totals`; `even` and `odd` alternate as output."""
+        """Run one sweep per row of `row_totals`; `even` and `odd` alternate as the output."""
         if len(stiffness.shape) == 3:
             self._sweep_volume(even, odd, stiffness, observation, rule, row_totals)
             return
@@ -221,7 +223,7 @@ class CpuBackend:
         )
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
-        """Return the model of elastic tissue, with all its levels."""
+        """Return the model of elastic tissue with all its levels."""
         if material.m.ndim == 3:
             from napari_hmrf.solver.backends.cpu import volume_model  # heavy: numba
 
@@ -231,7 +233,7 @@ class CpuBackend:
         return the_model(material)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
-        """Return the model of the paper's cliques, with all its levels."""
+        """Return the model of the paper's cliques with all its levels."""
         if material.m.ndim == 3:
             from napari_hmrf.solver.backends.cpu import volume_seiler_model  # heavy: numba
 
@@ -241,7 +243,7 @@ class CpuBackend:
         return the_model(material)
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
-        """Return the model of large motion."""
+        """Return the large-motion model."""
         if material.m.ndim == 3:
             from napari_hmrf.solver.backends.cpu import finite_volume_model  # heavy: numba
 
@@ -251,24 +253,24 @@ class CpuBackend:
         return the_model(material)
 
     def _scratch(self, stiffness: CpuField) -> tuple[FloatArray, FloatArray]:
-        """Return planes that a sweep may overwrite: displacement, 0 in void, and energies."""
+        """Return scratch planes for the displacement, zero in void, and an array for energies."""
         if self._scratch_arrays is not None and self._scratch_arrays[0] is stiffness:
             return self._scratch_arrays[1:]
         shape = stiffness.shape
-        energies = shape if len(shape) == 2 else (0, 0)  # kernels of volumes need none
+        energies = shape if len(shape) == 2 else (0, 0)  # volume kernels do not use this array
         return self._transfer.padded(len(shape), shape), np.empty(energies, dtype=np.float32)
 
     def release(self, *fields: CpuField) -> None:
-        """Ignore the call; memory is freed with the last reference."""
+        """Ignore the call: memory is freed when the last reference is dropped."""
 
     def close(self) -> None:
-        """Free the scratch arrays, and restore the number of threads."""
+        """Free the scratch arrays and restore the number of threads."""
         self._scratch_arrays = None
         self._numba.set_num_threads(self._threads)
 
 
 def _weights(rule: SiteRule) -> FloatArray | None:
-    """Return the weights of the lines; None for the special kernel of square pixels."""
+    """Return the weights of the lines, or None to select the special kernel for square pixels."""
     if not rule.blanket and np.array_equal(rule.weights, line_weights((1.0, 1.0))):
         return None
     return rule.weights.astype(np.float32)

@@ -1,7 +1,7 @@
-"""Compiled loops that prepare elastic tissue for multigrid, level by level.
+"""Compiled loops that assemble the multigrid levels of elastic tissue.
 
-All arrays have a border of void, two sites wide. An element has the index of its first site (least
-row and column), so site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
+All arrays have a border of void, two sites wide. An element has the index of its first site
+(lowest row and column), so site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -14,11 +14,12 @@ from napari_hmrf.solver.backends.cpu.compiled import parallel
 
 @parallel
 def elements(m, poisson, each, one, strain, scale, lame):
-    """Compute the Lame parameters of each element from the means of its sites; 0 beside void.
+    """Compute the Lame parameters of each element from the means of its sites.
 
-    If `one`, Poisson's ratio is `poisson` everywhere; otherwise `each` has the ratio of each site.
-    Lambda is that of plane strain if `strain`, else of plane stress. Double precision is needed
-    for ratios near 0.5, where 1 - 2 nu loses digits.
+    They are 0 for elements with a void site. If `one`, Poisson's ratio is `poisson` everywhere;
+    otherwise `each` contains the ratio of each site. Lambda is computed for plane strain if
+    `strain`, otherwise for plane stress. Ratios near 0.5 require double precision, because
+    1 - 2 nu loses digits.
     """
     for i in prange(m.shape[0] - 1):
         for j in range(m.shape[1] - 1):
@@ -42,7 +43,7 @@ def elements(m, poisson, each, one, strain, scale, lame):
 
 @parallel
 def coarsen(fine, coarse):
-    """Compute the parameters of coarse elements: the mean of four fine ones, with void as 0."""
+    """Compute coarse parameters as the mean of four fine elements, where void counts as 0."""
     for i in prange(coarse.shape[1] - 4):
         for k in range(2):
             for j in range(coarse.shape[2] - 4):

@@ -96,7 +96,8 @@ def _norm(m, mu, slope, bend, q, way, image):
             image[n] = image[9 + n] * way[n]
             tilt += c[n] * image[n]
         w = (
-            image[0], image[1], image[2], image[3], image[4], image[5], image[6], image[7], image[8],
+            image[0], image[1], image[2], image[3], image[4],
+            image[5], image[6], image[7], image[8],
         )  # fmt: skip
         turn = twisted(m, w)
         norm = 0.0

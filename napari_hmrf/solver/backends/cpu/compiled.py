@@ -1,7 +1,8 @@
-"""Decorators that compile loops, and cache them on disk for later processes.
+"""Decorators that compile loops and cache them on disk for later processes.
 
-Numba's own cache of a function is valid until the file of that function changes, even if it inlines
-functions of other files. Here the cache becomes invalid when any file of loops changes.
+Numba invalidates its cache of a function only when the file of that function changes, even if the
+function inlines others from different files. The decorators in this module invalidate the cache
+when any of the files with compiled loops changes.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ from numba.core import event
 from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
 
 # Contraction (one rounding for x * y + z) is allowed. Reordering is not, because it could replace
-# differences of displacement by sums that cancel.
+# differences of displacements by sums in which large terms cancel.
 _ARITHMETIC = {"contract", "nsz"}
-# Options of all loops; C code never calls them.
+# Options of all loops. They are never called from C, so no C wrapper is needed.
 _ALL = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class _Uncollected(event.Listener):  # type: ignore[misc]
-    """Listener that pauses garbage collection while numba compiles, to save 10 % of the time."""
+    """Listener that pauses garbage collection while numba compiles, saving 10 % of the time."""
 
     _within = 0
     _paused = False
 
     def on_start(self, _: event.Event) -> None:
-        """Pause garbage collection, unless a compilation has paused it already."""
+        """Pause garbage collection, unless an outer compilation has already paused it."""
         if self._within == 0:
             self._paused = gc.isenabled()
             gc.disable()
@@ -48,11 +49,11 @@ event.register("numba:compile", _Uncollected())
 
 
 def _cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles and caches a function until any file of loops changes."""
+    """Return a decorator that compiles a function and caches it until a file of loops changes."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         made = numba.njit(cache=True, nogil=True, **_ALL, **options)(function)
-        with suppress(AttributeError):  # other versions of numba may lack these attributes
+        with suppress(AttributeError):  # some versions of numba lack these attributes
             file = made._cache._cache_file
             file._source_stamp = (file._source_stamp, sources(Path(__file__).parent))
         return made
@@ -61,28 +62,28 @@ def _cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _callee(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator for functions that are called by compiled loops only, never by Python."""
+    """Return a decorator for functions that are called only by compiled loops."""
     made: Callable[..., Any] = numba.njit(no_cpython_wrapper=True, **_ALL, **options)
     return made
 
 
-#: Function that numba inlines into the source of its callers.
+#: Decorator of functions that numba inlines into the source of their callers.
 inline = numba.njit(inline="always", error_model="numpy")
-#: Function that LLVM inlines: as fast as `inline`, and compiled in half the time.
+#: Decorator of functions that LLVM inlines: as fast as `inline`, with half the compile time.
 shared = _callee(fastmath=_ARITHMETIC, forceinline=True)
-#: Function that other loops call, with contraction.
+#: Decorator of functions called by other loops, with contraction.
 callee = _callee(fastmath=_ARITHMETIC)
-#: Function that other loops call, with exact IEEE arithmetic.
+#: Decorator of functions called by other loops, with exact IEEE arithmetic.
 strict_callee = _callee()
-#: Function that may add terms in any order.
+#: Decorator of functions that may add terms in any order.
 reduction = _callee(fastmath={"reassoc", "nsz"})
-#: Function that may add terms in any order, with contraction.
+#: Decorator of functions that may add terms in any order, with contraction.
 contracted_reduction = _callee(fastmath=_ARITHMETIC | {"reassoc"})
-#: Loop that Python calls, on one thread, with contraction.
+#: Decorator of single-threaded loops called from Python, with contraction.
 alone = _cached(fastmath=_ARITHMETIC)
-#: Loop that Python calls, on one thread, with exact IEEE arithmetic.
+#: Decorator of single-threaded loops called from Python, with exact IEEE arithmetic.
 strict = _cached()
-#: Loop that Python calls, on all threads, with exact IEEE arithmetic.
+#: Decorator of multithreaded loops called from Python, with exact IEEE arithmetic.
 strict_parallel = _cached(parallel=True)
-#: Loop that Python calls, on all threads, with contraction.
+#: Decorator of multithreaded loops called from Python, with contraction.
 parallel = _cached(parallel=True, fastmath=_ARITHMETIC)

@@ -1,10 +1,10 @@
 """Deflation of conjugate gradients by the motions of rigid bodies.
 
-Cycles hold all rigid bodies, like any held tissue, so they do not reduce the few motions of the
-bodies. Each of these motions has a field: the body moves, the other bodies stay at rest, and the
-tissue follows. Conjugate gradients are *deflated* by these fields (Nicolaides, SIAM J. Numer.
-Anal., 1987): their search directions are conjugate to the fields, so they converge as if the bodies
-were held.
+Multigrid cycles constrain all rigid bodies like prescribed tissue, so they do not reduce the error
+in the few rigid motions of the bodies. Each of these motions has a displacement field: the body
+moves, the other bodies stay at rest, and the tissue deforms accordingly. Conjugate gradients are
+*deflated* by these fields (Nicolaides, SIAM J. Numer. Anal., 1987): their search directions are
+conjugate to the fields, so they converge as fast as if the bodies were prescribed.
 """
 
 # mypy: disable-error-code="untyped-decorator"
@@ -20,28 +20,28 @@ from napari_hmrf.solver.backends.cpu.compiled import parallel
 from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
-# Least eigenvalue of the scaled stiffness of the fields, below which they count as dependent.
+# Fields count as linearly dependent if an eigenvalue of their scaled stiffness is below this value.
 _INDEPENDENT = 1e-4
 
 
 class CpuDeflation:
-    """Fields of all motions, and their forces.
+    """Displacement fields of all rigid motions, and their forces.
 
     Parameters
     ----------
     fields, forces : ndarray, shape (motions, 2, H + 4, W + 4)
-        Displacement of each motion, and A times it.
+        Displacement field u of each motion, and the product A u.
     lengths : ndarray, shape (motions,)
         Largest displacement of each field, in pixels.
     close : bool
-        True if bodies are so close together that the small level does not resolve their gap.
+        True if the small level does not resolve the gap between some of the bodies.
 
     Attributes
     ----------
     close : bool
-        True if the small level does not resolve the gap between bodies.
+        True if the small level does not resolve the gap between some of the bodies.
     is_independent : bool
-        True if single precision separates the motions.
+        True if the motions are linearly independent in single precision.
     """
 
     def __init__(self, fields: Vector, forces: Vector, lengths: Vector, close: bool) -> None:
@@ -59,9 +59,9 @@ class CpuDeflation:
             self._compliance = np.linalg.inv(stiffness)
 
     def deflate(self, d: Vector, rest: Vector) -> float:
-        """Change `d` and `rest` in place so that `rest` does no work on any field.
+        """Make the residual `rest` orthogonal to all fields, updating `d` and `rest` in place.
 
-        Return the energy that this releases.
+        Return the energy that this update releases.
         """
         work = _products(self._fields, rest[None])[:, 0]
         shares = self._compliance @ work
@@ -72,21 +72,21 @@ class CpuDeflation:
     def turn(self, steepest: Vector, direction: Vector, share: float) -> float:
         """Compute ``direction = steepest + share * direction``, made conjugate to all fields.
 
-        For that, fields are subtracted from `steepest`; return the largest distance by which they
-        move bodies.
+        Return the largest displacement, in pixels, of the fields that are subtracted from
+        `steepest` for this purpose.
         """
         shares = -self._compliance @ _products(self._forces, steepest[None])[:, 0]
         _turn(steepest, direction, np.float32(share), self._fields, shares.astype(np.float32))
         return float(np.abs(shares) @ self._lengths)
 
     def remaining_distance(self, rest: Vector) -> float:
-        """Return the largest displacement by which the fields would still reduce `rest`."""
+        """Return the largest displacement, in pixels, that deflating `rest` would add."""
         shares = self._compliance @ _products(self._fields, rest[None])[:, 0]
         return float(np.abs(shares) @ self._lengths)
 
 
 def _products(ones: Vector, others: Vector) -> npt.NDArray[np.float64]:
-    """Return the matrix of scalar products of `ones` and `others`, below and on the diagonal."""
+    """Return the lower triangle of the matrix of scalar products of `ones` and `others`."""
     rows = np.zeros((ones.shape[2] - 4, len(ones), len(others)))
     _row_products(ones, others, rows)
     return np.asarray(rows.sum(axis=0))
@@ -99,7 +99,7 @@ def _add(some: Vector, shares: npt.NDArray[np.floating], total: Vector) -> None:
 
 @parallel
 def _row_products(ones: Any, others: Any, rows: Any) -> None:
-    """Compute the scalar products of `_products` for each row."""
+    """Compute the contribution of each row to `_products`."""
     for i in prange(len(rows)):
         for k in range(len(ones)):
             for n in range(min(k + 1, len(others))):

@@ -1,4 +1,4 @@
-"""Fields of tissue that follows moving bodies, computed on a small level and interpolated."""
+"""Fields of moving rigid bodies, computed on a small level and interpolated to the finest level."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.linear import Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 
-# Number of cycles on the small level. A rough field suffices: deflation is exact for any field in
-# which the body moves rigidly.
+# Number of cycles on the small level. An approximate field suffices, because deflation is exact for
+# any field in which the body moves rigidly.
 _CYCLES = 2
-# Number of sites of the small level along a side of a body, below which the body counts as small.
+# A body counts as small if it has fewer sites of the small level than this along a side.
 _SMALL_BODY = 4
 
 
@@ -29,17 +29,18 @@ def build_deflation(
     coarsest: Steps,
     memory: Vector,
 ) -> CpuDeflation | None:
-    """Return the fields of all free motions; None if there are none.
+    """Return the deflation by the fields of all free motions, or None if there are none.
 
     Parameters
     ----------
     bodies : Bodies
+        Rigid bodies and their free motions.
     levels : sequence of CpuElasticLevel
-        Levels from the finest to the small one.
+        Levels from the finest to the small level.
     small : CpuElasticLevel or None
-        Copy of the small level on which bodies are held; None if the model has no small level.
+        Copy of the small level with all bodies constrained; None if the model has no small level.
     steps, coarsest : Steps
-        Smoothing steps, the latter on the coarsest level.
+        Smoothing steps, and the steps on the coarsest level.
     memory : ndarray, shape (2 * motions, 2, H + 4, W + 4)
         Memory for the fields and their forces.
     """
@@ -91,7 +92,7 @@ def build_deflation(
 def _around(
     i: npt.NDArray[np.intp], j: npt.NDArray[np.intp], number: int, shape: tuple[int, ...]
 ) -> npt.NDArray[np.bool_]:
-    """Return the mask of the sites of a level that touch a body."""
+    """Return the mask, with border, of the coarse sites whose basis functions touch a body."""
     there: npt.NDArray[np.bool_] = np.zeros(shape[1:], dtype=np.bool_)
     size = (1 << number) - 1
     for row in (i >> number, (i + size) >> number):

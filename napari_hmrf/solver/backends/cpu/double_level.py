@@ -1,7 +1,8 @@
-"""Finest level of a volume in double precision, for tissue with a high contrast.
+"""Finest level of a volume in double precision, for tissue with high contrast.
 
-With a high contrast, an iteration in single precision stops before it has reduced all soft modes.
-Only the iteration needs double precision: cycles still precondition it in single precision.
+With high contrast, an iteration in single precision stagnates before it has reduced the error in
+all soft modes. Only the iteration requires double precision; its multigrid preconditioner still
+runs in single precision.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ Float64Array = npt.NDArray[np.float64]
 
 
 class DoubleLevel(CpuLevel):
-    """Operations of an iteration on the finest level, in double precision.
+    """Finest level whose vector operations run in double precision.
 
     Parameters
     ----------
@@ -40,18 +41,18 @@ class DoubleLevel(CpuLevel):
         self.bodies, self.sums_up = level.bodies, level.sums_up
 
     def rounded(self, rest: Float64Array) -> Vector:
-        """Return a residual in single precision, for cycles; valid until the next call."""
+        """Return the residual in single precision, for cycles; valid until the next call."""
         np.copyto(self.load, rest, casting="same_kind")
         return self.load
 
     def vector(self, values: npt.NDArray[Any] | None = None) -> Any:
-        """Return a vector of zeros, or a copy of planes."""
+        """Return a zero vector, or a copy of the given planes."""
         if self._memory is not None:
             return next(self._memory)
         return np.zeros(self.load.shape) if values is None else values.astype(np.float64)
 
     def free(self, *vectors: Any) -> None:
-        """Ignore the call; vectors are not kept, because memory limits volumes."""
+        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
     def apply(self, direction: Any, image: Any) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""

@@ -1,12 +1,13 @@
-"""Compiled loops for elastic tissue: the operations of multigrid, in single precision.
+"""Compiled loops for elastic tissue: the multigrid operations in single precision.
 
-All arrays have a border of void, two sites wide. A component that is prescribed, or in no element,
-has an inverse diagonal of 0, so its correction stays 0. `weight` is the diagonal of the springs W
-of a coarse level, and is multiplied by `springs`: 0 on the finest level, else 1.
+All arrays have a border of void, two sites wide. A component that is prescribed, or that belongs to
+no element, has an inverse diagonal of 0, so its correction stays 0. `weight` is the diagonal of the
+springs W of a coarse level. It is multiplied by `springs`, which is 0 on the finest level and 1 on
+the other levels.
 
-Each kernel divides the rows among `count` threads. A thread starts one row above its first row, to
-fill the array `carry`, and discards the result of that row. Kernels write to the moving sites of
-each row (`spans`) only; outside them the output must already be 0.
+Each kernel divides the rows among `count` threads. A thread starts one row above its first row to
+initialize the array `carry`, and discards the result of that row. In each row, kernels write only
+to the span of moving sites (`spans`), so the output must already be 0 outside the spans.
 """
 
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -27,7 +28,7 @@ from napari_hmrf.solver.backends.cpu.forces import (
 )
 from napari_hmrf.solver.backends.cpu.vectors import restrict_row, row_product
 
-# Loops over a row begin at max(..., 0), so that the compiler can exclude negative indices.
+# Loops over a row start at max(..., 0), so that the compiler can exclude negative indices.
 
 
 @callee
@@ -44,7 +45,7 @@ def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
 
 @alone
 def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
-    """Compute the rows from `first` to `last` (excluded) of `apply`."""
+    """Compute the rows `first` to `last` (exclusive) of `apply`."""
     carry, unused = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
         row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (unused[0], unused[1])
@@ -55,7 +56,7 @@ def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
 
 @parallel
 def apply(d, lame, inverse, shape, spans, out, row_totals, count):
-    """Write A d to `out`, with 0 at fixed components; `row_totals` gets d . A d of each row."""
+    """Write A d to `out`, 0 at fixed components; store d . A d of each row in `row_totals`."""
     for number in prange(count):
         first, last = part(number, count, len(spans))
         apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
@@ -91,9 +92,10 @@ def _smooth_part(d, tissue, weights, spans, out, pace, first, last):
 
 @parallel
 def smooth(d, load, lame, inverse, weight, springs, shape, spans, out, scale, ahead, back, count):
-    """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
+    """Compute a Chebyshev step with the coefficients `scale`, `ahead` and `back`.
 
-    On entry, `out` has the displacement before the last step, which was d - out.
+    The step is ``out = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * out``. On entry,
+    `out` contains the displacement before the previous step.
     """
     for number in prange(count):
         first, last = part(number, count, len(spans))
@@ -103,7 +105,7 @@ def smooth(d, load, lame, inverse, weight, springs, shape, spans, out, scale, ah
 
 @callee
 def _start_row(load, inverse, scale, i, out):
-    """Compute a row of the first step from zero: out = scale D^-1 load."""
+    """Compute a row of the first step from zero: ``out = scale * D^-1 load``."""
     for component in range(2):
         for j in range(out.shape[1]):
             out[component, j] = scale * inverse[component, i, j] * load[component, i, j]
@@ -128,7 +130,10 @@ def _begin_part(tissue, weights, spans, out, start, pace, first, last):
 def begin(
     load, lame, inverse, weight, springs, shape, spans, out, start, scale, ahead, back, count
 ):
-    """Compute the first two Chebyshev steps from zero: `smooth` applied to start D^-1 load."""
+    """Compute the first two Chebyshev steps from zero.
+
+    The first step is ``start * D^-1 load``; the second step is `smooth` applied to the first.
+    """
     for number in prange(count):
         first, last = part(number, count, len(spans))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
@@ -152,9 +157,9 @@ def _rest_row(d, tissue, weights, i, span, carry, out):
 
 @callee
 def _leave_part(d, tissue, weights, spans, coarse, first, last):
-    """Compute coarse rows from `first` to `last` (excluded) of `leave`.
+    """Compute the coarse rows `first` to `last` (exclusive) of `leave`.
 
-    A coarse row needs three fine rows. One more row above fills `carry`.
+    A coarse row depends on three fine rows. One more row above them is required to fill `carry`.
     """
     carry = np.zeros_like(d[:, 0])
     rest = np.zeros((3, *carry.shape), dtype=d.dtype)
@@ -176,7 +181,7 @@ def _leave_part(d, tissue, weights, spans, coarse, first, last):
 
 @parallel
 def leave(d, load, lame, inverse, weight, springs, shape, spans, coarse, count):
-    """Restrict the residual load - (A + W) d to `coarse`; fixed components count as 0."""
+    """Restrict the residual, load - (A + W) d or 0 at fixed components, to `coarse`."""
     for number in prange(count):
         first, last = part(number, count, coarse.shape[1] - 4)
         tissue = load, lame, inverse, shape

@@ -1,7 +1,7 @@
-"""Residual, energy and forces of elastic tissue as compiled loops in double precision.
+"""Compiled loops in double precision: residual, energy and forces of elastic tissue.
 
-Arrays and threads are as in `backends.cpu.elastic`, but displacement and load have double
-precision. These loops decide whether a displacement is converged.
+Arrays and threads are used as in `backends.cpu.elastic`, but displacement and load have double
+precision. The convergence criterion is evaluated with these loops.
 """
 
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -51,9 +51,10 @@ def _balance_part(d, load, given, tissue, spans, share, out, row_most, row_squar
 
 @parallel
 def balance(d, load, given, lame, inverse, shape, spans, share, out, row_most, row_squares, count):
-    """Write share (given load - A d) to `out`, in single precision; 0 at fixed components.
+    """Write ``share * (given * load - A d)`` to `out` in float32; it is 0 at fixed components.
 
-    `row_most` gets the largest absolute value of each row, and `row_squares` the sum of squares.
+    For each row, `row_most` contains the largest absolute value, and `row_squares` the sum of
+    squares.
     """
     for number in prange(count):
         first, last = part(number, count, len(spans))
@@ -63,7 +64,7 @@ def balance(d, load, given, lame, inverse, shape, spans, share, out, row_most, r
 
 @contracted_reduction
 def _work_row(d, lame, shape, i, carry):
-    """Return d . A d and the square of A d for one row."""
+    """Return the contributions of one row to d . A d and ||A d||^2."""
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     product, square = 0.0, 0.0
     left = left_of(rows, moduli, shape, 1)
@@ -86,7 +87,7 @@ def _work_part(d, lame, shape, row_products, row_squares, first, last):
 
 @parallel
 def work(d, lame, shape, row_products, row_squares, count):
-    """Compute d . A d and the square of A d, for each row."""
+    """Compute the contributions of each row to d . A d and ||A d||^2."""
     for number in prange(count):
         first, last = part(number, count, len(row_products))
         _work_part(d, lame, shape, row_products, row_squares, first, last)
@@ -113,7 +114,7 @@ def _pull_part(d, lame, shape, out, first, last):
 
 @parallel
 def pull(d, lame, shape, out, count):
-    """Write -A d to `out`, including held components."""
+    """Write -A d to `out`, including its values at prescribed components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         _pull_part(d, lame, shape, out, first, last)

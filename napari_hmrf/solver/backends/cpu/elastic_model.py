@@ -1,4 +1,4 @@
-"""Elastic tissue on the processor: its levels, and its forces in double precision."""
+"""Model of elastic tissue on the processor: multigrid levels, and forces in double precision."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from napari_hmrf.solver.priors.elements import (
     stiffest,
 )
 
-# (scale, ahead, back) of a step that changes nothing.
+# Coefficients (scale, ahead, back) of a Chebyshev step that changes nothing.
 _NO_STEP = np.zeros(3, dtype=np.float32)
 
 
 class CpuElasticLevel(SmallLevel):
-    """Elements and springs of one level.
+    """Level of elastic tissue with its elements and springs.
 
     Attributes
     ----------
     lame : ndarray, shape (2, H + 4, W + 4)
         Lame parameters of the elements; 0 in void.
     moving, reach : ndarray
-        `inverse` and `spans` of the system in which rigid bodies that cycles hold are free.
+        Variants of `inverse` and `spans` in which the bodies that cycles constrain are free.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class CpuElasticLevel(SmallLevel):
         self.pins = self.vector()
         self.weight = None if finest else self.vector()
         if memory is not None:
-            next(memory)  # skip the array of the residual, which only the cycle uses
+            next(memory)  # skip the array for the residual, which is used only by the cycle
         self.lame = self.vector()
         self.moving, self.reach = self.inverse, spans
         self._memory = None
@@ -63,7 +63,7 @@ class CpuElasticLevel(SmallLevel):
         self.parts = forces.parts(grid[0])
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components of the finest level, and hold the bodies that are deflated."""
+        """Set the prescribed components of the finest level, and constrain deflated bodies."""
         before = self.spans.copy()
         self.moving, self.reach = self.inverse, self.spans
         if self.bodies is not None and self.bodies.is_deflated:
@@ -73,7 +73,7 @@ class CpuElasticLevel(SmallLevel):
             held = self.bodies.hold(held)
         assembly.diagonal(self.lame, self.shape, self.inverse)
         vectors.hold(self.inverse, held, self.pins, self.spans)
-        # Deflation also changes the correction at bodies, so the next cycle must clear it there.
+        # Deflation also changes the correction at bodies, so the next cycle must reset it there.
         self.spans[:] = self.reach
         self._clear_vectors(before)
 
@@ -83,20 +83,20 @@ class CpuElasticLevel(SmallLevel):
         return self.vector(), np.zeros_like(self.spans)
 
     def hold_as(self, finer: CpuElasticLevel) -> None:
-        """Set the springs of sites near held sites of the next finer level."""
+        """Set the springs of sites near prescribed sites of the next finer level."""
         before = self.spans.copy()
         assembly.diagonal(self.lame, self.shape, self.inverse)
         self._set_springs(finer)
         self._clear_vectors(before)
 
     def _clear_vectors(self, before: npt.NDArray[np.int64]) -> None:
-        """Clear the corrections if spans have shrunk, because kernels write within spans only."""
+        """Clear the corrections if spans have shrunk, because kernels write only within spans."""
         if (self.spans[:, 0] > before[:, 0]).any() or (self.spans[:, 1] < before[:, 1]).any():
             for vector in (self.correction, self._other):
                 vector.fill(0)
 
     def holding(self) -> CpuElasticLevel:
-        """Return a copy of this level on which all sites with pins are held, without springs."""
+        """Return a copy of this level with all pinned sites prescribed, and without springs."""
         assert self.together is not None
         made: CpuElasticLevel = self.together.copy().levels[0]
         assert made.weight is not None
@@ -109,7 +109,7 @@ class CpuElasticLevel(SmallLevel):
         paces = paces_of(steps, from_zero)
         about = self._about
         if from_zero:
-            # `begin` does not store the displacement after step 1, which a third step needs.
+            # `begin` does not store the displacement after step 1, which step 3 would require.
             second = paces[1] if len(paces) == 2 else _NO_STEP
             elastic.begin(*about, self.correction, paces[0, 0], *second, self.parts)
             paces = paces[2 if len(paces) == 2 else 1 :]
@@ -140,11 +140,12 @@ def _cycle(shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: 
 
 
 class CpuElasticModel(HostModel):
-    """`LinearModel` of elastic tissue; other backends build their levels from it.
+    """`LinearModel` of elastic tissue; other backends build their levels from this model.
 
     Parameters
     ----------
     material : ElasticMaterial
+        Material on the finest grid.
     """
 
     def __init__(self, material: ElasticMaterial) -> None:
@@ -163,7 +164,7 @@ class CpuElasticModel(HostModel):
         self.assemble(material)
 
     def _small(self, grids: Sequence[tuple[int, ...]]) -> list[CpuElasticLevel]:
-        """Return the small levels, which are cycled in one call."""
+        """Return the small levels, which share their memory and a single-call V-cycle."""
         shape = self._shape
 
         def level(grid: tuple[int, ...], memory: Iterator[Vector]) -> CpuElasticLevel:
@@ -174,7 +175,7 @@ class CpuElasticModel(HostModel):
         return SmallLevels(grids, int(small.PLANES), level, partial(_cycle, shape)).levels
 
     def assemble(self, material: ElasticMaterial) -> None:
-        """Replace the material by another one on the same grid."""
+        """Replace the material by another material on the same grid."""
         self.material = material
         self.bounds = smoother_bounds(material)
         self._shape[:] = material.shape
@@ -186,7 +187,7 @@ class CpuElasticModel(HostModel):
             self._sites = bodies_of(m)
             stand_in = HELD_STAND_IN if can_deflate(self._sites, m.shape) else CYCLE_STAND_IN
             m = np.where(np.isinf(m), np.float32(stand_in * most), m)
-            m.setflags(write=False)  # read-only arrays are another type for numba
+            m.setflags(write=False)  # numba would compile another version for writable arrays
         one = isinstance(material.poisson, float)
         assembly.elements(
             m,
@@ -202,7 +203,7 @@ class CpuElasticModel(HostModel):
             assembly.coarsen(fine.lame, coarse.lame)
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components on all levels."""
+        """Set the prescribed components on all levels."""
         if self._held is None or not np.array_equal(held, self._held):
             rigid = self.material.rigid
             self.bodies = Bodies(self._sites, self.material, held) if rigid else None
@@ -216,12 +217,12 @@ class CpuElasticModel(HostModel):
         return moves
 
     def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
-        """Return the deflation by fields of moving bodies; None if no body can move."""
+        """Return the deflation by the fields of moving bodies, or None if no body can move."""
         if self.bodies is None or not self.bodies.is_deflated:
             return None
         number = next((k for k, level in enumerate(self.levels) if level.finishes_cycle), 0)
         small = self.levels[number].holding() if number > 0 else None
-        # While a user draws, this is called often. Reuse the memory: allocating it takes longer.
+        # This runs often while a user draws. Reuse the memory, because allocation is slower.
         shape = 2 * self.bodies.freedom, *self._rest.shape
         if self._deflation.shape[0] < shape[0]:
             self._deflation = np.zeros(shape, dtype=np.float32)
@@ -259,20 +260,20 @@ class CpuElasticModel(HostModel):
         return np.zeros(self._rest.shape)
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the elastic energy, and the norm of the forces."""
+        """Return the elastic energy and the norm of the forces."""
         finest, (products, squares) = self.levels[0], self._rows
         elastic_exact.work(d, self._exact_lame, self._exact_shape, products, squares, finest.parts)
         return float(products.sum()) / 2, math.sqrt(squares.sum())
 
     @property
     def steepness(self) -> Planes:
-        """Diagonal of the stiffness matrix, planes."""
+        """Diagonal of the stiffness matrix, as planes."""
         out = np.zeros(self._rest.shape)
         assembly.diagonal(self._exact_lame, self._exact_shape, out)
         return out
 
     def clear_cache(self) -> None:
-        """Clear the model cache, because values in its vectors may not be finite."""
+        """Clear the model cache, because vectors of the model may contain non-finite values."""
         _last[:] = ()
 
 
@@ -281,10 +282,10 @@ in_child_of_fork(_last.clear)  # the fork may have interrupted a solve that uses
 
 
 def the_model(material: ElasticMaterial) -> CpuElasticModel:
-    """Return the model of a material, from the cache of one model if it is the same tissue.
+    """Return the model of a material, reusing the cached model if possible.
 
     Building a model takes as long as a few cycles, and users edit observations more often than
-    tissue. Call it on the compute thread only, because all solves share the model.
+    tissue. Call this function only on the compute thread, because all solves share the model.
     """
     if not _last or _last[0].material.m.shape != material.m.shape:
         _last[:] = ()  # free the old model before the new one is allocated

@@ -1,7 +1,7 @@
-"""Displacements in double precision on the host, as compiled loops.
+"""Compiled loops on displacements in double precision on the host.
 
-Planes are float64 arrays (2, H + 4, W + 4), with the component as the first axis and a border of
-zeros, two sites wide.
+Planes are float64 arrays of shape (2, H + 4, W + 4), with the component as the first axis and a
+border of zeros, two sites wide.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -17,8 +17,8 @@ from napari_hmrf.solver.backends.cpu.compiled import reduction, strict_parallel
 def prescribe(y, observed, share, first, one, second, two, d, held):
     """Set `d` to share * y and `held` to True at observed components.
 
-    Other components become one * first + two * second, where both arrays are (H, W, 2). An array
-    whose factor is 0 may contain NaN.
+    All other components of `d` are set to one * first + two * second, where both arrays have shape
+    (H, W, 2). An array may contain NaN if its factor is 0.
     """
     for i in prange(y.shape[0]):
         for j in range(y.shape[1]):
@@ -32,7 +32,7 @@ def prescribe(y, observed, share, first, one, second, two, d, held):
 
 @strict_parallel
 def blend(values, weight, held, d):
-    """Add weight * values, (H, W, 2), to `d` where it is not held."""
+    """Add weight * values, where `values` has shape (H, W, 2), to `d` except at held components."""
     for i in prange(values.shape[0]):
         for j in range(values.shape[1]):
             for k in range(2):
@@ -54,7 +54,7 @@ def _settle_row(values, tissue, unit):
 
 @strict_parallel
 def settle(values, tissue, unit, row_finite):
-    """Multiply values by `unit` on tissue and set others to 0; mark rows of finite values."""
+    """Multiply values by `unit` on tissue and by 0 elsewhere; flag the rows that are finite."""
     flat = values.reshape(values.shape[0], -1)
     for i in prange(values.shape[0]):
         row_finite[i] = _settle_row(flat[i], tissue[i], unit)
@@ -62,7 +62,7 @@ def settle(values, tissue, unit, row_finite):
 
 @strict_parallel
 def add(d, correction, scale):
-    """Add scale * correction to `d`."""
+    """Add scale * correction to `d` in place."""
     for i in prange(d.shape[1]):
         for k in range(2):
             for j in range(d.shape[2]):
@@ -71,7 +71,7 @@ def add(d, correction, scale):
 
 @strict_parallel
 def gather(d, out):
-    """Copy planes to `out`, shape (H, W, 2), in single precision."""
+    """Copy planes to `out` of shape (H, W, 2), in single precision."""
     for i in prange(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j, 0] = np.float32(d[0, i + 2, j + 2])

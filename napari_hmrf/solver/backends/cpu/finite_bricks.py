@@ -330,6 +330,7 @@ def energy(d, solid, q, barrier, energies, least):
 
 @shared
 def clear_pulls(f, count):
+    """Set the pulls of all modes to zero."""
     for n in range(21):
         for x in range(count):
             f[line(PULLS + n) + x] = 0
@@ -451,10 +452,16 @@ def without_growth(f, x, m):
     a, b, c = f[line(GROWTH) + x], f[line(GROWTH + 1) + x], f[line(GROWTH + 2) + x]
     e, g, h = f[line(GROWTH + 3) + x], f[line(GROWTH + 4) + x], f[line(GROWTH + 5) + x]
     return (
-        m[0] * a + m[1] * b + m[2] * c, m[0] * b + m[1] * e + m[2] * g, m[0] * c + m[1] * g + m[2] * h,
-        m[3] * a + m[4] * b + m[5] * c, m[3] * b + m[4] * e + m[5] * g, m[3] * c + m[4] * g + m[5] * h,
-        m[6] * a + m[7] * b + m[8] * c, m[6] * b + m[7] * e + m[8] * g, m[6] * c + m[7] * g + m[8] * h,
-    )  # fmt: skip
+        m[0] * a + m[1] * b + m[2] * c,
+        m[0] * b + m[1] * e + m[2] * g,
+        m[0] * c + m[1] * g + m[2] * h,
+        m[3] * a + m[4] * b + m[5] * c,
+        m[3] * b + m[4] * e + m[5] * g,
+        m[3] * c + m[4] * g + m[5] * h,
+        m[6] * a + m[7] * b + m[8] * c,
+        m[6] * b + m[7] * e + m[8] * g,
+        m[6] * c + m[7] * g + m[8] * h,
+    )
 
 
 @callee

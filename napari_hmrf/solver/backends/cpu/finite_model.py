@@ -1,7 +1,7 @@
-"""Tissue in large motion on the processor: its energy, and its linear model.
+"""Large-motion model on the processor: its energy, and its linearization.
 
-Each Newton step needs a new linear model, with a tangent for each element. Coarser levels have the
-averaged tangents. All linear models use the same memory.
+Each Newton step requires a new linear model, with one tangent per element. The tangents of coarser
+levels are averages. All linear models share the same memory.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from napari_hmrf.solver.priors.finite_strain import (
     moduli_of,
 )
 
-# Numbers per element: of its tangent for cycles with the damping, of its whole tangent, and of its
-# elastic parameters (`finite_strain`).
+# Numbers per element: tangent for cycles with its damping, full tangent, and elastic parameters
+# (`finite_strain`).
 _CYCLED, _ALL, _OF_SOLID = int(tangents.PLANES), 21, 7
-# Relative stiffness that is added to rigid tissue in direct factors; the next Newton step corrects
-# the error.
+# Relative stiffness added to rigid tissue in direct factorizations. The next Newton step corrects
+# the error that this causes.
 _FIRMER = 20.0
 
 
 class TangentLevel(SmallLevel):
-    """Tangents and springs of one level; see `CpuLevel`.
+    """Level with tangents and springs; see `CpuLevel`.
 
     Attributes
     ----------
     cycled : ndarray, shape (14, H + 4, W + 4)
         Tangents for cycles, and their damping.
     solved : ndarray, shape (21, H + 4, W + 4), or None
-        Tangents of the system that is solved; None on coarser levels.
+        Tangents of the linear system; None on coarser levels.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class TangentLevel(SmallLevel):
         self.parts = parts(grid[0])
 
     def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
-        """Set the held components and the springs of the finest level."""
+        """Set the prescribed components and the springs of the finest level."""
         tangents.diagonal(self.cycled, self.inverse)
         self.weight = None if springs is None else springs.astype(np.float32)
         if self.weight is None:
@@ -79,7 +79,7 @@ class TangentLevel(SmallLevel):
 
     @property
     def _springs(self) -> tuple[Vector, np.float32]:
-        """Strength and factor of the springs as in `CpuLevel`, but not cached.
+        """Strength of the springs and its factor, 0 or 1, as in `CpuLevel` but not cached.
 
         Springs of the finest level may change with each linear model.
         """
@@ -88,7 +88,7 @@ class TangentLevel(SmallLevel):
         return self.weight, np.float32(1)
 
     def hold_as(self, finer: TangentLevel) -> None:
-        """Set the springs of sites near held sites of the next finer level."""
+        """Set the springs of sites near prescribed sites of the next finer level."""
         tangents.diagonal(self.cycled, self.inverse)
         self._set_springs(finer)
 
@@ -109,7 +109,7 @@ class TangentLevel(SmallLevel):
         self._restrict(self._left, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Compute ``image = A @ direction`` for the solved system; return their product."""
+        """Compute ``image = A @ direction`` for the full system; return ``direction . image``."""
         about = direction, self.solved, self.inverse, True, *self._springs, image, self._rows
         tangents.apply(*about, self.parts)
         return float(self._rows.sum())
@@ -142,7 +142,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
         self._parts = parts(grid[0])
 
     def assemble(self, material: FiniteMaterial) -> None:
-        """Replace the material by another one on the same grid."""
+        """Replace the material by another material on the same grid."""
         if self.material is not None and self.material == material:
             return
         if self.material is None or not self.material.is_tissue_of(material):
@@ -167,7 +167,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
 
     @property
     def _solved(self) -> Vector:
-        """Tangents of the solved system, (21, H - 1, W - 1)."""
+        """Tangents of the linear system without border, shape (21, H - 1, W - 1)."""
         solved = self.levels[0].solved
         assert solved is not None
         return solved[:, 2:-3, 2:-3]
@@ -202,7 +202,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
         positive: float = 0.0,
         springs: Planes | None = None,
     ) -> None:
-        """Build the linear model of small motion around a displacement; see `FiniteModel`."""
+        """Build the linear model at a displacement; see `FiniteModel`."""
         finest, self.springs = self.levels[0], springs
         about = positive, self._calm, finest.solved, finest.cycled
         self._work(finite_tangents.tangents, d, *about)
@@ -217,7 +217,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
             coarse.hold_as(fine)
 
     def _add_geometric_stiffness(self, d: Planes, forces: Planes, positive: float) -> None:
-        """Add the stiffness of bodies against rotation that the present forces on them cause."""
+        """Add the rotational stiffness of bodies that results from the present forces on them."""
         rigid = self._elements > 0
         # Remove the terms that make tangents positive, because they would resist rigid rotations.
         shear = self._solid[finite_strain.SHEAR, 2:-3, 2:-3]
@@ -252,7 +252,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
 
     @property
     def tangents(self) -> Tangents:
-        """Linear model as an `Assembled` material, for direct factors."""
+        """Linear model as an `Assembled` material, for direct factorizations."""
         if not self.bodies:
             return Tangents(self._solved)
         numbers = self._solved.copy()
@@ -264,7 +264,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
 
 
 class Tangents:
-    """Tangents of elements as an `Assembled` material.
+    """Tangents of the elements as an `Assembled` material.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ class Tangents:
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """Single part with both components, and the function that returns matrices (h, w, 8, 8)."""
+        """The only part: both components, and the function that returns matrices (h, w, 8, 8)."""
         return (((0, 1), self._matrices),)
 
     def _matrices(self, rows: slice, cols: slice) -> npt.NDArray[np.float64]:
@@ -290,7 +290,7 @@ class Tangents:
         return np.asarray(_DIFFERENCES.T @ tangent @ _DIFFERENCES)
 
 
-# Index of the tangent's number for each pair of D_r, D_c and D_x, with two components each.
+# Index into the 21 numbers of a tangent for each pair of D_r, D_c and D_x, two components each.
 _WHERE = np.array(
     [
         [0, 1, 6, 7, 13, 14],
@@ -301,7 +301,7 @@ _WHERE = np.array(
         [14, 16, 18, 20, 11, 12],
     ]
 )
-# Coefficients of the corners 00, 01, 10 and 11 in D_r, D_c and D_x of one component.
+# Coefficients of the corners 00, 01, 10 and 11 in D_r, D_c and D_x, for one component.
 _SIGNS = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, 1]], dtype=np.float64)
 _DIFFERENCES = np.kron(_SIGNS, np.eye(2))
 
@@ -311,7 +311,7 @@ in_child_of_fork(_last.clear)
 
 
 def the_model(material: FiniteMaterial) -> CpuFiniteModel:
-    """Return the model of a material, in the memory of the last model if the grid is the same."""
+    """Return the model of a material, reusing the memory of the last model on the same grid."""
     if not _last or _last[0].shape != material.m.shape:
         _last[:] = ()  # free the old model before the new one is allocated
         _last.append(CpuFiniteModel(tuple(material.m.shape)))

@@ -1,14 +1,14 @@
-"""Neo-Hookean tissue as compiled loops in double precision: energy, forces, step lengths.
+"""Compiled loops in double precision for Neo-Hookean tissue: energy, forces and step lengths.
 
-`solver.priors.finite_strain` has the equations and the names. Displacements are planes in pixels,
+`solver.priors.finite_strain` documents the equations and names. Displacements are planes in pixels,
 and an element has the index of its first site.
 
-`solid` has seven numbers for each element, in the order of `Moduli`: mu, which is 0 in elements
-that do not exist; the Lame parameter lambda of a volume; the coefficient of the volume term at
-rest; the stiffness of the twist, as the factor of half its square; and the components RR, RC and CC
-of the matrix that removes growth from the sides. `about` has five numbers: 1 / (2 side) for the row
-and the column side of a pixel; True if tissue may bulge out of the plane; and the strength and the
-start of the barrier.
+`solid` contains seven numbers per element, in the order of `Moduli`: mu, which is 0 if the element
+does not exist; the Lame parameter lambda of a volume; the coefficient of the volume term at rest;
+the stiffness of the twist, which multiplies half its square; and the components RR, RC and CC of
+the matrix that removes growth from the sides. `about` contains five numbers: 1 / (2 side) for the
+row side and the column side of a pixel; True if tissue may bulge out of the plane; and the strength
+and the threshold of the barrier.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -21,7 +21,7 @@ from numba import prange
 
 from napari_hmrf.solver.backends.cpu.compiled import callee, inline, parallel
 
-# Indices of the numbers of an element in `solid`.
+# Indices of the parameters of an element in `solid`.
 SHEAR, FIRST, WHOLE, TWIST, RR, RC, CC = np.arange(7)
 
 
@@ -67,7 +67,7 @@ def elastic(a0, a1, b0, b1, solid, i, j):
 
 @inline
 def bulk(j, mu, lam, whole, bulges):
-    """Return the first and the second derivative of the volume term by the Jacobian j."""
+    """Return the first and second derivatives of the volume term with respect to Jacobian j."""
     if bulges:
         thick = mu + 0.5 * lam * j * j
         return -whole * mu / (j * thick), whole * mu * (thick + lam * j * j) / (j * thick) ** 2
@@ -76,7 +76,7 @@ def bulk(j, mu, lam, whole, bulges):
 
 @inline
 def barrier(j, start):
-    """Return the barrier of one corner and its first two derivatives."""
+    """Return the barrier function of one corner and its first two derivatives."""
     if j >= start:
         return 0.0, 0.0, 0.0
     below, log = j - start, math.log(j / start)
@@ -105,7 +105,7 @@ def _energy_part(d, solid, about, row_energy, row_least, first, last):
             a0, a1, b0, b1, gain = elastic(a0, a1, b0, b1, solid, i, j)
             mean, down, right, low = gain * mean, gain * down, gain * right, gain * low
             lam, whole = solid[FIRST, i, j], solid[WHOLE, i, j]
-            # The energy is taken relative to that at rest, because this keeps more digits.
+            # Computing the energy relative to the rest state preserves more digits.
             stretch = (a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1) - 2.0
             if bulges:
                 thick = (shear + 0.5 * lam * mean * mean) / whole
@@ -129,7 +129,7 @@ def _energy_part(d, solid, about, row_energy, row_least, first, last):
 
 @parallel
 def energy(d, solid, about, row_energy, row_least, count):
-    """Compute the energy of each row of elements, and its least corner Jacobian, with growth.
+    """Compute the energy of each row of elements and its least corner Jacobian, including growth.
 
     Folded elements contribute no energy.
     """
@@ -141,7 +141,7 @@ def energy(d, solid, about, row_energy, row_least, count):
 
 @callee
 def _element_row(d, solid, about, i, out):
-    """Compute the derivatives of the energy by D_r, D_c and D_x for row i of elements."""
+    """Compute the derivatives of the energy with respect to D_r, D_c, D_x for element row i."""
     rows, cols, bulges, strength, start = about
     for j in range(2, d.shape[2] - 2):
         shear = solid[SHEAR, i, j]
@@ -194,7 +194,7 @@ def _forces_part(d, solid, about, out, first, last):
 
 @parallel
 def forces(d, solid, about, out, count):
-    """Compute the gradient of the energy: its derivative by the displacement of each site."""
+    """Compute the gradient of the energy with respect to the displacement of each site."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -203,10 +203,10 @@ def forces(d, solid, about, out, count):
 
 @inline
 def _until(now, slope, bend, part, floor):
-    """Return the step t at which a corner's Jacobian, now + slope t + bend t^2, falls to its bound.
+    """Return the step t at which a corner's Jacobian decreases to its lower bound.
 
-    The bound is `part` of the present Jacobian, and at least `floor`. If the present Jacobian is
-    below the floor, the bound is the present Jacobian.
+    The Jacobian is ``now + slope * t + bend * t**2``. The bound is ``max(part * now, floor)``, or
+    `now` itself if `now` is already below the floor.
     """
     c = now - max(part * now, min(now, floor))
     if c <= 0:
@@ -263,10 +263,10 @@ def _length_part(d, way, solid, about, part, floor, row_length, first, last, eac
 
 @parallel
 def length(d, way, solid, about, part, floor, row_length, each, count):
-    """Compute the largest step along `way` for each row of elements.
+    """Compute the largest valid step along `way` for each row of elements.
 
-    Each corner Jacobian stays at least `part` of its present value, and above `floor`. Unless
-    `each` is empty, it gets the largest step of each element.
+    A step is valid if each corner Jacobian stays above `part` times its present value and above
+    `floor`. If `each` is not empty, the largest step of each element is stored in it.
     """
     height = len(row_length)
     for number in prange(count):

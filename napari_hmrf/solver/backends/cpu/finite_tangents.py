@@ -1,8 +1,8 @@
-"""Tangents of Neo-Hookean tissue as compiled loops: its linear model at a displacement.
+"""Compiled loops for the tangents of Neo-Hookean tissue: its linear model at a displacement.
 
-A tangent is the matrix of second derivatives of an element's energy by D_r, D_c and D_x, with two
-components each. It is stored as 21 numbers: the blocks RR (3 numbers), CC (3), RC (4), XX (3),
-RX (4) and CX (4). Arrays are as in `backends.cpu.finite_strain`.
+A tangent is the matrix of second derivatives of an element's energy with respect to D_r, D_c and
+D_x, which have two components each. It is stored as 21 numbers: the blocks RR (3 numbers), CC (3),
+RC (4), XX (3), RX (4) and CX (4). Arrays have the layout of `backends.cpu.finite_strain`.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -29,18 +29,18 @@ from napari_hmrf.solver.backends.cpu.finite_strain import (
     volumes,
 )
 
-#: Least eigenvalue of a tangent that is made positive, relative to mu.
+#: Least eigenvalue of a tangent after it is made positive, relative to mu.
 LEAST = 0.05
-# Least corner Jacobian, and largest sum of squared sides, of an element without extra damping.
+# Limits for elements without extra damping: least corner Jacobian, largest sum of squared sides.
 _CALM, _STRETCHED = 0.9, 2.3
 
 
 @inline
 def _positive(a0, a1, b0, b1, shear, of_mean, bend):
     """Return the tangent of stretch and volume, with eigenvalues of at least `LEAST` mu."""
-    # The sides split into a conformal part P and an anticonformal part Q, with the Jacobian
-    # (P^2 - Q^2) / 2. Along P and Q the tangent is a 2 x 2 block; across P and across Q it is
-    # diagonal.
+    # Split the sides into a conformal part P and an anticonformal part Q. The Jacobian is
+    # (|P|^2 - |Q|^2) / 2. The tangent is a 2 x 2 block in the directions of P and Q, and diagonal
+    # in the directions perpendicular to P and to Q.
     half = math.sqrt(0.5)
     p0, p1, q0, q1 = half * (a0 + b1), half * (a1 - b0), half * (a0 - b1), half * (a1 + b0)
     p, q = math.hypot(p0, p1), math.hypot(q0, q1)
@@ -53,7 +53,7 @@ def _positive(a0, a1, b0, b1, shear, of_mean, bend):
     low, high = middle - apart, middle + apart
     if low < least:
         kept_low, kept_high = max(low, least), max(high, least)
-        # Replace both eigenvalues of the block, and keep its eigenvectors.
+        # Replace both eigenvalues of the block and preserve its eigenvectors.
         share = (kept_high - kept_low) / (high - low) if high > low else 0.0
         one, two = kept_low + share * (one - low), kept_low + share * (two - low)
         both *= share
@@ -101,7 +101,7 @@ def _exact(a0, a1, b0, b1, shear, of_mean, bend):
 
 @inline
 def _grown(values, rr, rc, cc):
-    """Transform a tangent for sides without growth to the deformed sides, in `_exact` order."""
+    """Transform a tangent from sides without growth to the deformed sides, ordered as `_exact`."""
     r0, r1, r2, c0, c1, c2, m00, m01, m10, m11 = values
     one, two, both, across = rr * rr, cc * cc, rr * rc, rc * rc
     back, mixed = rc * cc, rr * cc
@@ -122,7 +122,7 @@ def _grown(values, rr, rc, cc):
 
 @inline
 def _blend(true, safe, share):
-    """Return (1 - share) true + share safe, for tangents in the order of `_exact`."""
+    """Return (1 - share) true + share safe for tangents in the order of `_exact`."""
     left = 1.0 - share
     return (
         left * true[0] + share * safe[0],
@@ -140,7 +140,7 @@ def _blend(true, safe, share):
 
 @inline
 def _entry(t, p, q, s, t_, u, v):
-    """Return an entry of an element's matrix: component p of corner (s, t_), q of (u, v)."""
+    """Return an entry of an element's matrix: component p of corner (s, t_) and q of (u, v)."""
     along_rows, along_cols, twist = t[p + q], t[3 + p + q], t[10 + p + q]
     mixed = s * v * t[6 + 2 * p + q] + t_ * u * t[6 + 2 * q + p]
     return (s * u * along_rows + t_ * v * along_cols) + (mixed + s * t_ * u * v * twist)
@@ -148,9 +148,9 @@ def _entry(t, p, q, s, t_, u, v):
 
 @callee
 def _spread(t):
-    """Return the Frobenius norm of an element's matrix, scaled to a diagonal of ones.
+    """Return the Frobenius norm of an element's matrix, scaled to a unit diagonal.
 
-    The norm is an upper bound of the spectrum.
+    This norm is an upper bound of the spectrum.
     """
     total = 0.0
     for k in range(8):
@@ -229,7 +229,7 @@ def _tangent_part(d, solid, about, positive, calm, out, cycled, first, last):
             for k in range(8):
                 out[13 + k, i, j] = 0.0
             if walled:
-                # The blocks RR, CC and XX are symmetric and have three numbers each.
+                # The blocks RR, CC and XX are symmetric, so three numbers per block suffice.
                 for values, kept in ((true, out), (safe, cycled)):
                     kept[0, i, j] = rr * (values[0] + full[0, 0])
                     kept[1, i, j] = rr * (values[1] + full[0, 1])
@@ -269,11 +269,11 @@ def _tangent_part(d, solid, about, positive, calm, out, cycled, first, last):
 
 @parallel
 def tangents(d, solid, about, positive, calm, out, cycled, count):
-    """Compute the tangent of each element (21 numbers), and a positive one for cycles (13).
+    """Compute the tangent of each element (21 numbers), and a positive tangent for cycles (13).
 
-    The first tangent, in `out`, is blended with the positive one: entirely if `positive` is 1, and
-    not at all if it is 0. The last plane of `cycled` gets the damping of the smoother: the norm of
-    the element's matrix relative to `calm`, and at least 1.
+    The tangent in `out` is (1 - positive) times the exact tangent plus `positive` times the
+    positive tangent. The last plane of `cycled` is the damping of the smoother: the norm of the
+    element's matrix relative to `calm`, and at least 1.
     """
     height = d.shape[1] - 4
     for number in prange(count):
@@ -283,5 +283,5 @@ def tangents(d, solid, about, positive, calm, out, cycled, count):
 
 @alone
 def spread(tangent):
-    """Return the norm of an element's matrix (13 numbers), scaled to a diagonal of ones."""
+    """Return the norm of an element's matrix (13 numbers), scaled to a unit diagonal."""
     return _spread(tangent)

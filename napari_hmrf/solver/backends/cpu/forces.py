@@ -1,9 +1,9 @@
-"""Forces of elastic tissue at one site, for the compiled loops of both precisions.
+"""Forces of elastic tissue at a site, for the compiled loops in both precisions.
 
-All arrays have a border of void, two sites wide. An element has the index of its first site (least
-row and column), and its Lame parameters are 0 if one of its sites is void. Forces are computed from
-differences of displacement within an element; `solver.priors.elements` has the equations and the
-names.
+All arrays have a border of void, two sites wide. An element has the index of its first site
+(lowest row and column). Its Lame parameters are 0 if one of its sites is void. Forces are computed
+from differences of displacements within an element; `solver.priors.elements` documents the
+equations and the names.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -13,14 +13,14 @@ from numba import get_num_threads, int64
 
 from napari_hmrf.solver.backends.cpu.compiled import inline, shared
 
-# Least number of rows of a thread; with fewer rows, too many are computed by two threads.
+# Least number of rows per thread; with fewer rows, too large a share of rows is computed twice.
 _FEW_ROWS = 16
 
 
 @inline
 def _pulls(row, col, first, shear, shape):
-    """Return the derivatives of an element's energy by D_r, D_c and D_x of each component."""
-    # `row` and `col` have that component at the sites (0, 0), (0, 1), (1, 0) and (1, 1).
+    """Return the derivatives of an element's energy with respect to D_r, D_c and D_x."""
+    # `row` and `col` contain a component's values at the sites (0, 0), (0, 1), (1, 0) and (1, 1).
     rows, cols, mixed = shape[0], shape[1], shape[2]
     twist_rows, twist_cols, twist_volume = shape[3], shape[4], shape[5]
     left, right = row[2] - row[0], row[3] - row[1]
@@ -43,7 +43,7 @@ def _pulls(row, col, first, shear, shape):
 
 @inline
 def _element(d, lame, shape, i, j):
-    """Return `_pulls` of element (i, j), in the precision of the displacement."""
+    """Return `_pulls` of element (i, j) in the precision of the displacement."""
     return _pulls(
         (d[0, i, j], d[0, i, j + 1], d[0, i + 1, j], d[0, i + 1, j + 1]),
         (d[1, i, j], d[1, i, j + 1], d[1, i + 1, j], d[1, i + 1, j + 1]),
@@ -55,7 +55,7 @@ def _element(d, lame, shape, i, j):
 
 @inline
 def force(d, lame, shape, i, j):
-    """Return the stiffness matrix times d at site (i, j), summed over its four elements."""
+    """Return the stiffness matrix times d at site (i, j), as a sum over its four elements."""
     rr, cr, xr, rc, cc, xc = _element(d, lame, shape, i, j)
     row, col = xr - rr - cr, xc - rc - cc
     rr, cr, xr, rc, cc, xc = _element(d, lame, shape, i, j - 1)
@@ -68,7 +68,7 @@ def force(d, lame, shape, i, j):
 
 @inline
 def left_over(row, col, d_row, d_col, load, weights, i, j):
-    """Return load - force - springs weight d at site (i, j), where (row, col) is the force."""
+    """Return ``load - force - springs * weight * d`` at site (i, j), for the force (row, col)."""
     weight, springs = weights
     row += springs * weight[0, i, j] * d_row
     col += springs * weight[1, i, j] * d_col
@@ -86,10 +86,11 @@ def rest(d, load, lame, weight, shape, i, j):
 
 @shared
 def left_of(rows, lame, shape, j):
-    """Return the derivatives for element j of a row: by D_r, and by D_x minus and plus by D_c.
+    """Return the derivatives of element j of a row: E_r, E_x - E_c and E_x + E_c.
 
-    Three numbers are returned for each component. `row_force` needs them for the first element of
-    a row, and then passes them on from site to site.
+    E_r, E_c and E_x are derivatives of the energy with respect to D_r, D_c and D_x. The three
+    numbers are returned for each component. `row_force` requires them for the first element of a
+    row, and then passes them on from site to site.
     """
     row, row_below, col, col_below = rows
     first, shear = lame
@@ -107,14 +108,15 @@ def left_of(rows, lame, shape, j):
 def row_force(rows, lame, shape, carry, left, j):
     """Return `force` at site j of a row, and the argument `left` for the next site.
 
-    Rows and sites are visited in order, and each element is computed once. Its force on the right
-    sites is passed to the next site by `left`, and its force on the lower sites is passed to the
-    next row by `carry`, shape (2, W + 4).
+    The sites are visited in order, so that each element is computed only once. Its force on its
+    right sites is passed to the next site in `left`, and its force on its lower sites is passed to
+    the next row in `carry`, shape (2, W + 4).
 
     Parameters
     ----------
     rows : tuple of 4 ndarrays, shape (W + 4,)
-        Row component of displacement in this row and in the next, then the column component.
+        Row component of the displacement in this row and in the next row, followed by the column
+        component in both rows.
     lame : tuple of 2 ndarrays, shape (W + 4,)
         Lame parameters of the elements between the two rows.
     """
@@ -130,7 +132,7 @@ def row_force(rows, lame, shape, carry, left, j):
 
 @inline
 def rows_of(d, i):
-    """Return row i and the next row of each component."""
+    """Return row i and row i + 1 of each component."""
     return d[0, i], d[0, i + 1], d[1, i], d[1, i + 1]
 
 
@@ -142,7 +144,7 @@ def moduli_of(lame, i):
 
 @inline
 def reach(spans, i):
-    """Return the begin and end of the moving sites in rows i and i + 1 together."""
+    """Return the start and stop of the combined span of moving sites in rows i and i + 1."""
     below = min(i + 1, len(spans) - 1)
     begin, past = spans[i, 0], spans[i, 1]
     if past == begin:
@@ -153,11 +155,11 @@ def reach(spans, i):
 
 
 def parts(height: int) -> int:
-    """Return the number of threads for a level of `height` rows."""
+    """Return the number of threads for a level with `height` rows."""
     return max(1, min(get_num_threads(), height // _FEW_ROWS))
 
 
 @inline
 def part(number, count, height):
-    """Return the begin and end of the rows of thread `number` out of `count`."""
+    """Return the start and stop row of thread `number` out of `count` threads."""
     return int64(number) * height // count, (int64(number) + 1) * height // count

@@ -1,19 +1,21 @@
-"""Forces of elements in a volume, computed in blocks of sites, for loops of both precisions.
+"""Forces of elements in a volume, computed in blocks of sites, for loops in both precisions.
 
-All arrays have a border of void, two sites wide. An element has the index of its first site (least
-plane, row and column). `solver.priors.hexahedra` has the equations. A face is the square of four
-sites with the same column. Each step is one loop along a line of sites, which vectorises:
+All arrays have a border of void, two sites wide. An element has the index of its first site
+(lowest plane, row and column). `solver.priors.hexahedra` documents the equations. A face is the
+square of four sites in the same column. Each step is one loop along a line of sites, which
+vectorizes:
 
-1. `_faces` computes, for each face, the differences of displacement along planes, along rows and
-   along both, and the difference between the sum of its four sites and that of the next face.
+1. `_faces` computes for each face the differences of the displacement along the plane axis, along
+   the row axis and along both axes, and the sum over the next face minus the sum over this face.
 2. `_elements` computes the modes of each element from its two faces, and the forces of these modes
    on both faces.
-3. `_gather` adds the forces of the elements before and after a face at its four sites. The force
-   at the first site is then complete; the other forces are carried to the next row and plane.
+3. `_gather` adds the forces of the elements before and after a face at the face's four sites. The
+   force at the first site is then complete. The forces at the other sites are carried to the next
+   row and plane.
 
-Lines of scratch memory have a constant distance, so that the compiler can exclude overlaps. A few
-lines are left unused between the lines that a step reads and those that it writes, because
-processors may confuse reads and writes at similar addresses.
+Scratch lines have a constant distance, so that the compiler can exclude overlaps. A few lines
+between the input lines and the output lines of a step are unused, because processors may confuse
+reads and writes at similar addresses.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -26,12 +28,12 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu.compiled import callee, inline, shared
 
-#: Number of sites of a block; a line of scratch memory has room for all faces of a block.
+#: Number of sites per block; a scratch line has room for all faces of a block.
 BLOCK = 128
 _LINE = BLOCK + 16
-# Numbers of the scratch lines. The first twelve lines have faces, four for each component. Then
-# follow two lines of moduli, seven of element forces for each component, and three of forces. The
-# last constant is the number of lines.
+# Indices of the scratch lines. The first twelve lines contain faces, four lines per component. They
+# are followed by two lines of moduli, seven lines of element forces per component, and three lines
+# of forces. The last constant is the number of lines.
 _MODULI, _PULLS, _FORCES, _LINES = 12, 18, 44, 47
 
 
@@ -57,7 +59,7 @@ def constants(shape: Any) -> npt.NDArray[np.float64]:
 
 @inline
 def _line(f, number):
-    """Return a line of scratch memory."""
+    """Return the scratch line with the given index."""
     return f[number * _LINE : (number + 1) * _LINE]
 
 
@@ -90,8 +92,8 @@ def _moduli(shear, other, share, f, count):
 @shared
 def _elements(f, c, count):
     """Compute step 2 for `count` elements."""
-    # u, v and w are the components. The digits after them are 1 for each axis along which a mode
-    # varies: planes, rows and columns. Faces have two digits, because columns vary between faces.
+    # u, v and w are the components. Each digit in a name is 1 if the mode varies along that axis
+    # (plane, row or column). Faces have only two digits, because they lie in one column.
     q0, q1, q2 = c[0], c[1], c[2]
     u_110, u_101, v_110, v_011, w_101, w_011 = c[3], c[4], c[5], c[6], c[7], c[8]
     u_111, v_111, w_111, third = c[9], c[10], c[11], c[12]
@@ -192,9 +194,9 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
     d : ndarray, shape (3, D + 4, H + 4, W + 4)
         Displacement.
     lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
-        Parameter mu of each element, and lambda unless it is `share` times mu everywhere.
+        Parameter mu of each element, and also lambda unless lambda is `share` times mu everywhere.
     share : float
-        Ratio lambda / mu; 1 if `lame` has lambda.
+        Ratio lambda / mu, or 1 if `lame` contains lambda.
     c : ndarray
         Result of `constants`.
     z, y, begin, count : int
@@ -202,12 +204,12 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
     f : ndarray
         Scratch memory.
     rows : ndarray, shape (2, 3, W + 4)
-        Forces of the elements of the previous row on this row, in this plane and in the next.
+        Forces of the elements of the previous row on this row, in this plane and in the next plane.
     planes : ndarray, shape (3, H + 4, W + 4)
         Forces of the elements of the previous plane on this plane.
     """
     if len(f) < _LINES * _LINE:
-        return  # never true; the compiler can then assume that all lines exist
+        return  # never reached, but it lets the compiler assume that all lines exist
     _faces(d, 0, z, y, begin - 1, count + 2, f)
     _faces(d, 1, z, y, begin - 1, count + 2, f)
     _faces(d, 2, z, y, begin - 1, count + 2, f)
@@ -222,13 +224,13 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
 
 @inline
 def force_of(f, k):
-    """Return the forces of component k, beginning at the first site of the block."""
+    """Return the forces of component k, starting at the first site of the block."""
     return f[(_FORCES + k) * _LINE : (_FORCES + k + 1) * _LINE]
 
 
 @shared
 def scratch(d):
-    """Return scratch memory of one thread: lines, and forces carried to the next row and plane."""
+    """Return one thread's scratch memory: lines, and forces for the next row and plane."""
     lines = np.empty(_LINES * _LINE, dtype=d.dtype)
     rows = np.zeros((2, 3, d.shape[3]), dtype=d.dtype)
     planes = np.zeros((3, d.shape[2], d.shape[3]), dtype=d.dtype)

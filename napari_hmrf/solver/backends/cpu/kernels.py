@@ -1,15 +1,16 @@
 """Kernels of the paper's schedule as compiled loops.
 
-Every array has a border of void, two sites wide, so that loops need no test for the border of the
-image: a clique that leaves the image touches void and does not exist. Components are separate
-planes, (C, H + 4, W + 4). Updates are computed from differences of displacement, never from an
-assembled stencil, whose cancellation in float32 would lose whole pixels in large images.
+Every array has a border of void, two sites wide, so loops need no test for the border of the image:
+a clique that extends beyond the image contains void and does not exist. Components are separate
+planes, (C, H + 4, W + 4). Updates are computed from differences of displacements, never from an
+assembled stencil: cancellation in its float32 sums would cause errors of whole pixels in large
+images.
 
-The loops over a row vectorise for three reasons: they have no branches, they count from zero (numba
+The loops over a row vectorize for three reasons: they have no branches, they count from zero (numba
 wraps indices that may be negative), and they are inside the parallel loop, where the compiler can
 assume that arrays do not overlap. Check this after a change: the generated code must contain many
 ``<16 x float>`` or ``<8 x float>``. Row numbers are converted to a signed type, because the counter
-of a parallel loop may be unsigned, and functions would be compiled for both types.
+of a parallel loop may be unsigned, and functions would then be compiled for both types.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return"
@@ -21,14 +22,14 @@ from numba import float32, int64, prange
 
 from napari_hmrf.solver.backends.cpu.compiled import inline, parallel, reduction, shared
 
-# Displacement, in pixels, below which it is rounded to 0: denormal numbers are many times slower.
+# Displacements below this value, in pixels, are set to 0: denormal numbers are many times slower.
 _FLUSH = float32(1e-18)
 _TINY = float32(1e-30)
 
 
 @inline
 def ratios(stiffness, si, sj, ti, tj, ui, uj):
-    """Return m_t/m_s, m_t/m_u, and 1 if the clique exists, else 0."""
+    """Return m_t/m_s, m_t/m_u, and 1 if the clique exists or 0 if it does not."""
     inverse_s = stiffness[1, si, sj]
     inverse_u = stiffness[1, ui, uj]
     m = stiffness[0, ti, tj]
@@ -38,7 +39,7 @@ def ratios(stiffness, si, sj, ti, tj, ui, uj):
 
 @inline
 def middle_curvature(ratio_s, ratio_u):
-    """Return the curvature of a clique's potential for the displacement of its middle site."""
+    """Return the curvature of a clique's potential with respect to its middle site."""
     steep_s = float32(1) + ratio_s
     steep_u = float32(1) + ratio_u
     return steep_s * steep_s + steep_u * steep_u
@@ -46,7 +47,7 @@ def middle_curvature(ratio_s, ratio_u):
 
 @inline
 def _middle(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
-    """Return slope and energy of one component of a clique, for its middle site t."""
+    """Return the slope at the middle site t, and the energy, of one component of a clique."""
     to_s = d[component, si, sj] - d[component, ti, tj]
     to_u = d[component, ui, uj] - d[component, ti, tj]
     first = ratio_u * to_s + to_u
@@ -57,7 +58,7 @@ def _middle(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
 
 @inline
 def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
-    """Return the slope of one component of a clique, for its end s."""
+    """Return the slope of one component of a clique at its end site s."""
     to_s = d[component, si, sj] - d[component, ti, tj]
     to_u = d[component, ui, uj] - d[component, ti, tj]
     return -(ratio_u * (ratio_u * to_s + to_u) + (ratio_s * to_u + to_s))
@@ -65,10 +66,10 @@ def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
 
 @shared
 def square(d, stiffness, i, j):
-    """Return curvature, slope and energy of the cliques with middle (i + 2, j + 2): square pixels.
+    """Return curvature, slope and energy of the cliques centred at (i + 2, j + 2): square pixels.
 
-    In square pixels the vertical line counts for the row component only, and the horizontal line
-    for the column component only. Curvature and slope are returned for each component.
+    In square pixels, the vertical line contributes only to the row component, and the horizontal
+    line only to the column component. Curvature and slope are returned per component.
     """
     si, sj, ui, uj = i + 1, j + 2, i + 3, j + 2
     s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
@@ -99,7 +100,7 @@ def square(d, stiffness, i, j):
 
 @shared
 def _middle_line(d, stiffness, weight_0, weight_1, si, sj, ti, tj, ui, uj):
-    """Return curvature and slope per component, and energy, of a clique for its middle site."""
+    """Return a clique's curvature and slope at its middle site, per component, and its energy."""
     s, u, exists = ratios(stiffness, si, sj, ti, tj, ui, uj)
     w0, w1 = exists * weight_0, exists * weight_1
     a = middle_curvature(s, u)
@@ -110,7 +111,7 @@ def _middle_line(d, stiffness, weight_0, weight_1, si, sj, ti, tj, ui, uj):
 
 @shared
 def weighted(d, stiffness, weights, i, j):
-    """Return curvature, slope and energy like `square`, for pixels of any shape."""
+    """Return the same quantities as `square`, for pixels of any shape."""
     w = weights
     a0, a1, b0, b1, e = _middle_line(
         d, stiffness, w[0, 0], w[0, 1], i + 1, j + 2, i + 2, j + 2, i + 3, j + 2
@@ -131,7 +132,7 @@ def weighted(d, stiffness, weights, i, j):
 
 @inline
 def _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj):
-    """Return curvature and slope per component of a clique for its end (i, j)."""
+    """Return a clique's curvature and slope at its end site (i, j), per component."""
     s, u, exists = ratios(stiffness, i, j, ti, tj, ui, uj)
     w0, w1 = exists * weight_0, exists * weight_1
     a = u * u + float32(1)
@@ -142,7 +143,7 @@ def _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj):
 
 @shared
 def _both_ends(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj, vi, vj, xi, xj):
-    """Return curvature and slope of the cliques (i, j) - t - u and (i, j) - v - x, for (i, j)."""
+    """Return curvature and slope at (i, j) of the cliques (i, j) - t - u and (i, j) - v - x."""
     a0, a1, b0, b1 = _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj)
     p0, p1, q0, q1 = _end_line(d, stiffness, weight_0, weight_1, i, j, vi, vj, xi, xj)
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1
@@ -182,15 +183,15 @@ def _observed(d, observation, i, j):
 @inline
 def downhill(slope, penalty, off):
     """Return the only direction, 1 or -1, in which a component's energy may decrease."""
-    # `off` is y - d. The energy is convex, so it increases in the other direction.
+    # `off` is y - d. The energy is convex, so it increases in the opposite direction.
     pull = penalty if off > float32(0) else (-penalty if off < float32(0) else float32(0))
     return float32(-1) if float32(2) * slope + pull < float32(0) else float32(1)
 
 
 @inline
 def change(step, curvature, twice_slope, penalty, off, now):
-    """Return the change of a component's energy by a step downhill; 0 if it would increase."""
-    # `now` is p |y - d|; the slope and `off` have the sign for the direction of the step.
+    """Return the change of a component's energy after a downhill step, or 0 if it increases."""
+    # `now` is p |y - d|. The signs of the slope and of `off` refer to the direction of the step.
     prior = step * (curvature * step - twice_slope)
     return min(prior + (penalty * abs(off - step) - now), float32(0))
 
@@ -222,7 +223,7 @@ def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
 
 @inline
 def minimiser(d, curvature, slope, penalty, y, relaxation):
-    """Return the displacement of least local energy for one component: y + soft(q - y, p / 2A)."""
+    """Return the displacement that minimizes a component's energy: y + soft(q - y, p / 2A)."""
     share = relaxation / max(curvature, _TINY)
     distance = (d + share * slope) - y
     reach = float32(0.5) * share * penalty
@@ -257,14 +258,14 @@ def _row_total(values: Any, row: int, start: int, stop: int) -> float:
 def sweeps(
     even, odd, stiffness, observation, spans, weights, blanket, steps, relaxation, share, row_totals
 ):
-    """Update all sites simultaneously, once for each row of `row_totals`.
+    """Update all sites simultaneously, once per row of `row_totals`.
 
-    Sweeps alternate between the arrays: from `even` to `odd`, then from `odd` to `even`. `spans`
-    has the begin and end of the tissue in each row. `weights` is None for square pixels. `blanket`
-    is None if a site counts the cliques of which it is the middle; otherwise it counts all cliques
-    that contain it, which needs `weights`. `steps` is None for the closed form. Numba compiles a
-    special version for each combination of these. On return, `row_totals` has U_total before each
-    sweep, for each row; `share` is scratch memory.
+    The first sweep reads `even` and writes `odd`, the second does the reverse, and so on. `spans`
+    contains the start and stop column of the tissue in each row. `weights` is None for square
+    pixels. If `blanket` is None, a site includes only the cliques centred at it; otherwise it
+    includes all cliques that contain it, which requires `weights`. `steps` is None for the closed
+    form. Numba compiles a special version for each combination of these options. On return,
+    `row_totals` contains U_total before each sweep, per row; `share` is scratch memory.
     """
     for sweep in range(len(row_totals)):
         source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
@@ -290,7 +291,7 @@ def sweeps(
 
 @parallel
 def energy(source, stiffness, spans, weights, share, row_totals):
-    """Compute the energy of the cliques in each row; square pixels need `weights`, too."""
+    """Compute the energy of the cliques in each row; square pixels also require `weights`."""
     for number in prange(source.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)

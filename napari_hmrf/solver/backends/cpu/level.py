@@ -1,6 +1,6 @@
-"""One level of a linear model on the processor: the part that does not depend on the model.
+"""Level of a linear model on the processor: the part that does not depend on the model.
 
-A scalar is a plain Python number, because the processor is the host.
+Scalars are plain Python numbers, because the processor is the host.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ Spans = npt.NDArray[np.int64]
 class CpuLevel:
     """Base class of the levels on the processor; `LinearLevel` documents the methods.
 
-    Arrays of a volume are (3, D + 4, H + 4, W + 4), and its spans are those of all its `rows`.
+    In a volume, arrays have shape (3, D + 4, H + 4, W + 4), and spans cover all its `rows`.
 
     Parameters
     ----------
     grid : tuple of int
         Grid of the level, (H, W) or (D, H, W).
     memory : iterator, optional
-        Yields the memory of the first vectors; by default new memory is allocated.
+        Iterator over the memory of the first vectors; by default, new memory is allocated.
 
     Attributes
     ----------
@@ -42,15 +42,15 @@ class CpuLevel:
     weight : ndarray, shape (2, H + 4, W + 4), or None
         Strength of the springs; None on the finest level.
     pins : ndarray, shape (2, H + 4, W + 4)
-        Held components: 1 or 0 on the finest level, an interpolated count on coarser levels.
+        Prescribed components: 1 or 0 on the finest level, an interpolated count on coarser levels.
     spans : ndarray, shape (H, 2)
-        Begin and end of the moving sites in each row.
+        Start and stop column of the moving sites in each row.
     """
 
     weight: Vector | None
     pins: Vector
     spans: Spans
-    #: True if `finish` visits all coarser levels, too.
+    #: True if `finish` also visits all coarser levels.
     finishes_cycle: bool = False
     #: True if a second visit within a cycle is worth its cost.
     is_revisited: bool = True
@@ -68,9 +68,9 @@ class CpuLevel:
         self._rows, self._most = np.zeros((2, rows(self.inverse).shape[1] - 2 * PAD))
 
     def _set_springs(self, finer: Self) -> None:
-        """Set the springs of sites near held sites of the next finer level.
+        """Set the springs of sites near prescribed sites of the next finer level.
 
-        On entry `inverse` is the diagonal D; on return it is the reciprocal of D with springs.
+        On entry, `inverse` is the diagonal D; on return, it is the reciprocal of D with springs.
         """
         assert self.weight is not None
         self._restrict(finer.pins, self.pins)
@@ -80,24 +80,24 @@ class CpuLevel:
 
     @cached_property
     def _springs(self) -> tuple[Vector, np.float32]:
-        """Strength of the springs for kernels, and the factor 0 or 1 by which they count."""
-        # Without springs a kernel reads another array, times 0.
+        """Strength of the springs for kernels, and its factor 0 or 1."""
+        # If there are no springs, the kernel reads another array and multiplies it by 0.
         if self.weight is None:
             return self.inverse, np.float32(0)
         return self.weight, np.float32(1)
 
     @cached_property
     def _rest(self) -> Vector:
-        """Residual, for models with separate kernels for the residual and its restriction."""
+        """Residual, for models that compute the residual and its restriction in two kernels."""
         return self.vector()
 
     @cached_property
     def _step(self) -> Vector:
-        """Last Chebyshev step, for models with kernels that store it."""
+        """Latest Chebyshev step, for models with kernels that store it."""
         return self.vector()
 
     def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
-        """Compute one Chebyshev step from `correction` to `_other`, and store it in `_step`."""
+        """Compute one Chebyshev step from `correction` to `_other` and store it in `_step`."""
         raise NotImplementedError
 
     def _compute_residual(self) -> None:
@@ -123,7 +123,7 @@ class CpuLevel:
         raise NotImplementedError
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
-        """Smooth from zero, or again, and restrict the residual to the load of `coarse`."""
+        """Smooth from zero, or continue if `again`; restrict the residual to `coarse.load`."""
         self.relax(steps, from_zero=not again)
         if coarse is not None:
             self._restrict_residual(coarse)
@@ -133,7 +133,7 @@ class CpuLevel:
         self.descend(coarsest, None)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
-        """Add the interpolated coarse correction, and smooth."""
+        """Add the interpolated coarse correction, then smooth."""
         self._add_coarse(coarse.correction)
         self.relax(steps, from_zero=False)
 
@@ -149,14 +149,14 @@ class CpuLevel:
             self.correction, self._other = self._other, self.correction
 
     def clear(self) -> None:
-        """Set the correction to zero, and its second array."""
+        """Set the correction and its second array to zero."""
         self.correction.fill(0)
         compute_thread.check_cancelled()
         self._other.fill(0)
         compute_thread.check_cancelled()
 
     def vector(self, values: Vector | None = None) -> Vector:
-        """Return a vector of zeros, or the given planes without a copy."""
+        """Return a zero vector, or the given planes without a copy."""
         if values is not None:
             return values
         if self._memory is not None:
@@ -172,50 +172,56 @@ class CpuLevel:
         return self.vector()
 
     def free(self, *vectors: Vector) -> None:
-        """Keep vectors for reuse, because allocating takes longer than filling."""
+        """Store vectors for reuse, because allocation takes longer than clearing."""
         self._spare += vectors
 
     def planes(self, vector: Vector) -> Vector:
-        """Return the vector itself, which is planes already."""
+        """Return the vector itself, because it already consists of planes."""
         return vector
 
     def product(self, a: Vector, b: Vector) -> float:
-        """Return the scalar product."""
+        """Return the scalar product of two vectors."""
         vectors.product(rows(a), rows(b), self._rows)
         return float(self._rows.sum())
 
     def largest(self, a: Vector) -> float:
-        """Return the largest absolute value."""
+        """Return the largest absolute value of a vector."""
         vectors.largest(rows(a), self._most)
         return float(self._most.max())
 
     def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
-        """Return the largest absolute value of `a`, and the scalar product of both."""
+        """Return the largest absolute value of `a`, and the scalar product of `a` and `b`."""
         vectors.weigh(rows(a), rows(b), self._most, self._rows)
         return float(self._most.max()), float(self._rows.sum())
 
     def ratio(self, a: float, b: float) -> float:
-        """Return a / b; 0 unless both are positive."""
+        """Return a / b, or 0 unless both numbers are positive."""
         return a / b if a > 0 and b > 0 else 0.0
 
     def quotient(self, a: float, b: float) -> float:
-        """Return a / b; 0 if b is 0."""
+        """Return a / b, or 0 if b is 0."""
         return a / b if b != 0 else 0.0
 
     def times(self, a: float, b: float) -> float:
-        """Return a b."""
+        """Return the product of two numbers."""
         return a * b
 
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Compute d += length direction and rest -= length image; return rest . rest."""
+        """Add ``length * direction`` to `d`, subtract ``length * image`` from `rest`.
+
+        Return ``rest . rest``.
+        """
         return self.advance_by(d, length, rest, direction, image, length)
 
     def advance_by(
         self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Compute d += share direction and rest -= length image; return rest . rest."""
+        """Add ``share * direction`` to `d`, subtract ``length * image`` from `rest`.
+
+        Return ``rest . rest``.
+        """
         of_d, *others = map(rows, (d, rest, direction, image))
         shares = d.dtype.type(share), rest.dtype.type(length)
         vectors.advance(of_d, shares[0], *others, shares[1], self._rows)
@@ -244,12 +250,12 @@ class CpuLevel:
             vectors.lean(*(each[component : component + 1] for each in arrays), *shares)
 
     def read(self, *scalars: float) -> tuple[float, ...]:
-        """Return the scalars, which are numbers already."""
+        """Return the scalars, which are already plain numbers."""
         return scalars
 
 
 def rows(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a view (C, R, W + 4) of planes, where R counts the padded rows of all slices."""
+    """Return a view of planes with shape (C, R, W + 4); R counts the padded rows of all slices."""
     return planes.reshape(len(planes), -1, planes.shape[-1])
 
 
@@ -257,12 +263,12 @@ def rows(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def paces_of(steps: Steps, from_zero: bool) -> Vector:
     """Return (scale, ahead, back) of each step, for kernels that store displacements, not steps.
 
-    Such a kernel computes out = d + scale D^-1 (load - A d) + ahead d - back out, where `out` is
-    the displacement before the last step.
+    Such a kernel computes ``out = d + scale * D^-1 (load - A d) + ahead * d - back * out``, where
+    `out` on the right-hand side is the displacement before the previous step.
     """
-    # The momentum multiplies the last step, d - out. The first step has no momentum. An iteration
-    # from zero has `back` = 0 in the second step, too, because the displacement before the first
-    # step is zero and is not stored.
+    # The momentum multiplies the previous step, d - out. The first step has no momentum. In an
+    # iteration from zero, `back` is also 0 in the second step, because the displacement before the
+    # first step is zero and is not stored.
     made = np.zeros((len(steps), 3), dtype=np.float32)
     made[:, :2] = steps
     begun = 2 if from_zero else 1

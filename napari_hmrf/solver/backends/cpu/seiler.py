@@ -1,16 +1,17 @@
-"""Linear model of the paper's cliques as compiled loops.
+"""Compiled loops for the linear model of the paper's cliques.
 
-All arrays have a border of void, two sites wide. `stiffness` is (m, 1/m), 0 in void. `lines` is the
-weight of each line of cliques for each component; None selects the faster kernels for square
-pixels. `blanket` is True if a site counts all cliques that contain it, else None; True needs
-`lines`, and numba compiles special kernels for it. `weight` is the diagonal of the springs W of a
-coarse level, and is multiplied by `springs`: 0 on the finest level, else 1.
+All arrays have a border of void, two sites wide. `stiffness` is (m, 1/m), and 0 in void. `lines`
+contains the weight of each line of cliques for each component; None selects the faster kernels for
+square pixels. `blanket` is True if a site includes all cliques that contain it, otherwise None.
+True requires `lines`, and numba compiles special kernels for it. `weight` is the diagonal of the
+springs W of a coarse level. It is multiplied by `springs`, which is 0 on the finest level and 1 on
+the other levels.
 
-With centred cliques, where a site counts the cliques of which it is the middle, the model is
-A d = d - q(d): the distance of a site from the minimum of its local energy, so the diagonal is 1.
-With blanket cliques it is half the gradient of U_total's cliques; `lines` of twice the size give
-the whole gradient. Both are computed from differences of displacement. `inverse` is the reciprocal
-of the diagonal with springs, and 0 where a component does not move.
+With centred cliques, where a site includes only the cliques centred at it, the model is
+A d = d - q(d): the distance of a site from the minimum of its local energy. Its diagonal is 1. With
+blanket cliques, A d is half the gradient of the clique energy in U_total; doubled `lines` yield the
+full gradient. Both models are computed from differences of displacements. `inverse` is the
+reciprocal of the diagonal with springs, and 0 where a component does not move.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -29,7 +30,7 @@ from napari_hmrf.solver.backends.cpu.kernels import (
 from napari_hmrf.solver.backends.cpu.vectors import row_largest, row_product
 
 _TINY = float32(1e-30)
-# Step (rows, columns) from a site to the next one on each line.
+# Step (rows, columns) from a site to the next site on each line.
 _ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
@@ -46,7 +47,7 @@ def _pull(d, stiffness, lines, blanket, i, j):
 
 @inline
 def _quick_pull(d, stiffness, lines, blanket, i, j):
-    """Return the force like `_pull`, by a faster kernel for square pixels."""
+    """Return the same force as `_pull`, with a faster kernel for square pixels."""
     if lines is None:
         a0, a1, b0, b1, _ = square(d, stiffness, i, j)
         b0, b1 = b0 / max(a0, _TINY), b1 / max(a1, _TINY)
@@ -57,7 +58,7 @@ def _quick_pull(d, stiffness, lines, blanket, i, j):
 
 @inline
 def _rest(d, load, given, stiffness, weight, springs, lines, blanket, i, j):
-    """Return given load - (A + W) d at site (i + 2, j + 2)."""
+    """Return ``given * load - (A + W) d`` at site (i + 2, j + 2)."""
     row, col = _quick_pull(d, stiffness, lines, blanket, i, j)
     row += given * load[0, i + 2, j + 2] - springs * weight[0, i + 2, j + 2] * d[0, i + 2, j + 2]
     col += given * load[1, i + 2, j + 2] - springs * weight[1, i + 2, j + 2] * d[1, i + 2, j + 2]
@@ -69,9 +70,9 @@ def residual(
     d, load, given, stiffness, inverse, weight, springs, lines, blanket, spans, share, out,
     row_totals,
 ):  # fmt: skip
-    """Write share (given load - (A + W) d) to `out`; 0 at fixed components.
+    """Write ``share * (given * load - (A + W) d)`` to `out`; it is 0 at fixed components.
 
-    `row_totals` gets the scalar product of d and out for each row, unless it is empty.
+    `row_totals`, unless empty, receives the scalar product d . out of each row.
     """
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -88,7 +89,7 @@ def residual(
 
 @parallel
 def pull(d, stiffness, lines, blanket, spans, out):
-    """Write -A d to `out` within the spans; square pixels need `lines`, too."""
+    """Write -A d to `out` within the spans; square pixels also require `lines`."""
     for number in prange(d.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)
@@ -101,9 +102,10 @@ def pull(d, stiffness, lines, blanket, spans, out):
 
 @parallel
 def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
-    """Write share (pulls + given load) to `out`, in single precision; 0 at fixed components.
+    """Write ``share * (pulls + given * load)`` to `out` in float32; it is 0 at fixed components.
 
-    `row_most` gets the largest absolute value of each row, and `row_squares` the sum of squares.
+    For each row, `row_most` receives the largest absolute value, and `row_squares` the sum of
+    squares.
     """
     for number in prange(out.shape[1] - 4):
         i = int64(number) + 2
@@ -121,7 +123,10 @@ def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
 def smooth(
     d, load, stiffness, inverse, weight, springs, lines, blanket, spans, step, out, scale, momentum
 ):
-    """Compute step = scale D^-1 (load - (A + W) d) + momentum step (Chebyshev), out = d + step."""
+    """Compute a Chebyshev step and the displacement ``out = d + step``.
+
+    The step is ``step = scale * D^-1 (load - (A + W) d) + momentum * step``.
+    """
     for number in prange(d.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)
@@ -138,7 +143,7 @@ def smooth(
 
 @parallel
 def curvature(stiffness, lines, blanket, out):
-    """Compute the curvature of each site's cliques; square pixels need `lines`, too."""
+    """Compute the curvature of each site's cliques; square pixels also require `lines`."""
     for number in prange(out.shape[1] - 4):
         i = int64(number) + 2
         for k in range(out.shape[2] - 4):
@@ -163,10 +168,10 @@ def curvature(stiffness, lines, blanket, out):
 
 @parallel
 def coarsen(fine, coarse, even):
-    """Compute the stiffness of coarse sites: the mean of the tissue around, or void if none.
+    """Compute the stiffness of coarse sites as the weighted mean of the tissue around them.
 
-    `even` gets the factor by which a sum over that tissue must be multiplied to be as large as a
-    sum over full surroundings.
+    A coarse site without tissue around it is void. `even` receives the factor that scales a sum
+    over this tissue to the size of a sum over complete surroundings.
     """
     for i in prange(coarse.shape[1] - 4):
         for j in range(coarse.shape[2] - 4):

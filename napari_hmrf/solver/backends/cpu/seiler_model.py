@@ -1,4 +1,4 @@
-"""The paper's cliques on the processor: their levels, and their forces in double precision."""
+"""Model of the paper's cliques on the processor: levels, and forces in double precision."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 Lines = npt.NDArray[np.float64]
 
-# Row totals for calls that need no scalar product.
+# Empty row totals, for calls that need no scalar product.
 _NO_ROWS = np.zeros(0)
-# Number of sites below which a level uses one thread, because waking the others takes longer.
+# Levels with fewer sites than this use one thread, because waking the other threads takes longer.
 _SMALL = 8000
 
 
 class CpuSeilerLevel(CpuLevel):
-    """Cliques and springs of one level.
+    """Level with cliques and springs.
 
     Attributes
     ----------
     stiffness : ndarray, shape (2, H + 4, W + 4) or (2, D + 4, H + 4, W + 4)
-        (m, 1/m); 0 in void.
+        Stiffness and its reciprocal, (m, 1/m); 0 in void.
     lines : ndarray, shape (4, 2), or None
         Weight of each line of cliques for each component; None selects the faster kernels for
         square pixels.
     even : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
-        Factor that turns a weighted sum over the tissue around a site on the finer level into four
-        times its mean, which is the residual on a grid of twice the spacing.
+        Factor that converts a weighted sum over the tissue around a site of the finer level to four
+        times its mean, which is the residual on a grid with twice the spacing.
     """
 
     def __init__(
@@ -55,11 +55,11 @@ class CpuSeilerLevel(CpuLevel):
         self.spans: Spans = np.zeros((rows(self.inverse).shape[1] - 2 * PAD, 2), dtype=np.int64)
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
-        """Set the stiffness from that of the next finer level."""
+        """Compute the stiffness from the next finer level."""
         seiler.coarsen(finer.stiffness, self.stiffness, self.even)
 
     def compute_diagonal(self, stiffness: Planes) -> None:
-        """Compute the diagonal from the stiffness, given in double precision."""
+        """Compute the diagonal from a stiffness in double precision."""
         exactly = self.curvature(stiffness, self._lines.astype(np.float64))
         self._diagonal[...] = exactly if self.blanket else exactly > 0
 
@@ -74,31 +74,30 @@ class CpuSeilerLevel(CpuLevel):
         seiler.pull(d, stiffness, lines, self.blanket, spans, out)
 
     def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
-        """Write -A d to `out` like `pull`; return the energy of the cliques."""
+        """Write -A d to `out` within the spans, and return the energy of the cliques."""
         share, totals = np.empty(self.grid), np.zeros(self.grid[0])
         kernels.energy(d, stiffness, spans, lines, share, totals)
         self.pull(d, stiffness, lines, spans, out)
         return float(totals.sum())
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components of the finest level."""
+        """Set the prescribed components of the finest level."""
         self.inverse[...] = self._diagonal
-        # Sites without cliques are fixed, too.
+        # Sites without cliques are also fixed.
         alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
         vectors.hold(rows(self.inverse), rows(held | alone), rows(self.pins), self.spans)
         self._clear_vectors()
 
     def hold_as(self, finer: CpuSeilerLevel) -> None:
-        """Set the springs of sites near held sites of the next finer level."""
+        """Set the springs of sites near prescribed sites of the next finer level."""
         self.inverse[...] = self._diagonal
         self._set_springs(finer)
         self._clear_vectors()
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
-        """Smooth from zero, or again, and restrict the residual to the load of `coarse`.
+        """Smooth from zero, or continue if `again`; restrict the residual to `coarse.load`.
 
-        With centred cliques the coarse load is a mean, at the border of tissue over the sites in
-        tissue only.
+        With centred cliques, the coarse load is a mean over the sites in tissue.
         """
         numba.set_num_threads(self.threads)
         super().descend(steps, coarse, again)
@@ -106,16 +105,16 @@ class CpuSeilerLevel(CpuLevel):
             coarse.even_out()
 
     def even_out(self) -> None:
-        """Multiply the load by `even`, after it was restricted from the finer level."""
+        """Multiply the load by `even` after its restriction from the finer level."""
         seiler.even_out(self.load, self.even)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
-        """Add the interpolated coarse correction, and smooth."""
+        """Add the interpolated coarse correction, then smooth."""
         numba.set_num_threads(self.threads)
         super().ascend(steps, coarse)
 
     def _clear_vectors(self) -> None:
-        """Clear all vectors, because kernels write within the spans only."""
+        """Clear all vectors, because kernels write only within the spans."""
         for vector in (self.correction, self._other, self._step, self._rest):
             vector.fill(0)
 
@@ -147,7 +146,10 @@ class CpuSeilerLevel(CpuLevel):
     def multiply(
         self, direction: Vector, image: Vector, totals: npt.NDArray[np.float64] = _NO_ROWS
     ) -> None:
-        """Compute ``image = A @ direction``; `totals`, unless empty, gets the product by rows."""
+        """Compute ``image = A @ direction``; store ``direction . image`` per row in `totals`.
+
+        An empty array `totals` is ignored.
+        """
         # Unused terms have the factor 0 and refer to arrays that the kernel reads anyway.
         nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
         self._residual(direction, nothing, no_springs, (-1, image), totals)
@@ -160,7 +162,7 @@ class CpuSeilerLevel(CpuLevel):
         out: tuple[int, Vector],
         totals: npt.NDArray[np.float64],
     ) -> None:
-        """Call `seiler.residual`; `load` and `out` are given with their factors."""
+        """Call `seiler.residual`; `load` and `out` are pairs of an array and a factor."""
         seiler.residual(
             d,
             load[0],
@@ -178,11 +180,12 @@ class CpuSeilerLevel(CpuLevel):
 
 
 class CpuSeilerModel(HostModel):
-    """`LinearModel` of the paper's cliques; other backends build their levels from it.
+    """`LinearModel` of the paper's cliques; other backends build their levels from this model.
 
     Parameters
     ----------
     material : SeilerMaterial
+        Material on the finest grid.
     """
 
     #: Class of the levels.
@@ -193,15 +196,15 @@ class CpuSeilerModel(HostModel):
         self.bounds = material.bounds
         self._held = None
         self._blanket = material.blanket or None
-        # With blanket cliques A is the gradient of the energy, twice the sum in the kernels.
+        # With blanket cliques, A is the gradient of the energy, which is twice the kernels' sum.
         self._lines = (2 if material.blanket else 1) * material.lines
         square = material.square and not material.blanket
         m = material.m / np.float64(material.m.max())
         inverse = np.divide(1.0, m, out=np.zeros_like(m), where=m > 0)
         self.levels = []
         for number, grid in enumerate(grids(m.shape)):
-            # On the next coarser level, the energy of a clique is sixteen times as large for the
-            # same curvature of the displacement, but there are a quarter as many cliques.
+            # On the next coarser level, the same curvature of the displacement gives a clique
+            # sixteen times the energy, but there are only a quarter as many cliques.
             share = 0.25**number if material.blanket else 1.0
             lines = (share * self._lines).astype(np.float32)
             self.levels.append(self.level(grid, lines, square, material.blanket, number == 0))
@@ -219,7 +222,7 @@ class CpuSeilerModel(HostModel):
             coarse.compute_diagonal(coarse.stiffness.astype(np.float64))
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components on all levels."""
+        """Set the prescribed components on all levels."""
         threads = numba.get_num_threads()
         for level in self.levels:
             level.threads = 1 if math.prod(level.grid) < _SMALL else threads
@@ -241,24 +244,24 @@ class CpuSeilerModel(HostModel):
         if low is not None and self._blanket:
             pulls: Planes = self.material.pull(d, low)
             return pulls
-        assert low is None  # refinement with more digits exists for blanket cliques only
+        assert low is None  # extended-precision refinement exists only for blanket cliques
         self.levels[0].pull(d, self._stiffness, self._lines, self._whole, self._pull)
         return self._pull
 
     @property
     def steepness(self) -> Planes:
-        """Second derivative of each site's energy; 0 where a site has no clique."""
+        """Second derivative of each site's energy; 0 at sites without cliques."""
         curvature: Planes = self.levels[0].curvature(self._stiffness, self._lines)
         return curvature if self._blanket else 2 * curvature
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the cliques' part of U_total, and the norm of all forces."""
+        """Return the clique energy in U_total, and the norm of all forces."""
         pulls = self._pull
         energy = self.levels[0].work(d, self._stiffness, self._lines, self._whole, pulls)
         return energy / (2 if self._blanket else 1), math.sqrt(np.vdot(pulls, pulls))
 
     def clear_cache(self) -> None:
-        """Clear the model cache, because values in its vectors may not be finite."""
+        """Clear the model cache, because vectors of the model may contain non-finite values."""
         _last[:] = ()
 
 
@@ -269,10 +272,10 @@ in_child_of_fork(_last.clear)  # the fork may have interrupted a solve that uses
 def the_model(
     material: SeilerMaterial, kind: type[CpuSeilerModel] = CpuSeilerModel
 ) -> CpuSeilerModel:
-    """Return the model of a material, from the cache of one model if it is the same tissue.
+    """Return the model of a material, reusing the cached model if possible.
 
-    Users edit observations more often than tissue. Call it on the compute thread only, because all
-    solves share the model.
+    Users edit observations more often than tissue. Call this function only on the compute thread,
+    because all solves share the model.
     """
     if not _last or _last[0].material != material:
         _last[:] = ()  # free the old model before the new one is allocated

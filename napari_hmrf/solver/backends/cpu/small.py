@@ -1,8 +1,9 @@
-"""Small levels in the V-cycle of elastic tissue.
+"""V-cycle over the small levels of elastic tissue.
 
-The last sites of a row are too few for a vector instruction. In a short row they take as long as
-all other sites. Here a level is therefore one long row, from its first site to its last. It
-includes the border of void between the rows, where all forces and corrections are zero.
+The last sites of a row do not fill a vector instruction. In a short row, they take as long as all
+other sites together. This module therefore treats a level as one long row from its first site to
+its last. The row includes the border of void between the rows of the level, where all forces and
+corrections are zero.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -14,9 +15,9 @@ from numba import float32
 from napari_hmrf.solver.backends.cpu import forces, small_cycle
 from napari_hmrf.solver.backends.cpu.compiled import callee, strict
 
-#: Number of planes of a level's model: the Lame parameters.
+#: Number of model planes per level: the two Lame parameters.
 PLANES = np.int64(2)
-# Index of the first site in padded arrays, and of the row in which it lies.
+# Index of the first site of a row in padded arrays, and of the row that contains the first site.
 _FIRST = 2
 
 
@@ -28,7 +29,7 @@ def _length(d):
 
 @callee
 def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
-    """Compute a Chebyshev step like `elastic.smooth`."""
+    """Compute a Chebyshev step; see `elastic.smooth`."""
     for k in range(_length(d)):
         j = _FIRST + k
         row, col = forces.rest(d, load, lame, weight, shape, _FIRST, j)

@@ -1,6 +1,6 @@
-"""V-cycle over all small levels in one call, on one thread, for any model.
+"""V-cycle over all small levels in one single-threaded call, for any model.
 
-On such levels, waking other threads and calling single kernels takes longer than the kernels.
+On small levels, waking other threads and calling kernels separately takes longer than the kernels.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -13,8 +13,8 @@ import numpy as np
 from napari_hmrf.solver.backends.cpu import vectors
 from napari_hmrf.solver.backends.cpu.compiled import callee
 
-# Numbers of a level's arrays, of two planes each; the planes of its model come last. They are NumPy
-# numbers, because numba would compile a function again for each Python number.
+# Indices of a level's arrays, which have two planes each; the planes of its model are last. They
+# are NumPy integers, because numba would compile a function again for each Python constant.
 INVERSE, LOAD, CORRECTION, OTHER, PINS, WEIGHT, REST, MODEL = np.arange(8)
 
 _restrict = callee(vectors.restrict.py_func)
@@ -23,7 +23,7 @@ _interpolate = callee(vectors.interpolate.py_func)
 
 @callee
 def _planes(values, table, k, first, count):
-    """Return `count` planes of level k, from array number `first` on: (count, H + 4, W + 4)."""
+    """Return `count` planes of level k, starting at array `first`: (count, H + 4, W + 4)."""
     height, width, begin = table[k, 0] + 4, table[k, 1] + 4, table[k, 2]
     size = height * width
     begin += 2 * first * size
@@ -32,13 +32,13 @@ def _planes(values, table, k, first, count):
 
 @callee
 def _plane(values, table, k, number):
-    """Return array `number` of level k, (2, H + 4, W + 4)."""
+    """Return array `number` of level k, shape (2, H + 4, W + 4)."""
     return _planes(values, table, k, number, 2)
 
 
 @callee
 def _start(load, inverse, d, scale):
-    """Compute the first step from zero, d = scale D^-1 load, with the level as one long row."""
+    """Compute the first step from zero, ``d = scale * D^-1 load``, on the level as one long row."""
     for k in range((d.shape[1] - 5) * d.shape[2] + d.shape[2] - 4):
         j = 2 + k
         d[0, 2, j] = scale * inverse[0, 2, j] * load[0, 2, j]
@@ -51,22 +51,22 @@ def cycle_of(planes: Any, smooth: Any, rest: Any) -> Any:
     Parameters
     ----------
     planes : int
-        Number of planes of a level that belong to its model.
+        Number of model planes per level.
     smooth : callable
         Chebyshev step: ``smooth(d, load, own, inverse, weight, about, out, scale, ahead, back)``.
-        `own` has the model's planes of the level, and `about` the parameters of all levels.
+        `own` contains the model planes of the level, and `about` the parameters of all levels.
     rest : callable
         Residual: ``rest(d, load, own, inverse, weight, about, out)``.
 
     Returns
     -------
     callable
-        ``cycle(values, table, about, down, up, coarsest)``.
+        V-cycle: ``cycle(values, table, about, down, up, coarsest)``.
     """
 
     @callee
     def relax(values, table, about, k, steps, begun, turned):
-        """Smooth on level k; return whether the correction is then in `OTHER`."""
+        """Smooth on level k; return True if the correction is then in `OTHER`."""
         inverse, load, weight, own = (
             _plane(values, table, k, INVERSE),
             _plane(values, table, k, LOAD),
@@ -83,12 +83,13 @@ def cycle_of(planes: Any, smooth: Any, rest: Any) -> Any:
 
     @callee
     def cycle(values, table, about, down, up, coarsest):
-        """Run a V-cycle over levels, finest first, for the load of the first.
+        """Run a V-cycle over levels, finest first, for the load of the first level.
 
-        `values` has the arrays of all levels, each level in the order of the numbers above. A row
-        of `table` has the height and width of a level, and the index at which its arrays begin.
-        `down`, `up` and `coarsest` have (scale, ahead, back) of each smoothing step. The correction
-        of a level is in `CORRECTION` after an odd number of steps in total, else in `OTHER`.
+        `values` contains the arrays of all levels, each level in the order of the indices above. A
+        row of `table` contains the height and width of a level, and the index at which its arrays
+        start. `down`, `up` and `coarsest` contain (scale, ahead, back) of each smoothing step. The
+        correction of a level is in `CORRECTION` after an odd total number of steps, otherwise in
+        `OTHER`.
         """
         last = len(table) - 1
         for k in range(last + 1):

@@ -1,4 +1,4 @@
-"""Small levels, which share their memory and are cycled on one thread (see `small_cycle`)."""
+"""Small levels, which share memory and run V-cycles on one thread (see `small_cycle`)."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from napari_hmrf.solver.backends.linear import Steps
 
 Grids = Sequence[tuple[int, ...]]
 
-# Number of sites below which a level is small; and number of finest levels that never count as
-# small, so that a small problem compiles all kernels that a large one needs.
+# Number of sites below which a level is small, and number of finest levels that never count as
+# small, so that a small problem compiles all kernels that a large problem needs.
 _SMALL, _LARGE = 8000, 2
 
 
 def divided(grids: Grids) -> tuple[Grids, Grids]:
-    """Split grids, finest first, into those of large levels and those of small levels."""
+    """Split a list of grids, finest first, into grids of large levels and of small levels."""
     few = next((k for k, (height, width) in enumerate(grids) if height * width < _SMALL), 0)
     large = max(few, _LARGE)
     return grids[:large], grids[large:]
@@ -32,7 +32,7 @@ class SmallLevel(CpuLevel):
     Attributes
     ----------
     together : SmallLevels or None
-        All small levels, if this level is the finest of them.
+        All small levels if this level is the finest small level, otherwise None.
     """
 
     together: SmallLevels | None = None
@@ -43,7 +43,7 @@ class SmallLevel(CpuLevel):
         return self._other
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Compute the correction with all coarser levels, or on this level if it is the last."""
+        """Compute the correction, including all coarser levels if there are any."""
         if self.together is None:
             super().finish(steps, coarsest)
         else:
@@ -51,16 +51,17 @@ class SmallLevel(CpuLevel):
 
 
 class SmallLevels:
-    """Common memory of the small levels, and their V-cycle.
+    """Shared memory of the small levels, and their V-cycle.
 
     Parameters
     ----------
     grids : sequence of tuple of int
         Grids of the levels, finest first.
     planes : int
-        Number of planes of a level that belong to its model.
+        Number of model planes per level.
     level : callable
-        Returns a level for a grid and its arrays, in the order of `small_cycle`.
+        Function that returns a level for a grid and an iterator over its arrays, in the order of
+        `small_cycle`.
     cycle : callable
         V-cycle: ``cycle(values, table, down, up, coarsest)``.
     """
@@ -94,7 +95,7 @@ class SmallLevels:
         return made
 
     def cycle(self, steps: Steps, coarsest: Steps) -> Vector:
-        """Run a V-cycle; return the correction of the finest small level."""
+        """Run a V-cycle and return the correction of the finest small level."""
         self._cycle(
             self._values,
             self._table,
@@ -108,7 +109,7 @@ class SmallLevels:
 
 
 def _arrays(values: npt.NDArray[np.float32], shared: int) -> Iterator[Vector]:
-    """Yield a level's arrays of two planes, and last the planes of its model."""
+    """Yield a level's arrays with two planes each, then the planes of its model."""
     for number in range(0, shared, 2):
         yield values[number : number + 2]
     yield values[shared:]

@@ -1,9 +1,9 @@
-"""Compiled loops for deformed tissue in large motion: the operations of multigrid on its levels.
+"""Compiled loops for tissue in large motion: the multigrid operations on its levels.
 
-Arrays are as in `backends.cpu.elastic`, but each element has a tangent instead of Lame parameters
-(see `backends.cpu.finite_tangents`). The solved system uses all 21 numbers of a tangent, cycles use
-the first 13. Each row takes two loops, which both vectorise: one over its elements computes their
-forces, and one over its sites adds them.
+Arrays have the layout of `backends.cpu.elastic`, but each element has a tangent instead of Lame
+parameters (see `backends.cpu.finite_tangents`). The full system uses all 21 numbers of a tangent,
+while cycles use the first 13. Each row requires two loops, which both vectorize: the first loop
+computes the forces of the elements, and the second loop adds them at the sites.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -16,13 +16,13 @@ from napari_hmrf.solver.backends.cpu import small_cycle
 from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, strict
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
-#: Number of planes of a level's model: 13 numbers of each tangent, and its damping.
+#: Number of model planes per level: 13 numbers of each tangent, and its damping.
 PLANES = np.int64(14)
 
 
 @callee
 def _element_row(d, tangent, i, out):
-    """Compute the derivatives for row i of elements: by D_r, and by D_x minus and plus by D_c."""
+    """Compute E_r, E_x - E_c and E_x + E_c for row i of elements; see `forces.left_of`."""
     for j in range(d.shape[2] - 1):
         left_0, right_0 = d[0, i + 1, j] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i, j + 1]
         left_1, right_1 = d[1, i + 1, j] - d[1, i, j], d[1, i + 1, j + 1] - d[1, i, j + 1]
@@ -47,7 +47,7 @@ def _element_row(d, tangent, i, out):
 
 @callee
 def _add_coupled(d, tangent, i, out):
-    """Add the terms that couple D_x with D_r and D_c to the derivatives of `_element_row`."""
+    """Add the terms that couple D_x with D_r and D_c to the result of `_element_row`."""
     for j in range(d.shape[2] - 1):
         left_0, right_0 = d[0, i + 1, j] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i, j + 1]
         left_1, right_1 = d[1, i + 1, j] - d[1, i, j], d[1, i + 1, j + 1] - d[1, i, j + 1]
@@ -109,7 +109,7 @@ def _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, 
 
 @parallel
 def apply(d, tangent, inverse, coupled, weight, springs, out, row_totals, count):
-    """Write (A + W) d to `out`, with 0 at fixed components; `row_totals` gets d . out by rows."""
+    """Write (A + W) d to `out`, 0 at fixed components; store d . out per row in `row_totals`."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -137,9 +137,10 @@ def _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, l
 
 @parallel
 def smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back, count):
-    """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
+    """Compute a Chebyshev step with the coefficients `scale`, `ahead` and `back`.
 
-    On entry, `out` has the displacement before the last step, which was d - out.
+    The step is ``out = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * out``. On entry,
+    `out` contains the displacement before the previous step.
     """
     height = d.shape[1] - 4
     for number in prange(count):
@@ -168,7 +169,7 @@ def _rest_part(d, load, tangent, inverse, weight, springs, out, first, last):
 
 @parallel
 def rest(d, load, tangent, inverse, weight, springs, out, count):
-    """Write load - (A + W) d to `out`, with 0 at fixed components."""
+    """Write load - (A + W) d to `out`; it is 0 at fixed components."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -177,7 +178,7 @@ def rest(d, load, tangent, inverse, weight, springs, out, count):
 
 @parallel
 def start(load, inverse, scale, out):
-    """Compute the first step from zero: out = scale D^-1 load."""
+    """Compute the first step from zero: ``out = scale * D^-1 load``."""
     for i in prange(load.shape[1] - 4):
         for component in range(2):
             for j in range(2, load.shape[2] - 2):
@@ -187,9 +188,9 @@ def start(load, inverse, scale, out):
 
 @parallel
 def coarsen(fine, coarse):
-    """Compute the tangents of coarse elements: the mean of four fine ones, with void as 0.
+    """Compute coarse tangents as the mean of four fine elements, where void counts as 0.
 
-    The damping is the largest of the four.
+    The damping of a coarse element is the maximum over the four fine elements.
     """
     for i in prange(coarse.shape[1] - 4):
         for k in range(13):
@@ -205,7 +206,7 @@ def coarsen(fine, coarse):
 
 @parallel
 def diagonal(tangent, out):
-    """Compute the diagonal of the matrix for cycles, times the damping of the elements."""
+    """Compute the diagonal of the matrix for cycles, multiplied by the elements' damping."""
     for n in prange(tangent.shape[1] - 4):
         i = n + 2
         for component in range(2):
@@ -226,14 +227,14 @@ def diagonal(tangent, out):
 
 @callee
 def _smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back):
-    """Compute a Chebyshev step like `smooth`, on one thread."""
+    """Compute a Chebyshev step on one thread; see `smooth`."""
     pace, last = (scale, ahead, back), d.shape[1] - 4
     _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, 0, last)
 
 
 @callee
 def _rest(d, load, tangent, inverse, weight, springs, out):
-    """Compute the residual like `rest`, on one thread."""
+    """Compute the residual on one thread; see `rest`."""
     _rest_part(d, load, tangent, inverse, weight, springs, out, 0, d.shape[1] - 4)
 
 

@@ -1,4 +1,4 @@
-"""Compiled loops that interpolate displacement to the next finer level, and padded arrays."""
+"""Compiled loops that interpolate displacements to the next finer level, and padded arrays."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -15,13 +15,13 @@ PAD = 2
 
 
 def padded(components: int, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Return planes of zeros for a grid, with the border of void around them."""
+    """Return zero planes for a grid, including the border of void."""
     return np.zeros((components, *(size + 2 * PAD for size in shape)), dtype=np.float32)
 
 
 @strict_parallel
 def prolong(coarse, coarse_stiffness, target, stiffness):
-    """Interpolate displacement bilinearly to the next finer level.
+    """Interpolate a displacement bilinearly to the next finer level.
 
     Coarse sites in void have weight 0, and border sites are repeated outwards.
     """
@@ -55,7 +55,7 @@ def prolong(coarse, coarse_stiffness, target, stiffness):
 
 @strict_callee
 def _nearest(i, size):
-    """Return the padded indices of the two coarse sites around a fine one, the nearer one first."""
+    """Return the padded indices of the two coarse sites around a fine site, nearest first."""
     near = min(i // 2, size - 1)
     far = min(max(near + (1 if i % 2 else -1), 0), size - 1)
     return near + PAD, far + PAD
@@ -63,7 +63,7 @@ def _nearest(i, size):
 
 @strict_parallel
 def prolong_volume(coarse, coarse_stiffness, target, stiffness):
-    """Interpolate displacement trilinearly to the next finer level of a volume, like `prolong`."""
+    """Interpolate a displacement trilinearly to the next finer level of a volume."""
     for n in prange(target.shape[1] - 2 * PAD):
         planes = _nearest(np.int64(n), coarse.shape[1] - 2 * PAD)
         for i in range(target.shape[2] - 2 * PAD):

@@ -1,8 +1,8 @@
 """Compiled loops over vectors, for multigrid and Krylov iterations of any model.
 
 All arrays have a border of void, two sites wide. `inverse` is the reciprocal of the model's
-diagonal, and 0 where a component does not move. Scalar products are returned for each row. Loops
-that treat rows independently also take volumes, as views of all their rows (`level.rows`).
+diagonal, and 0 where a component does not move. Scalar products are returned per row. Loops that
+treat rows independently also accept volumes, as views of all their rows (`level.rows`).
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -34,7 +34,7 @@ def row_product(a: Any, b: Any, row: int) -> float:
 
 @inline
 def span(inverse, spans, i):
-    """Set the begin and end of the moving sites of row i in `spans`."""
+    """Store the start and stop column of the moving sites of row i in `spans`."""
     first, past = int64(0), int64(0)
     for j in range(inverse.shape[2] - 4):
         for k in range(len(inverse)):
@@ -48,7 +48,7 @@ def span(inverse, spans, i):
 
 @parallel
 def hold(inverse, held, pins, spans):
-    """Replace a diagonal by its reciprocal, or 0 at held components; set `pins` to 1 or 0."""
+    """Replace a diagonal by its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0."""
     for i in prange(inverse.shape[1] - 4):
         for k in range(len(inverse)):
             for j in range(2, inverse.shape[2] - 2):
@@ -63,8 +63,7 @@ def hold(inverse, held, pins, spans):
 def spring(inverse, pins, most, strength, weight, spans):
     """Set the springs of a coarser level; replace its diagonal by the reciprocal with springs.
 
-    A spring has the strength `strength` times `pins`, which is limited to `most`, times the
-    diagonal.
+    The strength of a spring is ``strength * min(pins, most) * diagonal``.
     """
     for i in prange(inverse.shape[1] - 4):
         for k in range(len(inverse)):
@@ -79,7 +78,7 @@ def spring(inverse, pins, most, strength, weight, spans):
 
 @parallel
 def smooth_first(load, inverse, step, d, scale):
-    """Compute the first Chebyshev step from d = 0: step = d = scale * D^-1 load."""
+    """Compute the first Chebyshev step from d = 0: ``step = d = scale * D^-1 load``."""
     for i in prange(load.shape[1] - 4):
         for j in range(load.shape[2]):
             row = scale * inverse[0, i + 2, j] * load[0, i + 2, j]
@@ -92,7 +91,7 @@ def smooth_first(load, inverse, step, d, scale):
 
 @callee
 def restrict_row(above, here, below, coarse):
-    """Compute one row of `restrict` for one component, from three fine rows."""
+    """Compute one row of `restrict` for one component from three fine rows."""
     half = float32(0.5)
     for j in range(len(coarse) - 4):
         left = here[2 * j + 1] + half * (above[2 * j + 1] + below[2 * j + 1])
@@ -103,7 +102,7 @@ def restrict_row(above, here, below, coarse):
 
 @parallel
 def restrict(fine, coarse):
-    """Apply the transpose of `interpolate`: coarse site i lies on fine site 2 i."""
+    """Apply the transpose of `interpolate`; coarse site i coincides with fine site 2 i."""
     for i in prange(coarse.shape[1] - 4):
         for component in range(2):
             restrict_row(
@@ -116,7 +115,7 @@ def restrict(fine, coarse):
 
 @parallel
 def interpolate(coarse, fine, inverse):
-    """Add the bilinearly interpolated coarse correction where components move."""
+    """Add the bilinearly interpolated coarse correction to the components that move."""
     for i in prange(fine.shape[1] - 4):
         near = i // 2 + 2
         far = near + i % 2
@@ -134,7 +133,10 @@ def interpolate(coarse, fine, inverse):
 
 @parallel
 def advance(d, share, rest, direction, image, length, row_totals):
-    """Compute d += share * direction and rest -= length * image; `row_totals` gets rest . rest."""
+    """Add ``share * direction`` to `d`, subtract ``length * image`` from `rest`.
+
+    Store ``rest . rest`` of each row in `row_totals`.
+    """
     for i in prange(d.shape[1] - 4):
         for component in range(len(d)):
             for j in range(d.shape[2]):
@@ -145,7 +147,7 @@ def advance(d, share, rest, direction, image, length, row_totals):
 
 @parallel
 def lean(rest, direction, image, share, stride):
-    """Compute direction = rest + share * (direction - stride * image)."""
+    """Compute ``direction = rest + share * (direction - stride * image)``."""
     for i in prange(direction.shape[1] - 4):
         for component in range(len(direction)):
             for j in range(direction.shape[2]):
@@ -156,17 +158,17 @@ def lean(rest, direction, image, share, stride):
 
 @parallel
 def product(a, b, row_totals):
-    """Compute the scalar product of each row."""
+    """Compute the scalar product of two vectors, per row."""
     for i in prange(a.shape[1] - 4):
         row_totals[i] = row_product(a, b, i + 2)
 
 
 @strict_callee
 def row_largest(a: Any, row: int) -> Any:
-    """Return the largest absolute value of one row, or NaN if the row contains one.
+    """Return the largest absolute value of one row, or NaN if the row contains NaN.
 
-    Without the sign bit, floating-point numbers have the order of their bits as integers, and
-    comparisons of integers vectorise.
+    Without the sign bit, floating-point numbers are ordered like their bits as integers, and
+    integer comparisons vectorize.
     """
     most = int32(0)
     for component in range(len(a)):
@@ -185,7 +187,7 @@ def largest(a, row_most):
 
 @parallel
 def weigh(a, b, row_most, row_totals):
-    """Compute `largest` of a and `product` of a and b in one pass."""
+    """Compute `largest` of `a` and `product` of `a` and `b` in one pass."""
     for i in prange(a.shape[1] - 4):
         row_most[i] = row_largest(a, i + 2)
         row_totals[i] = row_product(a, b, i + 2)

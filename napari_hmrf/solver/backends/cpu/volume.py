@@ -1,14 +1,15 @@
-"""Compiled loops for elastic volumes: the operations of multigrid on its levels.
+"""Compiled loops for elastic volumes: the multigrid operations on their levels.
 
-All arrays have a border of void, two sites wide on every side. An element has the index of its
-first site, and its parameters are those of `backends.cpu.hexahedra`. A component that is
-prescribed, or in no element, has an inverse diagonal of 0, so its correction stays 0. `weight` is
-the diagonal of the springs W of a coarse level, and is multiplied by `springs`: 0 on the finest
-level, else 1.
+All arrays have a border of void, two sites wide on every side. An element has the index of
+its first site, and `backends.cpu.hexahedra` documents its parameters. A component that is
+prescribed, or that belongs to no element, has an inverse diagonal of 0, so its correction stays 0.
+`weight` is the diagonal of the springs W of a coarse level. It is multiplied by `springs`, which is
+0 on the finest level and 1 on the other levels.
 
 Each kernel divides the planes among `count` threads. A thread starts one plane above its first
-plane, for the forces that this plane passes on, and discards the result there. Kernels write to the
-moving sites of each padded row (`spans`) only; outside them the output must already be 0.
+plane to compute the forces of that plane on the next plane, and discards the other results there.
+In each padded row, kernels write only to the span of moving sites (`spans`), so the output must
+already be 0 outside the spans.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -28,12 +29,12 @@ from napari_hmrf.solver.backends.cpu.forces import part
 from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
 from napari_hmrf.solver.backends.cpu.vectors import restrict_row
 
-# Least number of planes of a thread; with fewer planes, too many are computed by two threads.
+# Least number of planes per thread; with fewer planes, too large a share is computed twice.
 _FEW_PLANES = 8
 
 
 def parts(depth: int) -> int:
-    """Return the number of threads for a level of `depth` planes."""
+    """Return the number of threads for a level with `depth` planes."""
     return max(1, min(get_num_threads(), depth // _FEW_PLANES))
 
 
@@ -50,7 +51,7 @@ def _join(spans, z, y, begin, past):
 
 @shared
 def _reach(spans, z, y):
-    """Return the begin and end of the moving sites in rows y and y + 1 of planes z and z + 1."""
+    """Return the span of the moving sites in rows y and y + 1 of planes z and z + 1."""
     begin, past = spans[z, y, 0], spans[z, y, 1]
     begin, past = _join(spans, z, y + 1, begin, past)
     begin, past = _join(spans, z + 1, y, begin, past)
@@ -95,10 +96,11 @@ def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, las
 
 @parallel
 def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, paces, count):
-    """Run Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other.
+    """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`.
 
-    On entry, `other` has the displacement before the last step, which was d - other. The two arrays
-    change roles after each step.
+    A step is ``other = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * other``. On entry,
+    `other` contains the displacement before the previous step. The two arrays swap roles after each
+    step.
     """
     for step in range(len(paces)):
         source, target = (d, other) if step % 2 == 0 else (other, d)
@@ -111,7 +113,7 @@ def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, 
 
 @parallel
 def start(load, inverse, d, scale):
-    """Compute the first step from zero, d = scale D^-1 load, for arrays from `level.rows`."""
+    """Compute the first step from zero, ``d = scale * D^-1 load``, for arrays from `level.rows`."""
     for i in prange(d.shape[1]):
         for k in range(len(d)):
             for j in range(d.shape[2]):
@@ -155,7 +157,7 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
 
 @parallel
 def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
-    """Write scale (given load - (A + W) d) to `out`, with 0 at fixed components."""
+    """Write ``scale * (given * load - (A + W) d)`` to `out`; it is 0 at fixed components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
@@ -180,7 +182,7 @@ def _pull_part(d, lame, share, shape, out, first, last):
 
 @parallel
 def pull(d, lame, share, shape, out, count):
-    """Write -A d to `out`, including held components."""
+    """Write -A d to `out`, including its values at prescribed components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         _pull_part(d, lame, share, shape, out, first, last)
@@ -213,7 +215,7 @@ def _work_part(d, lame, share, shape, products, squares, first, last):
 
 @parallel
 def work(d, lame, share, shape, products, squares, count):
-    """Add d . A d and the square of A d of each plane to `products` and `squares`."""
+    """Add d . A d and ||A d||^2 of each plane to `products` and `squares`."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         _work_part(d, lame, share, shape, products, squares, first, last)
@@ -224,7 +226,7 @@ def work(d, lame, share, shape, products, squares, count):
 
 @shared
 def _between(above, here, below, line):
-    """Compute line = here + (above + below) / 2, the restriction across planes."""
+    """Compute line = here + (above + below) / 2, the restriction along the plane axis."""
     half = float32(0.5)
     for x in range(len(line)):
         line[x] = here[x] + half * (above[x] + below[x])
@@ -232,7 +234,7 @@ def _between(above, here, below, line):
 
 @parallel
 def restrict(fine, coarse):
-    """Apply the transpose of `interpolate`: coarse site i lies on fine site 2 i."""
+    """Apply the transpose of `interpolate`; coarse site i coincides with fine site 2 i."""
     for n in prange(coarse.shape[1] - 4):
         lines = np.empty((3, fine.shape[3]), dtype=fine.dtype)
         z = 2 * np.int64(n) + 2
@@ -257,7 +259,7 @@ def _interpolate_row(near, right, far, across, inverse, line, fine):
 
 @parallel
 def interpolate(coarse, fine, inverse):
-    """Add the trilinearly interpolated coarse correction where components move."""
+    """Add the trilinearly interpolated coarse correction to the components that move."""
     for number in prange(fine.shape[1] - 4):
         n = np.int64(number)
         line = np.empty(coarse.shape[3], dtype=fine.dtype)
@@ -277,7 +279,7 @@ def interpolate(coarse, fine, inverse):
 
 @shared
 def _sum_line(near, right, far, across, line):
-    """Compute the sum over the corners of each element; 0 if a corner is 0."""
+    """Compute the sum over the corners of each element, or 0 if the value at any corner is 0."""
     for x in range(len(line)):
         one, other = float64(near[x]), float64(near[x + 1])
         low, total = min(one, other), one + other
@@ -292,11 +294,10 @@ def _sum_line(near, right, far, across, line):
 
 @parallel
 def elements(m, each, one, scale, lame):
-    """Compute the parameters of each element, from the means of its sites; 0 beside void.
+    """Compute the parameters of each element from the means of its sites; 0 if a site is void.
 
-    If `one`, Poisson's ratio is the same everywhere, and mu is `scale` times the sum of `m` over
-    the corners. Otherwise `each` has the ratio of each site, and `scale` times the sum is Young's
-    modulus.
+    If `one`, Poisson's ratio is uniform, and mu is `scale` times the sum of `m` over the corners.
+    Otherwise `each` contains the ratio of each site, and `scale` times the sum is Young's modulus.
     """
     for n in prange(m.shape[0] - 1):
         total, ratio = np.empty(m.shape[2] - 1), np.empty(m.shape[2] - 1)
@@ -324,9 +325,9 @@ def elements(m, each, one, scale, lame):
 
 @parallel
 def coarsen(fine, coarse):
-    """Compute the parameters of coarse elements: a quarter of the sum of eight fine ones.
+    """Compute the parameters of coarse elements: a quarter of the sum over eight fine elements.
 
-    This is twice their mean, because an element's energy grows with its side.
+    This is twice their mean, because the energy of an element is proportional to its side length.
     """
     quarter = float32(0.25)
     for n in prange(coarse.shape[1] - 4):

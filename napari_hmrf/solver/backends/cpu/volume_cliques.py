@@ -1,13 +1,13 @@
-"""The paper's cliques in a volume as compiled loops, for both precisions.
+"""Compiled loops for the paper's cliques in a volume, in both precisions.
 
-All arrays have a border of void, two sites wide on every side. Here a volume is a view of all its
-rows (`level.rows`), shape (C, R, W + 4), in which a row and the same row of the next plane are
-H + 4 rows apart. The direction of a line of cliques is given as an offset in rows and in sites:
-`offsets`, shape (13, 2). `lines` is the weight of each line for each component. Border rows have
-empty spans.
+All arrays have a border of void, two sites wide on every side. A volume is represented as a view of
+all its rows (`level.rows`), shape (C, R, W + 4), in which a row and the same row of the next plane
+are H + 4 rows apart. The direction of a line of cliques is given as an offset in rows and in sites:
+`offsets`, shape (13, 2). `lines` contains the weight of each line for each component. Border rows
+have empty spans.
 
-Sites are computed in blocks. Each step is one loop along a block, which vectorises as in
-`hexahedra`: lines of scratch memory have a constant distance.
+Sites are computed in blocks. Each step is one loop along a block, which vectorizes as in
+`hexahedra` because scratch lines have a constant distance.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -24,20 +24,20 @@ from napari_hmrf.solver.backends.cpu.compiled import callee, inline, parallel, r
 from napari_hmrf.solver.backends.cpu.kernels import change, downhill, middle_curvature, minimiser
 from napari_hmrf.solver.priors import line_steps
 
-#: Number of sites of a block; a line of scratch memory is longer, which is faster.
+#: Number of sites per block; a scratch line is longer, which is faster.
 BLOCK = 128
 _LINE = BLOCK + 16
-# Numbers of the scratch lines. The first three lines have ratios. Curvature and slope have one line
-# for each component; then follow the energy, its change by a step, its change by the best step, and
-# the best step. The last constant is the number of lines.
+# Indices of the scratch lines. The first three lines contain ratios. Curvature and slope have one
+# line per component. They are followed by the energy, its change by a step, its change by the best
+# step, and the best step. The last constant is the number of lines.
 _CURVATURE, _SLOPE, _ENERGY, _CHANGE, _LEAST, _BEST, _LINES = 3, 6, 9, 10, 11, 12, 13
-# Displacement, in pixels, below which it is rounded to 0, as in `kernels`.
+# Displacements below this value, in pixels, are set to 0, as in `kernels`.
 _FLUSH = float32(1e-18)
 
 
 @lru_cache(maxsize=16)
 def offsets(grid: tuple[int, ...]) -> npt.NDArray[np.int64]:
-    """Return the offset, in rows and sites, to the next site on each line, for a grid (D, H, W)."""
+    """Return the offset (rows, sites) to the next site on each line, for a grid (D, H, W)."""
     plane, row, col = np.array(line_steps(3), dtype=np.int64).T
     return np.stack([plane * (grid[1] + 4) + row, col], axis=1)
 
@@ -50,7 +50,7 @@ def scratch(d):
 
 @inline
 def _line(f, number):
-    """Return a line of scratch memory."""
+    """Return the scratch line with the given index."""
     return f[number * _LINE : (number + 1) * _LINE]
 
 
@@ -68,7 +68,7 @@ def slope_of(f, k):
 
 @shared
 def _ratios(stiffness, row, x, down, right, count, f):
-    """Compute m_t/m_s and m_t/m_u of the cliques of a line, and 1 if a clique exists, else 0."""
+    """Compute m_t/m_s, m_t/m_u and whether the clique exists (1 or 0), for a line's cliques."""
     s, u, exists = _line(f, 0), _line(f, 1), _line(f, 2)
     before = stiffness[1, row - down, x - right : x - right + count]
     here = stiffness[0, row, x : x + count]
@@ -100,22 +100,25 @@ def _add(d, k, weight, row, x, down, right, count, f):
 
 @callee
 def look(d, stiffness, lines, offsets, row, x, count, f):
-    """Compute curvature, slope and energy of the cliques around the sites of a block.
+    """Compute curvature, slope and energy of the cliques centred at the sites of a block.
 
     Parameters
     ----------
     d : ndarray, shape (3, R, W + 4)
+        Displacement.
     stiffness : ndarray, shape (2, R, W + 4)
-        (m, 1/m), 0 in void.
+        Stiffness and its reciprocal, (m, 1/m); 0 in void.
     lines : ndarray, shape (13, 3)
+        Weight of each line for each component.
     offsets : ndarray, shape (13, 2)
+        Result of `offsets`.
     row, x, count : int
         Row, first site and number of sites of the block, in the padded arrays.
     f : ndarray
-        Scratch memory with the result: see `curvature_of` and `slope_of`.
+        Scratch memory that contains the result; see `curvature_of` and `slope_of`.
     """
     if len(f) < _LINES * _LINE:
-        return  # never true; the compiler can then assume that all lines exist
+        return  # never reached, but it lets the compiler assume that all lines exist
     f[_CURVATURE * _LINE : (_ENERGY + 1) * _LINE] = 0
     for line in range(len(lines)):
         down, right = offsets[line, 0], offsets[line, 1]
@@ -147,7 +150,7 @@ def _observe(d, y, p, count, f):
 
 @shared
 def _try(d, y, p, k, step, relaxation, count, f):
-    """Add the change of energy by a step of component k downhill, or 0 if it would increase."""
+    """Add the energy change of a downhill step of component k, or 0 if the energy increases."""
     curvature, slope, lost = curvature_of(f, k), slope_of(f, k), _line(f, _CHANGE)
     for j in range(count):
         off = y[j] - d[j]
@@ -169,7 +172,7 @@ def _compare(step, count, f):
 
 @shared
 def _move(d, y, p, k, relaxation, count, f, out):
-    """Move component k by the best step, if that decreases its energy."""
+    """Move component k by the best step where this decreases the component's energy."""
     curvature, slope, best = curvature_of(f, k), slope_of(f, k), _line(f, _BEST)
     for j in range(count):
         off = y[j] - d[j]
@@ -183,7 +186,7 @@ def _move(d, y, p, k, relaxation, count, f, out):
 
 @shared
 def _minimise(d, y, p, k, relaxation, count, f, out):
-    """Move component k to the displacement of least local energy."""
+    """Move component k to the minimum of its local energy."""
     curvature, slope = curvature_of(f, k), slope_of(f, k)
     for j in range(count):
         new = minimiser(d[j], curvature[j], slope[j], p[j], y[j], relaxation)
@@ -192,10 +195,10 @@ def _minimise(d, y, p, k, relaxation, count, f, out):
 
 @callee
 def _sweep_row(source, target, stiffness, observation, span, lines, offsets, steps, relaxation, i):
-    """Move the sites of a row; return their energy before the move."""
+    """Move the sites of a row and return their energy before the move."""
     f, total = scratch(source), 0.0
     if len(f) < _LINES * _LINE:
-        return total  # never true; see `look`
+        return total  # never reached; see `look`
     for x in range(max(span[0], 0) + 2, span[1] + 2, BLOCK):
         end = min(x + BLOCK, span[1] + 2)
         count = end - x
@@ -222,13 +225,13 @@ def _sweep_row(source, target, stiffness, observation, span, lines, offsets, ste
 
 @parallel
 def sweeps(even, odd, stiffness, observation, spans, lines, offsets, steps, relaxation, row_totals):
-    """Update all sites simultaneously, once for each row of `row_totals`.
+    """Update all sites simultaneously, once per row of `row_totals`.
 
-    A site counts the cliques of which it is the middle. Sweeps alternate between the arrays: from
-    `even` to `odd`, then from `odd` to `even`. `spans` has the begin and end of the tissue in each
-    row, and `observation` is (y, p) with three components each. If `steps` is empty, a site moves
-    to the minimum of its local energy. On return, `row_totals` has U_total before each sweep, for
-    each row.
+    A site includes only the cliques centred at it. The first sweep reads `even` and writes `odd`,
+    the second does the reverse, and so on. `spans` contains the start and stop column of the tissue
+    in each row, and `observation` is (y, p) with three components each. If `steps` is empty, a site
+    moves to the minimum of its local energy. On return, `row_totals` contains U_total before each
+    sweep, per row.
     """
     for sweep in range(len(row_totals)):
         source, target = (even, odd) if sweep % 2 == 0 else (odd, even)

@@ -1,4 +1,4 @@
-"""Elastic volumes on the processor: their levels, and their forces in double precision."""
+"""Model of elastic volumes on the processor: levels, and forces in double precision."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ _SITE_SECONDS = 20e-9
 
 
 def _never_cancel() -> None:
-    """Ignore the check for a cancellation."""
+    """Do nothing, for levels that cannot be cancelled."""
 
 
 class CpuVolumeLevel(CpuLevel):
-    """Elements and springs of one level.
+    """Level of an elastic volume with its elements and springs.
 
     Attributes
     ----------
     lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
         Parameters mu, or mu and lambda, of the elements; 0 in void.
     share : float
-        Ratio lambda / mu of all elements; 1 if each element has its own lambda.
+        Ratio lambda / mu of all elements, or 1 if each element has its own lambda.
     checkpoint : callable
-        Called several times a second; raises to stop the work.
+        Function called several times a second; it raises an exception to cancel the work.
     """
 
     sums_up = True
@@ -54,12 +54,12 @@ class CpuVolumeLevel(CpuLevel):
         self.lame = padded(parameters, grid)
         self.weight = None if finest else self.vector()
         depth, height = (size + 2 * PAD for size in grid[:2])
-        #: Begin and end of the moving sites in each padded row.
+        #: Start and stop column of the moving sites in each padded row.
         self.reach: npt.NDArray[np.int64] = np.zeros((depth, height, 2), dtype=np.int64)
         self.spans = self.reach.reshape(-1, 2)[PAD:-PAD]
         #: Number of threads among which the planes are divided.
         self.parts = volume.parts(grid[0])
-        #: Number of smoothing steps between two checks for a cancellation.
+        #: Number of smoothing steps between two checks for cancellation.
         self._at_once = max(1, int(BATCH_SECONDS / (_SITE_SECONDS * math.prod(grid))))
         self.checkpoint: Checkpoint = _never_cancel
         self.share = np.float32(1)
@@ -67,16 +67,16 @@ class CpuVolumeLevel(CpuLevel):
 
     @property
     def pins(self) -> Vector:  # type: ignore[override]
-        """Pins for the next coarser level, which reads them once.
+        """Pins for the next coarser level, which reads them only once.
 
-        They use the memory of a correction, so `clear` must follow.
+        They share memory with a correction, so `clear` must be called afterwards.
         """
         return self._other
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components of the finest level."""
-        # Fill the arrays part by part first: the operating system allocates new memory at the first
-        # write, which is slow, and one kernel could not be cancelled in between.
+        """Set the prescribed components of the finest level."""
+        # The operating system allocates new memory at the first write, which is slow. Fill the
+        # arrays one by one first, because a single kernel could not be cancelled in between.
         self.clear()
         for component in self.inverse:
             component.fill(0)
@@ -86,7 +86,7 @@ class CpuVolumeLevel(CpuLevel):
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
 
     def hold_as(self, finer: CpuVolumeLevel) -> None:
-        """Set the springs of sites near held sites of the next finer level."""
+        """Set the springs of sites near prescribed sites of the next finer level."""
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         self._set_springs(finer)
 
@@ -111,11 +111,11 @@ class CpuVolumeLevel(CpuLevel):
         self._restrict(self._other, coarse.load)
 
     def scratch_vector(self) -> Vector:
-        """Return a vector of the cycle that is unused between cycles, which saves memory."""
+        """Return a vector that the cycle does not use between cycles, which saves memory."""
         return self._other
 
     def free(self, *vectors: Vector) -> None:
-        """Ignore the call; vectors are not kept, because memory limits volumes."""
+        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
@@ -142,8 +142,9 @@ class CpuVolumeModel(HostModel):
     Parameters
     ----------
     material : ElasticMaterial
+        Material on the finest grid.
     checkpoint : callable
-        Called several times a second; raises to stop the work.
+        Function called several times a second; it raises an exception to cancel the work.
     """
 
     def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> None:
@@ -162,7 +163,7 @@ class CpuVolumeModel(HostModel):
             level.checkpoint = checkpoint
 
     def assemble(self, material: ElasticMaterial) -> None:
-        """Replace the material by another one with the same grid and number of parameters."""
+        """Replace the material by another with the same grid and number of parameters."""
         self.material = material
         self.bounds = smoother_bounds(material)
         self._held = self.bodies = self.levels[0].bodies = None
@@ -171,7 +172,7 @@ class CpuVolumeModel(HostModel):
         self._sites: list[BodySites] = bodies_of(m) if material.rigid else []
         if material.rigid:
             m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
-            m.setflags(write=False)  # read-only arrays are another type for numba
+            m.setflags(write=False)  # numba would compile another version for writable arrays
         lame, scale, share = self.levels[0].lame, 0.125 / most, 1.0
         if isinstance(nu, float):
             share = lame_ratio(nu, strain=True)
@@ -186,7 +187,7 @@ class CpuVolumeModel(HostModel):
         self._exact: tuple[Any, ...] = np.float64(share), constants
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components on all levels."""
+        """Set the prescribed components on all levels."""
         before = self._held
         if self.material.rigid and (before is None or not np.array_equal(held, before)):
             self.bodies = self.levels[0].bodies = Bodies(self._sites, self.material, held)
@@ -217,7 +218,7 @@ class CpuVolumeModel(HostModel):
         return out
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the elastic energy, and the norm of the forces."""
+        """Return the elastic energy and the norm of the forces."""
         finest, (share, shape) = self.levels[0], self._exact
         products, squares = np.zeros((2, self.shape[0]))
         volume.work(d, finest.lame, share, shape, products, squares, finest.parts)
@@ -225,14 +226,14 @@ class CpuVolumeModel(HostModel):
 
     @property
     def steepness(self) -> Planes:
-        """Diagonal of the stiffness matrix, planes."""
+        """Diagonal of the stiffness matrix, as planes."""
         finest = self.levels[0]
         out = finest.vector()
         volume.diagonal(finest.lame, finest.share, finest.shape, out)
         return np.asarray(out, dtype=np.float64)
 
     def clear_cache(self) -> None:
-        """Clear the model cache, because values in its vectors may not be finite."""
+        """Clear the model cache, because vectors of the model may contain non-finite values."""
         _last[:] = ()
 
 
@@ -242,9 +243,9 @@ volume_caches.register(_last.clear)
 
 
 def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> CpuVolumeModel:
-    """Return the model of a material, from the cache of one model if it is the same tissue.
+    """Return the model of a material, reusing the cached model if possible.
 
-    Call it on the compute thread only, because all solves share the model.
+    Call this function only on the compute thread, because all solves share the model.
     """
 
     def layout(each: ElasticMaterial) -> tuple[Any, ...]:
@@ -254,7 +255,7 @@ def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel)
         _last[:] = ()  # free the old model before the new one is allocated
         _last.append(CpuVolumeModel(material, checkpoint))
     elif _last[0].material != material:
-        model = _last.pop()  # a cancelled update leaves the model out of the cache
+        model = _last.pop()  # if the update is cancelled, the model is not cached
         model.set_checkpoint(checkpoint)
         model.assemble(material)
         _last.append(model)

@@ -1,9 +1,9 @@
-"""Linear model of the paper's cliques in a volume as compiled loops: twin of `seiler`.
+"""Compiled loops for the linear model of the paper's cliques in a volume; see also `seiler`.
 
 Arrays are views of all rows, as in `volume_cliques`. The model is A d = d - q(d): the distance of a
-site from the minimum of its local energy, so the diagonal is 1. `inverse`, `weight` and `springs`
-are those of `seiler`. Kernels write within the spans only; outside them the output must already be
-0.
+site from the minimum of its local energy. Its diagonal is 1. `inverse`, `weight` and `springs` are
+documented in `seiler`. Kernels write only within the spans, so the output must already be 0 outside
+the spans.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -56,10 +56,11 @@ def _smooth_row(d, load, tissue, inverse, weights, span, pace, out, i):
 
 @parallel
 def smooth(d, other, load, stiffness, lines, offsets, inverse, weight, springs, spans, paces):
-    """Run Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other.
+    """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`.
 
-    On entry, `other` has the displacement before the last step, which was d - other. The two arrays
-    change roles after each step.
+    A step is ``other = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * other``. On entry,
+    `other` contains the displacement before the previous step. The two arrays swap roles after each
+    step.
     """
     for step in range(len(paces)):
         source, target = (d, other) if step % 2 == 0 else (other, d)
@@ -104,7 +105,7 @@ def _rest_row(d, load, given, tissue, inverse, weights, span, share, out, i):
 def residual(
     d, load, given, stiffness, lines, offsets, inverse, weight, springs, spans, share, out
 ):
-    """Write share (given load - (A + W) d) to `out`, with 0 at fixed components."""
+    """Write ``share * (given * load - (A + W) d)`` to `out`; it is 0 at fixed components."""
     tissue, weights = (stiffness, lines, offsets), (weight, springs)
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -128,7 +129,7 @@ def _pull_row(d, tissue, span, out, i):
 
 @parallel
 def pull(d, stiffness, lines, offsets, spans, out, row_totals):
-    """Write -A d to `out` within the spans; `row_totals` gets the energy of the cliques by rows."""
+    """Write -A d to `out` within the spans, and the clique energy per row to `row_totals`."""
     tissue = stiffness, lines, offsets
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -141,14 +142,14 @@ def _curvature_row(tissue, span, out, i):
     f = scratch(out)
     for x in range(max(span[0], 0) + 2, span[1] + 2, BLOCK):
         end = min(x + BLOCK, span[1] + 2)
-        look(out, stiffness, lines, offsets, i, x, end - x, f)  # for any displacement
+        look(out, stiffness, lines, offsets, i, x, end - x, f)  # independent of displacement
         for k in range(3):
             out[k, i, x:end] = curvature_of(f, k)[: end - x]
 
 
 @parallel
 def curvature(stiffness, lines, offsets, spans, out):
-    """Compute the curvature of each site within the spans, for the cliques with it as middle."""
+    """Compute the curvature of the cliques centred at each site within the spans."""
     tissue = stiffness, lines, offsets
     for number in prange(out.shape[1] - 4):
         i = int64(number)

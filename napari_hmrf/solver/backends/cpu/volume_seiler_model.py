@@ -1,4 +1,4 @@
-"""Levels of the paper's cliques in a volume, on the processor."""
+"""Model of the paper's cliques in a volume on the processor."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 
 class CpuVolumeSeilerLevel(CpuSeilerLevel):
-    """Cliques and springs of one level; a site counts the cliques of which it is the middle."""
+    """Level with cliques and springs, where a site includes only the cliques centred at it."""
 
     @property
     def _tissue(self) -> tuple[Vector, Vector, npt.NDArray[np.int64]]:
-        """Arrays that the kernels read."""
+        """Arrays that describe the tissue to the kernels."""
         return rows(self.stiffness), self._lines, offsets(self.grid)
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
-        """Set the stiffness to the mean of the finer level's tissue around each site."""
+        """Compute the stiffness as the mean of the finer level's tissue around each site."""
         tissue = finer.vector()
         tissue[0], tissue[1] = finer.stiffness[0], finer.stiffness[0] > 0
         volume.restrict(tissue, self.load)
@@ -37,7 +37,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         m, inverse = inside(self.stiffness)
         np.divide(total, share, out=m, where=total > 0)
         np.divide(share, total, out=inverse, where=total > 0)
-        # The sum is divided by at least a quarter of the weight of full surroundings.
+        # The divisor is at least a quarter of the weight of complete surroundings.
         inside(self.even[None])[0] = 4 / np.maximum(share, 2)
         self.load.fill(0)
 
@@ -53,14 +53,14 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         self.work(d, stiffness, lines, spans, out)
 
     def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
-        """Write -A d to `out` like `pull`; return the energy of the cliques."""
+        """Write -A d to `out` within the spans, and return the energy of the cliques."""
         totals = np.zeros(len(spans))
         tissue = rows(stiffness), lines, offsets(self.grid)
         volume_seiler.pull(rows(d), *tissue, spans, rows(out), totals)
         return float(totals.sum())
 
     def even_out(self) -> None:
-        """Multiply the load by `even`, after it was restricted from the finer level."""
+        """Multiply the load by `even` after its restriction from the finer level."""
         self.load *= self.even
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
@@ -96,11 +96,11 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         volume.interpolate(coarse, self.correction, self.inverse)
 
     def _clear_vectors(self) -> None:
-        """Clear the corrections, because kernels write within the spans only."""
+        """Clear the corrections, because kernels write only within the spans."""
         self.clear()
 
     def free(self, *vectors: Vector) -> None:
-        """Ignore the call; vectors are not kept, because memory limits volumes."""
+        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
     def _residual(
         self,

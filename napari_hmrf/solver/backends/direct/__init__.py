@@ -1,1 +1,1 @@
-"""Direct solution of linear systems by nested dissection, where cycles cannot be trusted."""
+"""Direct solution of linear systems by nested dissection, for use if cycles are not reliable."""

@@ -1,8 +1,8 @@
 """Direct solver on a small grid of voxels, in double precision: SuperLU with nested dissection.
 
-A plane of sites in the middle of a box separates two halves that are not directly coupled, so the
-plane is eliminated last (nested dissection: George, SIAM J. Numer. Anal. 10, 1973). On n x n x n
-sites this takes about n^6 operations and n^4 memory, so it suits small volumes only.
+A plane of sites in the middle of a box separates two halves that are not directly coupled.
+Therefore the plane is eliminated last (nested dissection: George, SIAM J. Numer. Anal. 10, 1973).
+On n x n x n sites, this takes about n^6 operations and n^4 memory, so it suits small volumes only.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from napari_hmrf.solver.backends.direct.dissection import HELD, Singular
 Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-# Boxes with at most this many sites along the longest axis are not divided.
+# Number of sites along the longest axis up to which a box is not divided.
 _SMALLEST = 3
-# SuperLU objects that another thread has dropped; the next factorization frees them.
+# SuperLU objects that were released on another thread; the next factorization frees them.
 _dropped: deque[Any] = deque()
 
 
 class _ThreadBound:
-    """Wrapper of a SuperLU object, so that it is freed on the thread that created it."""
+    """Wrapper of a SuperLU object, so that the object is freed on the thread that created it."""
 
-    # SciPy keeps a table of allocations for each thread. If another thread drops the object, as the
-    # garbage collector may do, the memory is never freed.
+    # SciPy keeps a table of allocations for each thread. If another thread frees the object, as the
+    # garbage collector may do, its memory is leaked.
 
     def __init__(self, factors: Any) -> None:
         self.factors, self._thread = factors, threading.get_ident()
@@ -42,14 +42,15 @@ class _ThreadBound:
 
 
 class BrickFactors:
-    """Factors of a matrix on a voxel grid, by SuperLU.
+    """Factorization of a matrix on a voxel grid, by SuperLU.
 
     Parameters
     ----------
     elements : callable
-        Returns the matrices (d, h, w, n, n) of the elements in a range along each axis; n = 8 C.
+        Returns the matrices of the elements in a range along each axis, shape (d, h, w, n, n) with
+        n = 8 C.
     moves : ndarray of bool, shape (D, H, W, C)
-        Mask of the unknown components; the others are 0.
+        Mask of the free components. The solution is 0 at the other components.
     progress : callable
         Called with the completed fraction of the work.
     springs : ndarray, shape (D, H, W, C), optional
@@ -96,7 +97,7 @@ class BrickFactors:
     def _assembled(
         self, elements: Callable[..., Float64Array], grid: tuple[int, ...]
     ) -> scipy.sparse.csr_array:
-        """Return the matrix of the unknowns, in the order of elimination."""
+        """Return the matrix of the free components, in the order of elimination."""
         size, fields = len(self._moving), self._shape[-1]
         place = np.full(int(np.prod(self._shape)), -1)
         place[self._moving] = np.arange(size)
@@ -117,7 +118,7 @@ class BrickFactors:
         return total
 
     def solve(self, load: Float64Array) -> Float64Array:
-        """Return the displacement (D, H, W, C) for a load (D, H, W, C)."""
+        """Return the displacement, shape (D, H, W, C), for a load of the same shape."""
         d = np.zeros(load.size)
         if len(self._moving):
             d[self._moving] = self._bound.factors.solve(load.ravel()[self._moving])

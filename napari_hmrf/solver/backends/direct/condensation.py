@@ -18,12 +18,12 @@ Index = npt.NDArray[np.intp]
 class Step(NamedTuple):
     """Condensation of a box.
 
-    All arrays may have leading axes, one entry for each of several boxes of the same shape.
+    All arrays may have leading axes, with one entry for each of several boxes of the same shape.
 
     Attributes
     ----------
     own, ring : ndarray of int
-        Numbers of the components inside the box and on its ring.
+        Numbers of the interior components and of the ring components.
     inverse, right, left : ndarray
         A^-1, A^-1 B and C A^-1.
     """
@@ -35,23 +35,23 @@ class Step(NamedTuple):
     left: Float64Array
 
     def forward(self, load: Float64Array) -> None:
-        """Condense the load of the own components onto the ring, in place."""
+        """Condense the load of the interior components onto the ring, in place."""
         passed = (self.left @ load[self.own][..., None])[..., 0]
         np.subtract.at(load, self.ring, passed)
 
     def back(self, load: Float64Array, d: Float64Array) -> None:
-        """Compute the displacement of the own components from that of the ring, in place."""
+        """Compute the displacement of the interior components from that of the ring, in place."""
         found = self.inverse @ load[self.own][..., None] - self.right @ d[self.ring][..., None]
         d[self.own] = found[..., 0]
 
 
 class SymmetricStep(NamedTuple):
-    """Condensation of a box with a symmetric matrix, A = U^T U.
+    """Condensation of a box with a symmetric matrix, where A = U^T U.
 
     Attributes
     ----------
     own, ring : ndarray of int
-        Numbers of the components inside the box and on its ring.
+        Numbers of the interior components and of the ring components.
     factor : ndarray
         U for a single box; U^-1 for several boxes, with leading axes.
     right : ndarray
@@ -64,7 +64,7 @@ class SymmetricStep(NamedTuple):
     right: Float64Array
 
     def forward(self, load: Float64Array) -> None:
-        """Condense the load as in `Step`; the load of own components is multiplied by U^-T."""
+        """Condense the load as in `Step`, and multiply the load of the interior by U^-T."""
         if self.factor.ndim == 2:
             load[self.own] = _triangular(self.factor, load[self.own], transposed=True)
             load[self.ring] -= load[self.own] @ self.right
@@ -74,7 +74,7 @@ class SymmetricStep(NamedTuple):
         np.subtract.at(load, self.ring, (self.right.swapaxes(-1, -2) @ own)[..., 0])
 
     def back(self, load: Float64Array, d: Float64Array) -> None:
-        """Compute the displacement of the own components as in `Step`, in place."""
+        """Compute the displacement of the interior components as in `Step`, in place."""
         if self.factor.ndim == 2:
             rest = load[self.own] - self.right @ d[self.ring]
             d[self.own] = _triangular(self.factor, rest)

@@ -1,17 +1,18 @@
 """Direct solver on the pixel grid, in double precision: nested dissection of its elements.
 
-The matrix of an *element* couples a block of `patch` x `patch` sites: `patch` is 2 for elastic
-tissue, and 3 for the paper's cliques, where the block surrounds their middle site. A *box* of
-elements is condensed onto its *ring*, the sites that it shares with other boxes. With the own sites
-first and the ring second, the matrix F of a box becomes its Schur complement S:
+The matrix of an *element* couples a block of `patch` x `patch` sites. For elastic tissue `patch` is
+2; for the paper's cliques it is 3, and the block is centred on the middle site of the cliques. A
+*box* of elements is condensed onto its *ring*, the sites that it shares with other boxes. With the
+interior sites first and the ring second, the matrix F of a box is replaced by its Schur complement
+S:
 
     F = [[A, B], [C, D]],   S = D - C A^-1 B.
 
 The matrices S of two neighbouring boxes add up to the matrix F of their union (nested dissection:
 George, SIAM J. Numer. Anal. 10, 1973). Boxes within tiles of 16 x 16 elements have few different
-shapes, so many are condensed at once; fixed components have 1 on the diagonal. Larger boxes contain
-unknown components only. On n x n sites the work is about n^3 and the memory about n^2 log n,
-independent of the materials.
+shapes, so many boxes are condensed at once; their fixed components have 1 on the diagonal.
+Larger boxes contain free components only. On n x n sites, the work is about n^3 and the memory
+about n^2 log n, independent of the materials.
 """
 
 from __future__ import annotations
@@ -37,21 +38,22 @@ Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-#: Function of ranges of rows and columns; returns the matrices (h, w, n, n) of the elements there,
-#: with n = patch^2 C.
+#: Function of a range of rows and a range of columns that returns the matrices of the elements
+#: there, shape (h, w, n, n) with n = patch^2 C.
 Elements = Callable[[slice, slice], Float64Array]
-#: Callback, on any thread, with the completed fraction of the work; may raise to stop it.
+#: Callback, on any thread, with the completed fraction of the work; may raise an exception to
+#: cancel.
 Progress = Callable[[float], None]
 
-# Number of tiles condensed at once, so that their matrices fit into the processor's cache.
+# Number of tiles condensed at once, chosen so that their matrices fit into the processor's cache.
 _AT_ONCE = 16
 _THREADS = os.cpu_count() or 1
-#: Smallest pivot of a component, relative to its diagonal entry; below, the system is singular.
+#: Least pivot of a component, relative to its diagonal entry, of a system that is not singular.
 HELD = 1e-13
 
 
 class Singular(ArithmeticError):
-    """Error for a matrix that is singular in double precision: a part of the system can move."""
+    """Error for a matrix that is singular in double precision: some tissue has a free motion."""
 
 
 _Steps = list[Step | SymmetricStep]
@@ -60,23 +62,24 @@ _Range = tuple[int, int, int, int]
 
 
 class _Share(NamedTuple):
-    """Condensed box: the numbers of the ring's components, and the matrix S."""
+    """Condensed box: the numbers of the ring components, and the matrix S."""
 
     ring: Index
     matrix: Float64Array
 
 
 class Dissection:
-    """Factors of a matrix on a pixel grid, by nested dissection.
+    """Factorization of a matrix on a pixel grid, by nested dissection.
 
     Parameters
     ----------
     elements : callable
-        Returns the matrices of the elements, see `Elements`.
+        Returns the matrices of the elements; see `Elements`.
     patch : int
         Number of sites along a side of an element.
     moves : ndarray of bool, shape (H, W, C)
-        Mask of the unknown components, each of which belongs to an element; the others are 0.
+        Mask of the free components, each of which must belong to an element. The solution is 0 at
+        the other components.
     symmetric : bool
         True if the matrix is symmetric positive definite.
     progress : callable
@@ -105,14 +108,14 @@ class Dissection:
         self._tiles = tuple(-(-size // TILE) for size in self._span)
         self._progress, self._done, self._work = progress, 0.0, work(moves.shape)
         self._number_components()
-        # Diagonal of the matrix, summed over the elements that have been assembled so far.
+        # Diagonal of the matrix: sum over the elements that have been assembled up to now.
         self._diagonal, self._lock = np.zeros(moves.size + 1), threading.Lock()
         self._springs = np.zeros(moves.size + 1)
         self._least = HELD if springs is None else 0.0
         if springs is not None:
             self._springs[:-1] = springs.ravel()
-        # Several calls run at once, each on one thread: small matrices gain nothing from more
-        # threads, and become much slower if other programs use the cores.
+        # Each thread makes its own calls of BLAS. More threads within a call do not speed up small
+        # matrices, and would be very slow if other programs use the cores.
         with _one_thread(), ThreadPoolExecutor(_THREADS) as pool:
             self._steps, rest = self._condense((0, self._tiles[0], 0, self._tiles[1]), pool)
         if len(rest.ring):
@@ -120,7 +123,7 @@ class Dissection:
         del self._elements, self._diagonal, self._springs, self._lock
 
     def solve(self, load: Float64Array) -> Float64Array:
-        """Return the displacement (H, W, C) for a load (H, W, C)."""
+        """Return the displacement, shape (H, W, C), for a load of the same shape."""
         rest, d = np.zeros((2, self._moves.size + 1))
         rest[:-1] = np.where(self._moves, load, 0.0).ravel()
         with _one_thread():
@@ -132,11 +135,11 @@ class Dissection:
 
     @property
     def memory(self) -> int:
-        """Memory of the factors, in bytes."""
+        """Memory of the factorization, in bytes."""
         return sum(part.nbytes for step in self._steps for part in step if part is not None)
 
     def _number_components(self) -> None:
-        """Set the numbers of the components of each tile; all fixed components have the last."""
+        """Assign numbers to the components of each tile; fixed components share the last number."""
         side = TILE + self._patch - 1
         height, width, fields = self._moves.shape
         size = [TILE * count + self._patch - 1 for count in self._tiles]
@@ -144,7 +147,7 @@ class Dissection:
         every = np.arange(self._moves.size).reshape(self._moves.shape)
         numbers[:height, :width] = np.where(self._moves, every, self._moves.size)
         windows = np.lib.stride_tricks.sliding_window_view(numbers, (side, side), axis=(0, 1))
-        #: Numbers of components, shape (tile rows, tile columns, side, side, C).
+        #: Numbers of the components, shape (tile rows, tile columns, side, side, C).
         self._numbers = np.moveaxis(windows[::TILE, ::TILE], 2, -1)
 
     def _condense(
@@ -154,7 +157,7 @@ class Dissection:
         threads: int = _THREADS,
         shares: dict[tuple[int, int], _Share] | None = None,
     ) -> tuple[_Steps, _Share]:
-        """Condense a box of tiles; `shares` has those that are condensed already."""
+        """Condense a box of tiles; `shares` has the tiles that are already condensed."""
         top, bottom, left, right = tiles
         high, wide = bottom - top, right - left
         steps: _Steps = []
@@ -181,7 +184,7 @@ class Dissection:
     def _merge(
         self, tiles: _Range, one: _Share, two: _Share
     ) -> tuple[Step | SymmetricStep, _Share]:
-        """Merge two neighbouring boxes, and condense the result."""
+        """Merge two neighbouring boxes, and condense the merged box."""
         every = np.union1d(one.ring, two.ring)
         shared = self._shared(every, tiles)
         own = len(every) - int(shared.sum())
@@ -196,7 +199,7 @@ class Dissection:
         return step, _Share(order[own:], matrix)
 
     def _shared(self, components: Index, tiles: _Range) -> Mask:
-        """Return the mask of components on sites shared with elements outside a box of tiles."""
+        """Return a mask of the components on sites shared with elements outside a box of tiles."""
         top, bottom, left, right = tiles
         row, col = np.divmod(components // self._moves.shape[2], self._moves.shape[1])
         over = self._patch - 1
@@ -271,7 +274,7 @@ class Dissection:
     def _eliminate(
         self, front: Float64Array, at: Index, own: int
     ) -> tuple[Step | SymmetricStep, Float64Array]:
-        """Condense matrices (..., own + ring, own + ring) of the components numbered `at`."""
+        """Condense matrices (..., own + ring, own + ring) of the components with numbers `at`."""
         a, b = front[..., :own, :own], front[..., :own, own:]
         c, d = front[..., own:, :own], front[..., own:, own:]
         places = at[..., :own], at[..., own:]
@@ -291,7 +294,7 @@ class Dissection:
     def _factorise(
         self, a: Float64Array, b: Float64Array, places: tuple[Index, Index]
     ) -> SymmetricStep:
-        """Condense symmetric matrices by Cholesky factors, which lose fewer digits than A^-1."""
+        """Condense symmetric matrices by Cholesky factorization, for better accuracy than A^-1."""
         pivots = a.diagonal(axis1=-2, axis2=-1)
         if not (pivots > 0).all():
             raise Singular
@@ -322,14 +325,14 @@ class Dissection:
 
 
 def work(shape: tuple[int, ...]) -> float:
-    """Estimate the number of multiplications of a dissection of (H, W, C)."""
+    """Estimate the number of multiplications for the dissection of a grid (H, W, C)."""
     height, width, fields = shape
     sites = height * width
     boxes, tiles = 16.0 * sites * math.sqrt(sites), _TILE_WORK * sites / TILE**2
     return fields**3 * (boxes + tiles)
 
 
-# Number of multiplications for a tile with one component.
+# Number of multiplications for a tile with one component per site.
 _TILE_WORK = 3.0e5
 
 
@@ -340,5 +343,5 @@ def _pools() -> ThreadpoolController:
 
 
 def _one_thread() -> Any:
-    """Return a context in which each call of BLAS uses one thread."""
+    """Return a context manager in which each call of BLAS uses one thread."""
     return _pools().limit(limits=1, user_api="blas")

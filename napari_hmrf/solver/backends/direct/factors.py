@@ -1,4 +1,4 @@
-"""Direct factors of a linear model, for materials on which cycles cannot be trusted."""
+"""Direct factorization of a linear model, for materials for which cycles are not reliable."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from napari_hmrf.solver.backends.direct.brick_factors import BrickFactors
 from napari_hmrf.solver.backends.direct.dissection import Dissection, Elements, Progress
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 
-# Largest part of the available memory that factors may use.
+# Largest fraction of the available memory for a factorization.
 _FREE = 0.7
-# Largest number of voxels, whose factors take some seconds; and memory in bytes per voxel^(4/3).
+# Largest number of voxels, for which a factorization takes a few seconds.
 _MOST_VOXELS = 14_000
+# Memory of the factorization of a volume, in bytes per voxel^(4/3).
 _VOLUME_BYTES = 3000.0
 
 
 class Part(NamedTuple):
-    """Components of displacement that are coupled, and the elements that couple them."""
+    """Coupled components of displacement, and the elements that couple them."""
 
     components: tuple[int, ...]
     elements: Elements
@@ -53,15 +54,15 @@ class Assembled(Protocol):
 
 
 class Factors:
-    """Direct factors of the matrix of a linear model.
+    """Direct factorization of the matrix of a linear model.
 
     Parameters
     ----------
     material : Assembled
     moves : ndarray of bool, planes
-        Mask of the unknown components.
+        Mask of the free components.
     progress : callable
-        Called with the completed fraction of the work; may raise to stop it.
+        Called with the completed fraction of the work; may raise an exception to cancel.
     springs : ndarray, planes, optional
         Values added to the diagonal.
 
@@ -110,7 +111,7 @@ class Factors:
 
     @staticmethod
     def required_memory(shape: tuple[int, ...]) -> float:
-        """Estimate the memory of the factors of a grid (H, W) or (D, H, W), in bytes."""
+        """Estimate the memory of a factorization on a grid (H, W) or (D, H, W), in bytes."""
         sites = float(math.prod(shape))
         if len(shape) == 3:
             return float(_VOLUME_BYTES * sites ** (4 / 3))
@@ -118,7 +119,7 @@ class Factors:
 
     @staticmethod
     def fit(shape: tuple[int, ...]) -> bool:
-        """Return whether the factors of a grid fit into memory, and are fast enough in a volume."""
+        """Return whether a factorization fits into memory and, in a volume, is fast enough."""
         small = len(shape) == 2 or math.prod(shape) <= _MOST_VOXELS
         return small and bool(
             Factors.required_memory(shape) < _FREE * psutil.virtual_memory().available

@@ -1,4 +1,4 @@
-"""Boxes of elements within a tile, which have few different shapes: see `dissection`."""
+"""Boxes of elements within a tile; these boxes have few different shapes (see `dissection`)."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ import numpy.typing as npt
 Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Number of elements along a side of the smallest boxes, and of a tile.
+#: Number of elements along a side of the smallest boxes, and along a side of a tile.
 LEAF, TILE = 4, 16
 
 
 class Merge(NamedTuple):
-    """Merge of two boxes of the same shape.
+    """Merge of two neighbouring boxes of the same shape.
 
     Attributes
     ----------
     axis : int
         Axis along which the boxes are neighbours.
     own, size : int
-        Number of components inside the merged box, which come first, and of all its components.
+        Number of interior components of the merged box, and of all its components. The interior
+        components are first.
     first, second : ndarray of int
-        Positions of the ring components of the first and second box among these components.
+        Positions of the ring components of the first and the second box among all components.
     """
 
     axis: int
@@ -38,8 +39,14 @@ class Merge(NamedTuple):
 def merged(boxes: Float64Array, at: Index, merge: Merge) -> tuple[Float64Array, Index, int]:
     """Merge pairs of neighbouring boxes in a grid (tiles, rows, columns, ...).
 
-    Return the matrices of the merged boxes, the numbers of their components, and the number of own
-    components.
+    Returns
+    -------
+    front : ndarray
+        Matrices of the merged boxes.
+    numbers : ndarray of int
+        Numbers of the components of the merged boxes.
+    own : int
+        Number of interior components.
     """
     one, two = (
         (slice(None), *(slice(None),) * merge.axis, slice(start, None, 2)) for start in (0, 1)
@@ -61,7 +68,7 @@ def ring(height: int, width: int, patch: int) -> Index:
 
 
 def own(height: int, width: int, patch: int) -> Index:
-    """Return the sites of a box that no other box contains, in row-major order."""
+    """Return the interior sites of a box, which no other box contains, in row-major order."""
     over = patch - 1
     return np.setdiff1d(np.arange((height + over) * (width + over)), ring(height, width, patch))
 
@@ -73,7 +80,7 @@ def components(sites: Index, fields: int) -> Index:
 
 @lru_cache(maxsize=8)
 def merges(patch: int, fields: int) -> tuple[Merge, ...]:
-    """List the merges that lead from the smallest boxes to a tile, in their order."""
+    """Return the merges from the smallest boxes to a tile, in their order."""
     made, size, over = [], [LEAF, LEAF], patch - 1
     while size != [TILE, TILE]:
         axis = int(size[1] == size[0])

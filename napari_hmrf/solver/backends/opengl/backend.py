@@ -1,4 +1,4 @@
-"""Backend for machines with a GPU: kernels as shaders."""
+"""Solver backend with OpenGL shaders as kernels."""
 
 from __future__ import annotations
 
@@ -56,21 +56,22 @@ from napari_hmrf.solver.quadtree import Level
 
 
 class OpenGLBackend:
-    """Backend of fragment or compute shaders.
+    """Backend that runs its kernels as fragment or compute shaders.
 
     Parameters
     ----------
     checkpoint : callable
-        Called between batches of passes, about every `BATCH_SECONDS`; raises to stop the work.
+        Function called between batches of passes, about every `BATCH_SECONDS`. It raises an
+        exception to cancel the solve.
     stage : {"fragment", "compute"}, optional
-        By default compute if OpenGL 4.3 is available, else fragment.
+        Shader stage. The default is compute if OpenGL 4.3 is available, otherwise fragment.
 
     Raises
     ------
     BackendError
-        If there is no usable OpenGL, or it lacks this stage.
+        If OpenGL cannot be used, or if it does not support the stage.
     RuntimeError
-        If this is not the compute thread.
+        If the constructor is not called on the compute thread.
     """
 
     def __init__(self, checkpoint: Checkpoint, stage: str | None = None) -> None:
@@ -82,8 +83,8 @@ class OpenGLBackend:
         self.name = f"opengl:{self._stage}"
         self.renderer = self._device.renderer
         software = self._device.software
-        # A software renderer computes within the dispatch, which blocks the interpreter and thus
-        # the window.
+        # A software renderer computes during the dispatch call, which blocks the interpreter and
+        # therefore the GUI.
         longest = BATCH_SECONDS if software and self._stage == "compute" else MAX_PASS_SECONDS
         self._pace = Pace(self._device.finish, checkpoint, longest)
         self._passes = Passes(self._device, self._stage, self._pace)
@@ -98,7 +99,7 @@ class OpenGLBackend:
         self._tissue_of_grid: dict[tuple[int, ...], Tissue] = {}
 
     def supports(self, job: SolveJob) -> str | None:
-        """Return None if the shaders can solve a job on this device, else the reason."""
+        """Return the reason why the shaders cannot solve a job, or None if they can."""
         missing = missing_shaders(job)
         if missing is not None:
             return f'{missing}. Use backend="cpu" or "auto".'
@@ -107,7 +108,7 @@ class OpenGLBackend:
         return image_refusal(self._device, job.shape)
 
     def upload(self, values: FloatArray) -> GLField:
-        """Copy values of shape (H, W, C) into a texture."""
+        """Copy an array of shape (H, W, C) to a texture."""
         height, width, components = values.shape
         self._refuse(image_refusal(self._device, (height, width)))
         made = self._field((height, width), components)
@@ -116,17 +117,20 @@ class OpenGLBackend:
         return made
 
     def download(self, field: GLField) -> FloatArray:
-        """Return the values of a field, (H, W, C); check that the device still works."""
+        """Copy a field to the host as an array of shape (H, W, C).
+
+        Also run the test kernel, to check that the device still computes correctly.
+        """
         values = as_given(self._read(field), field.shape, field.components)
         self._device.canary(self._stage)
         return values.copy()
 
     def zeros(self, level: Level) -> GLField:
-        """Return a displacement field of zeros on a level."""
+        """Return a zero displacement field on a level."""
         return self.upload(np.zeros((*level.shape, 2), np.float32))
 
     def project(self, finest: GLField, level: Level) -> GLField:
-        """Project a field of level 0 to a coarser level by nearest neighbour."""
+        """Project a field of level 0 to a coarser level by nearest-neighbour sampling."""
         made = self._field(level.shape, finest.components)
         program = self._program("project", {"PAIRS": int(finest.components == 2)})
         program.set(
@@ -139,7 +143,7 @@ class OpenGLBackend:
         return made
 
     def prolong(self, coarse: GLField, coarse_stiffness: GLField, stiffness: GLField) -> GLField:
-        """Interpolate displacement linearly to the next finer level."""
+        """Interpolate a displacement field linearly to the next finer level."""
         made = self._field(stiffness.shape, 2)
         inputs = [coarse.texture, coarse_stiffness.texture, stiffness.texture]
         self._run(self._program("prolong"), inputs, [made.texture], made.grid)
@@ -183,7 +187,7 @@ class OpenGLBackend:
     def energy(
         self, displacement: GLField, stiffness: GLField, observation: GLField, rule: SiteRule
     ) -> float:
-        """Return U_total of a displacement, in pixels squared."""
+        """Return the energy U_total of a displacement field, in pixels squared."""
         program = self._program("energy", {"SQUARE": _is_square(rule)})
         program.set({"weights": rule.weights.astype(np.float32)})
         inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
@@ -194,7 +198,10 @@ class OpenGLBackend:
         return float(totals.read()[0])
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
-        """Build the model of elastic tissue; in images, levels are copied from a host model."""
+        """Build the linear model of an elastic image or volume.
+
+        For images, the levels are copied from a model on the host.
+        """
         if material.m.ndim == 3:
             self._refuse(volume_refusal(self._device, self._stage, material.m.shape))
             passes = VolumePasses(self._device, self._pace)
@@ -203,7 +210,7 @@ class OpenGLBackend:
         return GLElasticModel(self._passes_for(material.m), material)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
-        """Build the model of the paper's cliques; its levels are copied from a host model."""
+        """Build the linear model of the paper's cliques, with levels copied from the host."""
         return GLSeilerModel(self._passes_for(material.m), material)
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
@@ -211,7 +218,7 @@ class OpenGLBackend:
         raise BackendError('only the compiled loops solve large motion. Use backend="cpu".')
 
     def release(self, *fields: GLField) -> None:
-        """Return the textures of fields to the pool, for new fields of the same size and use."""
+        """Return the textures of fields to the pool for reuse."""
         for released in fields:
             self._pool.recycle(released.grid, 4, released.texture, _use(released.components))
             for ratios in released.ratios:
@@ -219,7 +226,7 @@ class OpenGLBackend:
             released.ratios.clear()
 
     def close(self) -> None:
-        """Free all textures; keep the context and the compiled kernels for the next solve."""
+        """Free all textures, but keep the context and the compiled kernels for the next solve."""
         for passes in (*self._model_passes, self._passes):
             passes.close()
         self._model_passes.clear()
@@ -228,21 +235,21 @@ class OpenGLBackend:
         self._pool = Pool(self._device.texture)
 
     def _passes_for(self, stiffness: FloatArray) -> Passes:
-        """Return new passes for a model; raise `BackendError` if its tissue is too large."""
+        """Return new passes for a model; raise `BackendError` if its image is too large."""
         self._refuse(image_refusal(self._device, stiffness.shape))
         made = Passes(self._device, self._stage, self._pace)
         self._model_passes.append(made)
         return made
 
     def _read(self, field: GLField) -> FloatArray:
-        """Wait for a field; return the values of its texture, (rows, cols, 4)."""
+        """Wait for the device, and read the texture of a field, shape (rows, cols, 4)."""
         self._wait()
         stored = np.frombuffer(field.texture.read(), "<f4")
         self._device.check("reading an image")
         return stored.reshape(*field.grid, 4)
 
     def _ratios(self, stiffness: GLField) -> list[Any]:
-        """Return the stiffness ratios of a level, computed once for all its sweeps."""
+        """Return the textures of a level's stiffness ratios, computed on first use."""
         if not stiffness.ratios:
             grid = singles(stiffness.shape)
             made = [self._pool.acquire(grid, 4, use="singles") for _ in range(2)]
@@ -251,12 +258,12 @@ class OpenGLBackend:
         return stiffness.ratios
 
     def _tissue(self, stiffness: GLField) -> Tissue:
-        """Return the region of a level with tissue, computed once for all its sweeps."""
+        """Return the region of a level that contains tissue, computed on first use."""
         if stiffness.tissue is None:
             shown = pairs_with_tissue(self._read(stiffness))
             stiffness.tissue = self._passes.tissue(shown)
         if self._tissue_of_grid.get(stiffness.grid) is not stiffness.tissue:
-            # Textures of other tissue on the same grid have values that are in void now.
+            # Pooled textures of this grid may be nonzero where the new tissue has void.
             self._tissue_of_grid[stiffness.grid] = stiffness.tissue
             self._pool.blank(stiffness.grid)
         return stiffness.tissue
@@ -273,16 +280,22 @@ class OpenGLBackend:
         return BlockTotals(program, self._run, self._pool, wait, grid, sweeps, largest)
 
     def _refuse(self, reason: str | None) -> None:
-        """Raise `BackendError` with a reason, unless it is None, before memory is allocated."""
+        """Raise `BackendError` with the given reason, unless the reason is None."""
         if reason is not None:
             raise BackendError(reason)
 
 
 def _is_square(rule: SiteRule) -> int:
-    """Return 1 if the lines have the weights of square pixels, for which kernels exist, else 0."""
+    """Return 1 if the line weights are those of square pixels, else 0.
+
+    The kernels have a variant for square pixels.
+    """
     return int(np.array_equal(rule.weights, line_weights((1.0, 1.0))))
 
 
 def _use(components: int) -> str:
-    """Return the use of a field's texture in the pool; only "pairs" can become displacement."""
+    """Return the use of a field's texture, which is a key of the pool.
+
+    Only textures for "pairs" are reused for displacement fields.
+    """
     return "pairs" if components == 2 else "singles"

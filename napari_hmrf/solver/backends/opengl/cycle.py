@@ -1,4 +1,4 @@
-"""Part of a level's V-cycle that images and volumes share."""
+"""Operations of a V-cycle that the levels of images and volumes share."""
 
 from __future__ import annotations
 
@@ -11,33 +11,36 @@ ScalarType = TypeVar("ScalarType")
 
 
 class CycleLevel(Generic[ScalarType]):
-    """Level that smooths and restricts by passes on the device; see `LinearLevel`."""
+    """Base class of levels on the device; `LinearLevel` documents the methods."""
 
     #: False, because `finish` does not visit coarser levels.
     finishes_cycle = False
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
-        """Smooth from zero, or again, and restrict the residual to the load of `coarse`."""
+        """Smooth the correction, and restrict the residual to the load of `coarse`.
+
+        The correction starts from zero, or from its present value if `again` is True.
+        """
         self._relax(steps, from_zero=not again)
         if coarse is not None:
             self._restrict_residual(coarse)
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Smooth from zero with `coarsest` steps."""
+        """Smooth the correction from zero with the steps `coarsest`."""
         self.descend(coarsest, None)
 
     def ratio(self, a: ScalarType, b: ScalarType) -> Ratio[ScalarType]:
-        """Return a / b; 0 unless both are positive."""
+        """Return a / b if both scalars are positive, else 0."""
         return Ratio(a, b)
 
     def free(self, *vectors: Any) -> None:
-        """Ignore the call; a vector is reused after its last reference."""
+        """Ignore the call; the memory of a vector is reused once the vector is unreferenced."""
 
     def project(self, vector: Any) -> None:
-        """Ignore the call; rigid tissue is solved by direct factors or by the compiled loops."""
+        """Ignore the call; problems with rigid tissue are solved on the host."""
 
     def _relax(self, steps: Steps, from_zero: bool) -> None:
-        """Smooth the correction for the load."""
+        """Smooth the correction, from zero or from its present value."""
         raise NotImplementedError
 
     def _restrict_residual(self, coarse: Self) -> None:

@@ -1,4 +1,4 @@
-"""Ratios of scalars that stay on the device, for images and volumes."""
+"""Ratios of scalars on the device, for images and volumes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ ScalarType = TypeVar("ScalarType")
 
 
 class Ratio(NamedTuple, Generic[ScalarType]):
-    """Ratio of two scalars; the kernel that reads it divides."""
+    """Unevaluated ratio of two scalars on the device."""
 
-    # See ``scalars.glsl`` and ``volume_scalars.glsl``.
+    # Kernels compute the ratio with ``scalars.glsl`` or ``volume_scalars.glsl``.
     above: ScalarType
     below: ScalarType
 
@@ -28,7 +28,7 @@ def values_of(
     numbers : sequence
         Scalars and ratios.
     value : callable
-        Returns the value of a scalar.
+        Function that returns the value of a scalar.
     """
     found = []
     for number in numbers:

@@ -1,4 +1,4 @@
-"""Limits of the shaders: jobs that they support, and reasons against other jobs."""
+"""Limits of the shaders: reasons why a job, an image or a volume is not supported."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from napari_hmrf.solver.backends.opengl.programs.volume_source import MOST_BUFFE
 from napari_hmrf.solver.backends.opengl.volumes.volume_passes import BYTES_PER_VOXEL
 from napari_hmrf.solver.priors import SeilerPrior
 
-#: Bytes of memory for each pixel: stiffness 8, its ratios 32 and mask 2, observation 16,
-#: displacement 2 x 8, energy 2; a third more for the coarser levels.
+#: Memory per pixel, in bytes: stiffness 8, stiffness ratios 32, mask 2, observation 16,
+#: displacement 2 x 8, energy 2; and a third more for the coarser levels.
 BYTES_PER_PIXEL = 76 * 4 / 3
 
 
 def missing_shaders(job: SolveJob) -> str | None:
-    """Return the reason why no shaders exist for a job, or None; OpenGL is not needed."""
+    """Return the reason why no shaders exist for a job, or None if they exist.
+
+    This function does not use OpenGL.
+    """
     kinds = {
         "large motion": job.has_large_motion,
         "volumes with the paper's prior": job.is_volume and isinstance(job.prior, SeilerPrior),
@@ -29,7 +32,7 @@ def missing_shaders(job: SolveJob) -> str | None:
 
 
 def image_refusal(device: Device, shape: tuple[int, ...]) -> str | None:
-    """Return the reason why an image of (H, W) pixels does not fit a device, or None."""
+    """Return the reason why an image of (H, W) pixels is too large for a device, or None."""
     height, width = shape
     if max(height, width) <= device.largest:
         return None
@@ -56,7 +59,7 @@ def volume_refusal(device: Device, stage: str, shape: tuple[int, ...]) -> str | 
         )
     if device.most_buffers < MOST_BUFFERS:
         return (
-            f"{renderer} offers a compute shader {device.most_buffers} storage buffers, but "
+            f"{renderer} supports {device.most_buffers} storage buffers in a compute shader, but "
             f'volumes need {MOST_BUFFERS}. Use backend="cpu".'
         )
     values = math.prod(size + 4 for size in shape)

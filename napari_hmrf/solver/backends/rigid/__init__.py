@@ -1,1 +1,1 @@
-"""Rigid bodies: their sites, their poses, and the motion that they induce around them."""
+"""Rigid bodies: sites, poses, and the motion that they induce in the surrounding tissue."""

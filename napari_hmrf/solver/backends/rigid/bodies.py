@@ -1,10 +1,10 @@
-"""Rigid tissue: bodies, and their rigid motions as a constraint on displacements.
+"""Rigid bodies and their rigid motions, as a constraint on displacements.
 
-The sites of a body are the corners of all elements that have an infinitely stiff corner; sites that
-touch belong to one body. A body has three rigid motions, in a volume six: a translation along each
-axis, and small rotations. Held components may prevent some of these motions. A linear system is
-solved under this constraint: a displacement of a body's sites is projected orthogonally onto the
-rigid motions that are free.
+The sites of a body are the corners of all elements that have an infinitely stiff corner. Adjacent
+sites belong to the same body. A body has three rigid motions in an image and six in a volume: a
+translation along each axis, and small rotations. Constrained components may prevent some of these
+motions. To solve a linear system under this constraint, the displacement of a body's sites is
+projected orthogonally onto the free rigid motions.
 """
 
 from __future__ import annotations
@@ -26,21 +26,23 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial
 Float64Array = npt.NDArray[np.float64]
 BodySites = tuple[npt.NDArray[np.intp], ...]
 
-# Largest number of bodies whose motions are deflated, and of values in all fields of deflation.
+# Largest number of bodies for which deflation is used, and largest number of values in all
+# deflation fields.
 _MOST_BODIES, _MOST_VALUES = 8, 4e7
 
-# Eigenvalue below which a motion counts as free, for one site of the body; and largest distance of
-# observations from a rigid motion: in pixels, and relative to the largest observed value.
+# Eigenvalue below which a motion is free, times the number of components of the body.
 _NOTHING = 1e-9
+# Largest distance of observations from a rigid motion: in pixels, and relative to the largest
+# observed value.
 _OFF, _PART = 1e-3, 1e-5
 
 
 class _Body(NamedTuple):
-    """Components of a body as indices in flattened planes, with all rigid and all free motions."""
+    """Components of a body as indices into flattened planes, and its rigid and free motions."""
 
-    # The columns of `motions` are orthonormal. `single` has the free motions in single precision.
-    # `ways` has the coefficients of the free motions, in terms of the translations along the axes
-    # and the rotations around `centre`.
+    # The columns of `motions` are orthonormal. `free` and `single` have the free motions in double
+    # and in single precision. `ways` has the coefficients of the free motions with respect to the
+    # translations along the axes and the rotations around `centre`.
 
     at: npt.NDArray[np.intp]
     held: npt.NDArray[np.bool_]
@@ -54,7 +56,7 @@ class _Body(NamedTuple):
 class Motion(NamedTuple):
     """Free motion of a body: indices of its components in flattened planes, and displacements.
 
-    The displacement of a point x is `step` + `turn` (x - `centre`).
+    The displacement of a point x is ``step + turn @ (x - centre)``.
     """
 
     at: npt.NDArray[np.intp]
@@ -64,13 +66,13 @@ class Motion(NamedTuple):
     turn: Float64Array
 
     def of(self, *sites: npt.NDArray[np.intp]) -> Float64Array:
-        """Return the displacement at points, which need not be sites: (components, points)."""
+        """Return the displacement, shape (axes, points), of arbitrary points."""
         from_centre = np.stack(sites) - np.array(self.centre)[:, None]
         return np.asarray(self.step[:, None] + self.turn @ from_centre)
 
 
 class Bodies:
-    """Rigid bodies of a tissue, with their held components.
+    """Rigid bodies of a tissue under given constraints.
 
     Parameters
     ----------
@@ -78,9 +80,9 @@ class Bodies:
         Indices of each body's sites along each axis, as returned by `bodies_of`.
     material : ElasticMaterial
     held : ndarray of bool, planes
-        Mask of the held components.
+        Mask of the constrained components.
     moved : ndarray, planes, optional
-        Present displacement of the bodies; zero by default.
+        Present displacement of the bodies, in pixels; by default zero.
     """
 
     def __init__(
@@ -92,7 +94,7 @@ class Bodies:
     ) -> None:
         self._sites, grid = sites, held.shape[1:]
         self._sides = np.array(material.shape.sides)
-        #: True if cycles hold the bodies and deflation by their motions moves them.
+        #: True if cycles keep the bodies fixed, and deflation moves them.
         self.is_deflated = can_deflate(sites, material.m.shape)
         self._bodies = []
         for of_body in sites:
@@ -116,7 +118,7 @@ class Bodies:
 
     @staticmethod
     def _steps_and_turns(places: Float64Array) -> Float64Array:
-        """Return all rigid motions of points as columns, one component after the other."""
+        """Return all rigid motions of points as columns, grouped by component."""
         count, axes = places.shape
         made = [np.repeat(axis, count) for axis in np.eye(axes)]
         for turn in small_rotations(axes):
@@ -124,7 +126,7 @@ class Bodies:
         return np.stack(made, axis=1)
 
     def hold(self, held: HeldPlanes) -> HeldPlanes:
-        """Return a copy of a mask of held components in which all bodies are held."""
+        """Return a copy of a mask of constrained components that includes all bodies."""
         all_held = held.copy()
         for body in self._bodies:
             all_held.reshape(-1)[body.at] = True
@@ -132,7 +134,7 @@ class Bodies:
 
     @property
     def freedom(self) -> int:
-        """Number of free motions of all bodies."""
+        """Total number of free motions of all bodies."""
         return sum(body.free.shape[1] for body in self._bodies)
 
     @property
@@ -150,12 +152,12 @@ class Bodies:
     def make_rigid(self, d: Planes) -> None:
         """Replace the displacement of each body by the nearest rigid motion, in place.
 
-        The motion agrees with the held components of the body.
+        The motion satisfies the constraints of the body.
 
         Raises
         ------
         ProblemError
-            If the held components of a body agree with no rigid motion.
+            If no rigid motion satisfies the constraints of a body.
         """
         flat = d.reshape(-1)
         for body in self._bodies:
@@ -166,7 +168,7 @@ class Bodies:
                 around = ", ".join(f"{index:.0f}" for index in body.centre)
                 raise ProblemError(
                     "observed",
-                    f"moves pixels of the rigid body around ({around}) against each other, by "
+                    f"moves pixels of the rigid body around ({around}) relative to each other, by "
                     f"{off:.2g} px. Hold or move the body in one place only, move all of it "
                     "evenly, or give it a finite stiffness.",
                 )
@@ -181,9 +183,10 @@ class Bodies:
             flat[body.at] = free @ (free.T @ flat[body.at])
 
     def carry(self, forces: Planes) -> None:
-        """Transfer the whole load of each body to its held components, in place.
+        """Transfer the total force on each body to its constrained components, in place.
 
-        The distribution within a rigid body is not unique; the one with the least norm is chosen.
+        Many distributions of the force are equivalent for a rigid body; the result has the least
+        norm.
         """
         flat = forces.reshape(-1)
         for body in self._bodies:
@@ -194,7 +197,7 @@ class Bodies:
 
 
 def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
-    """Find rigid bodies, the connected regions of infinite stiffness.
+    """Find the rigid bodies, which are connected regions of infinite stiffness.
 
     Parameters
     ----------
@@ -223,14 +226,15 @@ def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
 
 
 def can_deflate(bodies: list[BodySites], shape: tuple[int, ...]) -> bool:
-    """Return whether there are few enough bodies to deflate all their motions; False in volumes."""
-    # Three motions per body; each has a displacement field and a force field of two components.
+    """Return whether deflation is affordable for these bodies and this grid; False in volumes."""
+    # Each body has three motions; each motion needs a displacement field and a force field, with
+    # two components each.
     values = 3 * 2 * 2 * len(bodies) * math.prod(shape)
     return len(shape) == 2 and len(bodies) <= _MOST_BODIES and values <= _MOST_VALUES
 
 
 def rigid_sites(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-    """Return the mask of the sites of rigid bodies: the corners of rigid elements."""
+    """Return a mask of the sites of rigid bodies, which are the corners of rigid elements."""
     return np.asarray(around_sites(_rigid(m), np.logical_or))
 
 
@@ -256,7 +260,7 @@ def rigid_elements(m: npt.NDArray[np.float32], bodies: list[BodySites]) -> npt.N
 
 
 def _rigid(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-    """Return the mask of the elements with an infinitely stiff corner."""
+    """Return a mask of the elements with an infinitely stiff corner."""
     return np.asarray(in_elements(m) & of_corners(np.isinf(m), np.logical_or))
 
 

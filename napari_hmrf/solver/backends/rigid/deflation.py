@@ -1,4 +1,4 @@
-"""Protocol of deflation: motions of rigid bodies with the tissue that they drag along."""
+"""Protocol of deflation by the motions of rigid bodies and the tissue that they drag along."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Deflation(Protocol):
     def turn(self, steepest: Any, direction: Any, share: float) -> float:
         """Compute ``direction = steepest + share * direction``, made conjugate to all fields.
 
-        For that, fields are subtracted from `steepest`; return the largest distance by which they
-        move bodies.
+        Multiples of the fields are subtracted from `steepest`. Returns the largest displacement of
+        a body in these multiples.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""Poses of rigid bodies in large motion: a translation and a rotation of any size."""
+"""Poses of rigid bodies in large motion: a translation and an arbitrarily large rotation."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.bodies import BodySites, small_rotations
 
 Float64Array = npt.NDArray[np.float64]
-# Index of a body's sites in planes.
+# Index of the sites of a body in planes.
 _Index = tuple[Any, ...]
 
-# Largest number of iterations for a pose, and change, in pixels, at which they end.
+# Largest number of iterations for a pose, and change, in pixels, at which the iteration ends.
 _STEPS, _EXACT = 30, 1e-12
 # Largest rotation of a body in one step, in radians.
 _TURN = 0.25
-# Relative singular value below which a motion counts as free.
+# Relative singular value below which a motion is free.
 _NOTHING = 1e-9
 # Largest distance of observations from a rigid motion: in pixels, and relative to the largest
 # observed value.
@@ -28,7 +28,7 @@ _OFF, _PART = 1e-3, 1e-5
 
 
 class _Body(NamedTuple):
-    """Sites of a body, their positions relative to its centre, and its held components."""
+    """Sites of a body, their positions relative to its centre, and its constrained components."""
 
     at: _Index
     places: Float64Array
@@ -36,16 +36,16 @@ class _Body(NamedTuple):
 
 
 class Poses:
-    """Poses of all bodies.
+    """Poses of all rigid bodies.
 
     Parameters
     ----------
     bodies : list of tuple of ndarray
         Indices of each body's sites along each axis.
     sides : tuple of float
-        Sides of a pixel or voxel along each axis, in pixels.
+        Size of a pixel or voxel along each axis, in the solver's unit of length.
     held : ndarray of bool, planes
-        Mask of the held components.
+        Mask of the constrained components.
     """
 
     def __init__(self, bodies: list[BodySites], sides: tuple[float, ...], held: HeldPlanes) -> None:
@@ -56,14 +56,14 @@ class Poses:
             self._bodies.append(_Body(at, places - places.mean(axis=1, keepdims=True), held[at]))
 
     def hold(self, y: Planes, held: HeldPlanes) -> None:
-        """Hold all components of each body that its held components already fix, in place.
+        """Constrain all components of each body whose pose is determined already, in place.
 
-        The held components in `y` are replaced by those of the fitted pose.
+        The constrained components in `y` are replaced by the values of the fitted pose.
 
         Raises
         ------
         ProblemError
-            If the held components of a body agree with no rigid motion.
+            If no rigid motion satisfies the constraints of a body.
         """
         for number, body in enumerate(self._bodies):
             if not body.held.any():
@@ -77,19 +77,20 @@ class Poses:
                 around = ", ".join(f"{index.mean() - 2:.0f}" for index in body.at[1:])
                 raise ProblemError(
                     "observed",
-                    f"moves pixels of the rigid body around ({around}) against each other, by "
-                    f"{off:.2g} px. Hold or move the body in one place only, move all of "
-                    "it by one rotation and translation, or give it a finite stiffness.",
+                    f"moves pixels of the rigid body around ({around}) relative to each other, by "
+                    f"{off:.2g} px. Hold or move the body in one place only, move all of it by one "
+                    "rotation and translation, or give it a finite stiffness.",
                 )
             stops = np.linalg.svd(_motions(found)[body.held.ravel()], compute_uv=False)
-            count = body.places.shape[0] * (body.places.shape[0] + 1) // 2
-            if len(stops) == count and stops[-1] > _NOTHING * stops[0]:
+            axes = len(body.places)
+            is_fixed = len(stops) == axes * (axes + 1) // 2
+            if is_fixed and stops[-1] > _NOTHING * stops[0]:
                 held[body.at] = True
                 self._bodies[number] = body._replace(held=np.ones_like(body.held))
             y[body.at] = np.where(held[body.at], found - body.places, y[body.at])
 
     def make_rigid(self, d: Planes) -> None:
-        """Move each body to the pose nearest to `d`, in place; held components keep their value."""
+        """Move each body to the pose nearest to `d`, in place; keep constrained components."""
         for body in self._bodies:
             wanted = body.places + d[body.at]
             found = _nearest(body.places, wanted, body.places)
@@ -99,9 +100,9 @@ class Poses:
             d[body.at] = found - body.places
 
     def aim(self, d: Planes, y: Planes) -> Planes:
-        """Return an intermediate displacement between `d` and `y`.
+        """Return a displacement between `d` and `y`, with a limited rotation of each body.
 
-        Held bodies are rotated by at most 0.25 radians, so that they keep their shape on the way.
+        Fully constrained bodies rotate by at most 0.25 radians, and remain rigid on the way.
 
         Parameters
         ----------
@@ -129,9 +130,10 @@ class Poses:
         return made
 
     def extend(self, gap: Planes) -> Planes:
-        """Extend a displacement of held components to the whole of partly held bodies.
+        """Extend a displacement of constrained components to all components of their bodies.
 
-        The other components of such a body follow the small rigid motion nearest to its held ones.
+        Other components of a partly constrained body get the small rigid motion that is nearest to
+        the displacement of the constrained components.
         """
         made = gap.copy()
         for body in self._bodies:
@@ -145,7 +147,7 @@ class Poses:
 
 
 def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> Float64Array:
-    """Return all positions in the pose that brings some of them nearest to their goals."""
+    """Return all positions after the rigid motion that brings `some` nearest to their targets."""
     if not some.size:
         return places
     middle, goal = some.mean(axis=1, keepdims=True), wanted.mean(axis=1, keepdims=True)
@@ -153,15 +155,15 @@ def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> 
 
 
 def _angles(places: Float64Array, goals: Float64Array) -> Float64Array:
-    """Return the rotation around 0, in radians, that brings positions nearest to their goals.
+    """Return the rotation around 0, in radians, that brings positions nearest to their targets.
 
-    It is one angle in an image, and a rotation vector in a volume.
+    It is a single angle in an image, and a rotation vector in a volume.
     """
     if len(places) == 2:
         (row, col), (to_row, to_col) = places, goals
         across, along = (row * to_col - col * to_row).sum(), (row * to_row + col * to_col).sum()
         return np.array([np.arctan2(across, along)])
-    # The orthogonal polar factor of the correlation (Kabsch, Acta Cryst. A32, 1976).
+    # Orthogonal polar factor of the correlation (Kabsch, Acta Cryst. A32, 1976).
     left, _, right = np.linalg.svd(goals @ places.T)
     left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
     return np.asarray(Rotation.from_matrix(left @ right).as_rotvec())
@@ -182,10 +184,10 @@ def _fit_pose(
     held: npt.NDArray[np.bool_],
     nearest: bool = True,
 ) -> Float64Array:
-    """Return the positions in a pose that has the held components at their goals.
+    """Return the positions in a pose that has the constrained components at their targets.
 
-    The search begins at the positions `begin`. If `nearest`, the pose with the other components
-    nearest to their goals is chosen.
+    The search starts at the positions `begin`. If `nearest`, the other components are as near to
+    their targets as possible.
     """
     now, stopped = begin, held.ravel()
     for _ in range(_STEPS):
@@ -205,7 +207,7 @@ def _fit_pose(
 
 
 def _motions(places: Float64Array) -> Float64Array:
-    """Return the translations, and the small rotations around the centre, as columns.
+    """Return the translations and the small rotations around the centre, as columns.
 
     The rows of the result are the first component of all sites, then the second, and so on.
     """

@@ -1,4 +1,4 @@
-"""The host's models in NumPy: twins of the compiled ones."""
+"""NumPy models of the host, compared with the compiled models."""
 
 import subprocess
 import sys
@@ -21,8 +21,8 @@ PRIORS = {
 }
 
 
-def twins(prior, shape, spacing):
-    """Both models of random tissue with holes, of which some components are held."""
+def both_models(prior, shape, spacing):
+    """Return both models of random tissue with holes and some prescribed components."""
     rng = np.random.default_rng(0)
     m = 10 ** rng.uniform(-2, 1, shape)
     m[rng.random(shape) < 0.1] = 0
@@ -45,8 +45,8 @@ def prior(request):
 
 
 @pytest.mark.parametrize(("shape", "spacing"), SHAPES, ids=str)
-def test_every_level_is_that_of_the_loops(prior, shape, spacing):
-    loops, plain = twins(prior, shape, spacing)
+def test_every_level_matches_the_compiled_loops(prior, shape, spacing):
+    loops, plain = both_models(prior, shape, spacing)
     assert len(loops.levels) == len(plain.levels)
     assert loops.bounds == plain.bounds
     np.testing.assert_array_equal(loops.moves, plain.moves)
@@ -62,8 +62,8 @@ def test_every_level_is_that_of_the_loops(prior, shape, spacing):
 
 
 @pytest.mark.parametrize(("shape", "spacing"), SHAPES, ids=str)
-def test_forces_and_energies_are_those_of_the_loops(prior, shape, spacing):
-    loops, plain = twins(prior, shape, spacing)
+def test_forces_and_energies_match_the_compiled_loops(prior, shape, spacing):
+    loops, plain = both_models(prior, shape, spacing)
     d = np.random.default_rng(1).normal(size=loops.moves.shape)
     d[:, :2] = d[:, -2:] = d[..., :2] = d[..., -2:] = 0
     inside = np.s_[:, 2:-2, 2:-2]
@@ -82,7 +82,7 @@ def test_forces_and_energies_are_those_of_the_loops(prior, shape, spacing):
     assert plain.work(d) == pytest.approx(loops.work(d), rel=1e-5)
 
 
-def test_displacements_are_handled_as_by_the_loops():
+def test_operations_on_displacements_match_the_compiled_loops():
     rng = np.random.default_rng(0)
     y, first, second = rng.normal(size=(3, 6, 7, 2)).astype(np.float32)
     observed, tissue = rng.random((6, 7, 2)) < 0.5, rng.random((6, 7)) < 0.8
@@ -107,14 +107,14 @@ def test_displacements_are_handled_as_by_the_loops():
         np.testing.assert_allclose(one, other, rtol=1e-6)
 
 
-def test_a_solve_that_is_not_a_number_is_seen():
+def test_nan_displacements_are_detected():
     values, finite = np.ones((3, 4, 2), np.float32), np.zeros(3, dtype=bool)
     values[1, 2, 0] = np.nan
     exact.settle(values, np.ones((3, 4), dtype=bool), np.float32(1), finite)
     assert finite.tolist() == [True, False, True]
 
 
-def test_they_need_no_compiler():
+def test_the_array_models_do_not_import_numba():
     code = "import sys; from napari_hmrf.solver.backends.arrays import elastic, exact, seiler; "
     code += "print('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -7,7 +7,7 @@ from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, load
 
 @pytest.fixture
 def cold(monkeypatch, tmp_path):
-    """No loops yet, and nobody who compiles them; the commands that would be started."""
+    """Remove all loops, replace the compiler, and return the commands it would run."""
     started = []
 
     class Compiler:
@@ -15,10 +15,10 @@ def cold(monkeypatch, tmp_path):
             started.append(command)
 
         def poll(self):
-            """It goes on for ever."""
+            """Return None: the process never ends."""
 
         def terminate(self):
-            """Nothing runs."""
+            """Do nothing: there is no process."""
 
     monkeypatch.delenv("NAPARI_HMRF_COMPILE")
     monkeypatch.setattr(disk_cache, "folder", lambda: tmp_path)

@@ -1,4 +1,4 @@
-"""A fresh process whose caches are empty: shaders and NumPy until the loops are compiled."""
+"""Empty compile cache: shaders and NumPy run until the loops are compiled."""
 
 import errno
 import importlib.util
@@ -48,7 +48,7 @@ IMAGE = SolveJob.of(PROBLEM, *MODELS["elastic"])
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_the_field_and_the_picture_are_those_of_the_loops(model, cold, monkeypatch):
+def test_fields_and_images_match_the_compiled_loops(model, cold, monkeypatch):
     require_opengl()
     prior, optimizer = MODELS[model]
     early = solve(PROBLEM, prior, optimizer=optimizer, backend="opengl")
@@ -65,7 +65,7 @@ def test_the_field_and_the_picture_are_those_of_the_loops(model, cold, monkeypat
     np.testing.assert_allclose(seen, again, atol=1e-6)
 
 
-def test_a_bone_moves_as_one_before_the_loops_are_compiled(cold, monkeypatch):
+def test_a_bone_moves_rigidly_before_the_loops_are_compiled(cold, monkeypatch):
     require_opengl()
     m = PROBLEM.stiffness.copy()
     m[18:23, 12:17] = np.inf
@@ -78,7 +78,7 @@ def test_a_bone_moves_as_one_before_the_loops_are_compiled(cold, monkeypatch):
     assert np.abs(early.displacement - late.displacement).max() / bony.unit < sure + 1e-5
 
 
-def test_nothing_on_the_way_imports_the_compiler():
+def test_a_solve_with_shaders_does_not_import_numba():
     require_opengl()
     code = """
 import sys
@@ -98,8 +98,8 @@ print("numba" in sys.modules)
     assert done.stdout.strip() == "False", done.stderr
 
 
-def opened(name):
-    """Which backend is taken, and why."""
+def opened_backend(name):
+    """Return the name of the opened backend and the reason for it."""
 
     def job():
         backend, reason = open_backend(IMAGE, name, lambda: None)
@@ -109,26 +109,26 @@ def opened(name):
     return compute_thread.submit(job).result()
 
 
-def test_a_rasteriser_in_software_is_taken_until_the_loops_are_compiled(cold):
+def test_auto_uses_a_software_rasteriser_until_the_loops_are_compiled(cold):
     require_opengl()
-    name, reason = opened("auto")
+    name, reason = opened_backend("auto")
     if reason == "a GPU is available":
-        pytest.skip("this machine takes its GPU anyhow")
+        pytest.skip("this machine has a GPU")
     assert (name, reason) == ("opengl", COMPILING)
     assert cold == [[sys.executable, "-m", compiler.COMPILER]]
-    opened("auto")
+    opened_backend("auto")
     assert len(cold) == 1
     disk_cache.mark().touch()
-    with loader._loader.step:  # nothing is loaded yet
-        assert opened("auto") == ("opengl", COMPILING)
+    with loader._loader.step:  # the loops are not loaded yet
+        assert opened_backend("auto") == ("opengl", COMPILING)
     assert loader._loader.done.wait(LONG)
-    name, reason = opened("auto")
+    name, reason = opened_backend("auto")
     assert name == "cpu"
     assert reason.startswith("OpenGL here is software only")
 
 
-class Waiting:
-    """Somebody who asks for loops by name, and is told how far these are."""
+class BackgroundSolve:
+    """Background solve that records its progress reports."""
 
     def __init__(self, prior, optimizer, backend="cpu"):
         self.reports = queue.SimpleQueue()
@@ -143,51 +143,51 @@ class Waiting:
             cancel=self.cancel,
         )
 
-    def is_told(self, beginning):
+    def wait_for_report(self, beginning):
         while not (report := self.reports.get(timeout=LONG)).message.startswith(beginning):
             pass
         return report
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_who_asks_for_loops_waits_for_the_ones_it_needs_and_is_told_how_far_they_are(model, cold):
+def test_a_cpu_solve_waits_for_its_loops_and_reports_progress(model, cold):
     prior, optimizer = MODELS[model]
-    somebody = Waiting(prior, optimizer)
-    somebody.is_told("starting to compile")
+    pending = BackgroundSolve(prior, optimizer)
+    pending.wait_for_report("starting to compile")
     assert cold == [[sys.executable, "-m", compiler.COMPILER]]
     job = compiler.requested_job()
     assert job == SolveJob.of(PROBLEM, prior.resolved(PROBLEM), optimizer).loops
     assert job in [each.name for each in compiling.jobs()]
     compiler.publish_stage(compiler.Stage(job, 3, 10, 2.5))
-    report = somebody.is_told("compiling")
+    report = pending.wait_for_report("compiling")
     assert report.message == "compiling loops (3 of 10), about 18 s left"
     assert report.fraction == pytest.approx(0.3)
     disk_cache.mark(job).touch()
-    assert somebody.answer.result(LONG).provenance.backend == "cpu"
+    assert pending.answer.result(LONG).provenance.backend == "cpu"
 
 
-def test_cancel_is_answered_while_loops_are_compiled_and_the_next_request_is_told_as_much(cold):
-    first = Waiting(*MODELS["elastic"])
-    first.is_told("starting to compile")
+def test_a_solve_can_be_cancelled_during_compilation_and_the_next_one_reports_it(cold):
+    first = BackgroundSolve(*MODELS["elastic"])
+    first.wait_for_report("starting to compile")
     first.cancel.set()
     with pytest.raises(Cancelled):
         first.answer.result(LONG)
-    second = Waiting(*MODELS["schedule"])
-    second.is_told("starting to compile")
+    second = BackgroundSolve(*MODELS["schedule"])
+    second.wait_for_report("starting to compile")
     assert compiler.requested_job() == "schedule"
     disk_cache.mark("schedule").touch()
     second.answer.result(LONG)
     assert len(cold) == 1
 
 
-def test_cancel_is_answered_though_this_process_compiles_a_loop_to_its_end(monkeypatch):
+def test_a_solve_can_be_cancelled_while_this_process_compiles(monkeypatch):
     begun, go_on = threading.Event(), threading.Event()
     monkeypatch.setattr(solving, "prepare", lambda *_: (begun.set(), go_on.wait(LONG)))
-    somebody = Waiting(*MODELS["elastic"])
+    pending = BackgroundSolve(*MODELS["elastic"])
     assert begun.wait(LONG)
-    somebody.cancel.set()
+    pending.cancel.set()
     with pytest.raises(Cancelled):
-        somebody.answer.result(LONG)
+        pending.answer.result(LONG)
     waiting = compute_thread.submit(lambda: None)
     assert compute_thread.delays(waiting).startswith("waiting for what was cancelled")
     go_on.set()
@@ -195,7 +195,7 @@ def test_cancel_is_answered_though_this_process_compiles_a_loop_to_its_end(monke
     assert compute_thread.delays(waiting) == ""
 
 
-def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
+def test_the_compiler_interrupts_a_job_for_a_newer_request(cold, monkeypatch):
     done = []
 
     def job(name):
@@ -215,7 +215,7 @@ def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
         job.run()
 
     monkeypatch.setattr(compiling, "run", run)
-    monkeypatch.setattr(compiler, "lower_priority", lambda: done.append("gives way"))
+    monkeypatch.setattr(compiler, "lower_priority", lambda: done.append("lower priority"))
     compiler._request_file().write_text("schedule")
     todo = [job(name) for name in ("elastic", "schedule", "converged")]
     while todo:
@@ -224,40 +224,40 @@ def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
         "schedule begun",
         "converged begun",
         "converged",
-        "gives way",
+        "lower priority",
         "elastic begun",
         "elastic",
-        "gives way",
+        "lower priority",
         "schedule begun",
         "schedule",
     ]
     assert disk_cache.mark("converged").exists()
 
 
-def test_where_there_is_no_opengl_the_loops_that_are_needed_come_first(cold, monkeypatch):
+def test_the_required_loops_are_compiled_first_without_opengl(cold, monkeypatch):
     class Missing:
         def __init__(self, *_):
             raise BackendError("no OpenGL here.")
 
     monkeypatch.setattr("napari_hmrf.solver.backends.opengl.OpenGLBackend", Missing)
-    somebody = Waiting(*MODELS["converged"], "auto")
-    somebody.is_told("starting to compile")
+    pending = BackgroundSolve(*MODELS["converged"], "auto")
+    pending.wait_for_report("starting to compile")
     assert compiler.requested_job() == "converged"
     disk_cache.mark("converged").touch()
-    assert "no OpenGL here" in somebody.answer.result(LONG).provenance.reason
+    assert "no OpenGL here" in pending.answer.result(LONG).provenance.reason
 
 
-def test_where_no_other_process_can_compile_this_one_does(cold, monkeypatch):
+def test_this_process_compiles_if_no_other_process_can(cold, monkeypatch):
     monkeypatch.setattr(
         compiler, "_start_process", lambda command: subprocess.Popen([sys.executable, "-c", ""])
     )
-    assert Waiting(*MODELS["elastic"]).answer.result(LONG).provenance.backend == "cpu"
+    assert BackgroundSolve(*MODELS["elastic"]).answer.result(LONG).provenance.backend == "cpu"
     assert loops.compile_here()
 
 
-def test_a_request_that_an_ending_compiler_has_missed_is_repeated(cold, monkeypatch):
+def test_a_request_missed_by_an_ending_compiler_is_repeated(cold, monkeypatch):
     class Ending:
-        """A compiler that is alive when it is asked, and then ends."""
+        """Compiler that ends after its first poll."""
 
         def __init__(self):
             self.states = [None, 0]
@@ -266,7 +266,7 @@ def test_a_request_that_an_ending_compiler_has_missed_is_repeated(cold, monkeypa
             return self.states.pop(0) if len(self.states) > 1 else self.states[0]
 
         def terminate(self):
-            """Nothing runs."""
+            """Do nothing: there is no process."""
 
     def started(command):
         assert compiler.requested_job() == "volume"
@@ -289,7 +289,7 @@ def test_one_process_compiles_at_a_time(cold, tmp_path):
     assert not compiler.begin()
     compiler.compile_meanwhile()
     assert cold == []
-    # Another process has its number by now.
+    # Another process has the same process id now.
     compiler._status_file().write_text(json.dumps([parent, "12345"]))
     assert compiler.begin()
     compiler._status_file().write_text("no list")
@@ -301,8 +301,8 @@ def test_one_process_compiles_at_a_time(cold, tmp_path):
 
 
 @pytest.fixture
-def forgotten():
-    """What is known of the files of loops is read again."""
+def cleared_caches():
+    """Clear the cached properties of the loop files before and after a test."""
     caches = disk_cache._key, disk_cache.sources, disk_cache.folder
     for each in caches:
         each.cache_clear()
@@ -312,7 +312,7 @@ def forgotten():
 
 
 @pytest.mark.parametrize("module", disk_cache.modules())
-def test_an_edit_of_any_file_of_loops_has_another_mark(module, forgotten, monkeypatch):
+def test_an_edit_of_any_module_with_loops_changes_the_mark(module, cleared_caches, monkeypatch):
     before, read = disk_cache.mark().name, Path.read_bytes
     edited = Path(importlib.util.find_spec(module).origin)
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path == edited))
@@ -321,7 +321,7 @@ def test_an_edit_of_any_file_of_loops_has_another_mark(module, forgotten, monkey
     assert disk_cache.mark().name != before
 
 
-def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
+def test_optimised_python_uses_separate_marks():
     ask = (
         "from napari_hmrf.solver.backends.compile_cache import disk_cache; print(disk_cache.mark())"
     )
@@ -333,7 +333,7 @@ def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
     assert all(each.endswith(".compiled") for each in marks)
 
 
-KEEPING = """
+STORE_LOOP = """
 import sys, tempfile
 from pathlib import Path
 from napari_hmrf.solver.backends.compile_cache import disk_cache, loader
@@ -342,7 +342,7 @@ there = disk_cache._writable
 disk_cache._writable = lambda folder: str(folder).startswith(sys.argv[1]) and there(folder)
 loader.before_numba()
 from numba.core import caching
-caching.CacheImpl._locator_classes[1:] = []  # what is beside the source, or at home
+caching.CacheImpl._locator_classes[1:] = []  # no caches beside the source or in the home folder
 sys.path.insert(0, sys.argv[1])
 import one
 print(one.more(1))
@@ -350,12 +350,12 @@ print(any(disk_cache.folder().rglob("*.nbi")) and disk_cache.folder().stat().st_
 """
 
 
-def test_where_no_folder_can_be_written_to_loops_are_kept_in_a_temporary_one(tmp_path):
+def test_loops_are_stored_in_a_temporary_folder_if_no_other_is_writable(tmp_path):
     source = "import numba\n@numba.njit(cache=True)\ndef more(x):\n    return x + 1\n"
     (tmp_path / "one.py").write_text(source)
     nowhere = str(tmp_path / "one.py" / "folder")
     done = subprocess.run(
-        [sys.executable, "-c", KEEPING, tmp_path],
+        [sys.executable, "-c", STORE_LOOP, tmp_path],
         env={**os.environ, "NUMBA_CACHE_DIR": nowhere},
         capture_output=True,
         text=True,
@@ -364,9 +364,9 @@ def test_where_no_folder_can_be_written_to_loops_are_kept_in_a_temporary_one(tmp
 
 
 @pytest.mark.parametrize(
-    ("place", "redirected"), [("told", []), ("package", [""]), ("caches", ["here"])]
+    ("place", "redirected"), [("environment", []), ("package", [""]), ("caches", ["here"])]
 )
-def test_a_full_disk_is_no_place_for_loops(place, redirected, tmp_path, monkeypatch):
+def test_loops_are_not_stored_on_a_full_disk(place, redirected, tmp_path, monkeypatch):
     def usage(folder):
         return SimpleNamespace(free=2**40 if folder.is_relative_to(tmp_path / place) else 0)
 
@@ -375,13 +375,13 @@ def test_a_full_disk_is_no_place_for_loops(place, redirected, tmp_path, monkeypa
     monkeypatch.setattr(disk_cache, "_LOOPS", tmp_path / "package")
     monkeypatch.setattr(disk_cache, "_redirect_numba", told.append)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "told"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "environment"))
     found = disk_cache.folder.__wrapped__()
     assert found.is_relative_to(tmp_path / place)
     assert told == [str(found) if each == "here" else each for each in redirected]
 
 
-def test_a_disk_that_fills_up_costs_the_cache_but_no_result(monkeypatch, caplog):
+def test_a_disk_that_fills_up_disables_the_cache_but_not_the_loops(monkeypatch, caplog):
     loader.before_numba()
     import numba
     from numba.core.caching import IndexDataCacheFile
@@ -403,14 +403,14 @@ def test_a_disk_that_fills_up_costs_the_cache_but_no_result(monkeypatch, caplog)
     assert not compiling._is_cached()
 
 
-def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):
+def test_the_loops_are_never_ready_if_no_folder_is_writable(cold, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
     monkeypatch.setattr(disk_cache, "folder", lambda: tmp_path / "file" / "folder")
     assert not compiler.begin()
     assert not loops.ready()
 
 
-def test_what_volumes_take_is_done_without_loops_until_those_are_kept(cold):
+def test_loops_for_volumes_are_ready_only_once_compiled(cold):
     disk_cache.mark().touch()
     assert loops.ready_for_pictures()
     assert not loops.ready_for_volumes()
@@ -418,7 +418,7 @@ def test_what_volumes_take_is_done_without_loops_until_those_are_kept(cold):
     assert loops.ready_for_volumes()
 
 
-def test_loops_for_volumes_are_compiled_only_for_who_waits_for_them(cold, monkeypatch):
+def test_loops_for_volumes_are_compiled_only_on_request(cold, monkeypatch):
     done = []
     names = ["elastic", "volume"]
     made = [compiling.Job(name, lambda name=name: done.append(name)) for name in names]

@@ -1,6 +1,6 @@
-"""Tissue that is dragged while the loops come: they take over, and nobody can tell from the tissue.
+"""Switch from shaders to compiled loops during a drag.
 
-Until then shaders solve, which is what they do here until the test says that loops are compiled.
+Shaders solve until the test marks the loops as compiled.
 """
 
 import subprocess
@@ -20,8 +20,8 @@ from tests.support.problems import pulled_problem
 from tests.support.timeouts import LONG
 
 
-class Hand:
-    """Somebody who drags a patch, and sees what comes of it."""
+class Drag:
+    """Drag of a patch with a live solver, with recorded updates."""
 
     def __init__(self):
         self.updates = []
@@ -31,8 +31,8 @@ class Hand:
     def pull(self, reach):
         return self._live.submit(pulled_problem((reach, -reach / 2), size=48, at=(24, 20)))
 
-    def follow(self, reach):
-        """Pull, and look at the answer."""
+    def pull_and_wait(self, reach):
+        """Pull the patch and return the solution."""
         number = self.pull(reach)
         with self._came:
             assert self._came.wait_for(lambda: self._answered(number), LONG)
@@ -41,7 +41,7 @@ class Hand:
     def rest(self):
         assert self._live.wait(LONG)
 
-    def let_go(self):
+    def release(self):
         self._live.close()
 
     def _answered(self, number):
@@ -54,24 +54,24 @@ class Hand:
 
 
 @pytest.fixture
-def hand(cold):
+def drag(cold):
     require_opengl()
-    made = Hand()
-    first = made.follow(0.5)
+    made = Drag()
+    first = made.pull_and_wait(0.5)
     if not is_software_renderer(first.provenance.renderer):
-        pytest.skip("this machine takes its GPU anyhow")
+        pytest.skip("this machine has a GPU")
     assert first.provenance.backend.startswith("opengl")
     yield made
-    made.let_go()
+    made.release()
 
 
-def test_the_field_stays_where_it_is_when_the_loops_take_over(hand):
-    before = hand.follow(3.0)
+def test_the_field_does_not_change_when_the_loops_take_over(drag):
+    before = drag.pull_and_wait(3.0)
     disk_cache.mark().touch()
     with loader._loader.step:
-        meanwhile = hand.follow(2.0)
+        meanwhile = drag.pull_and_wait(2.0)
     assert loader.loaded(LONG)
-    after = hand.follow(3.0)
+    after = drag.pull_and_wait(3.0)
     assert [each.provenance.backend.partition(":")[0] for each in (before, meanwhile, after)] == [
         "opengl",
         "opengl",
@@ -81,28 +81,28 @@ def test_the_field_stays_where_it_is_when_the_loops_take_over(hand):
     assert np.abs(after.displacement - before.displacement).max() < sure + 1e-5
 
 
-def test_no_pull_is_without_its_answer_while_the_loops_are_loaded(hand):
+def test_each_pull_is_solved_while_the_loops_load(drag):
     disk_cache.mark().touch()
     for turn in range(12):
-        hand.follow(0.6 + turn / 10)
+        drag.pull_and_wait(0.6 + turn / 10)
         if turn == 6:
             assert loader.loaded(LONG)
-    assert all(update.error is None for update in hand.updates)
-    assert {update.number for update in hand.updates} == set(range(1, 14))
-    assert hand.updates[-1].solution.provenance.backend == "cpu"
+    assert all(update.error is None for update in drag.updates)
+    assert {update.number for update in drag.updates} == set(range(1, 14))
+    assert drag.updates[-1].solution.provenance.backend == "cpu"
 
 
-def test_the_newest_of_many_pulls_wins_whoever_solves_it(hand):
+def test_the_latest_of_many_pulls_wins_on_either_backend(drag):
     disk_cache.mark().touch()
     last = 0
     for turn in range(60):
-        last = hand.pull(1 + turn / 30)
+        last = drag.pull(1 + turn / 30)
         if turn == 40:
             assert loader.loaded(LONG)
-    hand.rest()
-    assert hand.updates[-1].number == last
-    assert hand.updates[-1].final
-    assert hand.updates[-1].solution.provenance.backend == "cpu"
+    drag.rest()
+    assert drag.updates[-1].number == last
+    assert drag.updates[-1].final
+    assert drag.updates[-1].solution.provenance.backend == "cpu"
 
 
 LOADING = """
@@ -115,7 +115,7 @@ print(sum(sum(loop.stats.cache_misses.values()) for loop in loops))
 """
 
 
-def test_what_is_kept_is_loaded_and_nothing_is_compiled_for_it():
+def test_cached_loops_are_loaded_without_compilation():
     solve(pulled_problem(), ElasticPrior(), backend="cpu")
     done = subprocess.run(
         [sys.executable, "-c", LOADING], capture_output=True, text=True, check=True, timeout=LONG
@@ -135,7 +135,7 @@ for job in compiling.jobs():
 """
 
 
-def test_as_many_loops_are_announced_as_there_are():
+def test_the_announced_number_of_loops_is_about_right():
     done = subprocess.run(
         [sys.executable, "-c", COUNTING], capture_output=True, text=True, check=True
     )
@@ -154,7 +154,7 @@ def {name}(x):
 """
 
 
-def test_what_is_watched_stops_between_two_loops_when_told():
+def test_a_watched_compilation_can_be_cancelled_between_two_loops():
     names: dict = {}
     for name in ("first", "second"):
         exec(ONE.format(name=name), names)

@@ -1,4 +1,4 @@
-"""Factors of small volumes, and the memory that they keep."""
+"""Factorizations of small volumes and their memory."""
 
 import gc
 import threading
@@ -37,7 +37,7 @@ def dropped():
     brick_factors._dropped.clear()
 
 
-def test_what_another_thread_drops_waits_for_the_next_factors(dropped):
+def test_factors_dropped_on_another_thread_are_freed_with_the_next_factors(dropped):
     box = [factors()]
     on_another_thread(box.clear)
     assert len(dropped) == 1
@@ -45,14 +45,14 @@ def test_what_another_thread_drops_waits_for_the_next_factors(dropped):
     assert not dropped
 
 
-def test_what_its_own_thread_drops_is_freed_at_once(dropped):
+def test_factors_dropped_on_their_own_thread_are_freed_at_once(dropped):
     box = [factors()]
     box.clear()
     assert not dropped
 
 
 def wall(shape):
-    """Return a random volume, one end held and the other pulled."""
+    """Return a random volume with one end fixed and the other pulled."""
     m = 10 ** np.random.default_rng(0).uniform(0, 3, shape)
     y, c = np.zeros((2, *shape, 3))
     c[0] = c[-1] = 1
@@ -60,7 +60,7 @@ def wall(shape):
     return Problem(y, c, m)
 
 
-def test_a_solve_keeps_the_factors_of_the_last_volume_alone(monkeypatch):
+def test_only_the_factors_of_the_last_volume_are_kept(monkeypatch):
     made = []
     original = BrickFactors.__init__
 
@@ -70,7 +70,7 @@ def test_a_solve_keeps_the_factors_of_the_last_volume_alone(monkeypatch):
 
     monkeypatch.setattr(BrickFactors, "__init__", watched)
     gc.collect()
-    gc.disable()  # a cycle of references would keep them until it comes
+    gc.disable()  # so that a reference cycle would be noticed
     try:
         for depth in (4, 5, 6):
             solution = solve(wall((depth, 4, 4)), ElasticPrior(0.3), backend="cpu")

@@ -1,4 +1,4 @@
-"""The factors of a whole system: they solve it, whatever the tissue."""
+"""Direct factorization of a whole system."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ PRIORS = {
 
 
 def model_of(prior, shape, spacing=(1.0, 1.0), held=True, seed=0):
-    """A model of random tissue with a hole, of which two edges and some components are held."""
+    """Return a model of random tissue with a hole, two fixed edges and some fixed components."""
     rng = np.random.default_rng(seed)
     m = 10 ** rng.uniform(0, 2, shape)
     m[3:6, 2:4] = 0
@@ -38,8 +38,8 @@ def model_of(prior, shape, spacing=(1.0, 1.0), held=True, seed=0):
     return model
 
 
-def silent(part):
-    """Take no notice of progress."""
+def ignore_progress(part):
+    """Ignore the progress."""
 
 
 @pytest.mark.parametrize("prior", PRIORS.values(), ids=PRIORS)
@@ -48,16 +48,18 @@ def silent(part):
     [((9, 7), (1.0, 3.0)), ((40, 23), (1.0, 1.0)), ((6, 64), (1.0, 3.0)), ((50, 51), (1.0, 1.0))],
     ids=str,
 )
-def test_the_forces_of_a_displacement_lead_back_to_it(prior, shape, spacing):
+def test_solving_for_the_forces_of_a_displacement_recovers_it(prior, shape, spacing):
     model = model_of(prior, shape, spacing)
     d = np.random.default_rng(1).normal(size=model.moves.shape) * model.moves
     balance = model.balance(d, None)
-    found = -balance.unit * Factors(model.material, model.moves, silent).solve(balance.rest)
+    found = -balance.unit * Factors(model.material, model.moves, ignore_progress).solve(
+        balance.rest
+    )
     np.testing.assert_allclose(found, d, atol=2e-4)
 
 
-def test_what_next_to_nothing_holds_is_found_to_many_digits():
-    """A plate of the paper's cliques with stiff blobs: its bending costs 1e-12 of its diagonal."""
+def test_a_nearly_singular_system_is_solved_to_many_digits():
+    """A plate of the paper's cliques with stiff blobs: bending has 1e-12 of the diagonal."""
     rng = np.random.default_rng(0)
     m = np.where(gaussian_filter(rng.random((34, 34)), 1.5) > 0.5, 1e6, 1.0)
     problem = Problem(np.zeros((34, 34, 2)), rng.random((34, 34, 2)) < 0.07, m)
@@ -66,14 +68,14 @@ def test_what_next_to_nothing_holds_is_found_to_many_digits():
     held[:, 2:-2, 2:-2] = np.moveaxis(problem.known, -1, 0)
     model.hold(held)
     d = rng.normal(size=model.moves.shape) * model.moves
-    factors = Factors(model.material, model.moves, silent)
+    factors = Factors(model.material, model.moves, ignore_progress)
     d += factors.solve(np.where(model.moves, model.pull(d, np.zeros_like(d)), 0.0))
     assert np.abs(d).max() < 0.3
     d += factors.solve(np.where(model.moves, model.pull(d, np.zeros_like(d)), 0.0))
     assert np.abs(d).max() < 1e-3
 
 
-def test_pulls_from_differences_are_those_of_the_loops():
+def test_forces_from_differences_match_the_compiled_loops():
     model = model_of(PRIORS["blanket"], (30, 21), (1.0, 2.5))
     d = np.random.default_rng(2).normal(size=model.moves.shape)
     steep = np.maximum(model.steepness, 1e-300)
@@ -82,22 +84,22 @@ def test_pulls_from_differences_are_those_of_the_loops():
     assert (np.abs(model.pull(np.zeros_like(d), d) - many) <= 1e-9 * steep).all()
 
 
-def test_tissue_that_nothing_holds_has_no_factors():
+def test_unconstrained_tissue_has_no_factorization():
     model = model_of(PRIORS["stress"], (20, 20), held=False)
     with pytest.raises(Singular):
-        Factors(model.material, model.moves, silent)
+        Factors(model.material, model.moves, ignore_progress)
 
 
-def test_springs_hold_it():
+def test_springs_make_the_system_of_unconstrained_tissue_regular():
     model = model_of(PRIORS["stress"], (20, 20), held=False)
     springs = np.where(model.moves, 0.5, 0.0)
     load = np.random.default_rng(2).normal(size=springs.shape) * model.moves
-    d = Factors(model.material, model.moves, silent, springs).solve(load)
+    d = Factors(model.material, model.moves, ignore_progress, springs).solve(load)
     rest = load + np.where(model.moves, model.pull(d), 0.0) - springs * d
     assert np.abs(rest).max() < 1e-6
 
 
-def test_progress_goes_from_nothing_to_all_and_may_stop_it():
+def test_the_factorization_reports_progress_and_can_be_interrupted():
     model = model_of(PRIORS["stress"], (70, 70))
     parts = []
     Factors(model.material, model.moves, parts.append)

@@ -1,4 +1,4 @@
-"""Multigrid of elastic tissue as shaders: every step is that of the compiled loops."""
+"""Multigrid shaders of elastic tissue, compared with the compiled loops."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.support.opengl import count_looks, left, on_compute_thread, require_o
 SHAPES = [(31, 37), (64, 48), (2, 9), (101, 7), (4, 5)]
 SPACINGS = [(1.0, 1.0), (2.0, 0.5)]
 PRIORS = [ElasticPrior(0.3), ElasticPrior(0.499, plane="strain")]
-#: Each shape, and contrasts, pixels and priors so that any two of them meet.
+#: All shapes, with pairwise combinations of contrasts, pixel sizes and priors.
 CASES = [
     ((31, 37), 4.0, SPACINGS[0], PRIORS[0]),
     ((31, 37), 1e4, SPACINGS[1], PRIORS[0]),
@@ -43,8 +43,8 @@ COARSELY = Multigrid(0.1)
 
 
 @pytest.fixture
-def visited_alike(monkeypatch):
-    """Levels too small to be worth a second visit by shaders get it all the same."""
+def equal_visits(monkeypatch):
+    """Make shaders visit small levels as often as the loops do."""
     from napari_hmrf.solver.backends.opengl.images import relaxing
 
     monkeypatch.setattr(relaxing, "WORTH_AGAIN", 0)
@@ -58,17 +58,17 @@ def example(shape, prior=PRIORS[0], spacing=(1.0, 1.0), ratio=4.0) -> Example:
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES)
-def test_what_is_left_of_a_load_goes_down_alike(stage, shape, ratio, spacing, prior):
+def test_shaders_restrict_residuals_like_the_loops(stage, shape, ratio, spacing, prior):
     given = example(shape, prior, spacing, ratio)
     assert_loads_go_down_alike(stage, given, (STEPS[:1], STEPS[:2], STEPS))
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES[:-1])
-def test_a_coarse_correction_comes_up_alike(stage, shape, ratio, spacing, prior):
+def test_shaders_interpolate_corrections_like_the_loops(stage, shape, ratio, spacing, prior):
     assert_corrections_come_up_alike(stage, example(shape, prior, spacing, ratio), STEPS)
 
 
-def test_all_steps_of_the_coarsest_level_at_once_are_those_one_by_one(stage):
+def test_fused_steps_on_the_coarsest_level_equal_single_steps(stage):
     given = example((31, 37), PRIORS[1])
     assert_the_coarsest_is_alike(stage, given, lambda level, steps: level.descend(steps, None))
 
@@ -76,7 +76,7 @@ def test_all_steps_of_the_coarsest_level_at_once_are_those_one_by_one(stage):
 @pytest.mark.parametrize(
     ("shape", "prior"), list(zip(SHAPES, [*PRIORS, *PRIORS, PRIORS[0]], strict=True))
 )
-def test_a_step_of_conjugate_gradients_is_the_same_everywhere(stage, shape, prior):
+def test_a_conjugate_gradient_step_matches_the_loops(stage, shape, prior):
     given = example(shape, prior, (1.0, 2.0))
     (host, *_) = host_levels(given)
     first = [given.planes(host) for _ in range(4)]
@@ -97,16 +97,16 @@ def test_a_step_of_conjugate_gradients_is_the_same_everywhere(stage, shape, prio
 
     loops, shaders = with_levels(stage, given, job)
     assert_same(shaders[1:], loops[1:])
-    scale = np.sqrt(loops[1] * (first[3] ** 2).sum())  # of a scalar product that may be near 0
+    scale = np.sqrt(loops[1] * (first[3] ** 2).sum())  # the product may be near 0
     assert abs(shaders[0] - loops[0]) < 1e-5 * scale
 
 
-def test_a_ratio_is_nothing_unless_both_are_positive(stage):
+def test_a_ratio_is_zero_unless_both_operands_are_positive(stage):
     assert_a_ratio_is_nothing_unless_both_are_positive(stage, example((9, 8)))
 
 
 @pytest.mark.parametrize("shape", [(1200, 3), (65, 131), (600, 2), (4, 5)])
-def test_sums_and_largest_values_take_in_every_site(stage, shape):
+def test_sums_and_maxima_include_every_site(stage, shape):
     held = np.zeros((*shape, 2))
     held[0, 0] = 1
     given = Example(Problem(0 * held, held, np.ones(shape)), PRIORS[0])
@@ -125,7 +125,7 @@ def test_sums_and_largest_values_take_in_every_site(stage, shape):
         assert numbers == (count, count - 8, 7)
 
 
-def test_a_whole_cycle_is_the_same_everywhere(stage, visited_alike):
+def test_a_cycle_matches_the_loops(stage, equal_visits):
     given = example((70, 55), PRIORS[1], (1.0, 1.5))
     loops, shaders = cycles(stage, given, STRETCHING)
     assert_same(shaders, loops, 3e-5)
@@ -145,7 +145,7 @@ def test_a_whole_cycle_is_the_same_everywhere(stage, visited_alike):
         (ElasticPrior(0.499, plane="strain"), 1.0, (1.0, 1.0)),
     ],
 )
-def test_torn_tissue_moves_alike_everywhere(stage, prior, ratio, spacing, visited_alike):
+def test_the_field_of_torn_tissue_matches_the_loops(stage, prior, ratio, spacing, equal_visits):
     problem = torn(ratio=ratio, spacing=spacing)
     loops = solve(problem, prior, optimizer=Multigrid(5e-4), backend="cpu")
     shaders = solve(problem, prior, optimizer=Multigrid(5e-4), backend=f"opengl:{stage}")
@@ -158,7 +158,7 @@ def test_torn_tissue_moves_alike_everywhere(stage, prior, ratio, spacing, visite
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-def test_a_phantom_moves_alike_everywhere(stage, name, visited_alike):
+def test_the_field_of_a_phantom_matches_the_loops(stage, name, equal_visits):
     problem = phantom(name, 100).problem
     loops = solve(problem, ElasticPrior(), backend="cpu")
     shaders = solve(problem, ElasticPrior(), backend=f"opengl:{stage}")
@@ -166,7 +166,7 @@ def test_a_phantom_moves_alike_everywhere(stage, name, visited_alike):
     assert shaders.iterations == loops.iterations
 
 
-def test_observations_that_slip_and_a_map_of_ratios_are_the_same_everywhere(stage):
+def test_slipping_observations_and_a_poisson_map_match_the_loops(stage):
     problem = torn(ratio=5.0)
     graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
     problem = Problem(problem.observed, graded, problem.stiffness)
@@ -179,7 +179,7 @@ def test_observations_that_slip_and_a_map_of_ratios_are_the_same_everywhere(stag
     assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
 
 
-def test_an_earlier_solution_is_a_good_beginning(stage):
+def test_a_warm_start_reduces_the_iterations(stage):
     backend = f"opengl:{stage}"
     first = solve(torn(4.0), ElasticPrior(), backend=backend)
     again = solve(torn(4.0), ElasticPrior(), backend=backend, initial=first)
@@ -192,7 +192,7 @@ def test_the_same_solve_gives_the_same_bits(stage):
     np.testing.assert_array_equal(first.displacement, second.displacement)
 
 
-def test_tissue_that_is_held_elsewhere_next_time_starts_anew(stage):
+def test_changed_constraints_leave_no_trace_of_earlier_ones(stage):
     given = example((33, 41))
     other = example((33, 41))
     other.problem = Problem(
@@ -223,7 +223,7 @@ def test_tissue_that_is_held_elsewhere_next_time_starts_anew(stage):
     assert not twice[:, 2:-2, 2:-2][np.moveaxis(masks[1] > 0, -1, 0)].any()
 
 
-# What stays behind -----------------------------------------------------------------------------
+# Memory and cancellation -----------------------------------------------------------------------
 
 
 def test_an_iteration_allocates_nothing(stage, made):
@@ -255,28 +255,28 @@ def test_an_iteration_allocates_nothing(stage, made):
     assert left(made) == 0
 
 
-def _batches(stage: str, stop_at: int | None = None) -> int:
-    """Solve, cancelled at one of the looks; how many looks there were."""
+def _count_batches(stage: str, stop_at: int | None = None) -> int:
+    """Solve, cancel at a given check, and return the number of checks."""
     return count_looks(stage, COARSELY, torn(4.0), ElasticPrior(), stop_at)
 
 
 @pytest.mark.parametrize("where", [0.0, 0.5, 0.999])
-def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
+def test_a_cancelled_solve_frees_memory_and_does_not_affect_the_next(
     stage, made, where, every_pass_a_batch
 ):
     backend = f"opengl:{stage}"
     before = solve(torn(4.0), ElasticPrior(), optimizer=COARSELY, backend=backend)
-    looks = _batches(stage)
+    looks = _count_batches(stage)
     assert looks > 10 * before.iterations
     with pytest.raises(Cancelled):
-        _batches(stage, stop_at=int(where * looks))
+        _count_batches(stage, stop_at=int(where * looks))
     assert left(made) == 0
     after = solve(torn(4.0), ElasticPrior(), optimizer=COARSELY, backend=backend)
     np.testing.assert_array_equal(after.displacement, before.displacement)
     assert left(made) == 0
 
 
-def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
+def test_splitting_a_pass_into_strips_does_not_change_the_result(stage, monkeypatch):
     from napari_hmrf.solver.backends.opengl import backend
     from napari_hmrf.solver.backends.opengl.programs import regions
 
@@ -288,7 +288,7 @@ def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
     np.testing.assert_array_equal(cut, whole)
 
 
-def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(made, monkeypatch):
+def test_an_image_beyond_the_limit_is_rejected_before_any_allocation(made, monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "largest", 80)
     with pytest.raises(BackendError, match=r"67 x 90 pixels, but .* at most 80 x 80"):
         solve(torn(4.0), ElasticPrior(), backend="opengl")
@@ -337,7 +337,7 @@ def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(made, monk
         ("apply", "share = dot(image,", "share = 1.01 * dot(image,"),
     ],
 )
-def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong):
+def test_a_wrong_sign_or_border_in_a_shader_is_detected(monkeypatch, file, right, wrong):
     from napari_hmrf.solver.backends.opengl.programs import source
 
     require_opengl("compute")
@@ -353,7 +353,7 @@ def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong
     given = example((33, 47), ElasticPrior(0.4), (1.0, 1.5))
     hosts = host_levels(given)
     load, coarse_load = given.planes(hosts[0]), given.planes(hosts[1])
-    assert hosts[1].grid[0] > 8  # so that an invocation of the coarse level has rows below
+    assert hosts[1].grid[0] > 8  # an invocation of the coarse level then has rows below it
 
     def job(level, coarse):
         level.load = level.vector(load.copy())

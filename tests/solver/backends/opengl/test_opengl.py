@@ -1,4 +1,4 @@
-"""The OpenGL device beside everything else: whole solves, cancelling, limits, what stays behind."""
+"""OpenGL backend: whole solves, cancellation, limits and memory."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def opengl() -> None:
 
 
 def body(size: tuple[int, int] = (45, 61)) -> Problem:
-    """A soft ellipse with a stiff, lopsided core in void, its rim pushed outwards."""
+    """Return a soft ellipse in void with a stiff, off-centre core and a rim pushed outwards."""
     place = (np.moveaxis(np.indices(size), 0, -1) + 0.5) / np.array(size) * 2 - 1
     radius = np.hypot(place[..., 0], place[..., 1])
     m = np.where(radius < 0.9, 20.0, 0.0)
@@ -38,7 +38,7 @@ def body(size: tuple[int, int] = (45, 61)) -> Problem:
 
 
 class Ledger:
-    """Every texture and framebuffer that is made, and whether OpenGL still has it."""
+    """Record of all OpenGL objects that are created, and of those not yet released."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         import moderngl
@@ -73,7 +73,7 @@ def ledger(opengl, monkeypatch) -> Ledger:
 
 @pytest.mark.parametrize("conditional", ["centred", "blanket"])
 @pytest.mark.parametrize("size", [(45, 61), (2, 9), (1, 30), (64, 64)])
-def test_a_body_moves_alike_on_every_backend(stage, size, conditional):
+def test_a_body_moves_the_same_on_every_backend(stage, size, conditional):
     prior = SeilerPrior(conditional=conditional)
     loops = solve(body(size), prior, optimizer=CLOSED_FORM, backend="cpu")
     shaders = solve(body(size), prior, optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
@@ -85,11 +85,11 @@ def test_a_body_moves_alike_on_every_backend(stage, size, conditional):
     assert shaders.provenance.backend == f"opengl:{stage}"
 
 
-def test_a_body_moves_alike_with_the_candidate_set(stage):
+def test_a_body_moves_similarly_on_every_backend_with_the_candidate_set(stage):
     loops = solve(body(), SeilerPrior(), backend="cpu")
     shaders = solve(body(), SeilerPrior(), backend=f"opengl:{stage}")
     off = shaders.displacement - loops.displacement
-    # Rounding decides between candidates that are equally good: not the same, but as good.
+    # Rounding decides between equally good candidates, so only the energies are comparable.
     assert np.sqrt((off**2).mean()) < 0.01
     assert shaders.mean_energy == pytest.approx(loops.mean_energy, rel=0.1)
 
@@ -100,7 +100,7 @@ def test_the_same_solve_gives_the_same_bits(stage):
     np.testing.assert_array_equal(first.energy, second.energy)
 
 
-def test_the_renderer_is_fit_for_a_bug_report(opengl):
+def test_the_renderer_is_described_with_its_version(opengl):
     words = solve(
         body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl"
     ).provenance.renderer
@@ -109,7 +109,7 @@ def test_the_renderer_is_fit_for_a_bug_report(opengl):
     assert told["version"] in words
 
 
-def test_the_default_stage_is_compute_where_there_is_one(opengl):
+def test_the_default_stage_is_compute_if_available(opengl):
     told = on_compute_thread(describe)
     expected = "compute" if "compute" in told["stages"] else "fragment"
     assert told["default_stage"] == expected
@@ -117,7 +117,7 @@ def test_the_default_stage_is_compute_where_there_is_one(opengl):
     assert solution.provenance.backend == f"opengl:{expected}"
 
 
-def test_auto_takes_the_shaders_only_on_a_gpu(opengl):
+def test_auto_uses_the_shaders_only_on_a_gpu(opengl):
     def choice() -> tuple[str, str]:
         backend, reason = open_backend(IMAGE, "auto", lambda: None)
         backend.close()
@@ -143,11 +143,11 @@ def test_auto_takes_the_shaders_only_on_a_gpu(opengl):
         ("Apple M2", False),
     ],
 )
-def test_software_renderers_are_told_from_gpus(renderer, software):
+def test_software_renderers_are_distinguished_from_gpus(renderer, software):
     assert is_software_renderer(renderer) is software
 
 
-def test_the_description_says_that_everything_works(opengl):
+def test_the_description_reports_a_working_device(opengl):
     told = on_compute_thread(describe)
     assert told["render_targets"] == ["R32F", "RG32F", "RGBA32F"]
     assert set(told["canary"].values()) == {"exact"}
@@ -156,16 +156,16 @@ def test_the_description_says_that_everything_works(opengl):
     assert told["context_seconds"] > 0
 
 
-# What stays behind ----------------------------------------------------------------------------
+# Memory and cancellation ----------------------------------------------------------------------
 
 
-def test_a_solve_leaves_no_texture_behind(ledger):
+def test_a_solve_frees_all_textures(ledger):
     solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl")
     assert len(ledger.made) > 20
     assert ledger.left == 0
 
 
-def test_an_error_leaves_no_texture_behind(ledger):
+def test_an_error_frees_all_textures(ledger):
     def fail(_):
         raise ZeroDivisionError
 
@@ -175,20 +175,20 @@ def test_an_error_leaves_no_texture_behind(ledger):
     assert ledger.left == 0
 
 
-def _batches(stage: str, stop_at: int | None = None) -> int:
-    """Solve, cancelled at one of the looks; how many looks there were."""
+def _count_batches(stage: str, stop_at: int | None = None) -> int:
+    """Solve, cancel at a given check, and return the number of checks."""
     return count_looks(stage, ICM(iterations=12), body(), SeilerPrior(), stop_at)
 
 
 @pytest.mark.parametrize("where", [0.0, 0.03, 0.2, 0.5, 0.8, 0.999])
-def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
+def test_a_cancelled_solve_frees_memory_and_does_not_affect_the_next(
     stage, ledger, where, every_pass_a_batch
 ):
     before = solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
-    looks = _batches(stage)
+    looks = _count_batches(stage)
     assert looks > len(levels((45, 61)))
     with pytest.raises(Cancelled):
-        _batches(stage, stop_at=int(where * looks))
+        _count_batches(stage, stop_at=int(where * looks))
     assert ledger.left == 0
     after = solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
     np.testing.assert_array_equal(after.displacement, before.displacement)
@@ -200,14 +200,14 @@ def test_one_context_serves_all_solves(opengl):
     assert on_compute_thread(the_device) is device
 
 
-def test_the_default_context_of_moderngl_stays_everybodys(opengl):
+def test_the_default_context_of_moderngl_is_not_set(opengl):
     import moderngl
 
     on_compute_thread(the_device)
     assert moderngl._store.default_context is None
 
 
-def test_a_compute_thread_that_ends_takes_the_context_with_it(opengl):
+def test_the_context_is_released_when_the_compute_thread_ends(opengl):
     device = on_compute_thread(the_device)
     assert compute_thread.stop(timeout=LONG)
     assert device.lost
@@ -218,7 +218,7 @@ def test_a_compute_thread_that_ends_takes_the_context_with_it(opengl):
 
 
 class FakeContext:
-    """A context that was opened, and whether it was given back."""
+    """Context that records whether it was released."""
 
     def __init__(self, renderer: str) -> None:
         self.ctx = self
@@ -241,7 +241,7 @@ class FakeContext:
         (["llvmpipe", "softpipe"], "llvmpipe", ["llvmpipe", "softpipe"]),
     ],
 )
-def test_a_gpu_is_taken_before_a_program_that_plays_one(monkeypatch, devices, taken, released):
+def test_a_gpu_is_preferred_to_a_software_renderer(monkeypatch, devices, taken, released):
     from napari_hmrf.solver.backends.opengl.context import context
 
     opened = []
@@ -264,22 +264,22 @@ def test_a_gpu_is_taken_before_a_program_that_plays_one(monkeypatch, devices, ta
     assert [each.info["GL_RENDERER"] for each in opened if each.released] == released
 
 
-# Refusals -------------------------------------------------------------------------------------
+# Errors ---------------------------------------------------------------------------------------
 
 
-def test_opengl_is_refused_off_the_compute_thread(opengl):
+def test_opengl_is_rejected_outside_the_compute_thread(opengl):
     with pytest.raises(RuntimeError, match="compute thread"):
         OpenGLBackend(lambda: None)
     assert not threading.current_thread().name.startswith("napari-hmrf")
 
 
-def test_an_unknown_stage_is_refused():
+def test_an_unknown_stage_is_rejected():
     with pytest.raises(BackendError, match="geometry"):
         OpenGLBackend(lambda: None, "geometry")
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(ledger, axis):
+def test_an_image_beyond_the_limit_is_rejected_before_any_allocation(ledger, axis):
     def job() -> int:
         backend = OpenGLBackend(lambda: None)
         largest = backend._device.largest
@@ -298,10 +298,10 @@ def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(ledger, ax
     assert on_compute_thread(job) == 0
 
 
-def test_running_out_of_memory_is_an_error_not_zeros(opengl):
+def test_running_out_of_memory_raises_an_error(opengl):
     def job() -> None:
         device = the_device()
-        device.largest = 2**30  # so that it is the driver who refuses
+        device.largest = 2**30  # so that the driver reports the error
         with pytest.raises(BackendError, match="failed while making an image"):
             device.texture((2**20, 2**20), 4)
         assert device.lost
@@ -317,7 +317,7 @@ def test_an_opengl_error_drops_the_result_and_the_context(opengl):
     def stray_error() -> None:
         nonlocal broken
         if not broken:
-            device.ctx.texture((-1, 5), 1)  # OpenGL notes GL_INVALID_VALUE, nobody raises
+            device.ctx.texture((-1, 5), 1)  # sets GL_INVALID_VALUE, but raises nothing
             broken = True
 
     def job() -> None:
@@ -335,13 +335,13 @@ def test_an_opengl_error_drops_the_result_and_the_context(opengl):
     assert solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
 
 
-def test_a_device_that_computes_nonsense_is_refused(stage):
+def test_a_device_with_wrong_results_is_rejected(stage):
     class Lazy:
         def run(self, *_args: object) -> None:
             """Draw nothing."""
 
         def release(self) -> None:
-            """Nothing to free."""
+            """Do nothing."""
 
     def job() -> None:
         device = the_device()
@@ -358,7 +358,7 @@ def test_a_device_that_computes_nonsense_is_refused(stage):
     assert np.isfinite(solution.displacement).all()
 
 
-def test_a_shader_that_does_not_compile_is_shown_with_its_lines(stage, monkeypatch):
+def test_a_shader_compile_error_shows_the_source_lines(stage, monkeypatch):
     original = source._text
     broken = original("sum").replace("total += along;", "total += alone;")
     line = broken.splitlines().index("        total += alone;") + 1
@@ -396,14 +396,14 @@ def test_a_shader_that_does_not_compile_is_shown_with_its_lines(stage, monkeypat
         pytest.param("cliques", "here = below", "here = above", marks=pytest.mark.campaign),
     ],
 )
-def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right, wrong):
+def test_a_wrong_sign_or_border_in_a_shader_is_detected(stage, monkeypatch, file, right, wrong):
     original = source._text
     assert right in original(file)
     problem = body((21, 26))
     stiff = problem.stiffness.copy()
-    stiff[5:9, :] *= 3  # different on both sides of a site, and at the image's border
+    stiff[5:9, :] *= 3  # stiffness differs on both sides of a site and at the border of the image
     problem = Problem(problem.observed, problem.confidence, np.where(stiff > 0, stiff, 5))
-    prior = SeilerPrior(penalty=5.0)  # so that what was seen and what is stiff compete
+    prior = SeilerPrior(penalty=5.0)  # observations and stiffness then compete
     loops = solve(problem, prior, optimizer=CLOSED_FORM, backend="cpu")
     monkeypatch.setattr(
         source,
@@ -416,7 +416,7 @@ def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right
         shaders = solve(problem, prior, optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
         noticed = np.abs(shaders.displacement - loops.displacement).max() > 1e-3 * largest
     except BackendError as error:
-        noticed = "NaN or infinite" in str(error)  # so wrong that solve() itself sees it
+        noticed = "NaN or infinite" in str(error)  # solve() itself detected the error
     finally:
         on_compute_thread(lambda: the_device().release())
     assert noticed
@@ -426,7 +426,7 @@ def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right
 
 
 def _pace(seconds_per_site: float, looks: list[float], monkeypatch) -> Pace:
-    """A pace on a device that takes so long, and a clock that knows."""
+    """Return a pace for a simulated device of a given speed, with a simulated clock."""
     clock = [0.0]
     queued = [0]
 
@@ -443,7 +443,9 @@ def _pace(seconds_per_site: float, looks: list[float], monkeypatch) -> Pace:
 
 
 @pytest.mark.parametrize("seconds_per_site", [1e-10, 2e-8, 1e-6, 1e-5])
-def test_a_look_comes_about_every_batch_whatever_the_devices_speed(seconds_per_site, monkeypatch):
+def test_cancellation_is_checked_about_once_per_batch_at_any_device_speed(
+    seconds_per_site, monkeypatch
+):
     looks: list[float] = []
     pace = _pace(seconds_per_site, looks, monkeypatch)
     grid = (300, 300)
@@ -451,7 +453,7 @@ def test_a_look_comes_about_every_batch_whatever_the_devices_speed(seconds_per_s
         for rows in pace.strips(grid):
             begin, end = rows or (0, grid[0])
             pace.queued[0] += (end - begin) * grid[1]
-    # The first passes are those from which the device's speed is learned.
+    # The pace measures the speed of the device during the first passes.
     gaps = np.diff(looks)[8:]
     assert gaps.size == 0 or gaps.max() < 0.3
     assert gaps.size < 10 or gaps.mean() > 0.02

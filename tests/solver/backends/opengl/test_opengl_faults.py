@@ -1,4 +1,4 @@
-"""What is said where OpenGL is missing, broken or old; each in a process of its own."""
+"""Messages when OpenGL is missing, broken or outdated, each in a separate process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import json
 import os
 import sys
 
-import numba  # which all children would import
+import numba  # otherwise imported by every child
 
 from napari_hmrf import BackendError, ElasticPrior, Multigrid
 from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
@@ -73,16 +73,16 @@ except BackendError as error:
 
 @pytest.fixture(autouse=True)
 def mesa() -> None:
-    """These variables are Mesa's and glvnd's."""
+    """Skip the tests unless OpenGL is provided by Mesa, whose environment variables they use."""
     require_opengl()
     if not sys.platform.startswith("linux"):
-        pytest.skip("the variables that break OpenGL are Linux's")
+        pytest.skip("the environment variables that disable OpenGL exist only on Linux")
     if "Mesa" not in on_compute_thread(describe)["version"]:
-        pytest.skip("the variables that break OpenGL are Mesa's")
+        pytest.skip("the environment variables that disable OpenGL exist only in Mesa")
 
 
 def run(script: str, *arguments: str, **variables: str) -> str:
-    """What a process with these arguments and environment variables prints."""
+    """Return the output of a process with the given arguments and environment variables."""
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(
         [sys.executable, "-c", script, *arguments],
@@ -96,7 +96,7 @@ def run(script: str, *arguments: str, **variables: str) -> str:
     return done.stdout
 
 
-#: What is in the way of OpenGL, as variables of the environment, and what is to be said of it.
+#: Environment variables that disable OpenGL, and words of the expected messages.
 _MISSING = {
     "no vendor": (
         {"__EGL_VENDOR_LIBRARY_FILENAMES": "/dev/null"},
@@ -121,7 +121,7 @@ _MISSING = {
 }
 
 
-def test_what_is_missing_is_said_with_the_cure():
+def test_each_missing_part_of_opengl_is_reported_with_a_remedy():
     said = run(_OPEN, json.dumps({name: variables for name, (variables, _) in _MISSING.items()}))
     parts = dict(part.split("\n", 1) for part in said.split("case: ")[1:])
     assert parts.keys() == _MISSING.keys()
@@ -132,7 +132,7 @@ def test_what_is_missing_is_said_with_the_cure():
             assert word in message, name
 
 
-def test_nothing_above_opengl_3_3_is_needed():
+def test_opengl_3_3_suffices():
     said = run(_SOLVE, GALLIUM_DRIVER="softpipe")
     assert said.count("opengl:fragment softpipe") == 3
     elastic = next(line.split() for line in said.splitlines() if line.startswith("elastic"))
@@ -141,7 +141,7 @@ def test_nothing_above_opengl_3_3_is_needed():
     offs = [float(line.split()[1]) for line in said.splitlines() if line.startswith("off")]
     closed_form, candidates = offs
     assert closed_form < 1e-4
-    assert candidates < 0.2  # where two candidates are equal, rounding takes one
+    assert candidates < 0.2  # rounding decides between equal candidates
     for line in said.splitlines():
         if line.startswith("energies"):
             loops, shaders = (float(word) for word in line.split()[1:])

@@ -1,4 +1,4 @@
-"""Multigrid of the paper's prior as shaders: every step is that of the compiled loops."""
+"""Multigrid shaders of the paper's prior, compared with the compiled loops."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.support.opengl import count_looks, left, on_compute_thread, require_o
 SHAPES = [(31, 37), (64, 48), (2, 9), (4, 5)]
 SPACINGS = [(1.0, 1.0), (2.0, 0.5)]
 CENTRED, BLANKET = SeilerPrior(), SeilerPrior(conditional="blanket")
-#: Each shape, and contrasts, pixels and readings so that any two of them meet.
+#: All shapes, with pairwise combinations of contrasts, pixel sizes and conditionals.
 CASES = [
     ((31, 37), 4.0, SPACINGS[0], CENTRED),
     ((31, 37), 4.0, SPACINGS[1], BLANKET),
@@ -49,7 +49,7 @@ readings = pytest.mark.parametrize("prior", [CENTRED, BLANKET], ids=["centred", 
 
 @pytest.fixture
 def by_cycles(monkeypatch):
-    """Shaders solve whatever runs them: a program that plays a GPU would take factors."""
+    """Make a software renderer solve by cycles, where it would use a factorization."""
     monkeypatch.setattr(GLSeilerModel, "slow", False)
 
 
@@ -57,24 +57,24 @@ def by_cycles(monkeypatch):
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES)
-def test_what_is_left_of_a_load_goes_down_alike(stage, shape, ratio, spacing, prior):
+def test_shaders_restrict_residuals_like_the_loops(stage, shape, ratio, spacing, prior):
     given = random_example(shape, prior, spacing, ratio)
     assert_loads_go_down_alike(stage, given, (STEPS[:1], STEPS))
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES[:-1])
-def test_a_coarse_correction_comes_up_alike(stage, shape, ratio, spacing, prior):
+def test_shaders_interpolate_corrections_like_the_loops(stage, shape, ratio, spacing, prior):
     assert_corrections_come_up_alike(stage, random_example(shape, prior, spacing, ratio), STEPS)
 
 
 @readings
-def test_all_steps_of_the_coarsest_level_at_once_are_those_one_by_one(stage, prior):
+def test_fused_steps_on_the_coarsest_level_equal_single_steps(stage, prior):
     given = random_example((31, 37), prior)
     assert_the_coarsest_is_alike(stage, given, lambda level, steps: level.descend(steps, None))
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES)
-def test_the_tissue_pulls_alike(stage, shape, ratio, spacing, prior):
+def test_elastic_forces_match_the_loops(stage, shape, ratio, spacing, prior):
     given = random_example(shape, prior, spacing, ratio)
     (host, *_) = host_levels(given)
     values = given.planes(host)
@@ -89,11 +89,11 @@ def test_the_tissue_pulls_alike(stage, shape, ratio, spacing, prior):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_step_of_stabilised_gradients_is_the_same_everywhere(stage, shape):
+def test_a_bicgstab_step_matches_the_loops(stage, shape):
     given = random_example(shape, CENTRED, (1.0, 2.0))
     (host, *_) = host_levels(given)
     first = [given.planes(host) for _ in range(4)]
-    first[1] *= 1e-9  # as small as scalars come that are multiplied
+    first[1] *= 1e-9  # as small as multiplied scalars get
 
     def job(level, _):
         found, rest, direction, image = (level.vector(each.copy()) for each in first)
@@ -110,11 +110,11 @@ def test_a_step_of_stabilised_gradients_is_the_same_everywhere(stage, shape):
         ]
 
     loops, shaders = with_levels(stage, given, job)
-    assert_same(shaders, loops, 1e-4)  # one of the scalars is a sum of either sign
+    assert_same(shaders, loops, 1e-4)  # terms of both signs nearly cancel in one scalar
     assert shaders[4] == 0
 
 
-def test_a_step_goes_back_where_its_length_is_negative(stage):
+def test_a_negative_step_length_reverses_the_step(stage):
     given = random_example((9, 8), CENTRED)
     (host, *_) = host_levels(given)
     values = given.planes(host)
@@ -134,7 +134,7 @@ def test_a_step_goes_back_where_its_length_is_negative(stage):
 
 
 @readings
-def test_a_whole_cycle_is_the_same_everywhere(stage, prior):
+def test_a_cycle_matches_the_loops(stage, prior):
     given = random_example((70, 55), prior, (1.0, 1.5))
     loops, shaders = cycles(stage, given, AVERAGING if prior is CENTRED else BENDING)
     assert_same(shaders, loops, 3e-5)
@@ -148,7 +148,7 @@ def test_a_whole_cycle_is_the_same_everywhere(stage, prior):
 @pytest.mark.parametrize(
     "spacing", [pytest.param(SPACINGS[0], marks=pytest.mark.campaign), SPACINGS[1]]
 )
-def test_torn_tissue_moves_alike_everywhere(by_cycles, stage, spacing, prior):
+def test_the_field_of_torn_tissue_matches_the_loops(by_cycles, stage, spacing, prior):
     problem = torn(20.0, (52, 70), spacing)
     loops = solve(problem, prior, optimizer=Multigrid(5e-4), backend="cpu")
     shaders = solve(problem, prior, optimizer=Multigrid(5e-4), backend=f"opengl:{stage}")
@@ -157,7 +157,7 @@ def test_torn_tissue_moves_alike_everywhere(by_cycles, stage, spacing, prior):
     assert (shaders.displacement[~problem.tissue] == 0).all()
     assert shaders.mean_energy == pytest.approx(loops.mean_energy, rel=1e-4)
     assert shaders.convergence.error <= 5e-4
-    # Whether cycles can be believed is a close call here: rounding decides who takes factors.
+    # Rounding may decide whether a solve switches to the factorization.
     if {loops.convergence.way, shaders.convergence.way} == {"cycles"}:
         assert abs(shaders.iterations - loops.iterations) <= max(2, loops.iterations // 4)
 
@@ -167,7 +167,7 @@ def test_torn_tissue_moves_alike_everywhere(by_cycles, stage, spacing, prior):
     ("name", "size"),
     [("expansion", 64), pytest.param("mass-effect", 96, marks=pytest.mark.campaign)],
 )
-def test_a_phantom_moves_alike_everywhere(by_cycles, stage, name, size, prior):
+def test_the_field_of_a_phantom_matches_the_loops(by_cycles, stage, name, size, prior):
     problem = phantom(name, size).problem
     loops = solve(problem, prior, optimizer=Multigrid(), backend="cpu")
     shaders = solve(problem, prior, optimizer=Multigrid(), backend=f"opengl:{stage}")
@@ -175,8 +175,8 @@ def test_a_phantom_moves_alike_everywhere(by_cycles, stage, name, size, prior):
     assert abs(shaders.iterations - loops.iterations) <= 1
 
 
-def test_a_tumour_that_swims_in_soft_tissue_moves_alike(stage):
-    # Ten times stiffer, and rounding decides whether single precision finds it at all.
+def test_the_field_of_a_tumour_in_soft_tissue_matches_the_loops(stage):
+    # With ten times the stiffness, single precision might not converge.
     problem = torn(ratio=1e3)
     loops = solve(problem, CENTRED, optimizer=Multigrid(1e-3), backend="cpu")
     shaders = solve(problem, CENTRED, optimizer=Multigrid(1e-3), backend=f"opengl:{stage}")
@@ -184,7 +184,7 @@ def test_a_tumour_that_swims_in_soft_tissue_moves_alike(stage):
 
 
 @readings
-def test_observations_that_slip_are_the_same_everywhere(by_cycles, stage, prior):
+def test_slipping_observations_match_the_loops(by_cycles, stage, prior):
     problem = torn(ratio=5.0)
     graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
     problem = Problem(problem.observed, graded, problem.stiffness)
@@ -196,7 +196,7 @@ def test_observations_that_slip_are_the_same_everywhere(by_cycles, stage, prior)
     assert np.abs(shaders.displacement - loops.displacement).max() < 4e-3
 
 
-def test_the_blanket_reading_is_factorised_where_a_program_plays_the_gpu():
+def test_a_software_renderer_factorises_the_blanket_conditional():
     require_opengl()
     problem = phantom("expansion", 64).problem
     loops, shaders = (
@@ -207,8 +207,8 @@ def test_the_blanket_reading_is_factorised_where_a_program_plays_the_gpu():
     assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
 
 
-def test_where_blanket_observations_slip_factors_are_taken_once():
-    # Each set of those that slip is a system of its own.
+def test_slipping_blanket_observations_are_factorised_once():
+    # Each set of slipping observations is a separate system.
     require_opengl()
     problem = torn(5.0, (52, 70))
     graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
@@ -224,7 +224,7 @@ def test_where_blanket_observations_slip_factors_are_taken_once():
     assert np.abs(found.displacement - loops.displacement).max() < 4e-3
 
 
-def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
+def test_auto_uses_the_shaders_on_a_gpu(monkeypatch):
     from napari_hmrf.solver.backends import opengl
 
     require_opengl()
@@ -234,7 +234,7 @@ def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
     assert provenance.reason == "a GPU is available"
 
 
-# What stays behind -----------------------------------------------------------------------------
+# Memory and cancellation -----------------------------------------------------------------------
 
 
 def test_an_iteration_allocates_nothing(stage, made):
@@ -268,16 +268,16 @@ def test_an_iteration_allocates_nothing(stage, made):
     assert left(made) == 0
 
 
-def _batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
-    """Solve, cancelled at one of the looks; how many looks there were."""
+def _count_batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
+    """Solve, cancel at a given check, and return the number of checks."""
     return count_looks(stage, Multigrid(), torn(20.0), prior.resolved(torn(20.0)), stop_at)
 
 
 @cache
-def _undisturbed(stage: str, prior: SeilerPrior):
-    """What is found if nobody cancels, and how many looks there are, once all is compiled."""
+def _uninterrupted(stage: str, prior: SeilerPrior):
+    """Return the solution without cancellation, and the number of checks once compiled."""
     found = solve(torn(20.0), prior, optimizer=Multigrid(), backend=f"opengl:{stage}")
-    return found, _batches(stage, prior)
+    return found, _count_batches(stage, prior)
 
 
 @pytest.mark.parametrize(
@@ -290,21 +290,21 @@ def _undisturbed(stage: str, prior: SeilerPrior):
         pytest.param(0.999, BLANKET, marks=pytest.mark.campaign),
     ],
 )
-def test_a_cancel_at_any_batch_leaves_nothing_and_the_same_solve_gives_the_same_bits(
+def test_a_cancelled_solve_frees_memory_and_the_next_gives_the_same_bits(
     by_cycles, stage, made, where, prior, every_pass_a_batch, monkeypatch
 ):
-    monkeypatch.setattr(refinement, "_FEW", 0)  # so few sites would have factors, not batches
-    before, looks = _undisturbed(stage, prior)
+    monkeypatch.setattr(refinement, "_FEW", 0)  # so that few sites are solved in batches
+    before, looks = _uninterrupted(stage, prior)
     assert looks > 10 * before.iterations
     with pytest.raises(Cancelled):
-        _batches(stage, prior, stop_at=int(where * looks))
+        _count_batches(stage, prior, stop_at=int(where * looks))
     assert left(made) == 0
     after = solve(torn(20.0), prior, optimizer=Multigrid(), backend=f"opengl:{stage}")
     np.testing.assert_array_equal(after.displacement, before.displacement)
     assert left(made) == 0
 
 
-def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
+def test_splitting_a_pass_into_strips_does_not_change_the_result(stage, monkeypatch):
     from napari_hmrf.solver.backends.opengl import backend
     from napari_hmrf.solver.backends.opengl.programs import regions
 
@@ -359,7 +359,7 @@ def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
         ("apply", "share = dot(image,", "share = 1.01 * dot(image,"),
     ],
 )
-def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong):
+def test_a_wrong_sign_or_border_in_a_shader_is_detected(monkeypatch, file, right, wrong):
     from napari_hmrf.solver.backends.opengl.programs import source
 
     require_opengl("compute")
@@ -379,7 +379,7 @@ def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong
     monkeypatch.setattr(device, "_programs", {})
     monkeypatch.setattr(device, "rows", 4)
     loops, shaders = [], []
-    for number in (0, 1):  # the first holds, the others have springs
+    for number in (0, 1):  # the first level has fixed sites, the others have springs
         below = hosts[number + 1].inverse
 
         def job(level, coarse, number=number, below=below):
@@ -399,7 +399,7 @@ def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong
         assert_same(shaders, loops)
 
 
-def test_a_load_that_is_a_mean_stays_one_at_the_border_of_tissue(monkeypatch):
+def test_averaged_loads_at_the_border_of_tissue_match_the_loops(monkeypatch):
     require_opengl()
     given: Example = random_example((33, 47), CENTRED)
     hosts = host_levels(given)

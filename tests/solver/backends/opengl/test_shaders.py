@@ -1,4 +1,4 @@
-"""The shaders' text and how it is put together: no OpenGL needed."""
+"""Source text of the shaders and its composition; tests that run without OpenGL."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def defines(name: str) -> dict[str, int]:
 
 
 def file_of(name: str) -> str:
-    """The text of a kernel's file."""
+    """Return the text of the file of a kernel."""
     stem = KERNELS[name].text if name in KERNELS else name
     return (resource_folder("shaders") / f"{stem}.glsl").read_text(encoding="utf-8")
 
 
 def header(text: str) -> str:
-    """The comment a file begins with."""
+    """Return the comment at the beginning of a file."""
     lines = []
     for line in text.splitlines():
         if not line.startswith("//"):
@@ -66,12 +66,12 @@ def test_every_file_is_a_kernel_or_shared():
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_every_file_says_what_happens_at_the_border(path):
+def test_every_file_states_its_border_rule(path):
     assert "Border rule:" in header(path.read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("name", KERNELS)
-def test_the_header_of_a_kernel_names_all_it_reads_and_writes(name):
+def test_the_header_of_a_kernel_names_all_inputs_and_outputs(name):
     text = file_of(name)
     inputs, outputs = header(text).split("// Inputs:")[1].split("// Outputs:")
     uniforms = re.findall(r"^uniform \w+ (\w+)", text, flags=re.MULTILINE)
@@ -82,20 +82,20 @@ def test_the_header_of_a_kernel_names_all_it_reads_and_writes(name):
 
 
 @pytest.mark.parametrize("name", VOLUME_KERNELS)
-def test_the_header_of_a_kernel_for_volumes_names_all_it_reads_and_writes(name):
+def test_the_header_of_a_volume_kernel_names_all_inputs_and_outputs(name):
     text, kernel = file_of(name), VOLUME_KERNELS[name]
     inputs, outputs = header(text).split("// Inputs:")[1].split("// Outputs:")
     for word in re.findall(r"^uniform \w+ (\w+)", text, flags=re.MULTILINE):
         assert re.search(rf"\b{word}\b", inputs), f"{word} is not among the inputs"
     for field in kernel.all_fields:
         if field.name == "places":
-            continue  # the stage's
+            continue  # declared by the stage
         for part, access in ((inputs, "writeonly"), (outputs, "readonly")):
             assert field.access == access or re.search(rf"\b{field.name}\b", part), field.name
 
 
 @pytest.mark.parametrize("name", VOLUME_KERNELS)
-def test_a_kernel_for_volumes_takes_no_more_than_was_asked_of_the_driver(name):
+def test_a_volume_kernel_stays_within_the_buffer_limit(name):
     most = {"PARAMETERS": 2, "SPRINGS": 1}
     kernel = VOLUME_KERNELS[name]
     given = {define: most[define] for define in kernel.defines}
@@ -109,7 +109,7 @@ def test_a_kernel_for_volumes_takes_no_more_than_was_asked_of_the_driver(name):
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_what_drivers_disagree_about_is_not_used(path):
+def test_no_shader_uses_functions_that_differ_between_drivers(path):
     code = re.sub(r"//.*", "", path.read_text(encoding="utf-8"))
     for call in ("texture", "textureLod", "pow", "normalize", "isnan", "precise", "fma", "dFdx"):
         assert not re.search(rf"\b{call}\b *\(?", code.replace("textureSize", "")), call
@@ -117,7 +117,7 @@ def test_what_drivers_disagree_about_is_not_used(path):
 
 
 @pytest.mark.parametrize("name", KERNELS)
-def test_both_stages_hold_the_same_kernel_text(name):
+def test_both_stages_contain_the_same_kernel_text(name):
     text = file_of(name)
     for stage in STAGES:
         assert text in compose(name, stage, defines(name)).text
@@ -132,7 +132,7 @@ def test_the_version_comes_first_and_only_once(name, stage):
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_line_directives_give_each_line_its_place_in_its_file(stage):
+def test_line_directives_map_each_line_to_its_file(stage):
     composed = compose("icm", stage, {"BLANKET": 1, "STEPS": 4, "SQUARE": 0})
     seen = set()
     place: tuple[str, int] | None = None
@@ -155,7 +155,7 @@ def test_line_directives_give_each_line_its_place_in_its_file(stage):
 @pytest.mark.parametrize(
     "log", ["0:2014(3): error: no", "2(2014) : error C0000: no", "ERROR: 2:2014: 'x' : no"]
 )
-def test_a_compilers_message_gets_the_files_name(log):
+def test_a_compiler_message_names_the_source_file(log):
     composed = compose("sum", "fragment", {"BLOCK": 8})
     explained = composed.explain(log)
     assert re.search(r"sum\.glsl[:(]14", explained.splitlines()[0])
@@ -163,7 +163,7 @@ def test_a_compilers_message_gets_the_files_name(log):
     assert re.search(rf"sum\.glsl:14 \| {re.escape(fourteenth)}", explained)
 
 
-def test_the_vertex_shader_needs_nothing():
+def test_the_vertex_shader_has_no_uniforms():
     text = vertices().text
     assert text.startswith("#version 330")
     assert "uniform" not in text
@@ -178,7 +178,7 @@ def test_the_vertex_shader_needs_nothing():
         (("project", "fragment", {"BLOCK": 8}), ["project", "PAIRS", "BLOCK"]),
     ],
 )
-def test_a_wrong_request_is_named(arguments, words):
+def test_an_invalid_kernel_stage_or_define_is_named(arguments, words):
     with pytest.raises(BackendError) as raised:
         compose(*arguments)
     for word in words:

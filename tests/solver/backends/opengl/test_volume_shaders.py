@@ -1,4 +1,4 @@
-"""Elastic volumes as compute shaders: each kernel does what its twin among the loops does."""
+"""Compute shaders of elastic volumes, compared with the compiled loops."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def volume(shape=(9, 9, 9), prior=ELASTIC, **has):
 
 @pytest.fixture(autouse=True)
 def compute():
-    """All of this needs compute shaders."""
+    """Skip the tests if there are no compute shaders."""
     require_opengl("compute")
 
 
@@ -63,7 +63,7 @@ def map_of_ratios(shape):
 
 @pytest.fixture(params=[*SHAPES, "map"], ids=str)
 def given(request) -> Example:
-    """Random tissue with holes, a tenth of it held; also with a ratio for each site."""
+    """Return random tissue with holes and a tenth of its sites fixed, also with a Poisson map."""
     if request.param == "map":
         shape = (8, 9, 7)
         return random_example(shape, map_of_ratios(shape), OBLONG, 10.0)
@@ -71,7 +71,7 @@ def given(request) -> Example:
 
 
 def both_models(given: Example, job):
-    """What a job makes of the model of the loops, and of that of the shaders."""
+    """Return the results of a job with the model of the loops and with that of the shaders."""
 
     def both():
         answers = []
@@ -92,13 +92,13 @@ def random_field(given: Example):
 # Each kernel -----------------------------------------------------------------------------------
 
 
-def test_levels_are_set_up_alike(given):
+def test_all_levels_match_the_loops(given):
     hosts = host_levels(given)
     for number, host_level in enumerate(hosts):
         ones = np.where(host_level.inverse > 0, 1, 0).astype(np.float32)
 
         def job(level, _, ones=ones):
-            """The tissue by what it answers to a push, and what is held, springs included."""
+            """Return the correction and the forces of a unit load."""
             level.load, image = level.vector(ones.copy()), level.vector()
             level.descend(STEPS[:1], None)
             level.apply(level.load, image)
@@ -109,7 +109,7 @@ def test_levels_are_set_up_alike(given):
         assert_same(shaders[1:], loops[1:])
 
 
-def test_what_is_known_of_tissue_is_that_of_the_loops(given):
+def test_properties_of_the_tissue_match_the_loops(given):
     def job(model):
         return [model.steepness, model.moves.astype(float)]
 
@@ -118,7 +118,7 @@ def test_what_is_known_of_tissue_is_that_of_the_loops(given):
     np.testing.assert_array_equal(shaders[1], loops[1])
 
 
-def test_what_is_left_in_double_precision_is_what_the_prior_says(given):
+def test_the_residual_in_double_precision_matches_the_prior(given):
     d = random_field(given)
 
     def job(model):
@@ -137,28 +137,28 @@ def test_what_is_left_in_double_precision_is_what_the_prior_says(given):
     assert shaders[3] == pytest.approx(given.prior.energy(given.problem, in_lengths), rel=1e-6)
 
 
-def test_what_is_far_from_one_is_no_less_exact(given):
+def test_tiny_displacements_have_the_same_relative_accuracy(given):
     d = 1e-20 * random_field(given)
     loops, shaders = both_models(given, lambda model: model.balance(d, None)[2:])
     assert shaders == pytest.approx(loops, rel=1e-6)
 
 
-def test_what_is_left_of_a_load_goes_down_alike(given):
+def test_shaders_restrict_residuals_like_the_loops(given):
     choices = STEPS[:1], STEPS[:2], STEPS
     assert_loads_go_down_alike("compute", given, choices, again=True)
 
 
-def test_a_coarse_correction_comes_up_alike(given):
+def test_shaders_interpolate_corrections_like_the_loops(given):
     assert_corrections_come_up_alike("compute", given, STEPS)
 
 
 @pytest.mark.parametrize("sites", [128, 0])
-def test_the_coarsest_level_takes_all_steps_at_once_or_one_by_one(given, sites, monkeypatch):
+def test_the_coarsest_level_runs_its_steps_fused_or_one_by_one(given, sites, monkeypatch):
     monkeypatch.setattr(volume_level, "SITES", sites)
     assert_the_coarsest_is_alike("compute", given, lambda level, steps: level.finish((), steps))
 
 
-def test_a_step_of_conjugate_gradients_is_the_same_everywhere(given):
+def test_a_conjugate_gradient_step_matches_the_loops(given):
     (host_level, *_) = host_levels(given)
     first = [given.planes(host_level) for _ in range(4)]
 
@@ -178,17 +178,17 @@ def test_a_step_of_conjugate_gradients_is_the_same_everywhere(given):
 
     loops, shaders = with_levels("compute", given, job)
     assert_same(shaders[:5] + shaders[7:], loops[:5] + loops[7:])
-    scale = np.sqrt(loops[0] * (first[3] ** 2).sum())  # of scalar products that may be near 0
+    scale = np.sqrt(loops[0] * (first[3] ** 2).sum())  # the product may be near 0
     assert abs(shaders[6] - loops[6]) < 1e-5 * scale
 
 
-def test_a_ratio_is_nothing_unless_both_are_positive():
+def test_a_ratio_is_zero_unless_both_operands_are_positive():
     given = random_example((4, 5, 6), ElasticPrior(0.3), OBLONG)
     assert_a_ratio_is_nothing_unless_both_are_positive("compute", given)
 
 
 @pytest.mark.parametrize("of_void", [0, 20])
-def test_sums_and_largest_values_take_in_every_site(of_void):
+def test_sums_and_maxima_include_every_site(of_void):
     m = np.ones((37, 5, 70))
     m[:of_void, :, :33] = 0  # whole work groups
     held = np.zeros((*m.shape, 3))
@@ -209,14 +209,14 @@ def test_sums_and_largest_values_take_in_every_site(of_void):
         assert numbers == (count, count - 8, 7)
 
 
-def test_a_whole_cycle_is_the_same_everywhere():
+def test_a_cycle_matches_the_loops():
     given = random_example((17, 14, 21), ElasticPrior(0.45), OBLONG)
     loops, shaders = cycles("compute", given, NEARLY_INCOMPRESSIBLE_VOLUME)
     assert_same(shaders, loops, 3e-5)
     np.testing.assert_array_equal(*shaders)
 
 
-def test_how_deep_a_work_group_is_does_not_matter(monkeypatch):
+def test_the_depth_of_a_work_group_does_not_change_the_result(monkeypatch):
     given = random_example((19, 7, 9), ElasticPrior(0.45), OBLONG)
     (host_level, *_) = host_levels(given)
     load = given.planes(host_level)
@@ -234,7 +234,7 @@ def test_how_deep_a_work_group_is_does_not_matter(monkeypatch):
     np.testing.assert_array_equal(found[2], found[0])
 
 
-def test_a_gpu_has_enough_to_do_and_a_rasteriser_little_to_begin():
+def test_work_groups_are_small_on_a_gpu_and_large_on_a_software_renderer():
     for size, planes in ((256, 8), (128, 8), (64, 4), (33, 1), (5, 1)):
         assert groups_of((size,) * 3, software=False).planes == planes
         assert groups_of((size,) * 3, software=True).planes == 8
@@ -245,7 +245,7 @@ def test_a_gpu_has_enough_to_do_and_a_rasteriser_little_to_begin():
 
 
 def pressed(n, free, seed=0):
-    """Random stiffness with a hole between two plates; free elsewhere, or held all over."""
+    """Return random tissue with a hole between two plates; the other sides are free or fixed."""
     draw = np.random.default_rng(seed)
     m = 10 ** draw.random((n, n, n))
     m[n // 4 : n // 2, n // 3 : n // 2, n // 4 :] = 0
@@ -258,7 +258,7 @@ def pressed(n, free, seed=0):
 
 
 @pytest.mark.parametrize(("poisson", "free"), [(0.3, False), (0.45, True)], ids=str)
-def test_tissue_moves_as_by_loops(poisson, free):
+def test_the_field_of_a_volume_matches_the_loops(poisson, free):
     problem, prior = pressed(32, free), ElasticPrior(poisson)
     ours, theirs = (
         solve(problem, prior, optimizer=Multigrid(1e-3), backend=name) for name in ("opengl", "cpu")
@@ -271,16 +271,16 @@ def test_tissue_moves_as_by_loops(poisson, free):
     assert_same([ours.displacement], [theirs.displacement])
 
 
-def test_each_tissue_has_a_ratio_of_its_own():
+def test_a_poisson_map_matches_the_loops():
     problem = pressed(12, True)
     poisson = map_of_ratios(problem.shape).poisson.copy()
-    poisson[~problem.tissue] = np.nan  # what void is said to be does not count
+    poisson[~problem.tissue] = np.nan  # values in void have no effect
     prior = ElasticPrior(poisson)
     ours, theirs = (solve(problem, prior, backend=name) for name in ("opengl", "cpu"))
     assert_same([ours.displacement], [theirs.displacement])
 
 
-def test_an_earlier_solution_leaves_nothing_to_do_and_other_tissue_starts_anew():
+def test_a_warm_start_needs_no_iterations_unless_the_tissue_changed():
     problem, prior = pressed(12, True), ElasticPrior(0.3)
     first = solve(problem, prior, backend="opengl")
     assert solve(problem, prior, backend="opengl", initial=first).iterations == 0
@@ -290,7 +290,7 @@ def test_an_earlier_solution_leaves_nothing_to_do_and_other_tissue_starts_anew()
     np.testing.assert_allclose(other.displacement, cold.displacement, atol=2e-3)
 
 
-def test_an_iteration_allocates_nothing_and_a_solve_leaves_nothing(made):
+def test_an_iteration_allocates_nothing_and_a_solve_frees_all_memory(made):
     problem, counts = pressed(12, True), []
 
     def count(monitor):
@@ -307,22 +307,22 @@ def test_an_iteration_allocates_nothing_and_a_solve_leaves_nothing(made):
     np.testing.assert_array_equal(on_compute_thread(job).displacement, first.displacement)
 
 
-def batches(stop_at: int | None = None) -> int:
-    """Solve, cancelled at one of the looks; how many looks there were."""
+def count_batches(stop_at: int | None = None) -> int:
+    """Solve, cancel at a given check, and return the number of checks."""
     return count_looks("compute", Multigrid(0.1), pressed(9, True), ElasticPrior(0.3), stop_at)
 
 
 @pytest.mark.parametrize("where", [0.0, 0.5, 0.999])
-def test_a_cancel_at_any_batch_leaves_nothing(made, where, every_pass_a_batch):
-    looks = batches()
+def test_a_cancelled_solve_frees_all_memory(made, where, every_pass_a_batch):
+    looks = count_batches()
     assert looks > 10
     with pytest.raises(Cancelled):
-        batches(stop_at=int(where * looks))
+        count_batches(stop_at=int(where * looks))
     assert made
     assert left(made) == 0
 
 
-def test_a_pass_cut_into_strips_changes_nothing(monkeypatch):
+def test_splitting_a_pass_into_strips_does_not_change_the_result(monkeypatch):
     problem = pressed(12, True)
     whole = solve(problem, ElasticPrior(0.3), backend="opengl").displacement
     monkeypatch.setattr(opengl_backend, "BATCH_SECONDS", 1e-6)
@@ -330,10 +330,10 @@ def test_a_pass_cut_into_strips_changes_nothing(monkeypatch):
     np.testing.assert_array_equal(cut, whole)
 
 
-# What is refused -------------------------------------------------------------------------------
+# Errors and the choice of the backend ----------------------------------------------------------
 
 
-def test_a_volume_beyond_the_limit_is_refused_before_anything_is_made(made, monkeypatch):
+def test_a_volume_beyond_the_limit_is_rejected_before_any_allocation(made, monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "largest_buffer", 16 * 2**10)
     with pytest.raises(
         BackendError, match=r"12 x 12 x 12 voxels.*has buffers of.*Downsample or crop"
@@ -342,13 +342,13 @@ def test_a_volume_beyond_the_limit_is_refused_before_anything_is_made(made, monk
     assert left(made) == 0
 
 
-def test_a_driver_that_gives_too_few_buffers_is_refused(monkeypatch):
+def test_a_driver_with_too_few_buffers_is_rejected(monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "most_buffers", 8)
     with pytest.raises(BackendError, match=r'8 storage buffers, .* need 16. Use backend="cpu"'):
         solve(pressed(12, True), backend="opengl")
 
 
-def test_fragment_shaders_refuse_volumes():
+def test_fragment_shaders_reject_volumes():
     with pytest.raises(BackendError, match='Use backend="opengl:compute" or backend="cpu"'):
         solve(pressed(12, True), backend="opengl:fragment")
 
@@ -363,7 +363,7 @@ UNSUPPORTED = {
 
 
 @pytest.mark.parametrize("kind", UNSUPPORTED)
-def test_shaders_name_what_they_leave_to_the_loops(kind):
+def test_shaders_name_the_problems_that_only_the_loops_solve(kind):
     job = UNSUPPORTED[kind]
 
     def answers():
@@ -380,7 +380,7 @@ def test_shaders_name_what_they_leave_to_the_loops(kind):
         on_compute_thread(lambda: open_backend(job, "opengl", lambda: None))
 
 
-def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
+def test_auto_solves_a_volume_on_a_gpu_unless_it_is_too_large(monkeypatch):
     monkeypatch.setattr(
         "napari_hmrf.solver.backends.opengl.is_software_renderer", lambda renderer: False
     )
@@ -398,7 +398,7 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
     assert on_compute_thread(lambda: choice(has_loads=True))[0] == "cpu"
 
 
-def test_an_image_beyond_the_limit_of_a_gpu_goes_to_the_loops(monkeypatch):
+def test_an_image_beyond_the_limit_of_a_gpu_is_solved_by_the_loops(monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "largest", 8)
     image = SolveJob((9, 4), (1.0, 1.0), ELASTIC, Multigrid())
     backend, reason = on_compute_thread(lambda: open_backend(image, "auto", lambda: None))
@@ -406,7 +406,7 @@ def test_an_image_beyond_the_limit_of_a_gpu_goes_to_the_loops(monkeypatch):
     assert reason.startswith("the shaders do not support this image (the image has 9 x 4 pixels")
 
 
-def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeypatch):
+def test_a_software_renderer_solves_volumes_until_the_loops_are_compiled(monkeypatch):
     if not on_compute_thread(the_device).software:
         pytest.skip("this is a GPU")
     wanted, waited = [], []
@@ -422,7 +422,7 @@ def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeyp
     assert on_compute_thread(choice) == ("opengl:compute", COMPILING)
     assert (wanted, waited) == (["volume"], [])
     large = on_compute_thread(lambda: choice((101, 100, 100)))
-    assert large[0] == "cpu", "to compile takes less long than a rasteriser does"
+    assert large[0] == "cpu", "large volumes should wait for the compiler"
     assert waited.pop() == 1
     monkeypatch.setattr(loops, "ready_for_volumes", lambda: True)
     name, reason = on_compute_thread(choice)
@@ -431,17 +431,17 @@ def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeyp
     assert (wanted, waited) == (["volume"], [1])
 
 
-def test_an_error_that_opengl_notes_when_it_allocates_ends_the_solve(monkeypatch):
+def test_an_opengl_error_during_allocation_ends_the_solve(monkeypatch):
     device = on_compute_thread(the_device)
     monkeypatch.setattr(type(device.ctx), "error", "GL_OUT_OF_MEMORY", raising=True)
     with pytest.raises(BackendError, match="GL_OUT_OF_MEMORY"):
         solve(pressed(12, True), backend="opengl")
     monkeypatch.undo()
-    solve(pressed(12, True), backend="opengl")  # by a new context
+    solve(pressed(12, True), backend="opengl")  # with a new context
 
 
 @pytest.mark.parametrize("kind", ["rigid", "slips"])
-def test_what_is_rigid_or_slips_goes_to_the_loops(kind):
+def test_rigid_or_slipping_tissue_is_solved_by_the_loops(kind):
     problem = pressed(8, True)
     m = problem.stiffness.copy()
     m[5, 5, 2:4] = np.inf

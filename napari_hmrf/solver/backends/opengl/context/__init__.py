@@ -1,1 +1,1 @@
-"""OpenGL context of the compute thread, and the device that uses it."""
+"""OpenGL context of the compute thread, and the device that owns the context."""

@@ -1,6 +1,6 @@
 """Creation of a separate OpenGL context, and advice if none can be created.
 
-Existing contexts are not touched: napari's own context belongs to the GUI thread.
+Existing contexts are not used or changed, because napari's context belongs to the GUI thread.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 from napari_hmrf.errors import BackendError
 
-#: Least version of OpenGL for the shaders, and for compute shaders.
+#: Minimum versions of OpenGL, times 100: for fragment shaders, and for compute shaders.
 REQUIRED_VERSION = 330
 COMPUTE_VERSION = 430
 
@@ -32,7 +32,7 @@ _SOFTWARE = (
 
 
 def is_software_renderer(renderer: str) -> bool:
-    """Return whether a renderer string names a software renderer, which uses no GPU."""
+    """Return whether a renderer string names a software renderer, which does not use a GPU."""
     return any(name in renderer.lower() for name in _SOFTWARE)
 
 
@@ -44,12 +44,13 @@ class Opened:
     ----------
     ctx : moderngl.Context
     finish : callable
-        Calls glFinish. Other Python threads can run during the wait, unlike in moderngl's function.
+        Function that calls glFinish. Unlike moderngl's function, it releases the GIL.
     dispatch : callable
-        Runs a program, given its OpenGL name and the number of work groups along both axes. Other
-        Python threads can run meanwhile, which matters if the driver compiles the program first.
+        Function that runs a compute program, given its OpenGL name and the number of work groups
+        along columns and rows. It releases the GIL, because the driver may compile the program
+        first.
     clear : callable
-        Fills a buffer with zeros, given its OpenGL name.
+        Function that fills a buffer with zeros, given its OpenGL name.
     way : str
         Description of how the context was created.
     """
@@ -61,9 +62,9 @@ class Opened:
     way: str
 
     def release(self) -> None:
-        """Unbind and destroy the context, with all its objects."""
+        """Unbind and destroy the context, including all its objects."""
         with self.ctx:
-            pass  # the end of the block unbinds the context, which must be current before
+            pass  # leaving the block unbinds the context
         self.ctx.release()
 
 
@@ -73,7 +74,7 @@ def open_context() -> Opened:
     Raises
     ------
     BackendError
-        If no context can be created; with advice, and the error of each attempt.
+        If no context can be created. The message contains advice and the error of each attempt.
     """
     refused: list[tuple[str, str]] = []
     software: _Way | None = None
@@ -103,12 +104,12 @@ def open_context() -> Opened:
 
 @dataclass(frozen=True)
 class _Way:
-    """Way to create a context: a backend of glcontext with its settings."""
+    """Method of creating a context: a glcontext backend with its settings."""
 
     name: str
     make: Callable[..., Any]
     settings: dict[str, Any]
-    #: True if other devices are left that may be better.
+    #: True if there are several devices, so another device may be better.
     others: bool = False
 
 
@@ -150,7 +151,7 @@ def _open(way: _Way) -> Opened:
     try:
         ctx = moderngl.create_context(require=100, standalone=True, context=loader)
     finally:
-        # moderngl makes the newest context the default of the process. Restore the old default.
+        # moderngl makes the new context the default of the process, so restore the old default.
         if store is not None:
             store.default_context = default
     finish = _function(loader.load("glFinish"))
@@ -163,9 +164,9 @@ def _open(way: _Way) -> Opened:
 
 
 def _loader(way: _Way) -> Any:
-    """Create the context for moderngl, of OpenGL 4.3 if possible.
+    """Create a glcontext context for moderngl, with OpenGL 4.3 if possible.
 
-    Some drivers return exactly the requested version, so the newer version is tried first.
+    Some drivers provide exactly the requested version, so the newer version is tried first.
     """
     if sys.platform != "darwin":
         try:
@@ -176,7 +177,7 @@ def _loader(way: _Way) -> Any:
 
 
 def _dispatch(loader: Any) -> Callable[[int, int, int], None]:
-    """Return a function that runs a compute shader; unusable before OpenGL 4.3."""
+    """Return a function that runs a compute shader, which requires OpenGL 4.3."""
     use, run = loader.load("glUseProgram"), loader.load("glDispatchCompute")
     use_program = _function(use, ctypes.c_uint)
     dispatch_compute = _function(run, *[ctypes.c_uint] * 3)
@@ -193,7 +194,7 @@ _STORAGE, _SINGLES = 0x90D2, (0x822E, 0x1903, 0x1406)
 
 
 def _clear(loader: Any) -> Callable[[int], None]:
-    """Return a function that fills a buffer with zeros; unusable before OpenGL 4.3."""
+    """Return a function that fills a buffer with zeros, which requires OpenGL 4.3."""
     bind, fill = loader.load("glBindBuffer"), loader.load("glClearBufferData")
     bind_buffer = _function(bind, *[ctypes.c_uint] * 2)
     clear_data = _function(fill, *[ctypes.c_uint] * 4, ctypes.c_void_p)
@@ -206,7 +207,7 @@ def _clear(loader: Any) -> Callable[[int], None]:
 
 
 def _function(address: int, *kinds: Any) -> Callable[..., None]:
-    """Return a C function; ctypes releases the GIL during a call."""
+    """Return the C function at an address as a Python function that releases the GIL."""
     if sys.platform == "win32":
         return ctypes.WINFUNCTYPE(None, *kinds)(address)
     return ctypes.CFUNCTYPE(None, *kinds)(address)
@@ -217,7 +218,7 @@ _ADVICE = {
     r"found OpenGL|eglCreateContext failed|glXCreateContext|CreateContextAttribs": (
         "the driver offers no OpenGL 3.3 core profile, which the shaders need; update the graphics "
         "driver, and check whether a variable such as MESA_GL_VERSION_OVERRIDE or "
-        "GLCONTEXT_GLVERSION requests less"
+        "GLCONTEXT_GLVERSION requests an older version"
     ),
     r"requested device index .* found [1-9]": (
         "GLCONTEXT_DEVICE_INDEX names an EGL device that does not exist; unset it or lower it"
@@ -235,12 +236,12 @@ _ADVICE = {
         "the OpenGL libraries are missing; install them (Debian and Ubuntu: libegl1 libgl1 "
         "libgl1-mesa-dri, Fedora: libglvnd-egl mesa-dri-drivers)"
     ),
-    r"XOpenDisplay": "the X display cannot be opened; unset DISPLAY to use EGL alone",
+    r"XOpenDisplay": "the X display cannot be opened; unset DISPLAY to use only EGL",
 }
 
 
 def _no_context(refused: list[tuple[str, str]]) -> str:
-    """Return an error message: advice for the most specific error, then all errors."""
+    """Return an error message with advice for the most specific error, and all errors."""
     answers = [answer for _, answer in refused]
     advice = next(
         (

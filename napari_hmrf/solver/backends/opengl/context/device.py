@@ -1,7 +1,7 @@
 """OpenGL device of the process: one context, its limits and its compiled kernels.
 
-The first solve that needs the device creates it on the compute thread, and later solves use it
-again. After an error it is released, and the next solve creates a new one.
+The first solve that needs the device creates it on the compute thread, and later solves reuse it.
+After an error the device is released, and the next solve creates a new device.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _log = logging.getLogger("napari_hmrf")
 
 
 class Device:
-    """OpenGL context with its limits and compiled kernels, kept between solves.
+    """OpenGL context with its limits and compiled kernels, shared by all solves.
 
     Attributes
     ----------
@@ -52,10 +52,10 @@ class Device:
     software : bool
         True for a software renderer.
     rows : int
-        Number of texels that an invocation computes in the compute stage (`source.compose`): 1 on a
-        GPU, which needs many invocations.
+        Number of texels that an invocation computes in the compute stage (see `source.compose`);
+        1 on a GPU, which needs many invocations.
     lost : bool
-        True after an error; the device must not be used any more.
+        True after the device was released, for example after an error.
     """
 
     def __init__(self) -> None:
@@ -77,33 +77,33 @@ class Device:
         self._programs: dict[Any, Program] = {}
         self._volume_programs: dict[Any, VolumeProgram] = {}
         self._checked: set[str] = set()
-        # When moderngl creates a framebuffer, it binds the current one again afterwards, even if
-        # that has been released. Therefore a permanent framebuffer is bound before each release.
+        # After creating a framebuffer, moderngl rebinds the previously bound framebuffer, even if
+        # it has been released. Therefore bind a permanent framebuffer before each release.
         self._idle_framebuffer = self.ctx.simple_framebuffer((1, 1))
         self._idle_framebuffer.use()
-        # The triangle has depth 0.5. The depth test passes where the mask is 1, and everywhere in a
-        # framebuffer without a mask.
+        # The triangle has depth 0.5, so the depth test passes where the mask is 1. Without a mask
+        # it passes everywhere.
         self.ctx.enable_only(self.ctx.DEPTH_TEST)
         self.ctx.depth_func = "<"
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """Available shader stages."""
+        """Shader stages that the context supports."""
         if self.ctx.version_code >= COMPUTE_VERSION:
             return ("fragment", "compute")
         return ("fragment",)
 
     @property
     def best_stage(self) -> Stage:
-        """Stage that is used by default: compute if available, also on a software renderer.
+        """Default stage: compute if available, even on a software renderer.
 
         Mesa's llvmpipe synchronises its threads twice in each pass of a fragment shader, which
-        takes longer than a small pass.
+        takes longer than the computation of a small pass.
         """
         return "compute" if "compute" in self.stages else "fragment"
 
     def program(self, name: str, stage: Stage, defines: Mapping[str, int] | None = None) -> Program:
-        """Return a kernel, compiled on first use."""
+        """Return the program of a kernel for images, compiled on first use."""
         key = (name, stage, self.rows, *sorted((defines or {}).items()))
         if key not in self._programs:
             self._programs[key] = compile_program(
@@ -113,7 +113,7 @@ class Device:
         return self._programs[key]
 
     def volume_program(self, name: str, defines: Mapping[str, int] | None = None) -> VolumeProgram:
-        """Return a kernel for volumes, compiled on first use."""
+        """Return the program of a kernel for volumes, compiled on first use."""
         key = (name, *sorted((defines or {}).items()))
         if key not in self._volume_programs:
             dispatch = self._opened.dispatch
@@ -122,7 +122,7 @@ class Device:
         return self._volume_programs[key]
 
     def buffer(self, size: int) -> Any:
-        """Allocate a buffer of zeros of `size` bytes; raise `BackendError` if that fails."""
+        """Allocate a zero-filled buffer of `size` bytes; raise `BackendError` on failure."""
         self.check("computing")
         description = f"a buffer of {size / 2**20:.0f} MiB"
         try:
@@ -144,7 +144,7 @@ class Device:
         self._opened.clear(buffer.glo)
 
     def texture(self, shape: tuple[int, ...], components: int) -> Any:
-        """Allocate a float32 texture of (rows, cols) texels; raise `BackendError` if that fails."""
+        """Allocate a float32 texture of (rows, cols) texels; raise `BackendError` on failure."""
         height, width = shape
         size = height * width * components * 4
         description = f"an image of {height} x {width} texels ({size / 2**20:.0f} MiB)"
@@ -169,7 +169,7 @@ class Device:
         return texture
 
     def mask(self, shown: npt.NDArray[np.bool_]) -> Any:
-        """Create a depth texture that limits passes to the texels `shown`, shape (rows, cols)."""
+        """Create a depth texture that limits passes to True texels of a mask (rows, cols)."""
         self.check("computing")
         try:
             made = self.ctx.depth_texture(shown.shape[::-1])
@@ -180,7 +180,7 @@ class Device:
         return made
 
     def framebuffer(self, textures: Sequence[Any], mask: Any = None) -> Any:
-        """Create a framebuffer that draws into textures, limited by a mask."""
+        """Create a framebuffer for textures, with an optional mask that limits drawing."""
         made = self.ctx.framebuffer(list(textures), mask)
         made.depth_mask = False
         return made
@@ -195,19 +195,19 @@ class Device:
         self._idle_framebuffer.use()
 
     def free(self, objects: Iterable[Any]) -> None:
-        """Release textures and framebuffers, unless they were released with the context."""
+        """Release textures and framebuffers, unless the context has released them."""
         if not self.lost:
             self._idle_framebuffer.use()
             for made in objects:
                 made.release()
 
     def check(self, doing: str) -> None:
-        """Raise `BackendError` and release the device if OpenGL has reported an error.
+        """Release the device and raise `BackendError` if OpenGL has reported an error.
 
         Parameters
         ----------
         doing : str
-            Description of the work since the last check, for the message.
+            Description of the operations since the last check, for the message.
         """
         error = self.ctx.error
         if error != "GL_NO_ERROR":
@@ -219,7 +219,7 @@ class Device:
         Parameters
         ----------
         doing : str
-            Description of the work that failed, for the message.
+            Description of the operation that failed, for the message.
         """
         self.release()
         raise BackendError(
@@ -228,7 +228,7 @@ class Device:
         )
 
     def release(self) -> None:
-        """Destroy the context with all its objects; a second call has no effect."""
+        """Destroy the context and all its objects; a second call has no effect."""
         if self.lost:
             return
         self.lost = True
@@ -241,7 +241,7 @@ class Device:
         self._opened.release()
 
     def ensure(self, stage: Stage) -> None:
-        """Check once that a stage is available and computes correctly; see `canary`."""
+        """Check that a stage is available, and run its test kernel once (`canary`)."""
         if stage not in self.stages:
             raise BackendError(
                 f"compute shaders need OpenGL 4.3, but this is {self.renderer}. Use "
@@ -252,12 +252,12 @@ class Device:
             self._checked.add(stage)
 
     def canary(self, stage: Stage) -> None:
-        """Run the test kernel, which has a known result.
+        """Run the test kernel, and compare its outputs with the known result.
 
         Raises
         ------
         BackendError
-            If a value is wrong, or OpenGL reports an error; the device is then released.
+            If a value is wrong, or if OpenGL reports an error. The device is then released.
         """
         rows, cols = 5, 7
         n = np.arange(rows * cols, dtype=np.float32).reshape(rows, cols)[..., None] + 100
@@ -300,7 +300,7 @@ class Device:
 
 
 _device: Device | None = None
-# Devices of the parent process, in the child of a fork, which can neither use nor release them.
+# In a forked child process: devices of the parent, which the child can neither use nor release.
 _parent_devices: list[Device] = []
 
 
@@ -315,22 +315,22 @@ in_child_of_fork(_disown_device)
 
 
 def the_device() -> Device:
-    """Return the device of the process, created on first use; on the compute thread only.
+    """Return the device of the process, created on first use.
 
     Raises
     ------
     BackendError
-        If there is no usable OpenGL, or if this process was forked from one that uses it.
+        If OpenGL cannot be used, or if this process was forked from a process that uses OpenGL.
     RuntimeError
-        If this is another thread.
+        If the function is not called on the compute thread.
     """
     global _device
     if not compute_thread.is_current():
-        raise RuntimeError("OpenGL is used on the compute thread only; call solve() instead")
+        raise RuntimeError("OpenGL can be used on the compute thread only; call solve() instead")
     if _parent_devices:
         raise BackendError(
-            "this process was forked from one that uses OpenGL, and a context cannot be used after "
-            'a fork. Start the process by "spawn" (multiprocessing.get_context("spawn")), or use '
+            "this process was forked from a process that uses OpenGL, and a context cannot be used "
+            'after a fork. Start the process with multiprocessing.get_context("spawn"), or use '
             'backend="cpu".'
         )
     if _device is None or _device.lost:

@@ -1,4 +1,4 @@
-"""Size of the batches of work on the device between two checks for a cancellation."""
+"""Batches of device work, with a check for cancellation after each batch."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
 #: device that does not respond for two seconds, and a desktop on the same GPU stutters earlier.
 MAX_PASS_SECONDS = 0.25
 
-# Cost of the start of a pass, in sites; and assumed time for a site, in seconds, before the first
-# measurement.
+# Overhead of a pass, as an equivalent number of sites; and assumed time per site before the first
+# measurement, in seconds.
 _PASS_SITES = 1000
 _FIRST_GUESS = 1e-7
 
 
 class Pace:
-    """Counter of issued sites, which waits for the device after each batch.
+    """Scheduler that divides device work into batches and waits after each batch.
 
-    A pair of sites that share a texel counts as one site.
+    The work is measured in sites. A pair of sites in one texel counts as one site.
 
     Parameters
     ----------
     finish : callable
-        Waits until the device has finished; other Python threads can run meanwhile.
+        Function that waits until the device has finished, and releases the GIL while it waits.
     checkpoint : callable
-        Called after each wait; raises to stop the work.
+        Function called after each wait. It raises an exception to cancel the solve.
     longest : float
         Longest time of a pass, in seconds; a longer pass is split into strips.
     """
@@ -47,9 +47,9 @@ class Pace:
         self._since = 0.0
 
     def strips(self, grid: tuple[int, ...]) -> Iterator[tuple[int, int] | None]:
-        """Yield the ranges of rows into which a pass is split; None stands for all rows.
+        """Yield the rows (begin, end) of each strip of a pass, or None if the pass is not split.
 
-        A range counts as issued when the next one is requested.
+        The work of a strip is recorded when the next strip is requested.
         """
         height, width = grid
         seconds = height * width * self._seconds_per_site
@@ -68,12 +68,12 @@ class Pace:
             begin = end
 
     def wait(self) -> None:
-        """Wait for the device, measure its speed, and check for a cancellation."""
+        """Wait for the device, measure its speed, and check for cancellation."""
         self._finish()
         elapsed = time.perf_counter() - self._since
         if self._sites and elapsed > 0:
             measured = elapsed / self._sites
-            # Limit the change: a batch may be slow because the machine is busy with other work.
+            # Limit the change, because other work on the machine may have slowed down the batch.
             known = self._seconds_per_site if self._measured else measured
             self._seconds_per_site = min(max(measured, known / 2), known * 2)
             self._measured = True
@@ -86,6 +86,6 @@ class Pace:
 
     def _issued(self, sites: int) -> None:
         self._sites += sites + _PASS_SITES
-        # Wait after the first pass, to measure the speed of the device.
+        # Wait after the first pass to measure the speed of the device.
         if not self._measured or self._sites * self._seconds_per_site >= BATCH_SECONDS:
             self.wait()

@@ -1,4 +1,4 @@
-"""Description of this machine's OpenGL for bug reports."""
+"""Description of the OpenGL device for bug reports."""
 
 from __future__ import annotations
 
@@ -25,20 +25,22 @@ _LIMITS = (
 
 
 def describe() -> dict[str, Any]:
-    """Describe and test the device; on the compute thread only.
+    """Describe and test the OpenGL device.
+
+    Call this function on the compute thread only.
 
     Returns
     -------
     dict
-        Strings, numbers, and lists and dicts of them: ``vendor``, ``renderer``, ``version``,
-        ``software`` (True without a GPU), ``made_by`` (how the context was created),
-        ``context_seconds``, ``limits``, ``render_targets`` (formats that work), ``stages``,
-        ``default_stage`` and ``canary`` (result of the test image for each stage).
+        Description with the keys ``vendor``, ``renderer``, ``version``, ``software`` (True
+        without a GPU), ``made_by`` (how the context was created), ``context_seconds``, ``limits``,
+        ``render_targets`` (texture formats that work), ``stages``, ``default_stage`` and
+        ``canary`` (result of the test kernel for each stage).
 
     Raises
     ------
     BackendError
-        If there is no usable OpenGL.
+        If OpenGL cannot be used.
     """
     device = the_device()
     info = device.ctx.info
@@ -77,7 +79,10 @@ def _is_exact(device: Device, components: int) -> bool:
 
 
 def _canary(stage: Any) -> str:
-    """Return "exact", or the error message; after an error the device has been released."""
+    """Return "exact" if the test kernel passes, else the error message.
+
+    After an error the device has been released.
+    """
     try:
         the_device().canary(stage)
     except BackendError as error:

@@ -1,4 +1,4 @@
-"""Memory of one solve on the device."""
+"""Device memory of one solve."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from napari_hmrf.solver.backends.opengl.context.pace import Pace
 
 
 class DeviceResources:
-    """Textures or buffers that are freed at the end of a solve.
+    """Owner of textures or buffers that are freed at the end of a solve.
 
     Parameters
     ----------
     device : Device
     pace : Pace
-        Size of batches, and waits for the device.
+        Scheduler of batches, which waits for the device.
     """
 
     def __init__(self, device: Device, pace: Pace) -> None:
@@ -23,7 +23,7 @@ class DeviceResources:
         self._own: list[Any] = []
 
     def wait(self) -> None:
-        """Wait for the device; check for errors and for a cancellation."""
+        """Wait for the device, and check for errors and for cancellation."""
         self.pace.wait()
         self.device.check("computing")
 

@@ -1,4 +1,4 @@
-"""Elastic tissue on the device; the host does the set-up and the work in double precision."""
+"""Elastic model of an image on the device, with set-up and double precision on the host."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial, ElementShape, el
 
 
 class GLElasticLevel(RelaxingLevel):
-    """Elements and springs of one level.
+    """Level of an elastic image, with its elements and springs as textures.
 
     Parameters
     ----------
     passes : Passes
     host : CpuElasticLevel or ArrayElasticLevel
-        Level on the host, with the elements and springs.
+        The same level on the host, with its elements and springs.
     shape : ElementShape
     """
 
@@ -51,12 +51,12 @@ class GLElasticLevel(RelaxingLevel):
 
 
 class GLElasticModel(GLModel):
-    """`LinearModel` of elastic tissue.
+    """`LinearModel` of an elastic image.
 
     Parameters
     ----------
     passes : Passes
-        Passes of this model, which its `close` frees.
+        Runner of the model's kernels; `close` frees its textures.
     material : ElasticMaterial
     """
 
@@ -68,7 +68,7 @@ class GLElasticModel(GLModel):
 
 
 def _host(material: ElasticMaterial) -> LinearModel:
-    """Return the host's model, from compiled loops or, before they are compiled, in NumPy."""
+    """Return the model on the host, which uses NumPy until the compiled loops are ready."""
     if loops.in_use():
         from napari_hmrf.solver.backends.cpu import elastic_model  # heavy: numba
 
@@ -77,7 +77,7 @@ def _host(material: ElasticMaterial) -> LinearModel:
 
 
 def _stiffness_matrix(stored_lame: Float64Array, element: ElementShape) -> Float64Array:
-    """Return the stiffness matrix of a small level, with values in the order of a texture."""
+    """Return the dense stiffness matrix of a small level, with unknowns in texture order."""
     first, shear = element_stiffness(element)
     lame = stored_lame.reshape(stored_lame.shape[0], -1, 2)
     number = np.arange(lame.size).reshape(lame.shape)

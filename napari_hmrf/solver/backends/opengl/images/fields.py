@@ -1,8 +1,8 @@
 """Fields as textures: their layout, and a pool of textures.
 
-In a field of two components each texel holds a pair of neighbouring sites, in other fields one site
-(``common.glsl``). A row with an odd number of sites gets one more site, of void. The bytes of a
-texture are those of the array with its rows padded in this way.
+In a field of two components, each texel stores a pair of neighbouring sites. In other fields, each
+texel stores one site (``common.glsl``). A row with an odd number of sites is padded with a void
+site. A texture has the same bytes as the padded array.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class GLField:
     texture : moderngl.Texture
         RGBA texture of `grid` texels.
     ratios : list of moderngl.Texture
-        For a field of stiffness: ratios of each site's cliques, computed when first needed.
+        Stiffness ratios of each site's cliques, computed on first use; only for stiffness fields.
     tissue : Tissue or None
-        For a field of stiffness: region with tissue, computed when first needed.
+        Region that contains tissue, computed on first use; only for stiffness fields.
     """
 
     shape: tuple[int, ...]
@@ -44,46 +44,46 @@ class GLField:
 
     @property
     def grid(self) -> tuple[int, int]:
-        """Number of (rows, cols) of texels."""
+        """Grid of texels, (rows, cols)."""
         return pairs(self.shape) if self.components == 2 else singles(self.shape)
 
 
 def pairs(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Return the number of (rows, cols) of pairs for (H, W) sites."""
+    """Return the grid (rows, cols) of the pairs of (H, W) sites."""
     rows, cols = shape
     return rows, -(-cols // 2)
 
 
 def singles(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Return the number of (rows, cols) of sites in pairs, with the padding of rows."""
+    """Return the grid (rows, cols) of (H, W) sites, padded to an even number of columns."""
     rows, cols = pairs(shape)
     return rows, 2 * cols
 
 
 def as_stored(values: FloatArray) -> FloatArray:
-    """Return values of shape (H, W, C) in the layout of a texture."""
+    """Convert an array of shape (H, W, C) to texture layout."""
     lacking = values.shape[1] % 2
     return np.ascontiguousarray(np.pad(values, ((0, 0), (0, lacking), (0, 0))), "<f4")
 
 
 def as_given(stored: FloatArray, shape: tuple[int, ...], components: int) -> FloatArray:
-    """Return values in the layout of a texture as an array of shape (H, W, C)."""
+    """Convert values from texture layout to an array of shape (H, W, C)."""
     return stored.reshape(*singles(shape), components)[:, : shape[1]]
 
 
 def pairs_with_tissue(stored: FloatArray) -> npt.NDArray[np.bool_]:
-    """Return the mask of pairs with tissue, for a stiffness in the layout of a texture."""
+    """Return the mask of pairs that contain tissue, given the stiffness in texture layout."""
     tissue: npt.NDArray[np.bool_] = stored.reshape(*stored.shape[:2], 2, 2)[..., 0] > 0
     return tissue[..., 0] | tissue[..., 1]
 
 
 class Pool:
-    """Pool of the textures of one backend, which are reused.
+    """Pool of reusable textures of one backend.
 
     Parameters
     ----------
     make : callable
-        Allocates a texture of (rows, cols) texels with a number of components.
+        Function that allocates a texture, given its (rows, cols) and its number of components.
     """
 
     def __init__(self, make: Callable[[tuple[int, ...], int], Any]) -> None:
@@ -92,10 +92,10 @@ class Pool:
         self.all: list[Any] = []
 
     def acquire(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
-        """Return a texture; for the use ``pairs`` it is 0 outside tissue.
+        """Return a texture from the pool; a texture for the use ``pairs`` is 0 outside tissue.
 
-        Kernels that run on tissue only rely on these zeros. A texture with other values must
-        therefore not be returned to the pool as ``pairs``.
+        Kernels that skip void rely on these zeros. Therefore a texture with nonzero values outside
+        tissue must not be returned to the pool for the use ``pairs``.
         """
         spare = self._spare.get((grid, components, use))
         if spare:
@@ -113,7 +113,7 @@ class Pool:
         self._spare.setdefault((grid, components, use), []).append(texture)
 
     def blank(self, grid: tuple[int, ...]) -> None:
-        """Fill the unused textures for ``pairs`` of a grid with 0."""
+        """Fill all free textures of a grid and of the use ``pairs`` with zeros."""
         for (size, components, use), waiting in self._spare.items():
             if size == grid and use == "pairs":
                 for texture in waiting:

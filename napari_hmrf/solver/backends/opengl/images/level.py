@@ -1,8 +1,8 @@
-"""One level of a linear model on the device: the part that does not depend on the model.
+"""Base class of the levels of all image models, with its vectors and scalars.
 
-A vector has two textures: a kernel reads one and writes the other. A scalar is a texture of one
-texel. The textures are reused after the last reference to their vector or scalar, so an iteration
-allocates no memory.
+A vector has two textures: a kernel reads the first texture and writes the second. A scalar is a
+texture of one texel. When a vector or scalar is deleted, its textures become free for reuse, so
+iterations do not allocate memory.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ _PAD = 2
 
 
 class Vector:
-    """Vector of two components on a level's sites, in pairs.
+    """Vector of two components on a level's sites, stored in pairs.
 
     Parameters
     ----------
-    take : callable
-        Returns a texture of zeros.
+    acquire : callable
+        Function that returns a texture of zeros.
     spare : list of moderngl.Texture
-        List to which the textures are returned after the last reference.
+        List of free textures, to which the vector's textures are added on deletion.
     """
 
     def __init__(self, acquire: Callable[[], Any], spare: list[Any]) -> None:
         self._zero_texture, self._spare = acquire, spare
-        self._textures: list[Any] = []  # `__del__` needs the list even if `take` fails
+        self._textures: list[Any] = []  # `__del__` needs the list even if `acquire` fails
         self._textures.append(acquire())
 
     @property
     def texture(self) -> Any:
-        """Texture that holds the values."""
+        """Texture of the present values."""
         return self._textures[0]
 
     @property
     def other(self) -> Any:
-        """Texture for the next values; 0 outside tissue."""
+        """Texture to which a kernel writes the next values; 0 outside tissue."""
         if len(self._textures) == 1:
             self._textures.append(self._zero_texture())
         return self._textures[1]
 
     def turn(self) -> None:
-        """Exchange the two textures, so that the written values become the vector."""
+        """Swap the two textures, so that the next values become the present values."""
         self._textures.reverse()
 
     def __del__(self) -> None:
@@ -63,14 +63,14 @@ class Vector:
 
 
 class Scalar:
-    """Number on the device.
+    """Scalar on the device.
 
     Parameters
     ----------
     texture : moderngl.Texture
         Texture of one texel.
     spare : list of moderngl.Texture
-        List to which the texture is returned after the last reference.
+        List of free textures, to which the texture is added on deletion.
     """
 
     def __init__(self, texture: Any, spare: list[Any]) -> None:
@@ -84,7 +84,7 @@ Number = Scalar | Ratio[Scalar]
 
 
 class Product:
-    """Product of two scalars, which `GLLevel.quotient` evaluates."""
+    """Unevaluated product of two scalars, as an argument of `GLLevel.quotient`."""
 
     def __init__(self, first: Scalar, second: Scalar) -> None:
         self.first, self.second = first, second
@@ -114,7 +114,7 @@ class GLLevel(CycleLevel[Scalar]):
         self._share: Any = None
 
     def vector(self, values: FloatArray | None = None) -> Vector:
-        """Return a vector of zeros, or of the values in planes."""
+        """Return a vector of zeros, or a vector with the given planes."""
         made = Vector(self._zero_texture, self._spare)
         if values is not None:
             made.texture.write(stored_planes(values))
@@ -126,7 +126,10 @@ class GLLevel(CycleLevel[Scalar]):
         return self.vector()
 
     def planes(self, vector: Vector) -> FloatArray:
-        """Copy a vector to the host as planes; check that the device still works."""
+        """Copy a vector to the host as planes.
+
+        Also run the test kernel, to check that the device still computes correctly.
+        """
         self._passes.wait()
         stored = np.frombuffer(vector.texture.read(), "<f4")
         self._passes.device.check("reading a vector")
@@ -138,32 +141,35 @@ class GLLevel(CycleLevel[Scalar]):
         return planes
 
     def product(self, a: Vector, b: Vector) -> Scalar:
-        """Return the scalar product."""
+        """Return the scalar product of two vectors."""
         return self._reduce("product", {}, [a.texture, b.texture], "sum", {})
 
     def largest(self, a: Vector) -> Scalar:
-        """Return the largest absolute value."""
+        """Return the largest absolute value in a vector."""
         return self._reduce("largest", {"PAIRS": 1}, [a.texture], "largest", {"PAIRS": 0})
 
     def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
-        """Return the largest absolute value of `a`, and the scalar product of both."""
+        """Return the largest absolute value in `a`, and the scalar product of `a` and `b`."""
         return self.largest(a), self.product(a, b)
 
     def quotient(self, a: Scalar | Product, b: Scalar | Product) -> Scalar:
-        """Return a / b for numbers of any sign; 0 if b is 0."""
+        """Return a / b for scalars or products of any sign, or 0 if b is 0."""
         made = Scalar(self._scalar_texture(), self._spare_scalars)
         inputs = [*self._factor_textures(a), *self._factor_textures(b)]
         self._passes.run(self._passes.program("quotient"), inputs, [made.texture], (1, 1))
         return made
 
     def times(self, a: Scalar, b: Scalar) -> Product:
-        """Return a b as an argument for `quotient`."""
+        """Return the unevaluated product a b, as an argument for `quotient`."""
         return Product(a, b)
 
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Number
     ) -> Scalar:
-        """Compute d += length direction and rest -= length image; return rest . rest."""
+        """Update `d` and `rest` for a step along `direction`; return ``rest . rest``.
+
+        The update is ``d += length * direction`` and ``rest -= length * image``.
+        """
         inputs = [
             d.texture,
             rest.texture,
@@ -192,7 +198,7 @@ class GLLevel(CycleLevel[Scalar]):
         direction.turn()
 
     def read(self, *scalars: Number) -> tuple[float, ...]:
-        """Wait for the device, and return the values of scalars."""
+        """Wait for the device, and return the values of scalars and ratios."""
         self._passes.wait()
 
         @cache
@@ -211,13 +217,13 @@ class GLLevel(CycleLevel[Scalar]):
         outputs: list[Any],
         uniforms: Uniforms | None = None,
     ) -> None:
-        """Run a kernel on the tissue of the level."""
+        """Run a kernel on the level's tissue."""
         program = self._passes.program(name, defines)
         program.set(uniforms or {})
         self._passes.run(program, inputs, outputs, self._pairs, tissue=self._tissue)
 
     def _zero_texture(self) -> Any:
-        """Return a texture of zeros, reused if possible."""
+        """Return a texture of zeros, which is reused if possible."""
         if not self._spare:
             return self._passes.blank(self._pairs, 4)
         texture = self._spare.pop()
@@ -225,7 +231,7 @@ class GLLevel(CycleLevel[Scalar]):
         return texture
 
     def _shares(self) -> Any:
-        """Return the texture for the contribution of each pair to a sum."""
+        """Return the texture that stores each pair's contribution to a sum."""
         if self._share is None:
             self._share = self._passes.blank(self._pairs, 1)
         return self._share
@@ -241,7 +247,7 @@ class GLLevel(CycleLevel[Scalar]):
         then: str,
         then_defines: dict[str, int],
     ) -> Scalar:
-        """Reduce blocks of texels by the kernel `first`, then by `then` until one value is left."""
+        """Reduce blocks of texels by the kernel `first`, then by `then` until one value remains."""
         name, defines, grid = first, first_defines, self._pairs
         while True:
             rows, cols = (-(-size // BLOCK) for size in grid)
@@ -263,20 +269,20 @@ class GLLevel(CycleLevel[Scalar]):
         return self._blocks[grid]
 
     def _ratio_textures(self, number: Number) -> list[Any]:
-        """Return the textures of numerator and denominator of a number, as inputs of a kernel."""
+        """Return the textures of a number's numerator and denominator, as inputs of a kernel."""
         if isinstance(number, Ratio):
             return [number.above.texture, number.below.texture]
         return [number.texture, self._passes.unit]
 
     def _factor_textures(self, number: Scalar | Product) -> list[Any]:
-        """Return the textures of both factors of a number, as inputs of a kernel."""
+        """Return the textures of a number's two factors, as inputs of a kernel."""
         if isinstance(number, Product):
             return [number.first.texture, number.second.texture]
         return [number.texture, self._passes.unit]
 
 
 def stored_planes(planes: npt.NDArray[np.float32]) -> FloatArray:
-    """Return planes (2, H + 4, W + 4) in the layout of a texture, (H, pairs, 4)."""
+    """Convert planes, shape (2, H + 4, W + 4), to texture layout, shape (H, pairs, 4)."""
     inner = planes[:, _PAD:-_PAD, _PAD:-_PAD]
     rows, cols = pairs(inner.shape[1:])
     made = np.zeros((rows, 2 * cols, 2), "<f4")

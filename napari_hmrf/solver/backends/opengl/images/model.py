@@ -1,4 +1,4 @@
-"""Linear model of an image with its levels on the device and double precision on the host."""
+"""Linear model of an image, with its levels on the device and double precision on the host."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class GLModel:
     Parameters
     ----------
     passes : Passes
-        Passes of this model, which `close` frees.
+        Runner of the model's kernels; `close` frees its textures.
     host : LinearModel
         Model of the same tissue on the host.
     levels : sequence of RelaxingLevel
-        Levels of that model, on the device.
+        Levels on the device, finest first.
     """
 
     def __init__(self, passes: Passes, host: LinearModel, levels: Sequence[RelaxingLevel]) -> None:
@@ -31,7 +31,7 @@ class GLModel:
         self.bounds = host.bounds
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components on all levels."""
+        """Set the prescribed components on all levels."""
         self._host.hold(held)
         for level in self.levels:
             level.hold()
@@ -43,22 +43,22 @@ class GLModel:
 
     @property
     def mild(self) -> bool:
-        """True if a cycle reduces every motion of such tissue."""
+        """True if a V-cycle reduces every error component in this material."""
         return self._host.mild
 
     @property
     def slow(self) -> bool:
-        """True if direct factors are faster than cycles on this device."""
+        """True if a direct factorization is faster than V-cycles on this device."""
         return False
 
     @property
     def double_level(self) -> Any:
-        """None, because only volumes iterate in double precision."""
+        """Always None, because only volumes iterate in double precision."""
         return None
 
     @property
     def moves(self) -> HeldPlanes:
-        """Mask of the unknown components of the finest level."""
+        """Mask of the free components of the finest level."""
         return self._host.moves
 
     @property
@@ -68,17 +68,17 @@ class GLModel:
 
     @property
     def bodies(self) -> Bodies | None:
-        """Rigid bodies with the present held components; None without rigid tissue."""
+        """Rigid bodies for the present prescribed components, or None without rigid tissue."""
         return self._host.bodies
 
     @property
     def iterates(self) -> bool:
-        """True if cycles can be used; rigid bodies are supported on the host only."""
+        """True if V-cycles can be used on the device, where rigid bodies are not supported."""
         return self.bodies is None
 
     @property
     def earlier(self) -> EarlierResults:
-        """Results of earlier solves with the present held components."""
+        """Results of earlier solves with the present prescribed components."""
         return self._host.earlier
 
     def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
@@ -86,28 +86,28 @@ class GLModel:
         return None
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
-        """Return the residual of a load for a displacement."""
+        """Return the residual ``load - A d``."""
         return self._host.balance(d, load, unit)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d everywhere, in double precision."""
+        """Return the force ``-A d`` on every component, in double precision."""
         return self._host.pull(d, low)
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and the norm of its forces A d."""
+        """Return the energy of a displacement, and the norm of its forces ``A d``."""
         return self._host.work(d)
 
     @property
     def steepness(self) -> Planes:
-        """Diagonal of A on the finest level, including held components."""
+        """Diagonal of A on the finest level, including prescribed components."""
         return self._host.steepness
 
     def clear(self) -> None:
-        """Ignore the call; it is needed only for rigid tissue and double precision."""
+        """Ignore the call, which is needed only for rigid tissue and double precision."""
 
     def clear_cache(self) -> None:
-        """Ignore the call; no vector on the device outlives a solve."""
+        """Ignore the call, because no vector on the device outlives a solve."""
 
     def close(self) -> None:
-        """Free all textures."""
+        """Free all textures of the model."""
         self._passes.close()

@@ -1,4 +1,4 @@
-"""Passes of kernels over textures, in batches that leave the device time for other programs."""
+"""Passes of kernels over textures, in batches that leave time for other programs."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from napari_hmrf.solver.backends.opengl.programs.source import Stage
 
 
 class Passes(DeviceResources):
-    """Runner of kernels for one solve, and owner of the textures of that solve.
+    """Runner of kernels for one solve, which owns the solve's textures.
 
     Parameters
     ----------
     device : Device
     stage : {"fragment", "compute"}
     pace : Pace
-        Size of batches, and waits for the device.
+        Scheduler of batches, which waits for the device.
     """
 
     def __init__(self, device: Device, stage: Stage, pace: Pace) -> None:
@@ -40,7 +40,7 @@ class Passes(DeviceResources):
         self._unit: Any = None
 
     def program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
-        """Return a kernel, compiled on first use."""
+        """Return the program of a kernel, compiled on first use."""
         return self.device.program(name, self.stage, defines)
 
     def run(
@@ -60,7 +60,7 @@ class Passes(DeviceResources):
             program.run(inputs, outputs, target, part, first_row)
 
     def tissue(self, shown: npt.NDArray[np.bool_]) -> Tissue:
-        """Return the region of the texels `shown`, shape (rows, cols), for passes on tissue."""
+        """Return the region for passes on the True texels of a mask, shape (rows, cols)."""
         if self.stage == "fragment":
             made = self.device.mask(shown)
             tissue = Tissue(window_around(shown), made)
@@ -74,7 +74,7 @@ class Passes(DeviceResources):
         return tissue
 
     def texture(self, values: npt.NDArray[np.float32]) -> Any:
-        """Create a texture of values (rows, cols, components)."""
+        """Create a texture from an array of shape (rows, cols, components)."""
         made = self.device.texture(values.shape[:2], values.shape[2])
         self._own.append(made)
         made.write(np.ascontiguousarray(values))
@@ -111,7 +111,7 @@ class Passes(DeviceResources):
         super().close()
 
     def _target(self, outputs: Sequence[Any], tissue: Tissue | None) -> Any:
-        """Return the framebuffer that draws into textures, created on first use."""
+        """Return the framebuffer for textures and a tissue mask, created on first use."""
         key = (*outputs, tissue)
         if key not in self._targets:
             mask = None if tissue is None else tissue.mask

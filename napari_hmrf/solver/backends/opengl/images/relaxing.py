@@ -1,7 +1,7 @@
-"""Level on the device with the passes of the V-cycle, for any prior.
+"""Level of an image with the passes of the V-cycle, for any prior.
 
-A prior adds the kernels that compute forces, the textures that they read, and the restriction of
-the residual.
+A subclass for each prior adds the kernels that compute forces, the textures that these kernels
+read, and the restriction of the residual.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 
 Float64Array = npt.NDArray[np.float64]
 
-# Largest number of values of a level on which one pass with a matrix replaces all steps, and number
-# of steps up to which separate passes are as fast.
+# On a level with at most `_FEW_VALUES` values, a single pass with a dense matrix replaces the
+# smoothing steps if there are more than `_FEW_STEPS` steps, because the single pass is faster.
 _FEW_VALUES = 128
 _FEW_STEPS = 2
 
-#: Number of sites below which a level, and all coarser levels, are visited once in a cycle.
+#: Levels with fewer sites are visited only once in a cycle.
 WORTH_AGAIN = 40_000
 
 # (scale, momentum) of a step that changes nothing.
 _NO_STEP = (0.0, 0.0)
 
-# Values of START in smooth.glsl: from the present correction, from zero, or with the coarse
-# correction added.
+# Values of START in smooth.glsl: start from the present correction, from zero, or from the present
+# correction plus the coarse correction.
 AS_IS, FROM_ZERO, FROM_COARSE = 0, 1, 2
 
 
 class Model(NamedTuple):
-    """Kernels of a prior, and their constants.
+    """Kernels of a prior, with their constants.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class RelaxingLevel(GLLevel):
     ----------
     passes : Passes
     host : CpuLevel or ArrayLevel
-        Level on the host, with the diagonal and the springs (``weight``).
+        The same level on the host, with the diagonal and the springs (``weight``).
     shown : ndarray of bool, shape (H, W)
         Mask of tissue.
     model : Model
@@ -76,18 +76,18 @@ class RelaxingLevel(GLLevel):
         self._inverse = passes.blank(self._pairs, 4)
         self._springs = None if host.weight is None else passes.blank(self._pairs, 4)
         self._defines = {"SPRINGS": int(self._springs is not None), **model.defines}
-        # Textures of the tissue, and of the held components.
+        # Textures of the tissue, and of the prescribed components.
         self._tissue_textures: list[Any] = []
         self._held_textures = [self._inverse, self._springs or self._inverse]
         self.load, self.correction, self._last = self.vector(), self.vector(), self.vector()
         self._matrices: dict[Any, Any] = {}
 
     def _matrix(self) -> Float64Array:
-        """Return the matrix of a small level without springs, in the order of texture values."""
+        """Return the dense matrix of a small level, without springs, in texture order."""
         raise NotImplementedError
 
     def hold(self) -> None:
-        """Copy the diagonal and the springs for the present held components from the host."""
+        """Copy the diagonal and the springs for the prescribed components from the host."""
         self._inverse.write(stored_planes(self._host.inverse))
         if self._springs is not None:
             self._springs.write(stored_planes(np.asarray(self._host.weight)))
@@ -95,16 +95,22 @@ class RelaxingLevel(GLLevel):
 
     @property
     def is_revisited(self) -> bool:
-        """True if a second visit is worth its cost, including the passes of all coarser levels."""
+        """True if a second visit within a cycle is worth its cost.
+
+        The cost includes the passes of all coarser levels.
+        """
         return math.prod(self.grid) >= WORTH_AGAIN
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
-        """Add the interpolated coarse correction, and smooth."""
+        """Add the interpolated correction of the next coarser level, and smooth."""
         self._smooth(FROM_COARSE, *steps[0], coarse=coarse)
         self._relax(steps[1:], from_zero=False)
 
     def _relax(self, steps: Steps, from_zero: bool) -> None:
-        """Smooth the correction; from zero, the first two steps or all steps are one pass."""
+        """Smooth the correction.
+
+        From zero, a single pass computes the first two steps, or all steps of a small level.
+        """
         if from_zero:
             if len(steps) > _FEW_STEPS and 4 * math.prod(self._pairs) <= _FEW_VALUES:
                 self._relax_at_once(steps)
@@ -135,7 +141,7 @@ class RelaxingLevel(GLLevel):
         first: float = 0.0,
         coarse: RelaxingLevel | None = None,
     ) -> None:
-        """Run one step of the smoother, or two steps if it starts from zero."""
+        """Run one step of the smoother, or two steps from zero."""
         d, last, unused = self.correction, self._last, self._inverse
         inputs = [
             unused if start == FROM_ZERO else d.texture,
@@ -154,7 +160,7 @@ class RelaxingLevel(GLLevel):
         last.turn()
 
     def _relax_at_once(self, steps: Steps) -> None:
-        """Run all steps from zero as one pass that multiplies the load by a matrix."""
+        """Run all steps from zero as a single pass that multiplies the load by a matrix."""
         key = tuple(steps)
         if key not in self._matrices:
             matrix = self._smoother(steps)
@@ -168,8 +174,8 @@ class RelaxingLevel(GLLevel):
 
     def _smoother(self, steps: Steps) -> Float64Array:
         """Return the matrix that maps a load to the correction after all steps from zero."""
-        # Matrix products are used, because a decomposition would wake the threads of LAPACK, which
-        # then spin on the cores that a software rasteriser needs.
+        # Use matrix products, because a decomposition would start the threads of LAPACK, which
+        # then busy-wait on the cores that a software rasteriser needs.
         host, matrix = self._host, self._matrix()
         if host.weight is not None:
             matrix += np.diag(stored_planes(host.weight).astype(np.float64).ravel())

@@ -1,4 +1,4 @@
-"""The paper's cliques on the device; the host does the set-up and works in double precision."""
+"""Model of the paper's cliques on the device, with set-up and double precision on the host."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 
 class GLSeilerLevel(RelaxingLevel):
-    """Cliques and springs of one level.
+    """Level of the paper's model, with its cliques and springs as textures.
 
     Parameters
     ----------
     passes : Passes
     host : CpuSeilerLevel or ArraySeilerLevel
-        Level on the host, with stiffness and springs.
+        The same level on the host, with its stiffness and springs.
     """
 
     def __init__(self, passes: Passes, host: Any) -> None:
@@ -42,7 +42,7 @@ class GLSeilerLevel(RelaxingLevel):
         stiffness = [passes.texture(stored_planes(host.stiffness))]
         passes.run(passes.program("ratios"), stiffness, self._tissue_textures, singles(host.grid))
         self._left = passes.blank(self._pairs, 4)
-        # With centred cliques a load is a mean over sites, also on coarser levels.
+        # With centred cliques, a load is a mean over sites. `even` normalises the restricted load.
         self._even = None
         if not host.blanket:
             self._even = passes.texture(stored_planes(np.stack([host.even] * 2)))
@@ -68,7 +68,7 @@ class GLSeilerLevel(RelaxingLevel):
     ) -> None:
         """Run one step of the smoother, or two steps if it starts from zero.
 
-        Blanket cliques take an extra pass, unless START is `AS_IS`.
+        With blanket cliques, an extra pass computes the start unless `start` is `AS_IS`.
         """
         if self._cliques.blanket and start != AS_IS:
             d, last, unused = self.correction, self._last, self._inverse
@@ -82,7 +82,7 @@ class GLSeilerLevel(RelaxingLevel):
         super()._smooth(start, scale, momentum, first, coarse)
 
     def _matrix(self) -> Float64Array:
-        """Assemble the matrix by columns, from the host's forces for unit displacements."""
+        """Assemble the matrix by columns, which are the host's forces for unit displacements."""
         host = self._cliques
         count = 4 * self._pairs[0] * self._pairs[1]
         grid = (*self._pairs, 2, 2)
@@ -106,7 +106,7 @@ class GLSeilerModel(GLModel):
     Parameters
     ----------
     passes : Passes
-        Passes of this model, which its `close` frees.
+        Runner of the model's kernels; `close` frees its textures.
     material : SeilerMaterial
     """
 
@@ -116,16 +116,17 @@ class GLSeilerModel(GLModel):
 
     @property
     def slow(self) -> bool:
-        """True if direct factors are faster than cycles: blanket cliques on a software renderer.
+        """True for blanket cliques on a software renderer, where a factorization is faster.
 
-        Blanket cliques need many cycles, and their kernels read many texels. On a software renderer
-        this takes twice as long as factors for any size of image, plus the time to compile.
+        Blanket cliques need many V-cycles, and their kernels read many texels. On a software
+        renderer, V-cycles take twice as long as a direct factorization for any image size, plus
+        the time to compile the shaders.
         """
         return bool(self.material.blanket and self._passes.device.software)
 
 
 def _host(material: SeilerMaterial) -> LinearModel:
-    """Return the host's model, from compiled loops or, before they are compiled, in NumPy."""
+    """Return the model on the host, which uses NumPy until the compiled loops are ready."""
     if loops.in_use():
         from napari_hmrf.solver.backends.cpu import seiler_model  # heavy: numba
 

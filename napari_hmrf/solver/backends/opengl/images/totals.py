@@ -1,6 +1,7 @@
-"""Energies of many sweeps, which stay on the device until the last sweep.
+"""Energies of many sweeps, which are accumulated on the device and read in groups.
 
-A read after each sweep would make the host and the device wait for each other up to 700 times.
+If the host read the energy after each sweep, the host and the device would wait for each other up
+to 700 times.
 """
 
 from __future__ import annotations
@@ -13,17 +14,17 @@ import numpy as np
 from napari_hmrf.solver.backends.base import EnergyArray
 from napari_hmrf.solver.backends.opengl.programs.programs import Program
 
-#: Rows and columns of shares that one invocation of the sum adds.
+#: Side of the square block of texels that one invocation of the kernel ``sum`` adds.
 BLOCK = 8
 
-#: Largest number of shares that a software renderer stores for each sweep without adding them: a
-#: pass takes at least 30 microseconds there, but reading a small image takes one microsecond.
+#: Largest number of shares per sweep that the host adds instead of a software renderer, which takes
+#: at least 30 microseconds for a pass, but only one microsecond to read a small image.
 KEPT_SHARES = 2**16
 
-# Number of sweeps that are stored before they are read.
+# Number of sweeps between two reads by the host.
 _KEPT_SWEEPS = 16
 
-#: Function that runs a program, given inputs, outputs, grid and first row.
+#: Function that runs a program, given its inputs, outputs, grid and first row.
 Run = Callable[[Program, list[Any], list[Any], tuple[int, ...], int], None]
 
 
@@ -31,7 +32,7 @@ class Textures(Protocol):
     """Pool of textures; see `fields.Pool`."""
 
     def acquire(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
-        """Return a texture; for the use ``pairs`` it is 0 outside tissue."""
+        """Return a texture from the pool; a texture for the use ``pairs`` is 0 outside tissue."""
         ...
 
     def recycle(
@@ -42,37 +43,39 @@ class Textures(Protocol):
 
 
 class Totals(Protocol):
-    """Collector of U_total over successive sweeps."""
+    """Accumulator of the energy U_total of successive sweeps."""
 
     def share(self) -> Any:
-        """Return the texture for the next sweep's energy of each pair of sites."""
+        """Return the texture for the energy shares of all pairs in the next sweep."""
         ...
 
     def add(self) -> None:
-        """Add the shares of the sweep that has been run."""
+        """Add the shares of the latest sweep."""
         ...
 
     def read(self) -> EnergyArray:
-        """Wait for the sums and return them in the order of sweeps; release the textures."""
+        """Wait for the device, return the energy of each sweep, and release the textures."""
         ...
 
 
 class BlockTotals:
-    """Totals of blocks, which the device adds; each sweep fills one strip of an atlas texture.
+    """Accumulator that adds blocks of shares on the device.
+
+    The sums of each sweep fill one strip of an atlas texture.
 
     Parameters
     ----------
     program : Program
-        Kernel ``sum`` for blocks of `BLOCK`.
+        Kernel ``sum`` for blocks of `BLOCK` x `BLOCK` texels.
     run : callable
-        Runs the program.
+        Function that runs the program.
     textures : Textures
     wait : callable
-        Waits for the device.
+        Function that waits for the device.
     grid : (int, int)
-        Number of (rows, cols) of shares.
+        Grid of shares, (rows, cols).
     sweeps : int
-        Number of sweeps that will follow.
+        Expected number of sweeps.
     largest : int
         Largest number of rows of a texture.
     """
@@ -111,7 +114,7 @@ class BlockTotals:
         self._used += 1
 
     def read(self) -> EnergyArray:
-        """Add the sums of blocks in double precision; return the total of each sweep."""
+        """Add the block sums in double precision; return the total of each sweep."""
         self._flush()
         self._textures.recycle(self._atlas_shape, 1, self._atlas, use="atlas")
         self._textures.recycle(self._grid, 1, self._share)
@@ -125,17 +128,17 @@ class BlockTotals:
 
 
 class PairTotals:
-    """Totals of shares, which the host adds; each sweep has a texture of its own.
+    """Accumulator that adds shares on the host, with a separate texture for each sweep.
 
     Parameters
     ----------
     textures : Textures
     wait : callable
-        Waits for the device.
+        Function that waits for the device.
     grid : (int, int)
-        Number of (rows, cols) of shares.
+        Grid of shares, (rows, cols).
     sweeps : int
-        Number of sweeps that will follow.
+        Expected number of sweeps.
     """
 
     def __init__(
@@ -155,11 +158,14 @@ class PairTotals:
         return self._shares[self._used]
 
     def add(self) -> None:
-        """Mark the present texture as used."""
+        """Mark the texture of the latest sweep as used."""
         self._used += 1
 
     def read(self) -> EnergyArray:
-        """Add the shares of each row, and the rows in double precision; return the totals."""
+        """Add the shares of each sweep; return the totals.
+
+        The shares of a row are added in single precision, the rows in double precision.
+        """
         self._flush()
         for share in reversed(self._shares):
             self._textures.recycle(self._grid, 1, share)

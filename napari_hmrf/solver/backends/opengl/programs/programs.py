@@ -1,4 +1,4 @@
-"""Compiled kernels, which run over a grid of texels in either stage."""
+"""Compiled kernels for grids of texels, as fragment or compute shaders."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Program(Protocol):
     """Compiled kernel."""
 
     def set(self, values: Uniforms) -> None:
-        """Set uniforms; they keep their values until the next call."""
+        """Set uniforms, which keep their values until they are set again."""
         ...
 
     def run(
@@ -42,24 +42,23 @@ class Program(Protocol):
         Parameters
         ----------
         inputs, outputs : sequence of moderngl.Texture
-            Textures in the kernel's order. No texture may be both input and output.
+            Textures in the kernel's order. A texture must not be both an input and an output.
         target : moderngl.Framebuffer or None
             Framebuffer of the outputs, for the fragment stage. If it has a mask (`Device.mask`),
-            only texels in the mask are computed, and the others keep their values.
+            only texels in the mask are computed, and all other texels keep their values.
         region : Window or Groups
-            Texels to compute: groups for kernels for tissue in the compute stage, otherwise a
-            window.
+            Texels to compute: `Groups` for tissue kernels in the compute stage, otherwise `Window`.
         first_row : int
-            Row of the outputs in which the grid of texels begins.
+            Row of the outputs at which the grid of texels begins.
         """
         ...
 
     def release(self) -> None:
-        """Free the kernel's objects in OpenGL."""
+        """Free the OpenGL objects of the kernel."""
         ...
 
 
-# Number of first runs that use `dispatch`, during which other Python threads can run.
+# Number of initial runs that use `dispatch`, which releases the GIL.
 _FIRST_RUNS = 3
 #: Pause for other threads after each compilation, in seconds.
 BREATH = 0.005
@@ -78,13 +77,14 @@ def compile_program(
     Parameters
     ----------
     dispatch : callable, optional
-        Runs a compute shader while other Python threads continue. A driver without a GPU compiles a
-        shader for the processor at its first run, which would freeze a window.
+        Function that runs a compute shader and releases the GIL. A software renderer compiles a
+        shader during its first run, which would otherwise freeze the GUI.
 
     Raises
     ------
     BackendError
-        If the kernel does not compile; with the compiler's log and the numbered source.
+        If the kernel does not compile. The message contains the compiler's log and the source with
+        line numbers.
     """
     source = compose(name, stage, defines, rows)
     try:
@@ -107,7 +107,7 @@ def compile_program(
 
 
 class Compiled:
-    """Base class for both stages: writes uniforms only when they change."""
+    """Base class of compiled kernels, which writes only uniforms that have changed."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
         self._ctx = ctx
@@ -131,12 +131,12 @@ class Compiled:
             self.set({name: np.array(numbers, np.int32)})
 
     def release(self) -> None:
-        """Free the program in OpenGL."""
+        """Free the OpenGL program."""
         self._program.release()
 
 
 class _Fragment(Compiled):
-    """Fragment shader, drawn by a triangle that covers the window."""
+    """Fragment shader, which runs by drawing a triangle that covers the window."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
         super().__init__(ctx, program)
@@ -166,7 +166,7 @@ class _Fragment(Compiled):
 
 
 class _Compute(Compiled):
-    """Compute shader for a window, or for listed work groups if it is a kernel for tissue."""
+    """Compute shader, which runs on listed work groups for tissue kernels, else on a window."""
 
     def __init__(
         self,
@@ -189,7 +189,7 @@ class _Compute(Compiled):
         first_row: int = 0,
     ) -> None:
         if isinstance(region, Groups) != self._listed:
-            raise TypeError("kernels for tissue run on listed groups, all others in a window")
+            raise TypeError("tissue kernels run on listed groups, all other kernels in a window")
         for unit, texture in enumerate(inputs):
             texture.use(unit)
         for unit, texture in enumerate(outputs):

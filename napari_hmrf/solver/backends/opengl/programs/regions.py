@@ -11,14 +11,14 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.opengl.programs.source import GROUP
 
-# Largest number of work groups in a row of their list.
+# Largest number of work groups in one row of a list.
 _ACROSS = 256
 
 
 class Window(NamedTuple):
-    """Rectangle of texels, from row ``top`` and column ``left`` to ``bottom`` and ``right``.
+    """Rectangle of texels: rows ``top`` to ``bottom``, and columns ``left`` to ``right``.
 
-    The last row and column are excluded.
+    The row ``bottom`` and the column ``right`` are excluded.
     """
 
     top: int
@@ -32,7 +32,7 @@ class Window(NamedTuple):
         return self.bottom - self.top, self.right - self.left
 
     def strip(self, begin: int, end: int) -> Window:
-        """Return the rows from `begin` to `end`, counted from the top of the window."""
+        """Return the part of the window in rows `begin` to `end` (excluded), relative to `top`."""
         return self._replace(top=self.top + begin, bottom=self.top + end)
 
 
@@ -42,11 +42,11 @@ class Groups(NamedTuple):
     Attributes
     ----------
     places : moderngl.Texture
-        List of groups in several rows: (col, row) of each group, counted in groups.
+        Two-dimensional list of groups: the (col, row) of each group, in units of groups.
     grid : (int, int)
-        Number of (rows, cols) of texels of the level.
+        Grid of texels of the level, (rows, cols).
     top, bottom : int
-        Rows of the list to run; the last one is excluded.
+        Range of rows of the list to run; `bottom` is excluded.
     """
 
     places: Any
@@ -56,17 +56,17 @@ class Groups(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Number of rows of the list, and of texels in each row."""
+        """Number of rows of the list, and number of texels in the groups of each row."""
         return self.bottom - self.top, self.places.width * GROUP[0] * GROUP[1]
 
     def strip(self, begin: int, end: int) -> Groups:
-        """Return the rows of the list from `begin` to `end`, counted from `top`."""
+        """Return rows `begin` to `end` (excluded) of the list, relative to `top`."""
         return self._replace(top=self.top + begin, bottom=self.top + end)
 
 
 @dataclass(frozen=True, eq=False)
 class Tissue:
-    """Region of a level with tissue, to which passes can be limited.
+    """Region of a level that contains tissue, to which passes can be limited.
 
     Attributes
     ----------
@@ -89,12 +89,15 @@ def window_around(shown: npt.NDArray[np.bool_]) -> Window:
 
 
 def groups_with(shown: npt.NDArray[np.bool_]) -> FloatArray:
-    """List the work groups with True texels of a mask: (col, row), shape (rows, cols, 2)."""
+    """List the work groups that contain True texels of a mask.
+
+    The list has shape (rows, cols, 2) and contains the (col, row) of each group.
+    """
     (rows, cols), (height, width) = shown.shape, GROUP
     filled = np.pad(shown, ((0, -rows % height), (0, -cols % width)))
     used = filled.reshape(filled.shape[0] // height, height, -1, width).any(axis=(1, 3))
     places = np.argwhere(used)[:, ::-1].astype(np.float32)
     lines = max(1, -(-len(places) // _ACROSS))
     across = max(1, -(-len(places) // lines))
-    # The last row of the list is filled by repeated groups; computing them twice does no harm.
+    # Fill the last row with repeated groups: computing a group twice has no effect.
     return np.resize(places, (lines, across, 2))

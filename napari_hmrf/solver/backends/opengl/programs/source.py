@@ -1,9 +1,9 @@
 """Source text of shaders, composed from the files of kernels.
 
-A kernel is a function ``kernel(ivec2)`` that reads textures and assigns its outputs, the values of
-one texel: those of a site or of a pair of sites (``common.glsl``). The same text becomes a fragment
-shader (OpenGL 3.3; outputs are render targets) or a compute shader (OpenGL 4.3; outputs are
-images). This module only handles text and needs no OpenGL.
+A kernel is a function ``kernel(ivec2)`` that reads textures and assigns its outputs: the values of
+one texel, which represents a site or a pair of sites (``common.glsl``). The same text becomes a
+fragment shader (OpenGL 3.3; outputs are render targets) or a compute shader (OpenGL 4.3; outputs
+are images). This module handles only text and does not use OpenGL.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Stage = Literal["fragment", "compute"]
 STAGES: tuple[str, ...] = get_args(Stage)
 Define = int
 
-#: Texels of a compute work group, (rows, cols).
+#: Size of a compute work group in texels, (rows, cols).
 GROUP = (8, 8)
 
-#: Versions of GLSL, by stage.
+#: GLSL version of each stage.
 VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
 _TYPES = {1: "float", 2: "vec2", 4: "vec4"}
 # Line numbers of file k begin at 1000 k + 1, because some compilers do not report the file.
@@ -42,21 +42,22 @@ class Kernel:
     ----------
     name : str
     inputs : tuple of str
-        Textures that the kernel reads, in the order of their texture units.
+        Names of the textures that the kernel reads, in the order of their texture units.
     outputs : mapping of str to int
-        Variables that the kernel assigns, in the order of the targets, with their number of
-        components (1, 2 or 4).
+        Number of components (1, 2 or 4) of each variable that the kernel assigns, in the order of
+        the targets.
     defines : tuple of str
-        Names of preprocessor definitions that need a value.
+        Names of preprocessor definitions that require a value.
     shared : tuple of str
-        Files besides ``common.glsl`` that the kernel needs.
+        Names of the files that the kernel includes besides ``common.glsl``.
     tissue : bool
-        True if the kernel runs in tissue only, because its outputs are 0 elsewhere.
+        True if the kernel runs only in tissue, because its outputs are 0 elsewhere.
     carries : bool
-        True if an invocation may compute several texels, one below the other, and carries values
-        that both need from each to the next. Such a kernel has a function ``enter``.
+        True if an invocation may compute several vertically adjacent texels, and reuse values of
+        each texel for the next. Such a kernel has a function ``enter``.
     of : str
-        Name of the kernel whose file is used, if not its own; the shared files then differ.
+        Name of another kernel with the same file but other included files; empty if the kernel
+        has a separate file.
     """
 
     name: str
@@ -70,7 +71,7 @@ class Kernel:
 
     @property
     def text(self) -> str:
-        """Name of the file, without ``.glsl``."""
+        """Name of the kernel's file, without ``.glsl``."""
         return self.of or self.name
 
 
@@ -80,7 +81,7 @@ _READING = ("BLANKET", "SQUARE")
 
 
 def _around(*shared: str) -> dict[str, Any]:
-    """Return the properties of a kernel that reads the tissue around a site."""
+    """Return the attributes of a kernel that reads the neighbours of a site."""
     return {"shared": shared, "tissue": True, "carries": True}
 
 
@@ -190,22 +191,22 @@ KERNELS: Mapping[str, Kernel] = {
 
 @dataclass(frozen=True)
 class Source:
-    """Full text of a shader, and the files of which it consists.
+    """Full text of a shader, with the names of its files.
 
     Attributes
     ----------
     text : str
         Text for the compiler.
     files : tuple of str
-        File names, in the order of their numbers in ``#line``: line l of file k has the number
-        1000 k + l.
+        File names, in the order of their numbers in ``#line`` directives. Line l of file k has the
+        number 1000 k + l.
     """
 
     text: str
     files: tuple[str, ...]
 
     def numbered(self) -> str:
-        """Return the text with the file name and line number of each line."""
+        """Return the text with the file name and line number before each line."""
         lines = []
         number = 0
         for line in self.text.splitlines():
@@ -216,7 +217,7 @@ class Source:
         return "\n".join(lines)
 
     def explain(self, log: str) -> str:
-        """Return a compiler's log with file names, followed by the numbered text."""
+        """Return a compiler's log with file names inserted, followed by the numbered text."""
 
         def named(match: re.Match[str]) -> str:
             name, line = self._position(int(match[2]))
@@ -243,8 +244,8 @@ def compose(
     defines : mapping of str to int, optional
         Value for each name in the kernel's ``defines``.
     rows : {1, 2, 4, 8}
-        Number of texels, one below the other, that an invocation of the compute stage computes if
-        the kernel carries values. More texels save reads, but leave fewer invocations.
+        Number of vertically adjacent texels that an invocation of the compute stage computes, if
+        `Kernel.carries` is True. A larger number reduces both reads and parallelism.
 
     Raises
     ------
@@ -274,12 +275,12 @@ def compose(
 
 
 def vertices() -> Source:
-    """Return the vertex shader for all fragment shaders."""
+    """Return the vertex shader that all fragment shaders use."""
     return joined(VERSIONS["vertex"], [], ["triangle"])
 
 
 def _group(rows: int) -> list[str]:
-    """Return the definitions of a work group with `rows` texels for each invocation."""
+    """Return the definitions for a work group with `rows` texels per invocation."""
     runs = " ".join(f"run(at + ivec2(0, {row}));" for row in range(rows))
     return [
         f"#define GROUP_ROWS {GROUP[0]}",
@@ -306,7 +307,7 @@ def _outputs(kernel: Kernel, stage: Stage) -> list[str]:
 
 
 def joined(version: int, head: list[str], names: list[str]) -> Source:
-    """Join lines and files to a source; ``#line`` directives keep the line numbers of files."""
+    """Join header lines and files to a source, with ``#line`` directives for each file."""
     files = ["(declarations)", *(f"{name}.glsl" for name in names)]
     parts = [f"#version {version} core", "#line 1 0", *head]
     for number, name in enumerate(names, start=1):

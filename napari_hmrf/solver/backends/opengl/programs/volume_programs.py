@@ -25,22 +25,22 @@ Buffers = Mapping[str, Sequence[Any]]
 # Largest number of work groups along the first axis of a dispatch; all drivers allow 65535.
 _ACROSS = 2**15
 # Largest number of planes of a work group, and number of invocations that keep a GPU busy. With
-# more planes, fewer elements are computed by two groups; with fewer planes, groups contain less
-# void.
+# more planes per group, fewer elements are computed by two groups. With fewer planes, the groups
+# contain less void.
 _MOST_PLANES = 8
 _ENOUGH = 2**16
 
 
 @dataclass(frozen=True)
 class Groups:
-    """Work groups of a level.
+    """Division of a level into work groups.
 
     Attributes
     ----------
     grid : (int, int, int)
         Grid of the level, (D, H, W).
     planes : int
-        Number of planes of each group.
+        Number of planes of sites in each group.
     """
 
     grid: tuple[int, ...]
@@ -55,24 +55,24 @@ class Groups:
 
     @property
     def sites(self) -> int:
-        """Number of sites of a group."""
+        """Number of sites in a group."""
         return math.prod(GROUP) * self.planes
 
 
 def groups_of(grid: tuple[int, ...], software: bool) -> Groups:
-    """Divide a level into work groups; a software renderer gets few large ones."""
+    """Divide a level into work groups: a few large groups for a software renderer."""
     planes = _MOST_PLANES if software else math.prod(grid) // _ENOUGH
     return Groups(grid, max(1, min(planes, _MOST_PLANES)))
 
 
 class Places(NamedTuple):
-    """Groups on which a kernel runs: those in a list, or all.
+    """Work groups on which a kernel runs: listed groups or all groups.
 
     Attributes
     ----------
     groups : Groups
     buffer : moderngl.Buffer or None
-        Numbers of the listed groups; None for all groups.
+        Indices of the listed groups, or None for all groups.
     number : int
         Number of groups that run.
     """
@@ -92,7 +92,7 @@ class VolumeProgram(Compiled):
     names : sequence of str
         Names of the fields, in the order of their bindings.
     dispatch : callable
-        Runs the program while other Python threads continue.
+        Function that runs the program and releases the GIL.
     """
 
     def __init__(
@@ -149,7 +149,8 @@ def compile_volume(
     Raises
     ------
     BackendError
-        If the kernel does not compile; with the compiler's log and the numbered source.
+        If the kernel does not compile. The message contains the compiler's log and the source with
+        line numbers.
     """
     source = compose_volume(name, defines)
     try:

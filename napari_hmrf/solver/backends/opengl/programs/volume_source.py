@@ -1,9 +1,9 @@
 """Kernels for volumes: their fields, and the source text of their shaders.
 
 The kernels are compute shaders (OpenGL 4.3) on storage buffers. Each component of a field has a
-buffer of its own, because drivers may limit a buffer to 16 MiB, and a component of 256^3 sites
-takes 67 MiB. A kernel is a function ``kernel(int)`` of a site's number (``volume.glsl``) that reads
-and assigns buffers. This module only handles text and needs no OpenGL.
+separate buffer, because drivers limit the size of a buffer, and a component of 256^3 sites takes
+67 MiB. A kernel is a function ``kernel(int)`` of a site's index (``volume.glsl``) that reads and
+writes buffers. This module handles only text and does not use OpenGL.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends.opengl.programs.source import VERSIONS, Source, joined
 
-#: Columns and rows of a work group, which is several planes deep.
+#: Size of a work group in sites, (cols, rows); each invocation computes several planes.
 GROUP = (32, 4)
 #: Number of invocations of the single work group that adds the totals of all groups.
 TOGETHER = 256
-#: Largest level that one work group smooths in one pass, in sites; largest number of its smoothing
-#: steps; and number of values of a component on a level of 5^3 sites with its border.
+#: Limits of the kernel in which one work group smooths a level in one pass: number of sites, number
+#: of steps, and number of values of a component (a level of 5^3 sites with its border).
 SITES, MOST_STEPS, TILE = 128, 128, 9**3
 #: Largest number of storage buffers of a kernel.
 MOST_BUFFERS = 16
@@ -33,13 +33,14 @@ class Field:
     ----------
     name : str
     access : str
-        "readonly", "writeonly", or "" for both.
+        GLSL qualifier "readonly" or "writeonly", or "" for read and write access.
     parts : int or str
-        Number of buffers, or name of the definition with this number.
+        Number of buffers, or name of the preprocessor definition that specifies the number.
     kind : str
-        Type of the values in GLSL.
+        GLSL type of the values.
     where : str
-        Name of a definition; if it is 0, the kernel does not have the field.
+        Name of a preprocessor definition that is 0 if the kernel does not have the field; "" if
+        the kernel always has the field.
     """
 
     name: str
@@ -58,15 +59,15 @@ class VolumeKernel:
     name : str
     fields : tuple of Field
     defines : tuple of str
-        Names of preprocessor definitions that need a value.
+        Names of preprocessor definitions that require a value.
     shared : tuple of str
-        Files besides ``volume.glsl`` that the kernel needs.
+        Names of the files that the kernel includes besides ``volume.glsl``.
     shares : bool
         True if each work group computes a total and a largest value.
     exact : bool
         True if the kernel computes in double precision.
     alone : bool
-        True if the kernel runs as one work group, not over the sites of a grid.
+        True if the kernel runs as a single work group, not over the sites of a grid.
     """
 
     name: str
@@ -79,7 +80,7 @@ class VolumeKernel:
 
     @property
     def all_fields(self) -> tuple[Field, ...]:
-        """Fields of the kernel, and those that the stage adds."""
+        """Fields of the kernel, followed by the fields that the stage adds."""
         shares = (Field("shares", "writeonly", 1, "REAL"),) if self.shares else ()
         places = () if self.alone else (Field("places", "readonly", 1, "int"),)
         return *self.fields, *shares, *places
@@ -198,7 +199,7 @@ VOLUME_KERNELS: Mapping[str, VolumeKernel] = {
 
 
 def bindings(kernel: VolumeKernel, defines: Mapping[str, int]) -> list[tuple[Field, int]]:
-    """Return the fields of a kernel for given definitions, with the number of buffers of each."""
+    """Return each field that a kernel has for given definitions, and its number of buffers."""
     found = []
     for field in kernel.all_fields:
         if not field.where or defines[field.where]:

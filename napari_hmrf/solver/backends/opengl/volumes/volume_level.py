@@ -1,7 +1,7 @@
-"""Level of an elastic volume on the device: the operations of multigrid, as compute shaders.
+"""Level of an elastic volume on the device, with the multigrid operations as compute shaders.
 
-Each buffer has one component of an array of the compiled loops (`backends.cpu.volume`), with a
-border of void, two sites wide on every side.
+Each buffer stores one component of an array in the layout of the compiled loops
+(`backends.cpu.volume`): with a border of void, two sites wide on every side.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Vector:
     buffers : list of moderngl.Buffer
         One buffer for each component.
     spare : list
-        List to which the buffers are returned after the last reference.
+        List of free buffers, to which the vector's buffers are added on deletion.
     """
 
     def __init__(self, buffers: list[Any], spare: list[list[Any]]) -> None:
@@ -48,7 +48,7 @@ class Vector:
 
 
 class GLVolumeLevel(CycleLevel[Scalar]):
-    """Elements and springs of one level; `LinearLevel` documents the methods.
+    """Level of an elastic volume; `LinearLevel` documents the methods.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     Attributes
     ----------
     lame : list of moderngl.Buffer
-        Parameters of the elements; 0 in void.
+        Lame parameters of the elements; 0 in void.
     inverse : list of moderngl.Buffer
-        Reciprocal of the diagonal; 0 where a component does not move.
+        Reciprocal of the diagonal; 0 where a component is fixed.
     """
 
     #: True, because a second visit within a cycle is worth its cost on every level.
@@ -88,7 +88,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         self._list = passes.buffer(groups.count, np.int32)
         self._shares = passes.buffer(2 * groups.count)
         self._spare: list[list[Any]] = []
-        #: Load of the level; on the finest level the iteration assigns it.
+        #: Load of the level; the iteration assigns the load of the finest level.
         self.load: Any = None if finest else self.vector()
         self.correction, self._other = self.vector(), self.vector()
         self.shape: Uniforms = {}
@@ -101,14 +101,14 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         Parameters
         ----------
         shape : sequence of float
-            Factors of derivatives along planes, rows and columns (`BrickShape`).
+            Factors of the derivatives along the (plane, row, column) axes (`BrickShape`).
         share : float
-            Ratio lambda / mu of all elements; 1 if each element has its own lambda.
+            Ratio lambda / mu of all elements; 1 if lambda is a separate parameter.
         """
         self.shape = {"shape": np.array(shape, np.float32), "share": np.array([share], np.float32)}
 
     def coarsen(self, finer: Self) -> None:
-        """Compute the elements from those of the next finer level."""
+        """Compute the parameters of the elements from those of the next finer level."""
         _, height, width = finer.grid
         sizes = _integers(fine_height=height, fine_width=width)
         for fine, coarse in zip(finer.lame, self.lame, strict=True):
@@ -120,20 +120,23 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         self._run_everywhere("volume_diagonal", {"lame": self.lame, "diagonal": out}, self.shape)
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components of the finest level."""
+        """Set the prescribed components of the finest level."""
         for buffer, each in zip(self._other.buffers, held, strict=True):
             buffer.write(each.astype(np.float32))
         self.diagonal(self.inverse)
         self._invert_diagonal("volume_hold", {})
 
     def hold_as(self, finer: Self) -> None:
-        """Set the springs of sites near held sites of the next finer level."""
+        """Set springs at sites near prescribed components of the next finer level."""
         self.diagonal(self.inverse)
         self._restrict(finer, finer._other, self._other, self.everywhere)
         self._invert_diagonal("volume_spring", _numbers(most_pins=MOST_PINS, strength=SPRING))
 
     def _invert_diagonal(self, name: str, uniforms: Uniforms) -> None:
-        """Invert the diagonal for the pins in `_other`, and list the groups with moving sites."""
+        """Invert the diagonal, and list the groups with free sites.
+
+        The vector `_other` contains the pins: the counts of prescribed components at each site.
+        """
         buffers = {"inverse": self.inverse, "pins": self._other.buffers, "springs": self._springs}
         self._run_everywhere(name, {**buffers, "shares": [self._shares]}, uniforms)
         count = self.everywhere.number
@@ -144,14 +147,14 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         self._region = self.everywhere._replace(buffer=self._list, number=len(numbers))
 
     def clear(self) -> None:
-        """Set the correction to zero, and its second vector."""
+        """Set the correction and the second vector of the cycle to zero."""
         for vector in (self.correction, self._other):
             self._clear(vector.buffers)
 
     # The cycle
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Smooth from zero as the coarsest level; in one pass if a work group is large enough."""
+        """Smooth from zero with the steps `coarsest`, in a single pass on small levels."""
         if math.prod(self.grid) > SITES or len(coarsest) > MOST_STEPS:
             super().finish(steps, coarsest)
             return
@@ -181,7 +184,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         coarse._restrict(self, self._other, coarse.load, coarse._region)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
-        """Add the interpolated coarse correction, and smooth."""
+        """Add the interpolated correction of the next coarser level, and smooth."""
         _, height, width = coarse.grid
         self._run(
             "volume_interpolate",
@@ -204,8 +207,8 @@ class GLVolumeLevel(CycleLevel[Scalar]):
             begun = 1
         about |= {"lame": self.lame, "springs": self._springs}
         for number, (scale, momentum) in enumerate(steps[begun:], begun):
-            # `back` multiplies the displacement before the last step. The first step has none, and
-            # at the second step after a start from zero it is zero.
+            # `back` multiplies the correction before the previous step. The first step has no such
+            # correction, and at the second step after a start from zero it is zero.
             back = momentum if number > begun else 0.0
             pace = _numbers(scale=scale, ahead=momentum, back=back)
             taken = {"displacement": self.correction.buffers, "other": self._other.buffers}
@@ -213,7 +216,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
             self.correction, self._other = self._other, self.correction
 
     def _restrict(self, finer: Self, fine: Vector, coarse: Vector, places: Places) -> None:
-        """Restrict forces of the next finer level to this level."""
+        """Restrict a vector of the next finer level to this level."""
         _, height, width = finer.grid
         buffers = {"fine": fine.buffers, "coarse": coarse.buffers}
         sizes = _integers(fine_height=height, fine_width=width)
@@ -222,7 +225,10 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     # Vectors
 
     def vector(self, values: FloatArray | Vector | None = None) -> Vector:
-        """Return a vector of zeros, or of the values in planes; return a given vector itself."""
+        """Return a vector of zeros or a vector with the given planes.
+
+        If `values` is already a vector, return it unchanged.
+        """
         if isinstance(values, Vector):
             return values
         if self._spare:
@@ -238,17 +244,20 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         return Vector(buffers, self._spare)
 
     def scratch_vector(self) -> Vector:
-        """Return a vector of the cycle that is unused between cycles, which saves memory."""
+        """Return a vector that the level uses only during cycles, to save memory."""
         return self._other
 
     def planes(self, vector: Vector) -> FloatArray:
-        """Copy a vector to the host as planes; check that the device still works."""
+        """Copy a vector to the host as planes.
+
+        Also run the test kernel, to check that the device still computes correctly.
+        """
         made = self.fetch(vector.buffers)
         self._passes.device.canary("compute")
         return made
 
     def fetch(self, buffers: Sequence[Any]) -> FloatArray:
-        """Copy buffers to the host, shape (buffers, D + 4, H + 4, W + 4)."""
+        """Copy buffers to the host as an array of shape (buffers, D + 4, H + 4, W + 4)."""
         self._passes.wait()
         made = np.empty((len(buffers), *self.padded), np.float32)
         for buffer, each in zip(buffers, made, strict=True):
@@ -259,15 +268,15 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     # Conjugate gradients
 
     def product(self, a: Vector, b: Vector) -> Scalar:
-        """Return the scalar product."""
+        """Return the scalar product of two vectors."""
         return self.weigh(a, b)[1]
 
     def largest(self, a: Vector) -> Scalar:
-        """Return the largest absolute value."""
+        """Return the largest absolute value in a vector."""
         return self.weigh(a, a)[0]
 
     def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
-        """Return the largest absolute value of `a`, and the scalar product of both."""
+        """Return the largest absolute value in `a`, and the scalar product of `a` and `b`."""
         buffers = {"one": a.buffers, "other": b.buffers, "shares": [self._shares]}
         self._run("volume_weigh", buffers, {})
         product, most = self._passes.total(self._shares, self._region.number)
@@ -289,7 +298,10 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Number
     ) -> Scalar:
-        """Compute d += length direction and rest -= length image; return rest . rest."""
+        """Update `d` and `rest` for a step along `direction`; return ``rest . rest``.
+
+        The update is ``d += length * direction`` and ``rest -= length * image``.
+        """
         vectors = {"found": d, "rest": rest, "direction": direction, "image": image}
         buffers = {name: vector.buffers for name, vector in vectors.items()}
         self._run(
@@ -303,7 +315,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         self._run("volume_turn", buffers, self._ratio_uniforms(share))
 
     def read(self, *scalars: Number) -> tuple[float, ...]:
-        """Wait for the device, and return the values of scalars."""
+        """Wait for the device, and return the values of scalars and ratios."""
         numbers = self._passes.read_scalars()
         return values_of(scalars, lambda scalar: float(numbers[scalar.slot]))
 
@@ -316,11 +328,11 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         uniforms: Uniforms,
         defines: Mapping[str, int] | None = None,
     ) -> None:
-        """Run a kernel on the groups with moving sites."""
+        """Run a kernel on the groups with free sites."""
         self._passes.run(name, buffers, self._region, uniforms, defines)
 
     def _run_everywhere(self, name: str, buffers: Buffers, uniforms: Uniforms) -> None:
-        """Run a kernel on all groups, for the set-up of the level."""
+        """Run a kernel on all groups, during the set-up of the level."""
         defines = {"PARAMETERS": len(self.lame)} if "lame" in buffers else None
         self._passes.run(name, buffers, self.everywhere, uniforms, defines)
 

@@ -1,6 +1,6 @@
-"""Elastic volumes on the device: levels, and residuals in double precision, as compute shaders.
+"""Model of an elastic volume on the device, with residuals in double precision.
 
-The host keeps the displacement of a solve, and reads only single numbers during its iterations.
+The host stores the displacement of a solve, and reads only sums and maxima during iterations.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ELEMENTS = (slice(None), *(slice(2, -3),) * 3)
 
 
 class _System(NamedTuple):
-    """System of equations with results that outlive a solve."""
+    """System of equations, with results that are stored for later solves."""
 
     material: ElasticMaterial
     held: HeldPlanes
@@ -45,7 +45,7 @@ class GLVolumeModel(HostModel):
     Parameters
     ----------
     passes : VolumePasses
-        Passes of this model, which its `close` frees.
+        Runner of the model's kernels; `close` frees its buffers.
     material : ElasticMaterial
     """
 
@@ -67,19 +67,19 @@ class GLVolumeModel(HostModel):
             coarse.coarsen(fine)
         finest = self.levels[0]
         self._residual = finest.vector()
-        # The residual stays on the device, where the iteration reads it.
+        # The residual stays on the device, because the iteration reads it there.
         self._rest = cast(Any, self._residual)
         self._exactly = [passes.buffer(finest.values, np.float64) for _ in range(3)]
         self._shares = passes.buffer(2 * finest.everywhere.number, np.float64)
         self._moves: HeldPlanes | None = None
 
     def _assemble(self, parameters: int) -> None:
-        """Compute the parameters of the finest level's elements."""
+        """Compute the Lame parameters of the finest level's elements."""
         finest, material = self.levels[0], self.material
         scale = 0.125 / stiffest(material.m)
         if isinstance(material.poisson, float):
             scale /= 2 + 2 * material.poisson
-        # The values of sites are uploaded to the buffers of a vector that is unused until then.
+        # Upload the values of sites to the buffers of a vector that is not used yet.
         passing = finest.correction.buffers
         for buffer, values in zip(passing, (material.m, material.poisson), strict=False):
             if not isinstance(values, float):
@@ -90,7 +90,7 @@ class GLVolumeModel(HostModel):
         self._passes.run("volume_elements", buffers, place, exact(scale=scale), defines)
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the held components on all levels."""
+        """Set the prescribed components on all levels."""
         finest, self._moves = self.levels[0], None
         finest.hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
@@ -105,7 +105,7 @@ class GLVolumeModel(HostModel):
 
     @property
     def moves(self) -> HeldPlanes:
-        """Mask of the unknown components of the finest level."""
+        """Mask of the free components of the finest level."""
         if self._moves is None:
             finest = self.levels[0]
             self._moves = finest.fetch(finest.inverse) > 0
@@ -120,7 +120,7 @@ class GLVolumeModel(HostModel):
         return float(shares[:, 1].max(initial=0.0)), math.sqrt(shares[:, 0].sum())
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the elastic energy, and the norm of the forces."""
+        """Return the elastic energy of a displacement, and the norm of its forces ``A d``."""
         self._send(d)
         work, square = (
             float(
@@ -131,7 +131,7 @@ class GLVolumeModel(HostModel):
         return work / 2, math.sqrt(square)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d everywhere, in double precision, computed on the host."""
+        """Return the force ``-A d`` on every component, in double precision on the host."""
         finest, share = self.levels[0], float(self._shape["share"][0])
         stored = finest.fetch(finest.lame)[_ELEMENTS].astype(np.float64)
         lame = Lame(share * stored[-1], stored[0])
@@ -141,18 +141,18 @@ class GLVolumeModel(HostModel):
 
     @property
     def steepness(self) -> Planes:
-        """Diagonal of the stiffness matrix, planes."""
+        """Diagonal of the stiffness matrix of the finest level, as planes."""
         finest = self.levels[0]
         out = finest.vector()
         finest.diagonal(out.buffers)
         return np.asarray(finest.fetch(out.buffers), np.float64)
 
     def clear_cache(self) -> None:
-        """Clear the results that are kept for later solves."""
+        """Clear the results that are stored for later solves."""
         _last[:] = ()
 
     def close(self) -> None:
-        """Free all buffers."""
+        """Free all buffers of the model."""
         self._passes.close()
 
     def _send(self, d: Planes) -> None:
@@ -162,7 +162,7 @@ class GLVolumeModel(HostModel):
         self._passes.device.check("uploading a displacement")
 
     def _add_up(self, name: str, buffers: Buffers, uniforms: Uniforms) -> npt.NDArray[np.float64]:
-        """Run a kernel in double precision; return (total, largest value) of each work group."""
+        """Run a double-precision kernel; return (total, largest value) of each work group."""
         finest = self.levels[0]
         about = {"displacement": self._exactly, "lame": finest.lame, "shares": [self._shares]}
         defines = {"PARAMETERS": len(finest.lame)}
@@ -173,7 +173,7 @@ class GLVolumeModel(HostModel):
 
 
 def _padded(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Return values of sites with a border of void."""
+    """Return values of sites with a border of zeros, two sites wide."""
     made = np.zeros([size + 4 for size in values.shape], np.float32)
     made[_INSIDE] = values
     return made

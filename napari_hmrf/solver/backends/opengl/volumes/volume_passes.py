@@ -18,8 +18,8 @@ from napari_hmrf.solver.backends.opengl.programs.volume_programs import (
     VolumeProgram,
 )
 
-#: Approximate bytes of memory for each voxel: parameters, the inverse diagonal and five vectors in
-#: single precision, a displacement in double precision, and a tenth more for the coarser levels.
+#: Approximate memory per voxel, in bytes: parameters, inverse diagonal and five vectors in single
+#: precision, a displacement in double precision, and a tenth more for the coarser levels.
 BYTES_PER_VOXEL = 112
 
 # Number of pairs of scalars in the buffer of scalars.
@@ -27,14 +27,14 @@ _PAIRS = 64
 
 
 class Scalar:
-    """Number on the device.
+    """Scalar on the device.
 
     Parameters
     ----------
     slot : int
         Index in the buffer of scalars.
     pair : object
-        Reservation of the slot, which ends with the last reference.
+        Reservation of the slot, which ends when the object is deleted.
     """
 
     def __init__(self, slot: int, pair: object) -> None:
@@ -42,7 +42,7 @@ class Scalar:
 
 
 class _Pair:
-    """Reservation of two slots, which are free again after the last reference."""
+    """Reservation of two consecutive slots, which ends when the object is deleted."""
 
     def __init__(self, slot: int, spare: list[int]) -> None:
         self.slot, self._spare = slot, spare
@@ -52,13 +52,13 @@ class _Pair:
 
 
 class VolumePasses(DeviceResources):
-    """Runner of kernels for one solve of a volume, and owner of the buffers of that solve.
+    """Runner of kernels for one solve of a volume, which owns the solve's buffers.
 
     Parameters
     ----------
     device : Device
     pace : Pace
-        Size of batches, and waits for the device.
+        Scheduler of batches, which waits for the device.
     """
 
     def __init__(self, device: Device, pace: Pace) -> None:
@@ -70,7 +70,7 @@ class VolumePasses(DeviceResources):
         self.unit = Scalar(0, None)
 
     def buffer(self, count: int, kind: type[np.generic] = np.float32) -> Any:
-        """Create a buffer of `count` zeros."""
+        """Create a buffer of `count` zeros of a NumPy type."""
         made = self.device.buffer(count * np.dtype(kind).itemsize)
         self._own.append(made)
         return made
@@ -83,7 +83,7 @@ class VolumePasses(DeviceResources):
         uniforms: Uniforms,
         defines: Mapping[str, int] | None = None,
     ) -> None:
-        """Run a kernel on groups of a level, in strips if they are many."""
+        """Run a kernel on groups of a level, in strips if there are many groups."""
         listed = self._scalars if places.buffer is None else places.buffer
         bound = {**buffers, "scalars": [self._scalars], "places": [listed]}
         program = self._program(name, bound, places, uniforms, defines)
@@ -100,7 +100,7 @@ class VolumePasses(DeviceResources):
         uniforms: Uniforms,
         defines: Mapping[str, int] | None = None,
     ) -> None:
-        """Run a kernel of a single work group on a level."""
+        """Run a kernel on a level as a single work group."""
         program = self._program(name, buffers, places, uniforms, defines)
         for _ in self.pace.strips((1, places.groups.sites)):
             program.run(0, 1)
@@ -113,7 +113,7 @@ class VolumePasses(DeviceResources):
         uniforms: Uniforms,
         defines: Mapping[str, int] | None,
     ) -> VolumeProgram:
-        """Return a kernel with its places, uniforms and buffers set."""
+        """Return the program of a kernel, with its places, uniforms and buffers set."""
         program = self.device.volume_program(name, defines)
         program.visit(places)
         program.set(uniforms)
@@ -121,7 +121,7 @@ class VolumePasses(DeviceResources):
         return program
 
     def total(self, shares: Any, count: int) -> tuple[Scalar, Scalar]:
-        """Return the sum of the totals of `count` groups, and the largest of their values."""
+        """Return the sum of the totals, and the largest value, of `count` groups."""
         pair = _Pair(self._spare_slots.pop(), self._spare_slots)
         program = self.device.volume_program("volume_total")
         program.set({"count": np.array([count], np.int32), "slot": np.array([pair.slot], np.int32)})
