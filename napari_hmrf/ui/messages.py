@@ -92,8 +92,7 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
 
 def can_unfold(done: CompleteResult) -> bool:
     """Return whether the tissue folds and the large-motion model would avoid that."""
-    flat = len(done.moved.study.grid.shape) == 2
-    return flat and "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"
+    return "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"
 
 
 def marks_of(outputs: Outputs) -> dict[Mark, int]:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+from napari_hmrf.solver.backends.compile_cache.sets import LARGE_VOLUMES
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class SolveJob:
     def loops(self) -> str:
         """Name of the set of compiled loops that contains most of the required loops."""
         if self.has_large_motion:
-            return "large-motion"
+            return LARGE_VOLUMES if self.is_volume else "large-motion"
         if isinstance(self.prior, ElasticPrior):
             if self.is_volume:
                 return "volume"

@@ -8,11 +8,13 @@ EVERYTHING = ""
 PICTURES = "pictures"
 #: Loops that solve elastic volumes.
 VOLUMES = "volume"
+#: Loops that solve volumes in large motion.
+LARGE_VOLUMES = "volume-large-motion"
 #: Loops for tissue on which cycles converge slowly. No job compiles this set, so a solve compiles
 #: it when required.
 HARDER = "harder"
 #: Sets that are compiled only on request of a solve.
-ON_REQUEST = (VOLUMES, "volume-schedule", "volume-converged")
+ON_REQUEST = (VOLUMES, LARGE_VOLUMES, "volume-schedule", "volume-converged")
 #: Approximate number of loops in each set, for its compilation progress.
 COUNTS = {
     "elastic": 22,
@@ -28,6 +30,7 @@ COUNTS = {
     "exact-steps": 3,
     "large-motion": 24,
     VOLUMES: 22,
+    LARGE_VOLUMES: 18,
     "volume-schedule": 2,
     "volume-converged": 15,
     HARDER: 8,

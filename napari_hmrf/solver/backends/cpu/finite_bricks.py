@@ -301,12 +301,12 @@ def _energy_plane(d, solid, q, barrier, z, f, points, edges, net):
                 if mu <= 0:
                     continue
                 gain, low = f[line(GAIN) + x], f[line(LOW) + x]
-                if low < min(start, least):
-                    here, wall = barrier_energy(d, z, y, begin + x, q, gain, start, edges, net)
-                    least = min(least, here)
-                    if here <= 0:
-                        continue
+                if low < start:
+                    low, wall = barrier_energy(d, z, y, begin + x, q, gain, start, edges, net)
                     total += strength * mu * wall
+                least = min(least, low)
+                if low <= 0:
+                    continue
                 volume = f[line(VOLUME) + x]
                 total += 0.5 * mu * (0.125 * f[line(STRETCH) + x] - 3.0)
                 total -= 0.125 * mu * math.log(f[line(PRODUCT) + x])

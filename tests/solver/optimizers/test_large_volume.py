@@ -1,0 +1,248 @@
+"""Large motion of volumes: displacement, absence of folds, rigid bodies, loads and limits."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.spatial.transform import Rotation
+
+from napari_hmrf import BackendError, Cancelled, ElasticPrior, NeoHookeanPrior, Problem, solve
+from napari_hmrf.loads import Loads
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.priors.finite_bricks import bernstein_coefficients
+from napari_hmrf.solver.priors.hexahedra import brick_shape
+from tests.support.finite_volume_oracle import (
+    framed_volume,
+    growing_ball,
+    smallest_jacobian,
+    solved,
+)
+
+Field = npt.NDArray[np.float64]
+CUBE = brick_shape((1.0, 1.0, 1.0))
+
+
+def random_volume(
+    random: np.random.Generator, grows: bool, shape: tuple[int, ...] = (5, 6, 7)
+) -> Problem:
+    """Return tissue with a void, oblong voxels and, if `grows`, growth along all directions."""
+    m = random.uniform(1, 3, shape)
+    m[2, 3, 3] = 0
+    strain = random.normal(size=(*shape, 3, 3)) * 0.1
+    loads = Loads(growth=strain + strain.swapaxes(-1, -2)) if grows else None
+    c = np.ones((*shape, 3))
+    return Problem(c, c, m, spacing=(1.0, 1.3, 0.8), loads=loads)
+
+
+def pulled_patch(size: int, far: float) -> Problem:
+    """Return a ball that is moved along the last axis inside a fixed cube."""
+    around = np.indices((size, size, size)) - (size - 1) / 2
+    around[2] += far / 2
+    ball = np.linalg.norm(around, axis=0) <= size / 8
+    return framed_volume(size, ball, np.broadcast_to([0.0, 0.0, far], (*ball.shape, 3)))
+
+
+@pytest.mark.parametrize("grows", [False, True])
+def test_forces_in_a_volume_are_the_gradient_of_the_energy(grows) -> None:
+    random = np.random.default_rng(1)
+    problem, prior = random_volume(random, grows), NeoHookeanPrior(0.4)
+    d, way = random.normal(size=(2, *problem.shape, 3)) * 0.1 * problem.unit
+    assert 0 < prior.corner_jacobians(problem, d).min() < 0.5, "the barrier is not covered"
+    short = 1e-5
+    energies = [prior.energy(problem, d + side * short * way) for side in (-1, 1)]
+    slope = float((prior.forces(problem, d) * way).sum()) / problem.unit
+    assert (energies[1] - energies[0]) / (2 * short) == pytest.approx(slope, rel=1e-6)
+
+
+@pytest.mark.parametrize("grows", [False, True])
+def test_the_compiled_loops_of_a_volume_match_the_prior(grows) -> None:
+    from napari_hmrf.solver.backends.cpu.finite_volume_model import CpuFiniteVolumeModel
+
+    random = np.random.default_rng(2)
+    problem, prior = random_volume(random, grows), NeoHookeanPrior(0.4)
+    d = random.normal(size=(*problem.shape, 3)) * 0.1
+    model = CpuFiniteVolumeModel(problem.shape)
+    model.assemble(prior.material(problem))
+    planes = host.planes(d)
+    energy, least = model.energy(planes)
+    in_unit = d * problem.unit
+    assert least == pytest.approx(prior.corner_jacobians(problem, in_unit).min())
+    assert energy == pytest.approx(prior.energy(problem, in_unit))
+    forces = host.field(model.forces(planes)).copy()
+    np.testing.assert_allclose(forces, prior.forces(problem, in_unit), atol=1e-12)
+    way = host.planes(random.normal(size=d.shape))
+    free = np.zeros(planes.shape, dtype=np.bool_)
+    model.linearise(planes, free, model.forces(planes))
+    short = 1e-6 * problem.unit
+    sides = [prior.forces(problem, in_unit + side * short * host.field(way)) for side in (-1, 1)]
+    expected = (sides[1] - sides[0]) / 2e-6
+    scale = np.abs(expected).max()
+    found = host.field(model.image(way)) / scale
+    np.testing.assert_allclose(found, expected / scale, atol=1e-6)
+
+
+def test_the_step_length_of_a_volume_stops_before_an_element_folds() -> None:
+    from napari_hmrf.solver.backends.cpu.finite_volume_model import CpuFiniteVolumeModel
+
+    random = np.random.default_rng(3)
+    problem, prior = random_volume(random, grows=False), NeoHookeanPrior(0.4)
+    model = CpuFiniteVolumeModel(problem.shape)
+    model.assemble(prior.material(problem))
+    d, way = (
+        random.normal(size=(2, *problem.shape, 3))
+        * np.array([0.05, 0.5])[:, None, None, None, None]
+    )
+    now = prior.corner_jacobians(problem, d * problem.unit)
+    length, _ = model.length(host.planes(d), host.planes(way), 0.25, 1e-9)
+    assert 0 < length < 1
+    at_length = prior.corner_jacobians(problem, (d + length * way) * problem.unit)
+    assert (at_length >= 0.25 * now - 1e-9).all()
+    beyond = prior.corner_jacobians(problem, (d + 1.001 * length * way) * problem.unit)
+    assert (beyond < 0.25 * now).any(), "the step could be longer"
+
+
+def test_an_element_with_positive_corners_can_be_folded_and_is_detected() -> None:
+    random = np.random.default_rng(4)
+    hidden = 0
+    for _ in range(200):
+        d = random.normal(size=(2, 2, 2, 3)) * 0.25
+        coefficients = bernstein_coefficients(d, CUBE).ravel()
+        corners = coefficients.reshape(3, 3, 3)[::2, ::2, ::2]
+        if (corners > 0).all() and smallest_jacobian(d) < 0:
+            hidden += 1
+            assert (coefficients <= 0).any()
+    assert hidden > 0, "no such element was drawn"
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.45])
+def test_large_motion_of_a_volume_matches_an_independent_newton_solve(poisson) -> None:
+    size = 8
+    end = np.zeros((size, size, size, 3))
+    end[-1] = Rotation.from_rotvec([0, 0, 0.5]).apply(
+        np.indices((size, size)).reshape(2, -1).T @ [[0, 1, 0], [0, 0, 1]]
+    ).reshape(size, size, 3) - np.moveaxis(
+        np.array([np.zeros((size, size)), *np.indices((size, size))]), 0, -1
+    )
+    c = np.zeros_like(end)
+    c[0] = c[-1] = 1
+    m = np.ones((size, size, size))
+    m[2:5, 2:5, 2:5] = 4
+    problem = Problem(end, c, m)
+    found = solve(problem, NeoHookeanPrior(poisson), backend="cpu").displacement
+    assert np.abs(found - solved(problem, poisson)).max() < 0.002
+
+
+def test_small_motion_of_a_volume_equals_that_of_the_elastic_prior() -> None:
+    problem = pulled_patch(12, 1e-4)
+    large = solve(problem, NeoHookeanPrior(0.45), backend="cpu").displacement
+    small = solve(problem, ElasticPrior(0.45), backend="cpu").displacement
+    assert np.abs(large - small).max() < 1e-4 * np.abs(small).max()
+
+
+def test_a_slab_in_plane_strain_moves_like_an_image() -> None:
+    size = 24
+    row, col = np.indices((size, size))
+    c = np.zeros((size, size, 2))
+    c[:, 0] = c[:, -1] = 1
+    y = np.zeros_like(c)
+    y[:, -1] = 4.0, 3.0
+    image = Problem(y, c, np.ones((size, size)))
+    deep_c, deep_y = np.zeros((2, 3, size, size, 3))
+    deep_c[..., 0], deep_c[..., 1:], deep_y[..., 1:] = 1, c, y
+    slab = Problem(deep_y, deep_c, np.ones((3, size, size)))
+    flat = solve(image, NeoHookeanPrior(0.3, plane="strain"), backend="cpu").displacement
+    deep = solve(slab, NeoHookeanPrior(0.3), backend="cpu").displacement
+    inner = (slice(4, -4), slice(4, -4))
+    assert np.abs(deep[1][..., 1:] - flat)[inner].max() < 0.01 * np.abs(y).max()
+
+
+def test_a_ball_that_doubles_its_radius_folds_no_tissue() -> None:
+    problem = growing_ball(20, 2.0)
+    folded = solve(problem, ElasticPrior(), backend="cpu")
+    assert smallest_jacobian(folded.displacement) < 0, "the small-strain model folds no tissue"
+    solution = solve(problem, NeoHookeanPrior(), backend="cpu")
+    assert smallest_jacobian(solution.displacement) > 0
+    assert solution.reach.grown == 1.0
+    mirrored = solution.displacement[::-1] * [-1, 1, 1]
+    np.testing.assert_allclose(solution.displacement, mirrored, atol=2e-3)
+
+
+def test_a_patch_can_be_dragged_far_through_a_volume_without_folds() -> None:
+    problem = pulled_patch(14, 3.5)
+    solution = solve(problem, NeoHookeanPrior(), backend="cpu")
+    assert smallest_jacobian(solution.displacement) > 0
+    np.testing.assert_allclose(
+        solution.displacement[problem.known], problem.observed[problem.known], atol=1e-3
+    )
+
+
+def test_a_rigid_cube_can_rotate_by_a_right_angle() -> None:
+    size = 13
+    m = np.ones((size, size, size))
+    bone = np.s_[5:8, 5:8, 5:8]
+    m[bone] = np.inf
+    places = np.moveaxis(np.indices(m.shape), 0, -1) - (size - 1) / 2
+    turned = Rotation.from_rotvec([0, 0, np.pi / 2]).apply(places.reshape(-1, 3))
+    inside = np.zeros(m.shape, dtype=np.bool_)
+    inside[bone] = True
+    framed = framed_volume(size, inside, turned.reshape(places.shape) - places)
+    problem = Problem(framed.observed, framed.confidence, m)
+    solution = solve(problem, NeoHookeanPrior(0.3), backend="cpu")
+    assert smallest_jacobian(solution.displacement) > 0
+    np.testing.assert_allclose(solution.displacement[bone], problem.observed[bone], atol=1e-3)
+
+
+def test_a_rigid_cube_that_is_held_at_one_site_rotates_with_its_surroundings() -> None:
+    size = 11
+    m = np.ones((size, size, size))
+    m[4:7, 4:7, 4:7] = np.inf
+    places = np.moveaxis(np.indices(m.shape), 0, -1) - (size - 1) / 2
+    turned = Rotation.from_rotvec([0, 0.7, 0]).apply(places.reshape(-1, 3)).reshape(places.shape)
+    c = np.ones((*m.shape, 3))
+    c[1:-1, 1:-1, 1:-1] = 0
+    c[5, 5, 5] = 1
+    problem = Problem(turned - places, c, m)
+    solution = solve(problem, NeoHookeanPrior(0.3), backend="cpu")
+    np.testing.assert_allclose(solution.displacement, turned - places, atol=2e-3)
+
+
+def test_forces_and_slipping_observations_are_in_equilibrium() -> None:
+    random = np.random.default_rng(6)
+    size = 9
+    force = np.zeros((size, size, size, 3))
+    force[-1, :, :, 1] = 0.02
+    c = np.zeros_like(force)
+    c[0] = 1
+    m = random.uniform(1, 2, (size, size, size))
+    problem = Problem(np.zeros_like(c), c, m, loads=Loads(force=force))
+    prior = NeoHookeanPrior(0.3)
+    solution = solve(problem, prior, backend="cpu")
+    assert np.abs(solution.displacement[-1, :, :, 1]).min() > 1, "the motion is not large"
+    rest = prior.forces(problem, solution.displacement)
+    assert np.abs(rest[~problem.known]).max() < 1e-3 * np.abs(rest).max()
+    doubted = pulled_patch(10, 2.0)
+    c = np.where(doubted.observed != 0, 0.05, doubted.confidence)
+    slips = solve(
+        Problem(doubted.observed, c, doubted.stiffness), NeoHookeanPrior(0.3), backend="cpu"
+    )
+    moved = slips.displacement[..., 2].max()
+    assert 0 < moved < 2.0
+
+
+def test_a_solve_of_a_volume_in_large_motion_can_be_cancelled() -> None:
+    stop = threading.Event()
+
+    def cancel(monitor) -> None:
+        if "cycle 2" in monitor.message:
+            stop.set()
+
+    with pytest.raises(Cancelled):
+        solve(pulled_patch(14, 3.5), NeoHookeanPrior(), backend="cpu", progress=cancel, cancel=stop)
+
+
+def test_shaders_do_not_solve_volumes_in_large_motion() -> None:
+    with pytest.raises(BackendError, match="loops solve large motion, not opengl"):
+        solve(pulled_patch(8, 1.0), NeoHookeanPrior(), backend="opengl")
