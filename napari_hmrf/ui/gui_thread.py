@@ -49,8 +49,8 @@ class GuiThread(QObject):
 class Repainted(QObject):
     """Callback after the next painting of the window and the mouse events that follow it.
 
-    Qt posts its request to paint with low priority, so that an event with a still lower priority is
-    processed after it. Pending mouse events are processed next, and then timers without a delay.
+    Qt posts its request to paint with low priority, so an event with an even lower priority is
+    processed after the request. Pending mouse events are processed next, then timers without delay.
 
     Parameters
     ----------

@@ -154,7 +154,7 @@ def test_a_confidence_that_is_nowhere_is_said_and_so_is_an_edge_that_is_let_go(
     Screen(dock).choose("warp")
     wait_for(lambda: not dock.busy)
     assert not dock.hold_edge
-    assert "The edge is no longer held, as 'warp' sets the motion" in dock.status
+    assert "The outer edge is no longer fixed, because 'warp' sets the motion" in dock.status
     dock.confidence = empty
     wait_for(lambda: not dock.busy)
     assert (

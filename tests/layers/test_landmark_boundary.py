@@ -202,7 +202,7 @@ def test_landmarks_that_are_taken_are_undone_changed_and_taken_again(chosen, set
     widget.undo()
     widget.undo()
     assert widget.drawing.marks == (own,)
-    assert widget.status == "Took back: took landmarks from 'is'."
+    assert widget.status == "Took back: added landmarks from 'is'."
 
 
 @pytest.mark.usefixtures("unstyled", "without_controls")

@@ -146,7 +146,7 @@ def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
     for nonsense in ("stiff", "-3", "nan", "1e39", ""):
         screen.cell(GEL, "Stiffness").write(nonsense)
         assert screen.cell(GEL, "Stiffness").text() == "12.5"
-        assert "kept 12.5" in screen.words
+        assert "still 12.5" in screen.words
     screen.cell(GEL, "Stiffness").write("rigid")
     assert dock.materials[1].is_rigid
     screen.choose(MODELS["paper"])
@@ -453,9 +453,9 @@ def test_what_was_given_is_seen_as_layers(look, viewer, wait_for):
     dock, screen = look
     given = {}
     for words, kind in (
-        ("given: stiffness", "stiffness (kPa)"),
-        ("given: motion", "motion given where tissue was"),
-        ("given: confidence", "confidence (0 to 1)"),
+        ("input: stiffness", "stiffness (kPa)"),
+        ("input: motion", "motion given where tissue was"),
+        ("input: confidence", "confidence (0 to 1)"),
     ):
         screen.choose(words)
         wait_for(lambda: not dock.busy)

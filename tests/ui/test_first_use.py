@@ -322,7 +322,7 @@ def test_a_refusal_is_read_until_something_else_is_done(small_sample, settle, bu
     qtbot.waitUntil(lambda: widget.status.startswith("Following"), timeout=LONG_MS)
     Screen(widget).cell("gel", "Stiffness").write("nonsense")
     said = widget.status
-    assert said == "Stiffness must be a number, 0 or more, or 'rigid'; kept 30."
+    assert said == "Stiffness must be a number of at least 0, or 'rigid'. The value is still 30."
     busy_thread.set()
     settle(widget)
     assert widget.status == said, "whatever comes of what was done before"

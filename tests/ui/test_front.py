@@ -121,7 +121,7 @@ def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
     dock.show_message("")
     for shown in (False, True):
         upper.visible = shown
-        assert dock.status.startswith("The image is covered") == shown
+        assert dock.status.startswith(f"'{upper.name}' covers the image") == shown
     viewer.layers.move(viewer.layers.index(lower), len(viewer.layers))
     assert dock.status == START
     viewer.layers.remove(upper)

@@ -122,7 +122,7 @@ def test_an_image_that_somebody_chooses_is_seen(viewer, widget, place):
     through = viewer.add_image(np.ones((20, 24)), name="through", opacity=0.5)
     widget.image = image
     assert [each.visible for each in (image, over, beside, through)] == [True, False, True, True]
-    assert widget.status.startswith("Hidden, to show 'MR': 'photo'. Click an eye")
+    assert widget.status.startswith("Hidden, so that 'MR' is visible: 'photo'. Click the eye")
     widget.image = over
     assert (over.visible, image.visible) == (True, True)
     assert widget.status == widget.invitation
@@ -198,7 +198,7 @@ def test_what_is_undone_on_another_image_is_seen(viewer, widget, settle):
     assert widget.image is first[0]
     assert first[0].visible
     assert not second[0].visible
-    assert widget.status.startswith(f"Took back on '{first[0].name}': took over a drawing.")
+    assert widget.status.startswith(f"Took back on '{first[0].name}': replaced the drawing.")
 
 
 def test_layers_to_paint_on_are_called_by_the_names_they_have(viewer, widget):
@@ -223,7 +223,7 @@ def test_what_is_drawn_is_seen_again_when_its_image_is_chosen_again(viewer, widg
     settle(widget)
     np.testing.assert_array_equal(viewer.layers["Motion"].data, drawn)
     assert not widget.active
-    assert widget.status.startswith("To draw on, press a tool")
+    assert widget.status.startswith("To continue drawing, press a tool")
 
 
 @pytest.mark.parametrize("sample", [False, True])
@@ -242,7 +242,7 @@ def test_an_image_that_is_opened_is_chosen_until_work_has_begun(viewer, widget, 
     settle(widget)
     assert widget.image is newest
     later = viewer.add_image(np.ones((20, 24)), name="later", translate=(0, 300))
-    assert widget.status.startswith("'later' is not chosen, as work has begun on another image")
+    assert widget.status.startswith("'later' was not chosen, because another image is in use")
     widget.image = later
     settle(widget)
     assert widget.image is later

@@ -176,7 +176,7 @@ def test_a_layer_that_breaks_during_the_solve_does_not_cost_the_result(
     assert said[0] is not None
     widget.boundary.events.data()
     wait_for(lambda: "'lazy' could not be read" in widget.status)
-    assert widget.status.endswith("The last result stays.")
+    assert widget.status.endswith("The last result is still shown.")
     assert widget.solution is said[0].solution
 
 
@@ -192,7 +192,7 @@ def test_whatever_goes_wrong_in_looking_again_is_told_and_the_result_stays(
     with monkeypatch.context() as broken:
         broken.setattr("napari_hmrf.ui.study_reader.study_from_layers", fail)
         widget.schedule_refresh()
-        wait_for(lambda: "no such slice The last result stays." in widget.status)
+        wait_for(lambda: "no such slice The last result is still shown." in widget.status)
     assert widget.solution is outputs.solution
     widget.schedule_refresh()
     wait_for(lambda: widget.status.startswith("Tissue moved up to"))

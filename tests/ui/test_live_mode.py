@@ -138,14 +138,14 @@ def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkey
     for kind in ("show_error", "show_warning"):
         monkeypatch.setattr(f"napari_hmrf.ui.controller.{kind}", popups.append)
     before, picture = widget.solution, by_name(widget, "MR deformed, elastic").data.copy()
-    rules, why = widget.rules, "The tissue does not follow yet. 'Boundary' lets label 2 expand, but"
+    rules, why = widget.rules, "The tissue was not updated. 'Boundary' lets label 2 expand, but"
     for amount in (1.0, 2.0, 3.0):
         widget.rules = (rules[0], BoundaryRule(2, "expand", amount=amount))
         settle(widget)
         assert (widget.status == "Heard.") == (amount > 1), "once is enough"
         if amount == 1:
             assert widget.status.startswith(why)
-            assert widget.status.endswith("The last result stays.")
+            assert widget.status.endswith("The last result is still shown.")
         widget.show_message("Heard.")
     assert widget.solution is before
     assert np.array_equal(by_name(widget, "MR deformed, elastic").data, picture)
@@ -189,9 +189,9 @@ def test_cancel_gives_an_edit_up_and_the_next_one_is_followed(living, settle, bu
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     qtbot.waitUntil(lambda: widget._form.footer.cancel.enabled, timeout=LONG_MS)
-    assert widget.status.startswith("Following the last edit")
+    assert widget.status.startswith("Updating")
     widget.cancel()
-    assert widget.status.startswith("Cancelled: picture and warnings lack")
+    assert widget.status.startswith("Cancelled: the picture and the warnings")
     assert not widget._form.footer.cancel.enabled
     busy_thread.set()
     settle(widget)
@@ -216,7 +216,7 @@ def test_an_undo_that_is_cancelled_stays_and_all_say_so_until_deform(pulling_bes
     assert not widget.drawing.marks
     assert widget.solution.displacement.any()
     assert metadata_of(picture)["inputs_changed"]
-    assert "picture and warnings lack what was edited since" in widget.status
+    assert "warnings do not include the last edits" in widget.status
     assert "nothing was changed" not in widget.status
     Screen(widget).press("Deform")
     settle(widget)

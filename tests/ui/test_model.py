@@ -274,7 +274,10 @@ def test_a_poisson_ratio_that_is_typed_is_taken_over_or_put_back(widget, small_s
     for nonsense in ("0.5", "-0.1", "much", "nan", ""):
         Cell(table, 1, POISSON).write(nonsense)
         assert widget.materials[1].poisson == 0.3
-        assert widget.status == "Poisson's ratio must be a number from 0 to 0.499; kept 0.3."
+        assert (
+            widget.status
+            == "Poisson's ratio must be a number from 0 to 0.499. The value is still 0.3."
+        )
 
 
 def test_tables_of_before_poisson_ratios_still_open(widget, small_sample):
@@ -398,7 +401,9 @@ def test_another_model_means_that_the_result_is_old(widget, small_sample, run, w
     widget.settings = replace(widget.settings, sweeps=70)
     run(widget)
     elastic(widget)
-    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    wait_for(
+        lambda: widget.status == "The inputs have changed since the last result. Press Deform."
+    )
     widget.model = "paper"
     wait_for(lambda: widget.status.startswith("Tissue moved"))
 

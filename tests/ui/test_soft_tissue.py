@@ -233,7 +233,7 @@ def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
         Cell(table, 1, 2).write(nonsense)
         assert widget.materials[1].stiffness == 12.5
         assert Cell(table, 1, 2).text() == "12.5"
-        said = "Stiffness must be a number, 0 or more, or 'rigid'; kept 12.5."
+        said = "Stiffness must be a number of at least 0, or 'rigid'. The value is still 12.5."
         assert widget.status == said
     Cell(table, 1, 1).write("jelly")
     assert widget.materials[1].name == "jelly"
@@ -279,7 +279,8 @@ def test_boundary_cells_follow_the_action(widget, small_sample):
     Cell(table, 1, 6).write("2")  # out of range: put back
     assert widget.rules[1].confidence == (0.5, 1.0)
     assert widget.status == (
-        "Confidence must be a number from 0 to 1, or two: 1 / 0.5; kept 0.5 / 1."
+        "Confidence must be a number from 0 to 1; or two numbers: 1 / 0.5. "
+        "The value is still 0.5 / 1."
     )
     Cell(table, 1, 6).write("0.25")
     assert widget.rules[1].confidence == (0.25, 0.25)
@@ -584,7 +585,7 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     outputs = run(widget)
     assert "5 boundary pixels outside tissue were ignored." in widget.warning
     assert outputs.folds > 0
-    assert f"at {outputs.folds} pixels the tissue is pushed" in widget.warning
+    assert f"at {outputs.folds} pixels the tissue folds" in widget.warning
     # All is listed on the chip; folds can be seen, without solving again.
     chip = Screen(widget).button(f"⚠  Folds at {outputs.folds} pixels: show where")
     assert chip.toolTip() == widget.warning
@@ -616,7 +617,7 @@ def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thr
     tissue.refresh()
     busy_thread.set()
     wait_for(lambda: widget.idle)
-    assert widget.status == "Changed since the last result: press Deform."
+    assert widget.status == "The inputs have changed since the last result. Press Deform."
     assert viewer.layers["MR arrows, paper"].metadata[METADATA]["inputs_changed"]
 
 
@@ -626,11 +627,15 @@ def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, 
     run(widget)
     said = widget.status
     boundary.paint((8, 8), 1)
-    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    wait_for(
+        lambda: widget.status == "The inputs have changed since the last result. Press Deform."
+    )
     boundary.undo()
     wait_for(lambda: widget.status == said)
     widget.settings = replace(widget.settings, sweeps=4)
-    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    wait_for(
+        lambda: widget.status == "The inputs have changed since the last result. Press Deform."
+    )
     run(widget)
     before = widget.solution
     widget.overlay = "labels"
@@ -749,7 +754,7 @@ def test_how_far_work_is_and_that_it_waits_for_the_compiler_is_said():
     preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
     assert progress(preparing) == "Deforming ..."
     compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
-    edit = "Following the last edit"
+    edit = "Updating"
     assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit}: 60 %"
     assert progress(compiling) == "Deforming: compiling loops (3 of 10), about 18 s left."
 

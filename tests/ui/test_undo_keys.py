@@ -166,4 +166,4 @@ def test_arrows_and_numbers_are_taken_back_from_the_last_to_the_first(at_hand, a
     assert dock.drawing.marks, "the number came later"
     person.key(Z, CTRL)
     assert not dock.drawing.marks
-    assert dock.status == "Took back: took over a drawing."
+    assert dock.status == "Took back: replaced the drawing."

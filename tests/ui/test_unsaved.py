@@ -275,7 +275,7 @@ def test_a_person_is_asked_by_a_box_with_three_answers(window, close, monkeypatc
     monkeypatch.setattr(QMessageBox, "question", answer)
     assert not close(dock)
     ((question, offered),) = shown
-    assert question == "What was done on 'MR slice 1' is in no file yet. Save it before closing?"
+    assert question == "The work on 'MR slice 1' is not saved. Save it before closing?"
     buttons = QMessageBox.StandardButton
     assert offered == buttons.Save | buttons.Discard | buttons.Cancel
     Asked(dock, "discard")

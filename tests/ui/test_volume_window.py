@@ -300,7 +300,7 @@ def test_the_chip_goes_to_the_slice_in_which_most_of_it_folds(volume_beside, set
     most = marked.sum(axis=tuple(axis for axis in range(3) if axis != across))
     seen = round(dims.point[across] / (SCALE[across]))
     assert most[seen] == most.max() > 0
-    assert widget.status.endswith(f"The slice that is seen now has most of them: slice {seen}.")
+    assert widget.status.endswith(f"The view has moved to the slice with the most: slice {seen}.")
     assert widget.status.startswith(widget.warning)
 
 
@@ -441,7 +441,7 @@ def test_a_volume_that_is_cancelled_is_seen_as_it_came_to_rest_last(cancelled, s
     assert metadata_of(picture)["inputs_changed"]
     assert len(widget.drawing.marks) == 2
     assert widget.status.startswith("Cancelled")
-    assert "lack what was edited since" in widget.status
+    assert "do not include the last edits" in widget.status
     person.drag((20, 20), (21, 21))
     settle(widget)
     assert len(widget.drawing.marks) == 3

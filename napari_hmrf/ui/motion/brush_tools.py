@@ -33,7 +33,7 @@ class BrushTool(Tool):
     action: ClassVar[Action]
     step: ClassVar[str]
 
-    #: Map to the undeformed place of each point that was visible at the button press.
+    #: Map from each point that was visible at the button press to its undeformed place.
     _origin: Origin
 
     @classmethod
@@ -54,7 +54,7 @@ class BrushTool(Tool):
 
     @property
     def mark_settings(self) -> ToolSettings | None:
-        """Settings of the selected stroke, which keeps its radius; None without a stroke."""
+        """Settings of the selected stroke except its radius; None if no stroke is selected."""
         settings = super().mark_settings
         if settings is not None:
             del settings["radius"]
@@ -63,7 +63,7 @@ class BrushTool(Tool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Begin or continue a stroke; outside tissue, it starts at the visible place."""
+        """Begin or continue a stroke; outside tissue, begin at the visible place."""
         if not self._is_inside(point):
             return motion_messages.OUTSIDE
         self.release()
@@ -83,7 +83,7 @@ class BrushTool(Tool):
             self._show(drawing.with_mark(new), len(drawing.marks))
 
     def move(self, point: Point) -> None:
-        """Continue the stroke to a point; without effect unless a drag is in progress."""
+        """Continue the stroke to a point; do nothing if no drag is in progress."""
         stroke = self.stroke
         if stroke is None:
             return
@@ -122,19 +122,19 @@ class HoldTool(BrushTool):
     title = "Hold"
     key = "P"
     fields = ("radius", "confidence", "components")
-    hint = "Paint what does not move."
+    hint = "Paint tissue to hold it in place."
     action = "pin"
     step = "held tissue"
 
 
 class FreeTool(BrushTool):
-    """Brush that frees tissue from all boundary conditions below it."""
+    """Brush that frees the painted tissue from all boundary conditions."""
 
     name = "free"
     title = "Free"
     key = "F"
     fields = ("radius",)
-    hint = "Paint what nothing holds, whatever else says so."
+    hint = "Paint tissue to free it from everything that holds or moves it."
     action = "free"
     step = "freed tissue"
 
@@ -146,11 +146,11 @@ class PushTool(BrushTool):
     title = "Push"
     key = "M"
     fields = ("radius", "by_row", "by_col", "confidence", "components")
-    hint = "Paint what moves, then drag it to where it goes."
+    hint = "Paint tissue, then drag the paint to push the tissue."
     action = "move"
     step = "painted a push"
 
-    #: Place where the drag of the stroke began, and its displacement there; None while painting.
+    #: Start point of the drag, and displacement of the stroke before it; None while painting.
     _grip: tuple[Point, Point] | None = None
 
     def _begin(self, point: Point, settings: ToolSettings) -> None:
@@ -160,10 +160,10 @@ class PushTool(BrushTool):
             super()._begin(point, settings)
         else:
             self._grip = point, stroke.by
-            self._model.begin_drawing("pushed what was painted")
+            self._model.begin_drawing("pushed painted tissue")
 
     def move(self, point: Point) -> None:
-        """Continue to push or to paint; without effect unless a drag is in progress."""
+        """Continue to push or to paint; do nothing if no drag is in progress."""
         stroke = self.stroke
         if stroke is None or self._grip is None:
             super().move(point)
@@ -188,7 +188,7 @@ class GrowTool(BrushTool):
     fields = ("radius", "amount", "confidence")
     hint = "Paint a patch or a closed ring that grows; a negative amount shrinks it."
     action = "expand"
-    step = "painted what grows"
+    step = "painted growth"
 
     @property
     def error_message(self) -> str:
@@ -214,7 +214,7 @@ class ConfidenceTool(BrushTool):
     title = "Confidence"
     key = "C"
     fields = ("radius", "stroke_confidence", "softness")
-    hint = "Paint over what is held or moved how sure that is."
+    hint = "Paint the confidence of held or moved tissue."
     action = "confidence"
     step = "painted confidence"
 
@@ -222,15 +222,15 @@ class ConfidenceTool(BrushTool):
 class TissueTool(BrushTool):
     """Brush for the kind of tissue.
 
-    Another kind applies to the next stroke, or to a stroke that the user has selected. The stroke
-    painted last does not change, so that several tissues can be painted in turn.
+    A newly chosen kind applies to the next stroke, or to a stroke that the user has selected. The
+    stroke painted last does not change, so that several tissues can be painted in turn.
     """
 
     name = "tissue"
     title = "Tissue"
     key = "T"
     fields = ("radius", "material")
-    hint = "Paint which tissue is where."
+    hint = "Paint tissue to change its kind."
     action = "tissue"
     step = "painted tissue"
 

@@ -1,4 +1,4 @@
-"""Form for the weight of tissue: direction and size of a body force."""
+"""Form for the weight of tissue: direction and magnitude of a body force."""
 
 from __future__ import annotations
 
@@ -34,10 +34,11 @@ class WeightForm(Container):
             name="way",
             choices=self._offered,
             label="weight pulls",
-            tooltip="All tissue by its weight, as in an open skull; it has to be held somewhere",
+            tooltip="Direction of the weight of all tissue, as in an open skull. Some tissue must "
+            "be held in place",
         )
         narrow(self.way)
-        tip = f"Density times acceleration. That of water is {_WATER} kPa / mm"
+        tip = f"Weight per volume: density times acceleration. For water: {_WATER} kPa / mm"
         self.amount = FloatSpinBox(name="amount", max=1e6, step=0.001, tooltip=tip)
         super().__init__(widgets=[self.way, self.amount])
         self.amount.native.setDecimals(5)

@@ -131,7 +131,7 @@ def test_an_open_line_cannot_expand_and_leaves_nothing(brush, model):
     for row in range(6, 50):
         grow.move((row, 5))
     assert grow.error_message == OPEN
-    with pytest.raises(ToolError, match="no outside"):
+    with pytest.raises(ToolError, match="no inside"):
         grow.release()
     assert (model.drawing, model.next_undo) == (Drawing(), None)
     assert not grow.is_dragging
@@ -167,7 +167,7 @@ def test_what_was_painted_in_a_volume_is_dragged_to_where_it_goes(drag, model):
     push = BY_NAME["move"](model, (2.0, *SPACING), (9, *SHAPE))
     settings = paint(by=(0, 0, 0))
     drag(push, settings, (4, 20, 20))
-    assert drag(push, settings, (4, 20, 20), (5, 21, 23)) == "pushed what was painted"
+    assert drag(push, settings, (4, 20, 20), (5, 21, 23)) == "pushed painted tissue"
     assert model.drawing.marks[0].by == (2, SPACING[0], 3 * SPACING[1])
 
 
@@ -274,7 +274,7 @@ def test_what_was_painted_to_move_is_dragged_to_where_it_goes(brush, drag, model
     push = brush("move")
     drag(push, paint(), (20, 20), (24, 20))
     assert model.drawing.marks[0].moves_nowhere
-    assert drag(push, paint(), (22, 20), (25, 21), (27, 24)) == "pushed what was painted"
+    assert drag(push, paint(), (22, 20), (25, 21), (27, 24)) == "pushed painted tissue"
     (stroke,) = model.drawing.marks
     assert stroke.by == pytest.approx((5 * SPACING[0], 4 * SPACING[1]))
     assert stroke.lines == (((20, 20), (24, 20)),), "dragged, and not painted on"

@@ -99,7 +99,7 @@ def test_escape_gives_a_drag_up(pulling_beside):
     person.move(40, 40)
     person.release(40, 40)
     assert (widget.drawing, widget.study_model.next_undo) == (Drawing(), None)
-    assert widget.status == "Cancelled; everything is as before."
+    assert widget.status == "Cancelled; the drawing is unchanged."
 
 
 @bare
@@ -126,7 +126,7 @@ def test_another_active_layer_pauses_the_tool(pulling_beside):
     person.viewer.layers.selection.active = by_name(person.viewer, "MR")
     assert not widget.active
     assert not Screen(widget).button("Pull").isChecked()
-    assert "To draw on" in widget.status
+    assert "To continue drawing" in widget.status
     person.drag((30, 30), (34, 34))
     assert not widget.drawing.marks
     Screen(widget).press("Pull")
@@ -179,7 +179,7 @@ def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
     assert only(widget).by == pytest.approx((4, 4), abs=0.6)
     assert not widget.study_model.drawing_in_progress
     assert not widget.active
-    assert "is gone" in widget.status
+    assert "was deleted" in widget.status
     settle(widget)
     Screen(widget).press("Pull")
     assert len(by_name(person.viewer, "Motion").data) > 10
@@ -282,7 +282,7 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     how = widget.status
     viewer.dims.ndisplay = 3
     at_rest()
-    assert "two dimensions" in widget.status
+    assert "2D view only" in widget.status
     viewer.dims.ndisplay = 2
     settle(widget)
     assert (widget.status, len(widget.drawing.marks)) == (how, 1)
@@ -292,7 +292,7 @@ def test_a_viewer_with_nothing_drawn_yet_can_show_three_dimensions(pulling_besid
     person, widget = pulling_beside
     person.viewer.dims.ndisplay = 3
     at_rest()
-    assert "two dimensions" in widget.status
+    assert "2D view only" in widget.status
     person.viewer.dims.ndisplay = 2
     qtbot.waitUntil(lambda: widget.active, timeout=LONG_MS)
 
@@ -385,7 +385,9 @@ def test_a_sample_brings_its_tissue_and_hides_the_paint(open_beside, settle):
     assert not layers["Tissue"].visible
     assert not layers["Boundary"].visible
     settle(widget)
-    assert "Hidden, to show 'Brain': 'Tissue', 'Boundary'. Click an eye" in widget.status
+    assert (
+        "Hidden, so that 'Brain' is visible: 'Tissue', 'Boundary'. Click the eye" in widget.status
+    )
     widget.boundary = layers["Boundary"]
     settle(widget)
     painted = layers["Boundary"].data == 2
@@ -576,7 +578,7 @@ def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_beside, settle):
     assert widget.start()
     settle(widget)
     person.drag((10, 48), (20, 48))
-    assert widget.status == "There is no tissue to take hold of there."
+    assert widget.status == "There is no tissue at this point."
     assert not widget.drawing.marks
     widget.hold_edge = False
     # Air is squeezed between the body and the edge of the image, and nobody minds.
@@ -593,7 +595,7 @@ def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_beside, a
     settle(widget)
     person.viewer.dims.ndisplay = 3
     assert not widget.start()
-    assert "two dimensions" in widget.status
+    assert "2D view only" in widget.status
     person.viewer.dims.ndisplay = 2
     at_rest()
     assert widget.status == widget.invitation
@@ -607,12 +609,12 @@ def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling_beside, settle):
     settle(widget)
     layers = person.viewer.layers
     layers.selection.active = layers["MR"]
-    assert "To draw on" in widget.status
+    assert "To continue drawing" in widget.status
     person.key(Qt.Key.Key_Z, CTRL)
-    assert widget.status.startswith("Took back: drew an arrow. To draw on")
+    assert widget.status.startswith("Took back: drew an arrow. To continue drawing")
     layers.selection.active = layers["Motion"]
     layers.selection.active = layers["MR"]
-    assert widget.status.startswith("To draw on")
+    assert widget.status.startswith("To continue drawing")
     layers.selection.active = layers["Motion"]
     assert (widget.active, widget.status) == (True, how)
 

@@ -216,7 +216,7 @@ def test_an_open_line_cannot_expand_and_says_so(pulling_beside, settle):
     person.paint(*((row, 30) for row in range(10, 50, 4)))
     settle(widget)
     assert not widget.drawing.marks
-    assert "no outside" in widget.status
+    assert "no inside" in widget.status
     assert not seen_paint(person).any()
 
 
@@ -232,7 +232,7 @@ def test_a_line_that_is_to_be_a_ring_says_so_while_it_is_painted(pulling_beside,
     qtbot.waitUntil(lambda: bool(said), timeout=LONG_MS)
     assert (said, widget.status) == ([OPEN], OPEN)
     person.release(40, 30)
-    assert "no outside" in widget.status
+    assert "no inside" in widget.status
 
 
 def test_beside_the_image_a_brush_paints_nothing_and_keeps_the_fields(pulling_beside):
@@ -557,7 +557,7 @@ def test_a_drag_is_a_landmark_and_escape_gives_one_up(pulling, settle):
 def test_a_click_is_a_landmark_that_holds_and_says_so(pulling_beside, settle):
     person, widget = pulling_beside
     person.key(LANDMARK)
-    assert "or click what stays there" in widget.status
+    assert "or click a point that must stay" in widget.status
     person.drag((30, 30), (30, 30))
     assert only(widget).source == only(widget).target == (30, 30)
     assert widget.status == NO_WAY
@@ -601,7 +601,7 @@ def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling_besid
     assert fields.amount.value == 1.3, "a third of the radius"
     person.key(MOVE)
     person.paint((30, 28), (30, 34))
-    assert "Now drag it to where it goes" in widget.status
+    assert "Now drag the paint" in widget.status
     fields.by_col.value = 3
     assert fields.words == "Push 3 right"
     settle(widget)
@@ -672,11 +672,11 @@ def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing_beside
     person.pick(16, 22)
     assert widget.tool == "move", "it is found where it has gone"
     assert widget.fields.by_row.value == -4.0
-    assert "Delete removes it" in widget.status
+    assert "press Delete to remove it" in widget.status
     person.key(Qt.Key.Key_Delete)
     assert len(widget.drawing.marks) == 1
     person.pick(60, 60)
-    assert "Nothing is drawn there" in widget.status
+    assert "There is no mark at this point" in widget.status
 
 
 def test_keys_change_the_size_of_the_brush(pulling_beside):
@@ -735,7 +735,7 @@ def test_escape_gives_a_stroke_up(brushing_beside, settle):
     person.move(20, 40)
     person.release(20, 40)
     settle(widget)
-    assert (widget.drawing, widget.status) == (before, "Cancelled; everything is as before.")
+    assert (widget.drawing, widget.status) == (before, "Cancelled; the drawing is unchanged.")
     assert not seen_paint(person).any()
 
 
@@ -785,7 +785,7 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle)
 
 
 @pytest.mark.parametrize(
-    ("gone", "said"), [("Motion", "The layer 'Motion' is gone"), ("MR", "'MR' is gone")]
+    ("gone", "said"), [("Motion", "The layer 'Motion' was deleted"), ("MR", "'MR' was deleted")]
 )
 def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(
     brushing_beside, at_rest, gone, said

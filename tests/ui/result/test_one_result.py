@@ -509,7 +509,7 @@ def test_a_warning_of_folds_stays_as_long_as_they_are_seen_and_no_longer(folded,
     _, widget = folded
     widget.clear()
     settle(widget)
-    assert (widget.warning, widget.status) == ("", "Removed all; undo brings it back.")
+    assert (widget.warning, widget.status) == ("", "Removed all marks. Press Undo to restore them.")
     widget.undo()
     settle(widget)
     assert "folds" in widget.warning
@@ -540,7 +540,7 @@ def test_beside_a_warning_it_is_said_what_was_done(folded, settle):
     settle(widget)
     assert "Cancelled" in widget.status
     widget.tool = "pin"
-    assert widget.status == "Paint what does not move."
+    assert widget.status == "Paint tissue to hold it in place."
     assert "folds" in widget.warning
 
 

@@ -353,5 +353,5 @@ def test_what_cannot_be_saved_is_said(result, asked, wait_for, tmp_path, widget)
     Screen(dock).entry("More", "Save field for images").trigger()
     wait_for(lambda: not dock.busy)
     assert dock.status.startswith("field.txt: fields are not written in such a format")
-    with pytest.raises(HmrfError, match="There is no result to look at yet"):
+    with pytest.raises(HmrfError, match="There is no result yet"):
         widget.more.measure()

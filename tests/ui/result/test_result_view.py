@@ -87,7 +87,7 @@ def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
     assert look.result is None
     assert not look._form.result.slider.enabled
     look.play()
-    assert look.status.startswith("There is no result to look at yet: drag tissue, or press Deform")
+    assert look.status.startswith("There is no result yet: drag tissue, or press Deform")
     look.percent = 30
     look.overlay = "jacobian"
     assert not look.playing
@@ -395,7 +395,7 @@ def test_what_a_result_does_not_have_is_not_seen_and_said(look, set_to):
     before = names(viewer)
     set_to(look, overlay="jacobian")
     set_to(look, overlay="folds")
-    assert look.status == "The tissue folds nowhere."
+    assert look.status == "The tissue does not fold."
     assert names(viewer) == before
 
 
@@ -495,7 +495,7 @@ def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
     outputs = run(widget)
     set_to(widget, overlay="jacobian")
     assert f"at {outputs.folds} pixels" in widget.warning
-    assert "(it folds)" in widget.warning
+    assert "the tissue folds" in widget.warning
     layer = viewer_of(widget).layers["MR Jacobian (area ratio), paper"]
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
@@ -673,9 +673,9 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     look = widget
     wait_for(lambda: not look.busy)
     look.percent = 50
-    assert look.status.startswith("There is no image on the pixels of this result")
+    assert look.status.startswith("There is no image with the pixels of this result")
     set_to(look, overlay="stiffness")
-    assert look.status.startswith("The given stiffness, motion and confidence are not in the file")
+    assert look.status.startswith("A file of a result does not contain the input stiffness")
     set_to(look, overlay="magnitude")
     assert "displacement (px), paper" in names(viewer)
     set_to(look, percent=40)
