@@ -54,18 +54,18 @@ class ViewerUndo:
     def undo(self) -> None:
         """Undo the last step, and show the slice that it was on."""
         if not self._undo_older_paint("undo", self.model.next_undo):
-            self._report("undo", "Took back", self.model.undo(), "There is nothing to take back.")
+            self._report("undo", "Undid", self.model.undo(), "There is nothing to undo.")
 
     def redo(self) -> None:
         """Redo the step that was undone last, and show the slice that it is on."""
         if not self._undo_older_paint("redo", self.model.next_redo):
-            self._report("redo", "Did again", self.model.redo(), "There is nothing to do again.")
+            self._report("redo", "Redid", self.model.redo(), "There is nothing to redo.")
 
     @property
     def tooltips(self) -> tuple[str, str]:
         """Tooltips of undo and redo: the step, and the key."""
         undo, redo = self.model.next_undo, self.model.next_redo
-        return f"{_tip('take back', undo)} (Ctrl+Z)", f"{_tip('do again', redo)} (Ctrl+Shift+Z)"
+        return f"{_tip('undo', undo)} (Ctrl+Z)", f"{_tip('redo', redo)} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: object) -> None:
         """Bind undo and redo to their keys.

@@ -103,7 +103,7 @@ class LandmarkChoice(Container):
             "Points layer with targets, in the same order. A landmark at its target holds tissue",
         )
         self.take_button = PushButton(
-            text="Take as landmarks",
+            text="Use as landmarks",
             tooltip="Add these landmarks to the drawing, in place of those added before",
         )
         super().__init__(widgets=[self.sources, self.targets, self.take_button])

@@ -35,8 +35,8 @@ NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, c
 _NO_IMAGE = "No image is chosen. Choose an image above to see its result."
 _HIDDEN = "Hidden, so that '{}' is visible: {}. Click the eye of a layer to show the layer again."
 EDGE_GOES = (
-    "The outer edge is no longer fixed, because '{}' sets the motion. Tick 'hold the edge of the "
-    "tissue' to fix the parts of the edge that the layer does not cover."
+    "The outer edge is no longer fixed, because '{}' sets the motion. Tick 'Fix outer edge' to "
+    "fix the parts of the edge that the layer does not cover."
 )
 #: Messages about the data that is lost with a deleted layer.
 DRAWING_GONE = "'{name}' was deleted with the drawing on it. napari cannot restore a deleted layer."
@@ -49,15 +49,15 @@ BOUNDARY_GONE = (
 )
 
 MODELS: dict[ModelName, str] = {
-    "elastic": "elastic: as finite elements",
+    "elastic": "elastic: finite elements",
     "large motion": "large motion: never folds",
-    "paper": "paper's: 70 sweeps per level",
-    "paper, converged": "paper's, computed to the end",
+    "paper": "paper: 70 sweeps per level",
+    "paper, converged": "paper, converged",
 }
 #: Labels of the button that offers another model.
 OFFERS: dict[ModelName, str] = {
-    "large motion": "Take large motion, which never folds",
-    "elastic": "Take the elastic model",
+    "large motion": "Use large motion, which never folds",
+    "elastic": "Use the elastic model",
 }
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
 #: Prefixes of progress messages that are shown to the user unchanged: waiting and compiling.
@@ -148,5 +148,5 @@ def describe_image_choice(image: Any, hidden: Sequence[Any]) -> str:
 
 def saved_study(name: str, solved: bool, pairs: str) -> str:
     """Report a saved study, and the layer of landmark pairs that are not in its file."""
-    apart = f" It lacks landmarks of '{pairs}': press 'Take as landmarks'." if pairs else ""
+    apart = f" It lacks landmarks of '{pairs}': press 'Use as landmarks'." if pairs else ""
     return f"Saved {name}{'' if solved else ' without a field: press Deform to get one'}.{apart}"

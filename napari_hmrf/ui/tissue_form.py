@@ -86,7 +86,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
         )
         self.border = CheckBox(
             value=True,
-            text="the dark border is no tissue",
+            text="Ignore dark background",
             tooltip="Exclude dark, unpainted surroundings, such as air, from the tissue",
         )
         self.editor = CurveEditor(_UNKNOWN)

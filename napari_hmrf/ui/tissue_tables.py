@@ -271,7 +271,7 @@ class MaterialMenu(QPushButton):
         for preset in PRESETS:
             self._offer(menu, preset)
         menu.addSeparator()
-        taken = menu.addMenu("Take from layer")
+        taken = menu.addMenu("Load from layer")
         taken.setToolTipsVisible(True)
         for layer in self._layers():
             if layer is not self._table.layer and (materials := materials_of(layer)):

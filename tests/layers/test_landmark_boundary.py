@@ -202,7 +202,7 @@ def test_landmarks_that_are_taken_are_undone_changed_and_taken_again(chosen, set
     widget.undo()
     widget.undo()
     assert widget.drawing.marks == (own,)
-    assert widget.status == "Took back: added landmarks from 'is'."
+    assert widget.status == "Undid: added landmarks from 'is'."
 
 
 @pytest.mark.usefixtures("unstyled", "without_controls")
@@ -217,7 +217,7 @@ def test_landmarks_are_taken_in_a_window_and_dragged_there(
     widget.model = "elastic"
     menus(widget).sources.value = viewer.layers["is"]
     screen = Screen(widget)
-    screen.press("Take as landmarks")
+    screen.press("Use as landmarks")
     screen.press("Landmark")
     settle(widget)
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.05)

@@ -184,7 +184,7 @@ def test_what_is_dark_around_the_image_is_no_tissue_unless_it_is_unticked(deform
     assert counted[2:4, 2:4].all(), "what is painted is tissue, dark as it may be"
     assert counted[8:22, 10:30].all()
     assert not counted[5, 15]
-    screen.tick("the dark border is no tissue", False)
+    screen.tick("Ignore dark background", False)
     assert run(dock).solution.tissue.all()
 
 
@@ -220,7 +220,7 @@ def test_materials_are_taken_from_layers_and_files_and_saved(
     dock.tissue = viewer.layers["other"]
     dock.materials = (Material(1, "jelly", 7.0),)
     dock.tissue = tissue
-    screen.entry("Materials", "Take from layer", "other").trigger()
+    screen.entry("Materials", "Load from layer", "other").trigger()
     assert dock.materials[1] == Material(1, "jelly", 7.0)
     screen.entry("Materials", "Load from file").trigger()
     assert dock.materials == before
@@ -275,15 +275,15 @@ def test_pairs_of_points_are_taken_as_landmarks_and_a_missing_partner_is_said(
     dock, screen = deform
     screen.tick("Live")
     screen.choose("is")
-    screen.press("Take as landmarks")
+    screen.press("Use as landmarks")
     wait_for(lambda: dock.solution is not None and not dock.busy)
     assert dock.solution.displacement[8, 8] == pytest.approx((2, 0), abs=0.02)
     where.add([5.0, 5.0])
-    screen.press("Take as landmarks")
+    screen.press("Use as landmarks")
     assert "'ought' has 2 points, but 'is' has 3" in dock.status
     assert dock.status in screen.words
     should.add([6.0, 6.0])
-    screen.press("Take as landmarks")
+    screen.press("Use as landmarks")
     wait_for(lambda: not dock.busy)
     assert dock.solution.displacement[5, 5] == pytest.approx((1, 1), abs=0.02)
     assert "but 'is' has 3" not in screen.words
@@ -331,7 +331,7 @@ def test_the_edge_of_the_tissue_is_held_unless_it_is_unticked(grab, pulled, wait
     pull, hold = Arrow((24, 28), (0, 4), 4.0), Arrow((10, 10), (0, 0), 2.0)
     moved = pulled(dock, pull, hold)
     assert np.abs(moved[24, -1]).max() < 1e-6
-    screen.tick("hold the edge of the tissue", False)
+    screen.tick("Fix outer edge", False)
     assert pulled(dock)[24, -1, 1] > 1
 
 
@@ -395,7 +395,7 @@ def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
     wait_for(lambda: "changed label 1" in screen.button("Undo").toolTip())
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
-    assert "Took back: changed label 1" in screen.words
+    assert "Undid: changed label 1" in screen.words
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 0)
     screen.press("Undo")
@@ -442,9 +442,9 @@ def test_the_deformation_is_played_until_it_is_stopped(look, viewer, wait_for):
 def test_before_is_seen_while_a_button_is_held(look, viewer):
     _, screen = look
     image, moved, arrows = viewer.layers["MR"], layer(viewer, "MR deformed"), layer(viewer, "MR a")
-    screen.hold("Hold: before")
+    screen.hold("Compare")
     assert (image.visible, moved.visible, arrows.visible) == (True, False, False)
-    screen.let_go("Hold: before")
+    screen.let_go("Compare")
     assert moved.visible
     assert arrows.visible
 

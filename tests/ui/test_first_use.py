@@ -199,11 +199,11 @@ def test_a_layer_that_becomes_the_boundary_and_a_typed_ratio_are_steps(widget, s
     _, tissue, boundary = small_sample(viewer)
     widget.boundary = tissue
     widget.undo()
-    assert widget.status == "Took back: chose another boundary."
+    assert widget.status == "Undid: chose another boundary."
     assert widget.boundary is boundary
     widget.poisson = 0.3
     widget.undo()
-    assert widget.status == "Took back: changed Poisson's ratio."
+    assert widget.status == "Undid: changed Poisson's ratio."
 
 
 def test_the_edge_of_a_new_image_is_held_whatever_was_chosen_for_those_that_are_gone(
@@ -281,7 +281,7 @@ def test_layers_that_come_or_are_made_leave_nothing_to_take_back(widget, small_s
     widget.make_layers()
     viewer.layers.remove(viewer.layers["Tissue [1]"])
     widget.undo()
-    assert widget.status == "There is nothing to take back."
+    assert widget.status == "There is nothing to undo."
 
 
 def test_landmarks_that_are_taken_are_seen_at_once(pulling_beside, settle, click):
@@ -292,7 +292,7 @@ def test_landmarks_that_are_taken_are_seen_at_once(pulling_beside, settle, click
     person.viewer.add_points([[20, 20]], name="is")
     person.viewer.add_points([[20, 24]], name="ought")
     widget._form.motion.boundary.landmarks.sources.value = person.viewer.layers["is"]
-    click(widget, "Take as landmarks")
+    click(widget, "Use as landmarks")
     settle(widget)
     assert len(person.viewer.layers["Motion"].data)
 

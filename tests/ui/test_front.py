@@ -83,7 +83,7 @@ def test_a_dock_goes_on_with_the_image_that_was_deformed(frame, small_sample, ru
 
 def test_an_image_that_is_covered_is_spoken_of(opened, two, settle):
     viewer, lower, upper = two
-    said = "The image is covered by 'astronaut': hide that one, or choose it here."
+    said = "'astronaut' covers the image: hide 'astronaut', or choose it as the image."
     dock = opened(viewer)
     assert dock.status == START
     upper.visible = False
@@ -126,7 +126,7 @@ def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
     assert dock.status == START
     viewer.layers.remove(upper)
     viewer.add_image(LARGER, rgb=True, name="new")
-    assert dock.status.startswith("The image is covered by 'new'")
+    assert dock.status.startswith("'new' covers the image")
 
 
 def test_where_another_image_lies_on_top_nothing_is_taken_hold_of(pulling_beside):
@@ -135,7 +135,7 @@ def test_where_another_image_lies_on_top_nothing_is_taken_hold_of(pulling_beside
     person.viewer.add_image(patch, name="strip", translate=(40, 0))
     person.viewer.layers.selection.active = person.viewer.layers["Motion"]
     person.drag((50, 30), (54, 34))
-    assert widget.status == "The image is covered by 'strip': hide that one, or choose it here."
+    assert widget.status == "'strip' covers the image: hide 'strip', or choose it as the image."
     assert not widget.drawing.marks
     person.drag((20, 30), (24, 34))
     assert len(widget.drawing.marks) == 1

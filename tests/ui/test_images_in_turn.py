@@ -198,7 +198,7 @@ def test_what_is_undone_on_another_image_is_seen(viewer, widget, settle):
     assert widget.image is first[0]
     assert first[0].visible
     assert not second[0].visible
-    assert widget.status.startswith(f"Took back on '{first[0].name}': replaced the drawing.")
+    assert widget.status.startswith(f"Undid on '{first[0].name}': replaced the drawing.")
 
 
 def test_layers_to_paint_on_are_called_by_the_names_they_have(viewer, widget):

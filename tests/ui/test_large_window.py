@@ -76,7 +76,7 @@ def test_growth_by_more_than_all_of_it_is_not_taken(dock):
 
 
 def test_folds_are_mended_by_one_press_and_it_can_be_undone(dock, at_rest):
-    screen, offer = Screen(dock), "Take large motion"
+    screen, offer = Screen(dock), "Use large motion"
     at_rest(screen.cell("tumour", "grows").write, "20")
     assert not offers(dock, offer)
     folded = at_rest(screen.cell("tumour", "grows").write, "150")
@@ -108,14 +108,14 @@ def test_a_volume_is_not_offered_what_it_cannot_have(qtbot, wait_for):
     dock.image, dock.extent, dock.tissue = viewer.layers[0], "volume", viewer.layers[1]
     wait_for(lambda: not dock.busy)
     assert "folds" in dock.warning
-    assert not offers(dock, "Take large motion")
+    assert not offers(dock, "Use large motion")
     dock.model = "large motion"
     wait_for(lambda: not dock.busy)
     assert "large motion is for 2-D" in dock.status
-    Screen(dock).press("Take the elastic model")
+    Screen(dock).press("Use the elastic model")
     wait_for(lambda: not dock.busy)
     assert dock.solution.provenance.model == "elastic"
-    assert not offers(dock, "Take the elastic")
+    assert not offers(dock, "Use the elastic")
 
 
 def test_a_volume_lies_in_no_plane(qtbot):

@@ -478,13 +478,13 @@ def test_tables_are_undone_and_followed(living, settle):
     assert not footer.undo.enabled
     rules, materials = widget.rules, widget.materials
     Cell(widget._form.motion.boundary.table, 1, 4).write("5")
-    assert footer.undo.tooltip == ("Take back: changed label 2 of 'Boundary' (Ctrl+Z)")
+    assert footer.undo.tooltip == ("Undo: changed label 2 of 'Boundary' (Ctrl+Z)")
     Cell(widget._form.tissue.table, 1, 2).write("33")
     settle(widget)
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.undo.native.click()
     assert widget.materials == materials
-    assert widget.status == "Took back: changed label 1 of 'Tissue'."
+    assert widget.status == "Undid: changed label 1 of 'Tissue'."
     footer.undo.native.click()
     settle(widget)
     assert widget.rules == rules

@@ -176,7 +176,7 @@ def test_what_is_opened_is_nothing_to_take_back_and_paint_is_seen_only_where_not
     (map_of_stiffness,) = (each for each in other.layers if "stiffness" in each.name)
     assert map_of_stiffness.visible != moves
     second.undo()
-    assert second.status == "There is nothing to take back."
+    assert second.status == "There is nothing to undo."
     assert second.drawing == first.drawing
     labels = Tissue(labels=np.ones(SHAPE, np.uint8), materials=(Material(1, "gel", 1.0),))
     motion = Motion(hold_edge=True, drawing=DRAWING if moves else Drawing())
@@ -325,14 +325,14 @@ def test_landmarks_that_were_not_taken_are_not_in_the_file_and_that_is_said(made
     screen = Screen(dock)
     screen.choose("is")
     dock.save_study(path)
-    assert "It lacks landmarks of 'is': press 'Take as landmarks'" in dock.status
-    screen.press("Take as landmarks")
+    assert "It lacks landmarks of 'is': press 'Use as landmarks'" in dock.status
+    screen.press("Use as landmarks")
     dock.save_study(path)
     assert "andmarks" not in dock.status
     assert len(read_study(path).study.motion.drawing.marks) == 2
     viewer.layers["ought"].data = [[11, 10], [20, 33]]
     dock.save_study(path)
-    assert "Landmarks of 'is' are not in it" in dock.status, "the layers say something else now"
+    assert "lacks landmarks of 'is'" in dock.status, "the layers say something else now"
 
 
 def test_what_was_done_so_far_is_saved_before_there_is_a_result(

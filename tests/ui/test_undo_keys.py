@@ -42,12 +42,12 @@ def test_a_number_that_was_typed_is_taken_back_by_the_key_over_the_image(seated)
     screen.cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
-    assert dock.status == "Took back: changed label 1 of 'Tissue'."
+    assert dock.status == "Undid: changed label 1 of 'Tissue'."
     person.key(Y, CTRL)
     assert dock.materials[1].stiffness == 33
     person.key(Z, CTRL)
     person.key(Z, CTRL)
-    assert dock.status == "There is nothing to take back."
+    assert dock.status == "There is nothing to undo."
 
 
 def test_paint_and_numbers_are_taken_back_from_the_last_to_the_first(seated):
@@ -81,11 +81,11 @@ def test_the_buttons_take_back_what_napari_painted_in_its_turn_and_say_so(at_han
     painted = tissue.data.copy()
     screen.cell("gel", "Stiffness").write("33")
     person.paint((18, 1), (18, 4), (18, 8))
-    assert screen.button("Undo").toolTip() == "Take back: painted in 'Tissue' (Ctrl+Z)"
+    assert screen.button("Undo").toolTip() == "Undo: painted in 'Tissue' (Ctrl+Z)"
     assert not screen.button("Redo").isEnabled()
     screen.press("Undo")
     assert (tissue.data == painted).all()
-    assert dock.status == "Took back: painted in 'Tissue'."
+    assert dock.status == "Undid: painted in 'Tissue'."
     screen.press("Undo")
     assert dock.materials[1].stiffness != 33
     screen.press("Undo")
@@ -166,4 +166,4 @@ def test_arrows_and_numbers_are_taken_back_from_the_last_to_the_first(at_hand, a
     assert dock.drawing.marks, "the number came later"
     person.key(Z, CTRL)
     assert not dock.drawing.marks
-    assert dock.status == "Took back: replaced the drawing."
+    assert dock.status == "Undid: replaced the drawing."

@@ -54,7 +54,7 @@ class CurveEditor(Container):
             "Interpolation between the points: straight, or smooth without overshoot; on a "
             "logarithmic or a linear scale of stiffness"
         )
-        self.joined = menu("joined", _JOINED, tip)
+        self.joined = menu("interpolation", _JOINED, tip)
         tip = "Unit of measured stiffness, such as kPa; for display only"
         self.unit = LineEdit(label="unit", tooltip=tip)
         tip = "Replace the curve by a first guess from the visible slice: brighter is stiffer"

@@ -131,12 +131,12 @@ class FreeTool(BrushTool):
     """Brush that frees the painted tissue from all boundary conditions."""
 
     name = "free"
-    title = "Free"
+    title = "Release"
     key = "F"
     fields = ("radius",)
-    hint = "Paint tissue to free it from everything that holds or moves it."
+    hint = "Paint tissue to release it from everything that holds or moves it."
     action = "free"
-    step = "freed tissue"
+    step = "released tissue"
 
 
 class PushTool(BrushTool):

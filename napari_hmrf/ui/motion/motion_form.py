@@ -60,7 +60,7 @@ class MotionForm(Container):
         self.tools = {tool.name: _button(tool) for tool in TOOLS}
         self.fields = ToolFields()
         self.edge = CheckBox(
-            text="hold the edge of the tissue",
+            text="Fix outer edge",
             value=True,
             tooltip="Fix the outline of the tissue, and tissue at the edge of the image, unless a "
             "mark or the boundary moves it. Edges of holes in the tissue are free",

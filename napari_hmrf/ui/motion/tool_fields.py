@@ -56,7 +56,7 @@ class ToolFields(Container):
         )
         self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
         self.stroke_confidence = share(
-            "becomes",
+            "new confidence",
             "New confidence of the held and moved tissue under the brush. 1: held exactly, 0: free",
         )
         self.softness = share(
@@ -66,7 +66,7 @@ class ToolFields(Container):
         )
         self.components = ComboBox(
             choices=_components(self._ways),
-            label="moves",
+            label="direction",
             tooltip="Directions in which motion is set; in the other direction, tissue is free",
         )
         self.preset = menu(
@@ -76,7 +76,7 @@ class ToolFields(Container):
             "pixels are the first of these tissues",
         )
         tip = "Tissue to paint, from the table of the tissue layer or from the presets"
-        self.material = ComboBox(choices=[], label="becomes", tooltip=tip)
+        self.material = ComboBox(choices=[], label="new tissue", tooltip=tip)
         for choices in (self.preset, self.components):
             narrow(choices)
         self._own_table = False
@@ -210,4 +210,4 @@ def _in_words(row: Material, unit: str) -> str:
 
 def _components(ways: Directions) -> list[tuple[str, str]]:
     """Return the choices of components that a mark may prescribe."""
-    return [("both directions", "both"), (ways.only(0), "row"), (ways.only(1), "col")]
+    return [("any", "both"), (ways.only(0), "row"), (ways.only(1), "col")]

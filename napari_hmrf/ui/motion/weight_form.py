@@ -33,7 +33,7 @@ class WeightForm(Container):
         self.way = ComboBox(
             name="way",
             choices=self._offered,
-            label="weight pulls",
+            label="gravity",
             tooltip="Direction of the weight of all tissue, as in an open skull. Some tissue must "
             "be held in place",
         )
@@ -77,7 +77,7 @@ class WeightForm(Container):
         self.way.value = self._step
 
     def _offered(self, _: ComboBox) -> list[tuple[str, Step]]:
-        return [("nowhere", ()), *self._ways.steps_with(self._step)]
+        return [("off", ()), *self._ways.steps_with(self._step)]
 
     def _show(self, *_: object) -> None:
         self.amount.visible = bool(self.way.value)

@@ -54,13 +54,13 @@ class ResultForm(Container):
         self.slider.native.findChild(QSlider).setStyle(self._style)
         self.play = PushButton(text=PLAY, tooltip="Play back and forth between 0 and 100 %")
         self.before = PushButton(
-            text="Hold: before",
+            text="Compare",
             tooltip="Show the undeformed image while this button is pressed "
             f"(or {BEFORE_KEY} on the canvas)",
         )
         self.how_far = Prose()
         self.overlay = ComboBox(
-            choices=overlay_choices("px"), value=NOTHING, label="show", tooltip=OVERLAY_TIP
+            choices=overlay_choices("px"), value=NOTHING, label="overlay", tooltip=OVERLAY_TIP
         )
         narrow(self.overlay)
         self.reference = LayerChoice(
@@ -68,13 +68,13 @@ class ResultForm(Container):
             lambda layer: layer is not self._own_arrows and holds_field(layer),
             "reference",
             "Displacement field (File > Open) or another result. The difference from this result "
-            "is reported here, and 'show' offers a map of it",
+            "is reported here, and 'overlay' offers a map of it",
             if_any=True,
         )
         self.second = LayerChoice(
             layers,
             lambda layer: is_picture(layer) and layer is not image.value,
-            "compare with",
+            "second image",
             "Second image of the same tissue, such as a later scan. It is shown in green over the "
             "deformed image in magenta; where both images agree, the sum is grey",
             if_any=True,

@@ -17,7 +17,7 @@ LOST = (
 )
 NO_IMAGE = (
     "There is no image with the pixels of this result to be deformed. Open the image of the "
-    "result. The arrows and the choices of 'show' are available without it."
+    "result. The arrows and the choices of 'overlay' are available without it."
 )
 NO_FORCES = (
     "Forces are available for elastic tissue and large motion, after Deform in this session. "

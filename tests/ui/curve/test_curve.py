@@ -544,7 +544,7 @@ def test_materials_are_taken_from_another_layer(widget, small_sample):
     )
     viewer.add_labels(np.ones((20, 24), int), name="nothing")
     widget.tissue = tissue
-    taken = entries(widget._form.tissue.menu)["Take from layer"].menu()
+    taken = entries(widget._form.tissue.menu)["Load from layer"].menu()
     assert [action.text() for action in taken.actions()] == ["other"]
     taken.actions()[0].trigger()
     assert widget.materials[1:] == rows

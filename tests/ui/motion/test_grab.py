@@ -434,12 +434,12 @@ def test_an_edit_of_another_slice_is_taken_back_there(open_beside, settle):
     settle(widget)
     person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
-    assert Screen(widget).button("Undo").toolTip() == "Take back: drew an arrow (Ctrl+Z)"
+    assert Screen(widget).button("Undo").toolTip() == "Undo: drew an arrow (Ctrl+Z)"
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert viewer.dims.current_step[0] == 1, "it goes to where it happened"
     assert not widget.drawing.marks
-    assert widget.status == "Took back: drew an arrow."
+    assert widget.status == "Undid: drew an arrow."
     assert not Screen(widget).button("Undo").isEnabled()
     person.key(Qt.Key.Key_Y, CTRL)
     assert only(widget).by == pytest.approx((4, 0), abs=0.6)
@@ -512,7 +512,7 @@ def test_an_image_that_is_removed_takes_its_steps_along(pulling_beside, at_rest)
     at_rest()
     assert not Screen(widget).button("Undo").isEnabled()
     widget.undo()
-    assert widget.status == "There is nothing to take back."
+    assert widget.status == "There is nothing to undo."
 
 
 def test_a_table_that_is_edited_is_followed_and_a_step_among_the_others(open_beside, settle):
@@ -611,7 +611,7 @@ def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling_beside, settle):
     layers.selection.active = layers["MR"]
     assert "To continue drawing" in widget.status
     person.key(Qt.Key.Key_Z, CTRL)
-    assert widget.status.startswith("Took back: drew an arrow. To continue drawing")
+    assert widget.status.startswith("Undid: drew an arrow. To continue drawing")
     layers.selection.active = layers["Motion"]
     layers.selection.active = layers["MR"]
     assert widget.status.startswith("To continue drawing")

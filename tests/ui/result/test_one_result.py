@@ -513,7 +513,7 @@ def test_a_warning_of_folds_stays_as_long_as_they_are_seen_and_no_longer(folded,
     widget.undo()
     settle(widget)
     assert "folds" in widget.warning
-    assert "Took back" in widget.status
+    assert "Undid" in widget.status
     widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 1), 4))
     settle(widget)
     assert not widget.warning
@@ -549,7 +549,7 @@ def test_what_was_said_is_over_when_the_next_thing_is_done(pulling_beside, settl
     person.drag((30, 30), (33, 30))
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
-    assert "Took back" in widget.status
+    assert "Undid" in widget.status
     person.drag((30, 30), (33, 30))
     settle(widget)
     assert widget.status.startswith("Drag tissue")
