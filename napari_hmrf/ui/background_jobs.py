@@ -14,7 +14,7 @@ from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
 T = TypeVar("T")
-# Description of a job in the message of another job that waits for it.
+# Description of these jobs in the messages of other jobs that wait for them.
 _DOING = "a picture that is being drawn"
 
 
@@ -43,7 +43,7 @@ class BackgroundJobs:
         self._gui = GuiThread()
 
     def submit(self, kind: str, work: Callable[[], T], show: Callable[[T], object]) -> None:
-        """Submit a job; `show` is called with its result, unless a newer job replaces it.
+        """Submit a job; `show` is called with the result unless a newer job replaces this job.
 
         The result of a running job is shown even if a newer job is pending, so that the picture
         moves during a drag.
@@ -76,7 +76,7 @@ class BackgroundJobs:
                 self._pending.pop(each).queue.close()
 
     def release(self) -> None:
-        """Drop all jobs permanently."""
+        """Drop all jobs, and stop delivering results."""
         self.cancel()
         self._gui.release()
 

@@ -105,7 +105,7 @@ class Controller:
         self.settling = False
         self.engine = PacedEngine(self._on_answer, self._on_complete)
         self._submitted: Study | None = None
-        # Reason why the tissue is not updated, report of the last result, and last such message.
+        # Reason why the tissue is not updated, report of the last result, and last emitted message.
         self._failure = self._report = self._last_message = ""
         self._refresh_timer = single_shot(native, 0, self.refresh)
         self._complete_timer = single_shot(native, _REST, self.complete)
@@ -133,14 +133,14 @@ class Controller:
 
     @property
     def _latest_here(self) -> CompleteResult | None:
-        """Latest result, if it belongs to the current slice or volume; else None."""
+        """Latest result if it belongs to the current slice or volume, else None."""
         latest, study = self.latest, self.study
         here = latest is not None and study is not None and latest.moved.study.grid == study.grid
         return latest if here else None
 
     @property
     def unheld_warning(self) -> str:
-        """Warning about unconstrained tissue in the latest result; "" if there is none."""
+        """Warning about unconstrained tissue in the latest result, or ""."""
         return "" if (done := self._latest_here) is None else messages.unheld_warning(done.notes)
 
     @property
@@ -165,7 +165,7 @@ class Controller:
             self._refresh_timer.start()
 
     def refresh(self) -> bool:
-        """Read the current choices and update the tissue; return whether they could be read."""
+        """Read the current choices and update the tissue; return whether reading succeeded."""
         if self._is_released:
             return False
         self._refresh_timer.stop()
@@ -229,7 +229,7 @@ class Controller:
             self.engine.complete()
 
     def show_before(self, before: bool) -> None:
-        """Show the undeformed image, or the deformed one again."""
+        """Show the undeformed image, or show the deformed image again."""
         result = self.pointer.display.result
         if result is not None:
             result.show_before(before)
@@ -269,11 +269,11 @@ class Controller:
         return replace(study, motion=replace(study.motion, drawing=self._model.drawing))
 
     def _select_slice(self, study: Study, source: Any) -> None:
-        """Make a study the current one, and select the drawing of its slice."""
+        """Make a study current, and select the drawing of its slice."""
         before, place = self._read, study.grid
         is_other = before is None or source is not self.source or before.grid != place
         if is_other and self.settling:
-            self.cancel()  # its result would belong to another slice or image
+            self.cancel()  # the result would belong to another slice or image
         self.pointer.tissue = self.form.tissue.layer
         self._read = study
         if is_other:
@@ -375,7 +375,7 @@ class Controller:
 
     @property
     def _state(self) -> str:
-        """Message about the current study; "" if there is none."""
+        """Message about the current study, or ""."""
         latest, study = self.latest, self.study
         if self._failure:
             stays = "" if latest is None else messages.STAYS
@@ -387,7 +387,7 @@ class Controller:
         return messages.CHANGED
 
     def _emit_message(self, always: bool = False) -> None:
-        """Emit the message about the study if it has changed, or in any case if `always`."""
+        """Emit the message about the study if it has changed or if `always` is True."""
         before, self._last_message = self._last_message, self._state
         if always or self._last_message != before:
             self.message.emit(self._last_message)

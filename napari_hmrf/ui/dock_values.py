@@ -105,7 +105,7 @@ class DockValues(Dock):
 
     @property
     def curve(self) -> StiffnessCurve | None:
-        """Curve from intensity to stiffness, if the tissue is defined by one."""
+        """Curve from intensity to stiffness, or None if no curve defines the tissue."""
         value: StiffnessCurve | None = self._binding.curve
         return value
 
@@ -145,7 +145,7 @@ class DockValues(Dock):
 
     @property
     def model(self) -> ModelName:
-        """Model of the tissue; "paper" also sets `settings` to those of the paper."""
+        """Model of the tissue; "paper" also sets `settings` to the settings of the paper."""
         value: ModelName = self._form.model.model.value
         return value
 
@@ -270,7 +270,7 @@ class DockValues(Dock):
 
     @property
     def active(self) -> bool:
-        """True if the mouse draws."""
+        """True if the mouse draws instead of moving the view."""
         value: bool = self._pointer.active
         return value
 
@@ -288,7 +288,7 @@ class DockValues(Dock):
 
     @property
     def residual(self) -> str:
-        """Distance of landmarks from their targets, as a sentence."""
+        """Description of the distances of landmarks from their targets; "" if there are none."""
         value: str = self._form.result.landmarks.value
         return value
 

@@ -22,7 +22,7 @@ _HELP = (
     "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: search all commands.\n"
 )
 #: Largest image, in pixels, for which *Live* is on by default. On two cores without a GPU, an edit
-#: takes 0.4 s (elastic) to 1.4 s at 1200 x 1200 pixels, and 1.6 to 5 s at 2048 x 2048.
+#: takes 0.4 s (elastic) to 1.4 s for 1200 x 1200 pixels, and 1.6 s to 5 s for 2048 x 2048 pixels.
 LARGEST = 1200 * 1200
 _LIVE = (
     "Update the result after every edit of tissue, boundary or tables. Tools always update it.\n"
@@ -125,7 +125,7 @@ class Footer(QWidget):
 
 
 class LiveChoice(CheckBox):
-    """Check box for a solve after every edit; on by default unless the image is large."""
+    """Check box that enables a solve after every edit; on by default unless the image is large."""
 
     def __init__(self) -> None:
         super().__init__(value=True, text="Live", tooltip=_LIVE)

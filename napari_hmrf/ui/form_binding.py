@@ -166,7 +166,7 @@ class FormBinding:
         self._image_is_fixed = True
 
     def use_layer(self, layer: Any) -> None:
-        """Choose a new layer as the image, unless another image was edited, or as paint."""
+        """Choose a new layer as paint, or as the image unless another image is in use."""
         image = self._form.image
         begun = self._image_is_fixed or (
             image.value is not None and self._model.next_undo is not None
@@ -179,7 +179,7 @@ class FormBinding:
                 self._use_painted(layer)
         if layer in image.offered and begun and not self.automatic:
             covers = image.value and image_covering(self._viewer, image.value) is layer
-            # A covered image is reported anyway.
+            # If the layer covers the image, another message reports that.
             self.message.emit("" if covers else NOT_CHOSEN.format(layer.name))
 
     def _use_painted(self, layer: Any) -> None:
@@ -269,13 +269,13 @@ class FormBinding:
     # From the forms to the model
 
     def release(self) -> None:
-        """Disconnect, as the dock was closed or its window was deleted."""
+        """Disconnect, because the dock was closed or its window was deleted."""
         self._undo.unbind_keys(self)
         self._connections.release()
         self.automatic = True  # a closed form must write nothing
 
     def write(self, *, step: bool = True) -> None:
-        """Write the forms' values to the model, unless they are changing automatically."""
+        """Write the values of the forms to the model, unless the program is changing them."""
         # While another image is being chosen, the form has values of both images.
         if not self.automatic and self._form.image.value is self._model.image:
             self._write(step)
@@ -315,7 +315,7 @@ class FormBinding:
             raise HmrfError(WELCOME)
         word = f"changed the curve of '{image.name}'"
         if self._model.curve is None:
-            self._model.set_curve(curve, word)  # the first curve is no undo step
+            self._model.set_curve(curve, word)  # the first curve is not an undo step
         if self.curve is None:
             self._form.tissue.go_by(self._model.curve or curve)
         self._model.set_curve(curve, word)

@@ -141,7 +141,7 @@ class CalmField(QObject):
             field.editingFinished.connect(partial(field.lineEdit().setModified, False))
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Pass on the wheel and the undo keys if the field does not use them."""
+        """Pass on events of the wheel and the undo keys that the field does not use."""
         theirs = event.type() == QEvent.Type.Wheel and not watched.hasFocus()
         if event.type() == QEvent.Type.KeyPress and isinstance(watched, QAbstractSpinBox):
             keys = QKeySequence.StandardKey

@@ -114,7 +114,7 @@ class Guide:
         return motion_messages.ARROWS_GONE if arrows.layer is None else motion_messages.OFF
 
     def _on_begun(self, *_: object) -> None:
-        """Allow other messages to replace the current one, as a new action has begun."""
+        """Allow other messages to replace the current message, because a new action has begun."""
         self._why, self._read = "news", self._message
 
     def _on_followed(self, *_: object) -> None:
@@ -138,7 +138,7 @@ class Guide:
             self.invite()
 
     def _on_study(self, sentence: str) -> None:
-        """Show a message about the study, after the message of a step; "" if all is well."""
+        """Show a message about the study, after the message of a step; "" means no problem."""
         if not sentence:
             self.invite()
         elif self._why != "refused":

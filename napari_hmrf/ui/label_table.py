@@ -119,7 +119,7 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     @property
     def columns(self) -> list[Column[Row]]:
-        """Columns of the table; subclasses add further ones."""
+        """Columns of the table; subclasses add further columns."""
         return [
             Column("", "Click a row to paint with its label", lambda row: str(row.label)),
             Column(self.title, "Double-click a name to change it", lambda row: row.name, _named),
@@ -191,7 +191,7 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     def release(self) -> None:
         """Stop listening to the layer."""
-        with suppress(RuntimeError):  # Qt may have deleted it at exit
+        with suppress(RuntimeError):  # Qt may have deleted the timer at exit
             self._timer.stop()
         self._connections.release()
         self._layer = None
@@ -329,7 +329,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             self._layer.selected_label = self.labels[row]
 
     def _on_typed(self, item: QTableWidgetItem) -> None:
-        """Apply the text typed into a cell, or report why it is refused."""
+        """Apply the text typed into a cell, or report why the text is refused."""
         row, column = self.rows[item.row()], self.columns[item.column()]
         try:
             after = column.typed(row, item.text().strip())

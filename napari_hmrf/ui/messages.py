@@ -97,7 +97,7 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
 
 
 def can_unfold(done: CompleteResult) -> bool:
-    """Return whether the tissue folds and the large-motion model would avoid that."""
+    """Return whether the tissue folds and the large-motion model would avoid the folds."""
     flat = len(done.moved.study.grid.shape) == 2
     return flat and "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"
 
@@ -108,7 +108,7 @@ def marks_of(outputs: Outputs) -> dict[Mark, int]:
 
 
 def unheld_warning(notes: Sequence[str]) -> str:
-    """Return the note about unconstrained tissue, as a sentence; "" if there is none."""
+    """Return the note about unconstrained tissue as a sentence, or ""."""
     return next((_sentence(note) for note in notes if note.startswith(LOOSE)), "")
 
 
@@ -141,7 +141,7 @@ def progress(monitor: Monitor, work: str = "Deforming") -> str:
 
 
 def describe_image_choice(image: Any, hidden: Sequence[Any]) -> str:
-    """Report that no image is chosen, or list the layers hidden for it; "" if there are none."""
+    """Report that no image is chosen, or which layers are hidden for the image, or return ""."""
     names = ", ".join(f"'{layer.name}'" for layer in hidden)
     return _NO_IMAGE if image is None else names and _HIDDEN.format(image.name, names)
 

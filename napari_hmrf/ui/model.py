@@ -26,7 +26,7 @@ _PICTURE = QSize(64, 32)
 
 
 class DetailsForm(Container):
-    """Form with a field for each of `SolverDetails`; only those of the chosen model are visible."""
+    """Form with the fields of `SolverDetails`; it shows the fields of the chosen model only."""
 
     def __init__(self) -> None:
         hints = get_type_hints(SolverDetails)
@@ -143,7 +143,7 @@ class ModelForm(Container):
         return self.model.value in ELASTIC
 
     def tissue_is(self, layer: Any) -> None:
-        """Set the layer that defines the tissue; for an image, show the field of `poisson`."""
+        """Set the layer that defines the tissue; `poisson` is visible only for an image."""
         if layer is not self._tissue:
             self._tissue = layer
             self._show()

@@ -1,4 +1,4 @@
-"""Empty layers to paint on, with default tables for the first labels."""
+"""Empty layers for painting, with default tables for the first labels."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ class PacedEngine:
 
     @property
     def monitor(self) -> Monitor:
-        """Progress of the work, or of the job for which the engine waits."""
+        """Progress of the solve, or of the job for which the solve waits."""
         return self._engine.monitor
 
     def rehearse(self, study: Study) -> None:
@@ -127,7 +127,7 @@ class PacedEngine:
     def _on_answer(self, state: ShownDeformation) -> None:
         if not self._engine.is_current(state.moved):
             return
-        # A newer study has corrected the error, or will report it again.
+        # A newer study has corrected the error, or will report the error again.
         try:
             if state.moved.error is None or not self._engine.has_pending:
                 self._show(state)

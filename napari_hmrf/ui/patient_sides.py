@@ -51,7 +51,7 @@ class PatientSides:
 
     @property
     def shown(self) -> Sides:
-        """Visible letters, by edge."""
+        """Letter at each edge of the canvas; "" if hidden."""
         return Sides(*(label.text() for label in self._labels)) if self._labels else Sides()
 
     def begin(self, window: Any) -> None:

@@ -14,7 +14,7 @@ _DEVICE = "deform/device"
 
 
 def settings() -> QSettings:
-    """Return the store of the settings of all sessions."""
+    """Return the storage of settings that are shared by all sessions."""
     return QSettings(
         QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
     )

@@ -359,7 +359,7 @@ class SoftTissue(DockValues):
 
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer
-        if not pointer.tool.is_dragging:  # a drag changes none of these
+        if not pointer.tool.is_dragging:  # a drag does not change the widgets below
             motion.show_tool(pointer.tool.name if pointer.active else "")
             motion.remove.enabled = pointer.tool.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
@@ -375,7 +375,7 @@ class SoftTissue(DockValues):
     # Buttons and events
 
     def _on_tool(self, name: str) -> None:
-        """Switch to the tool of a button; a second press stops drawing."""
+        """Switch to the tool of a button, or stop drawing if the tool is already in use."""
         unused, self._unused = self._unused, False
         if self.active and self.tool == name and not unused:
             self.stop()
@@ -399,7 +399,7 @@ class SoftTissue(DockValues):
         self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:
-        """Release all parts, as the dock was closed or its window was deleted."""
+        """Release all parts, because the dock was closed or its window was deleted."""
         if closed:
             self._controller.cancel()
             self._controller.clear()

@@ -128,7 +128,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
 
 
 class BoundarySection(_PaintedSection[BoundaryTable]):
-    """Section for the boundary: Labels with rules, or Vectors with confidence; and landmarks.
+    """Section for the boundary (Labels with rules, or Vectors with confidence) and landmarks.
 
     Attributes
     ----------

@@ -129,7 +129,7 @@ class Unsaved(QObject):
     # Files
 
     def save(self, path: str | Path) -> Path:
-        """Save the current study, and its field if that is up to date."""
+        """Save the current study, with its field if the field is up to date."""
         solution, study = self._dock.solution if self._controller.fresh else None, self._dock.study
         written = write_study(path, study, solution)
         apart = self._landmarks_apart(study)
@@ -296,7 +296,7 @@ class Unsaved(QObject):
         self._work.saved_files[slice_part] = recovery.claim(file)
 
     def release(self) -> None:
-        """Disconnect from edits, as the dock was closed or its window was deleted."""
+        """Disconnect from edits, because the dock was closed or its window was deleted."""
         _all.discard(self)
         self._connections.release()
         self._keep_timer.stop()

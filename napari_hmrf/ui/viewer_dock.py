@@ -18,7 +18,7 @@ from napari_hmrf.ui.events import single_shot
 _LAYOUT_TIME = 50
 #: Distance below which two view centres are considered equal, in screen pixels.
 _SAME_CENTRE = 20
-#: References to the lifetimes of all open docks, as Qt's signals do not reference their callbacks.
+#: Lifetimes of all open docks, referenced here because Qt's signals do not reference callbacks.
 _lifetimes: set[_Lifetime] = set()
 
 
@@ -79,7 +79,7 @@ class Dock(Container):
 class _Lifetime:
     """Lifetime of a dock widget; no Qt object is used after its end."""
 
-    # Not a closure over the owner: Qt would call it even while Python deletes both.
+    # A weak reference, because Qt would call a closure over the owner even during its deletion.
     def __init__(self, owner: Dock) -> None:
         self.has_ended = self._docked = False
         self._owner = weakref.ref(owner)
@@ -102,7 +102,7 @@ class _Lifetime:
             self.end(closed=True)
 
     def end(self, closed: bool) -> None:
-        """End the dock, as it was closed or its window was deleted."""
+        """End the dock, because it was closed or its window was deleted."""
         over, self.has_ended = self.has_ended, True
         _lifetimes.discard(self)
         if not over and (owner := self._owner()) is not None:

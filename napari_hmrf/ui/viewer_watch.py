@@ -56,7 +56,7 @@ class ViewerWatch:
         self._results = shared(viewer, ResultLayers)
         self._active = viewer.layers.selection.active
         self._first_timer = single_shot(native, 0, self._on_first)
-        # Deferred, as napari may still be removing other layers.
+        # Deferred, because napari may still be removing other layers.
         self._removal_timer = single_shot(native, 0, self._on_left)
         self._has_started = self._was_active = False
         # Message about a removed layer, until it is shown.
@@ -169,7 +169,7 @@ class ViewerWatch:
             self._callbacks[event.type](event)
 
     def _on_pixels(self, event: Any) -> None:
-        """Schedule a refresh, as the pixels of a layer or their position may have changed."""
+        """Schedule a refresh, because the pixels of a layer or their position may have changed."""
         if self._reads(event.sources[0]):
             self._controller.schedule_refresh()
 

@@ -1,4 +1,4 @@
-"""Layer that shows the stiffness that a curve assigns to the pixels of an image."""
+"""Layer of the stiffness assigned to the pixels of an image by a curve."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ _JOINED = {
 
 
 class CurveEditor(Container):
-    """Editor of a stiffness curve, whose points are dragged or typed.
+    """Editor of a stiffness curve; the user drags or types the points.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ _HELP = (
 
 
 class CurvePlot(QWidget):
-    """Plot of a curve whose points the mouse drags, adds and removes.
+    """Plot of a curve; the user drags, adds and removes its points with the mouse.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class CurvePlot(QWidget):
         self._draw_soon()
 
     def apply_edit(self, curve: StiffnessCurve) -> None:
-        """Show a curve that the user has edited, and emit `edited`."""
+        """Show a curve that the user has edited, and emit the signals of the edit."""
         if curve != self._curve:
             self.curve = curve
             self.edited.emit(curve)

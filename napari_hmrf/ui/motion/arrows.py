@@ -124,7 +124,7 @@ class ArrowsLayer:
         below: Iterable[Lines] = (),
         quick: bool = False,
     ) -> None:
-        """Draw the arrows, and more lines below them.
+        """Draw the arrows, and other lines below the arrows.
 
         With `quick`, as during a drag, only the canvas is updated if possible.
         """
@@ -152,7 +152,7 @@ class ArrowsLayer:
             add_metadata(self._layer, drawing=drawing.as_dict())
 
     def show_cursor(self, circle: float | None) -> None:
-        """Show a circle of this radius around the pointer, or no circle if None."""
+        """Show a circle of this radius around the pointer; None hides the circle."""
         self._circle = circle
         layer, frame = self.layer, self._frame
         # In the other modes of the layer, napari sets the cursor.
@@ -177,7 +177,7 @@ class ArrowsLayer:
         self._layer = self._frame = None
 
     def _add(self, frame: Frame, shape: tuple[int, ...]) -> None:
-        """Add a new layer in place of the previous one."""
+        """Add a new layer in place of the previous layer."""
         self.remove()
         layer = self._layer = Layer.create(*arrow_layer(frame, shape))
         self._frame = frame
@@ -221,7 +221,7 @@ class ArrowsLayer:
         self._listener.press(point, self._reach(layer, event))
         self._suspend_status()
         yield
-        # vispy drops a move that closely follows another, so the release is also a move.
+        # vispy drops a move that closely follows another move, so the release is also a move.
         while True:
             point = self._pixel(layer, event)
             if point is not None:

@@ -104,7 +104,7 @@ class BrushTool(Tool):
         return all(-0.5 <= at <= size - 0.5 for at, size in along)
 
     def _place(self, point: Point) -> Point:
-        """Return the undeformed place of a visible point; the point itself outside tissue."""
+        """Return the undeformed place of a visible point, or the point itself outside tissue."""
         before = self._origin(point)
         return point if before is None else before
 
@@ -154,7 +154,7 @@ class PushTool(BrushTool):
     _grip: tuple[Point, Point] | None = None
 
     def _begin(self, point: Point, settings: ToolSettings) -> None:
-        """Begin to drag the selected stroke if it is hit, else begin to paint."""
+        """Begin to drag the selected stroke if the point is on the stroke, else begin to paint."""
         self._grip, stroke = None, self._stroke_at(self._place(point))
         if stroke is None:
             super()._begin(point, settings)
@@ -192,11 +192,17 @@ class GrowTool(BrushTool):
 
     @property
     def error_message(self) -> str:
-        """Advice to close the ring, while a stroke is being painted; else ""."""
+        """Advice to close the ring while a stroke is being painted, else ""."""
         return "" if self.stroke is None else motion_messages.OPEN
 
     def release(self) -> str | None:
-        """End the stroke, and refuse an open line; as in `Tool`."""
+        """End the stroke as one undo step, and refuse an open line.
+
+        Raises
+        ------
+        ToolError
+            If the stroke is an open line; the drawing is then unchanged.
+        """
         stroke = self.stroke
         if stroke is not None:
             try:
@@ -208,7 +214,7 @@ class GrowTool(BrushTool):
 
 
 class ConfidenceTool(BrushTool):
-    """Brush for the confidence of the boundary conditions below it."""
+    """Brush for the confidence of boundary conditions on the painted tissue."""
 
     name = "confidence"
     title = "Confidence"
@@ -234,7 +240,7 @@ class TissueTool(BrushTool):
     action = "tissue"
     step = "painted tissue"
 
-    #: True if the user has selected the stroke, rather than just painted it.
+    #: True if the user has selected the stroke; False if the stroke was just painted.
     _is_picked = False
 
     def press(
@@ -252,6 +258,6 @@ class TissueTool(BrushTool):
         self._is_picked = number is not None
 
     def change(self, settings: ToolSettings) -> None:
-        """Apply changed settings to the selected stroke, if the user has selected it."""
+        """Apply changed settings to the selected stroke, if the user has selected the stroke."""
         if self._is_picked:
             super().change(settings)

@@ -121,7 +121,7 @@ class Display:
                 made = picture_layer(study.grid.known_place, study.pictures, picture, run)
                 self._show_result({"image": made}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
-                # Hide, not remove: napari 0.7 can crash when no lines are left.
+                # Hide the layers instead of removing them: napari 0.7 can crash without lines.
                 self._show_result({}, moving=False)
             else:
                 self._show_painting()
@@ -137,7 +137,7 @@ class Display:
         return self._whole
 
     def finish(self, done: CompleteResult | None) -> None:
-        """Show all layers of a complete result; with None, only the undeformed image."""
+        """Show all layers of a complete result, or only the undeformed image if None."""
         state = self.state
         assert state is not None
         image = state.moved.study.pictures.image

@@ -93,7 +93,7 @@ class Pointer:
 
     @property
     def active(self) -> bool:
-        """True if the mouse draws."""
+        """True if the mouse draws instead of moving the view."""
         return self.display.state is not None and self.display.arrows.active
 
     @property
@@ -172,7 +172,7 @@ class Pointer:
             corner.visible = self.active
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
-        """Replace the drawing, as an undo step named `word`; "" makes no undo step."""
+        """Replace the drawing, as an undo step named `word`; with "", without an undo step."""
         self.release()
         if self._model.slice.layer is not None:  # else there is nothing to draw on
             self._model.draw(drawing, word)
@@ -242,7 +242,7 @@ class Pointer:
         self.draw()
 
     def pick(self, point: Point, reach: float) -> None:
-        """Select the mark at a point, and switch to the tool that made it."""
+        """Select the mark at a point, and switch to the tool that makes such marks."""
         moved = self.display.moved
         if moved is None:
             return

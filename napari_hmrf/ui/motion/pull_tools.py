@@ -28,7 +28,7 @@ class PullTool(Tool):
 
     #: End of the mark that is dragged.
     _part: Literal["head", "base"] = "head"
-    #: Position of the mouse, and its offset from that end.
+    #: Position of the mouse, and offset of the mouse from the dragged end.
     _at: Point = (0.0, 0.0)
     _offset: Point = (0.0, 0.0)
 
@@ -46,7 +46,7 @@ class PullTool(Tool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Grab the end of a mark, or tissue; as in `Tool`.
+        """Begin to drag an end of a mark, or tissue; as in `Tool`.
 
         A new mark begins at the undeformed place of the tissue, and ends at its visible place.
         """
@@ -127,7 +127,7 @@ class LandmarkTool(PullTool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Grab the end of a mark, or tissue; as in `PullTool`."""
+        """Begin to drag an end of a mark, or tissue; as in `PullTool`."""
         message = super().press(point, reach, settings, origin)
         self._pressed = self.mark
         return message

@@ -150,7 +150,7 @@ class Tool(ABC):
 
     @property
     def stroke(self) -> Stroke | None:
-        """Stroke that is being painted, to be shown before the tissue follows; or None."""
+        """Stroke that is being painted, or None; it is shown before the tissue follows."""
         return None
 
     @property
@@ -239,6 +239,6 @@ class Tool(ABC):
 
 
 def name_of(mark: Mark) -> str:
-    """Return the kind of a mark with its article, such as "an arrow"."""
+    """Return the kind of a mark with an indefinite article, such as "an arrow"."""
     kind = type(mark).__name__.lower()
     return f"an {kind}" if kind == "arrow" else f"a {kind}"

@@ -50,7 +50,7 @@ class WeightForm(Container):
 
     @property
     def value(self) -> Step:
-        """Force per volume, in the order of the axes of the image; () if there is none."""
+        """Force per volume, in the order of the axes of the image; () if there is no force."""
         return tuple(self.amount.value * step for step in self.way.value)
 
     @value.setter

@@ -113,7 +113,7 @@ class ResultForm(Container):
                 part.margins = (0, 0, 0, 0)
 
     def offer(self, arrows: Any) -> None:
-        """Enable the widgets that need a result, given its layer of arrows or None."""
+        """Enable the widgets that need a result, if `arrows` is the layer of a result, not None."""
         self._own_arrows = arrows
         self.reference.reset_choices()
         for part in (self.slider, self.play, self.before, self.overlay, self.save):

@@ -279,7 +279,7 @@ class ResultMenu:
 
 
 def _table_of(titles: list[str], cells: list[list[str]]) -> QtWidgets.QTableWidget:
-    """Make a read-only table of texts."""
+    """Create a read-only table of texts."""
     table = QtWidgets.QTableWidget(len(cells), len(titles))
     table.setObjectName("measurements")
     table.setHorizontalHeaderLabels(titles)

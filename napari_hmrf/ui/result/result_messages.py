@@ -69,7 +69,7 @@ OVERLAY_TIP = (
 def overlay_choices(
     unit: str, ways: Directions = _UPRIGHT, compared: bool = False
 ) -> list[tuple[str, str]]:
-    """Return pairs of label and name of all overlays; `compared` adds the difference."""
+    """Return (label, name) pairs of all overlays; `compared` includes the difference."""
     rows, columns = (
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))

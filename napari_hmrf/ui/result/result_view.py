@@ -208,7 +208,7 @@ class ResultView:
                 self._draw_whole()  # its layers were redrawn at 100 %
 
     def _on_active(self, *_: Any) -> None:
-        """Select the result of the active arrows, perhaps of another image, slice or file."""
+        """Select the result of the active arrows, which may be of another image, slice or file."""
         active = self._viewer.layers.selection.active
         answer = None if active in (None, self.arrows) else result_of(active)
         if answer is not None and not self._results.of(active).is_away:
