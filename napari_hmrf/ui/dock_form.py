@@ -71,7 +71,7 @@ class DockForm:
         self.extent = ExtentChoice()
         self.make = PushButton(
             text="Layers to paint on",
-            tooltip="Add a tissue layer and a boundary layer with the pixels of the image",
+            tooltip="Add an empty tissue layer and an empty boundary layer on the image",
         )
         self.intensity = PushButton(
             text="Tissue from brightness",

@@ -20,7 +20,7 @@ from napari_hmrf.wording import in_words_of
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
 CHOOSE = "Choose an image above, or open one (File > Open)."
 READY = "Press Deform."
-STILL = "Nothing moves yet: drag tissue with a tool, or paint tissue that moves."
+STILL = "Nothing moves yet: choose a tool, then drag or paint tissue."
 PAINT = "Paint in {}: click a row of a table, then paint with its label."
 CURVE = "First guess: brighter tissue is stiffer. Drag the points of the curve to change it."
 MEANWHILE = "The deformed image is hidden while you paint."
@@ -65,11 +65,11 @@ _WAITS = ("waiting for", "compiling", "starting to compile")
 _WARNINGS: dict[Mark, str] = {
     "folds": "the tissue folds: it passes through itself, which real tissue cannot do. Move it "
     "less; far from held tissue, a wider patch or boundary also helps.",
-    "overlaps": "one part of the tissue has moved onto another part and hides it: the model has no "
-    "contact across a gap.",
+    "overlaps": "one part of the tissue has moved onto another part and hides it. The model does "
+    "not include contact across a gap.",
 }
 #: Message after the view has moved to another slice of a volume.
-MOST = "The view has moved to the slice with the most: {}."
+MOST = "The view has moved to the slice with the most such voxels: {}."
 #: Up to this number, folded pixels are rounding noise and cause no warning.
 HANDFUL = 5
 

@@ -71,7 +71,7 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
 
 
 def _blank(image: Any, view: View, name: str, description: dict[str, Any], **look: Any) -> Labels:
-    """Create an empty Labels layer with the pixels of an image, at the same place."""
+    """Create an empty Labels layer on the pixel grid of an image."""
     frame, shape = frame_of(image, view), layer_extents(image)
     place = frame.placement()
     if math.prod(shape) > _LARGEST:

@@ -242,7 +242,7 @@ class SoftTissue(DockValues):
             self._controller.solve_cold()
 
     def make_layers(self) -> None:
-        """Add a tissue and a boundary layer with the pixels of the image, and choose both layers.
+        """Add a tissue and a boundary layer on the pixel grid of the image, and choose both.
 
         Layers that are already chosen are kept, as is tissue defined by the brightness of the
         image.

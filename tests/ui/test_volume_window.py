@@ -300,7 +300,7 @@ def test_the_chip_goes_to_the_slice_in_which_most_of_it_folds(volume_beside, set
     most = marked.sum(axis=tuple(axis for axis in range(3) if axis != across))
     seen = round(dims.point[across] / (SCALE[across]))
     assert most[seen] == most.max() > 0
-    assert widget.status.endswith(f"The view has moved to the slice with the most: slice {seen}.")
+    assert widget.status.endswith(f"slice with the most such voxels: slice {seen}.")
     assert widget.status.startswith(widget.warning)
 
 

@@ -145,7 +145,7 @@ class ResultMenu:
         Raises
         ------
         HmrfError
-            If there is no result, or no image with the pixels of the result.
+            If there is no result, or no image on the pixel grid of the result.
         """
         shown = self._shown
         if shown.image is None:

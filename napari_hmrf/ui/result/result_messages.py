@@ -16,8 +16,8 @@ LOST = (
     "pull tissue. To hide arrows, click the eye of their layer instead."
 )
 NO_IMAGE = (
-    "There is no image with the pixels of this result to be deformed. Open the image of the "
-    "result. The arrows and the choices of 'overlay' are available without it."
+    "There is no image on the pixel grid of this result. Open the image of the result to deform "
+    "it. The arrows and the choices of 'overlay' are available without the image."
 )
 NO_FORCES = (
     "Forces are available for elastic tissue and large motion, after Deform in this session. "

@@ -673,7 +673,7 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     look = widget
     wait_for(lambda: not look.busy)
     look.percent = 50
-    assert look.status.startswith("There is no image with the pixels of this result")
+    assert look.status.startswith("There is no image on the pixel grid of this result")
     set_to(look, overlay="stiffness")
     assert look.status.startswith("A file of a result does not contain the input stiffness")
     set_to(look, overlay="magnitude")
