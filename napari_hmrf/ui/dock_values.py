@@ -257,8 +257,8 @@ class DockValues(Dock):
     def prompt(self) -> Prompt:
         """Callback for the prompt about unsaved work before the window closes.
 
-        The callback takes a question, and returns "save", "discard" or "cancel". The default one
-        shows a dialog.
+        The callback takes a question, and returns "save", "discard" or "cancel". The default
+        callback shows a dialog.
         """
         return self._unsaved.prompt
 

@@ -46,7 +46,7 @@ class Footer(QWidget):
     deform, cancel : PushButton
     live : LiveChoice
     undo, redo : PushButton
-        Buttons whose tooltips name the step.
+        Buttons; their tooltips name the step.
     chip : QPushButton
         Visible only while there is a warning about the visible tissue.
     other : QPushButton

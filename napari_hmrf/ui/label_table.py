@@ -38,13 +38,13 @@ class Column(NamedTuple, Generic[Row]):
     Attributes
     ----------
     title, about : str
-        Header, and its tooltip.
+        Header of the column, and tooltip of the header.
     shown : callable
         Returns the text of the cell in a row. An empty text cannot be edited, except for a name.
     typed : callable
         Returns the row changed by a typed text; raises ValueError if the text is invalid.
     choices : sequence of str
-        Texts to choose from, in a column where no text can be typed.
+        Texts to choose from, if the user cannot type text in the column.
     """
 
     title: str

@@ -74,7 +74,7 @@ class ModelForm(Container):
     Attributes
     ----------
     model : ComboBox
-        A `ModelName`. Choosing "paper" also sets the solver settings to those of the paper.
+        A `ModelName`. Choosing "paper" also sets the solver settings to the settings of the paper.
     plane : RadioButtons
         Plane of the elastic model: "stress" or "strain".
     poisson : FloatSpinBox

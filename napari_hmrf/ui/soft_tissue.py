@@ -71,11 +71,11 @@ class SoftTissue(DockValues):
         Returns the deformation of the visible tissue at a point in world coordinates, as a
         `Probe`; None outside tissue.
     undo, redo : callable
-        Undo the last step; redo the step that was undone last.
+        Undoes the last step; redoes the step that was undone last.
     remove, clear : callable
-        Remove the selected mark; remove all marks of the visible slice.
+        Removes the selected mark; removes all marks of the visible slice.
     play, pause : callable
-        Play back and forth between 0 and 100 %; pause at the displayed state.
+        Plays back and forth between 0 and 100 %; pauses at the displayed state.
     save_study : callable
         Saves `study` to a path, with its field if that is up to date, as
         `napari_hmrf.write_study`. Returns the `Path` of the file.

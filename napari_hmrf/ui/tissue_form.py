@@ -70,7 +70,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
     brightness_curve : StiffnessCurve or None
         Curve of the image, if the menu offers it.
     editor : CurveEditor
-        Editor of that curve.
+        Editor of the curve.
     """
 
     brightness_curve: StiffnessCurve | None = None

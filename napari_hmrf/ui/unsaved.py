@@ -105,7 +105,7 @@ class Unsaved(QObject):
     Attributes
     ----------
     prompt : callable
-        Given a question, returns "save", "discard" or "cancel"; by default from a dialog.
+        Given a question, returns "save", "discard" or "cancel". The default shows a dialog.
     """
 
     def __init__(self, dock: Dock, viewer: Any, controller: Controller, attempt: Attempt) -> None:

@@ -36,7 +36,7 @@ class CurvePlot(QWidget):
     Attributes
     ----------
     canvas : FigureCanvasQTAgg or None
-        Canvas of the plot; None before the plot is first shown, as matplotlib imports slowly.
+        Canvas of the plot; None until the plot is shown, because importing matplotlib is slow.
     edited : Signal(StiffnessCurve)
         Emitted with the curve after every change by the user, also during a drag.
     settled : Signal(StiffnessCurve)

@@ -195,7 +195,7 @@ class ArrowsLayer:
     def _equip(self, layer: Any) -> None:
         """Set the mouse and the cursor for drawing.
 
-        napari resets both when the layer is added and when its mode changes.
+        napari resets the mouse and the cursor when the layer is added and when its mode changes.
         """
         layer.mouse_pan = False
         self.show_cursor(self._circle)

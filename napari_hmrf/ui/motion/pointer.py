@@ -45,7 +45,7 @@ class Pointer:
     fields : ToolFields
         Settings of the tools.
     undo : ViewerUndo
-        Undo of the viewer, with the `StudyModel` whose drawings are edited.
+        Undo of the viewer, with the `StudyModel` that contains the edited drawings.
 
     Attributes
     ----------

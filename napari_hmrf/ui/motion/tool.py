@@ -103,7 +103,7 @@ class Tool(ABC):
         point : tuple of float
             Point on the visible image, in pixels.
         reach : float
-            Largest distance of a mark that the press can grab, in the unit of the spacing.
+            Largest distance at which the press grabs a mark, in the unit of the spacing.
         settings : ToolSettings
             Settings of a new mark.
         origin : callable
@@ -125,7 +125,7 @@ class Tool(ABC):
         Returns
         -------
         str or None
-            Message for the user; None keeps the message that is shown.
+            Message for the user; None keeps the current message.
 
         Raises
         ------

@@ -24,7 +24,7 @@ class WeightForm(Container):
     amount : FloatSpinBox
         Force per volume, in the unit of stiffness per length.
     value : tuple of float
-        Force per volume as a vector, in the order of the axes; () if there is none.
+        Force per volume as a vector, in the order of the axes; () if there is no force.
     """
 
     def __init__(self) -> None:

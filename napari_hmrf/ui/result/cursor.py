@@ -22,8 +22,8 @@ from napari_hmrf.ui.result.result_messages import FULL
 class UnderCursor:
     """Values of a result at the cursor, appended to napari's status text.
 
-    Only one pixel is computed. napari queries its layers in a separate thread, only as often as
-    that thread can respond; this class adds one lookup to each response.
+    Values are computed for a single pixel. napari queries its layers in a separate thread, only as
+    often as that thread can respond; this class adds one lookup to each response.
 
     Parameters
     ----------
