@@ -337,9 +337,9 @@ def test_what_goes_with_a_layer_that_is_deleted_is_said(widget, small_sample, se
     widget.drawing = Drawing((Arrow((10, 10), (1, 0), 3.0),))
     settle(widget)
     for layer, words in (
-        (tissue, "'Tissue' is gone, with its stiffness values"),
-        (boundary, "'Boundary' is gone: it holds and moves nothing any more."),
-        (image, "'MR' is gone, and the drawing on it"),
+        (tissue, "'Tissue' was deleted with its stiffness values"),
+        (boundary, "'Boundary' was deleted: it no longer holds or moves tissue."),
+        (image, "'MR' was deleted with the drawing on it"),
     ):
         viewer.layers.remove(layer)
         settle(widget)

@@ -198,7 +198,7 @@ def test_the_image_deleted_in_mid_drag_ends_it(pulling, at_rest):
     at_rest()
     assert widget.image is None
     assert not widget.drawing.marks
-    assert widget.status.startswith("'MR' is gone, and the drawing on it")
+    assert widget.status.startswith("'MR' was deleted with the drawing on it")
     assert "Motion" not in person.viewer.layers, "nobody would answer it"
 
 

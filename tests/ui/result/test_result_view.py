@@ -771,7 +771,7 @@ def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(look, ru
     wait_for(lambda: not look.busy)
     told = look.status
     assert "The result was in the layer 'MR arrows, paper', which was deleted" in told
-    assert "Press Deform" in told
+    assert "press Deform" in told
     assert "eye" in told
     run(look)
     wait_for(lambda: not look.busy)
