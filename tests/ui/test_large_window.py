@@ -83,7 +83,7 @@ def test_folds_are_mended_by_one_press_and_it_can_be_undone(dock, at_rest):
     assert count_folds(folded.displacement, spacing=1) > 5
     assert offers(dock, offer)
     at_rest(screen.press, "⚠")
-    assert "it folds" in dock.status
+    assert "the tissue folds" in dock.status
     mended = at_rest(screen.press, offer)
     assert "fold" not in dock.status, "what was said of the last result has gone with it"
     assert dock.model == mended.provenance.model == "large motion"

@@ -554,7 +554,7 @@ def test_what_was_said_is_over_when_the_next_thing_is_done(pulling_beside, settl
     settle(widget)
     assert widget.status.startswith("Drag tissue")
     person.pick(33, 30)
-    assert widget.status.startswith("Selected")
+    assert widget.status.startswith("Mark selected")
     person.key(Qt.Key.Key_Delete)
     settle(widget)
     assert widget.status.startswith("Removed")
