@@ -319,7 +319,7 @@ def test_a_refusal_is_read_until_something_else_is_done(small_sample, settle, bu
     small_sample(viewer)
     quick(widget).live = True
     widget.materials = (*widget.materials[:1], replace(widget.materials[1], stiffness=30.0))
-    qtbot.waitUntil(lambda: widget.status.startswith("Following"), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: widget.status.startswith("Updating"), timeout=LONG_MS)
     Screen(widget).cell("gel", "Stiffness").write("nonsense")
     said = widget.status
     assert said == "Stiffness must be a number of at least 0, or 'rigid'. The value is still 30."

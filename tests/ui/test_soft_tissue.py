@@ -553,7 +553,7 @@ def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, 
     said = widget.status
     viewer.layers["Boundary"].data[1] = 0
     viewer.dims.set_current_step(0, 1)
-    wait_for(lambda: widget.status.startswith("Changed since the last result"))
+    wait_for(lambda: widget.status.startswith("The inputs have changed"))
     viewer.dims.set_current_step(0, 3)
     wait_for(lambda: widget.status == said)
     viewer.dims.set_current_step(0, 1)
