@@ -56,7 +56,7 @@ class ToolFields(Container):
         )
         self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
         self.stroke_confidence = share(
-            "new confidence",
+            "confidence",
             "New confidence of the held and moved tissue under the brush. 1: held exactly, 0: free",
         )
         self.softness = share(
