@@ -391,7 +391,7 @@ def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
     assert not layer.visible, "it would tint what was deformed"
     low, high = (at for at, _ in widget.curve.points[::2])
     widget.curve = StiffnessCurve(((low, 1000), (high, 1)))
-    wait_for(lambda: widget.status.startswith("Changed"))
+    wait_for(lambda: widget.status.startswith("The inputs have changed"))
     second = run(widget).solution.displacement
     assert np.abs(second - first).max() > 0.1
 
