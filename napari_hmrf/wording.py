@@ -50,7 +50,7 @@ TERMS: dict[str, Term] = {
     "resume=True": Term("--resume", "resume"),
     "without_border=True": Term(
         "a label of stiffness 0 in --labels and --materials",
-        "leave them unpainted and tick 'the dark border is no tissue'",
+        "leave them unpainted and tick 'Ignore dark background'",
     ),
 }
 _SETTING = re.compile(r" \(`([^`]+)`\)")

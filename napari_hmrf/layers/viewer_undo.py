@@ -54,12 +54,12 @@ class ViewerUndo:
     def undo(self) -> None:
         """Undo the last step, and show its slice."""
         if not self._undo_older_paint("undo", self.model.next_undo):
-            self._report("undo", "Undone", self.model.undo(), "There is nothing to undo.")
+            self._report("undo", "Undid", self.model.undo(), "There is nothing to undo.")
 
     def redo(self) -> None:
         """Redo the step that was undone last, and show its slice."""
         if not self._undo_older_paint("redo", self.model.next_redo):
-            self._report("redo", "Redone", self.model.redo(), "There is nothing to redo.")
+            self._report("redo", "Redid", self.model.redo(), "There is nothing to redo.")
 
     @property
     def tooltips(self) -> tuple[str, str]:

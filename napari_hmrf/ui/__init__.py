@@ -4,20 +4,21 @@ This is the only subpackage that imports Qt.
 
 An edit passes through six steps:
 
-1. *Edit.* A form writes its values to the `StudyModel` through the `form_binding`; a tool writes
-   its drawing there (`motion.pointer` passes mouse and keys to the current tool). The model records
-   one undo step, and emits `changed`.
+1. *Edit.* A form writes its values to the `StudyModel` through the `form_binding`. A tool writes
+   its drawing to the same model; `motion.pointer` passes mouse and key events to the current tool.
+   The model records one undo step and emits `changed`.
 2. *Read.* Once napari is idle, the `controller` reads the chosen layers as a `Study` through the
    `study_reader` (`refresh`). After an edit of the drawing, only the drawing is replaced.
-3. *Submit.* The controller submits the study to the `paced_engine`. The newest submitted study is
-   solved next, as soon as the last picture is painted.
+3. *Submit.* The controller submits the study to the `paced_engine`, which solves the newest
+   submitted study as soon as the last picture has been painted.
 4. *Answer.* The compute thread solves the study and deforms its image (`study.engine`). If the
    answer is still current, the GUI thread receives it (`gui_thread`).
-5. *Show.* The controller shows image, arrows and paint at once (`motion.display`). After a pause in
-   the edits, all layers of the result are made in the background (`layers.complete_result`).
+5. *Show.* The controller immediately shows the image, the arrows and the paint (`motion.display`).
+   After a pause in the edits, all layers of the result are created in the background
+   (`layers.complete_result`).
 6. *View.* `result.result_view` plays, compares and saves the result; `background_jobs` computes
    its pictures.
 
-`soft_tissue` combines the parts, and is the interface for scripts. `viewer_watch` responds to
+`soft_tissue` combines these parts and is the interface for scripts. `viewer_watch` responds to
 events of napari, and `guide` writes the status text.
 """

@@ -14,22 +14,22 @@ from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
 T = TypeVar("T")
-# Description of a job in the message of another job that waits for it.
+# Description of these jobs in the messages of other jobs that wait for them.
 _DOING = "a picture that is being drawn"
 
 
 class _Pending(NamedTuple):
-    """The queue of a kind of job, and the turn of the last job of that kind."""
+    """Queue for one kind of job, and the turn of the last job of that kind."""
 
     queue: LatestQueue
     turn: Turn
 
 
 class BackgroundJobs:
-    """Jobs on the compute thread; the newest job of each kind replaces a waiting one.
+    """Jobs on the compute thread; the newest job of each kind replaces a pending job.
 
-    Jobs must hold copies only and no Qt objects: the caller may be deleted before they end. All
-    methods are called on the GUI thread.
+    Jobs must reference only copies of data, and no Qt objects, because the caller may be deleted
+    before a job ends. All methods must be called on the GUI thread.
 
     Parameters
     ----------
@@ -43,10 +43,10 @@ class BackgroundJobs:
         self._gui = GuiThread()
 
     def submit(self, kind: str, work: Callable[[], T], show: Callable[[T], object]) -> None:
-        """Submit a job; `show` is called with its result, unless a newer job replaces it.
+        """Submit a job; `show` is called with the result unless a newer job replaces this job.
 
-        The result of a job that is already running is also shown, so that the picture moves during
-        a drag.
+        The result of a running job is shown even if a newer job is pending, so that the picture
+        moves during a drag.
         """
         pending = self._pending.get(kind)
         queue = LatestQueue(_DOING) if pending is None else pending.queue
@@ -70,13 +70,13 @@ class BackgroundJobs:
         return bool(self._pending) if kind is None else kind in self._pending
 
     def cancel(self, kind: str | None = None) -> None:
-        """Drop the jobs of a kind, or all; a running job stops at its next checkpoint."""
+        """Drop the jobs of a kind, or all jobs; a running job stops at its next checkpoint."""
         for each in [*self._pending] if kind is None else [kind]:
             if each in self._pending:
                 self._pending.pop(each).queue.close()
 
     def release(self) -> None:
-        """Drop all jobs permanently."""
+        """Drop all jobs, and stop delivering results."""
         self.cancel()
         self._gui.release()
 

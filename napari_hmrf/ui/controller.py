@@ -45,7 +45,7 @@ class Controller:
 
     After an edit of a form or a layer, `refresh` reads the whole study again; after an edit of the
     drawing, only the drawing is replaced. The study is then submitted to the engine. Each answer is
-    shown at once. After a pause in the edits, all layers of the complete result are drawn.
+    shown immediately. After a pause in the edits, all layers of the complete result are drawn.
 
     Parameters
     ----------
@@ -64,24 +64,24 @@ class Controller:
     settling : bool
         True while a cold-start solve is in progress.
     curve_layer : CurveLayer
-        Layer that shows the stiffness curve of the tissue, if it has one.
+        Layer that shows the stiffness of the tissue, if a curve defines the stiffness.
     chip : WarningChip
         Warning about problems of the latest result.
     engine : PacedEngine
     progress : SolveProgress
     """
 
-    #: The visible state of the tissue has changed: a `Deformation`.
+    #: Emitted with a `Deformation` when the visible state of the tissue has changed.
     deformation_changed = Signal(object)
-    #: All layers of the complete result are drawn: `Outputs`.
+    #: Emitted with `Outputs` after all layers of the complete result have been drawn.
     result_drawn = Signal(object)
-    #: A cold-start solve has ended: `Outputs`, or None if it was cancelled or failed.
+    #: Emitted after a cold-start solve, with `Outputs`, or None if it was cancelled or failed.
     finished = Signal(object)
-    #: Status message; "" clears the earlier one.
+    #: Emitted with a status message; "" clears the earlier message.
     message = Signal(str)
-    #: Reason why a request cannot be carried out.
+    #: Emitted with the reason why a request cannot be carried out.
     refusal = Signal(str)
-    #: The current slice or image has changed.
+    #: Emitted with the study when the current slice or image has changed.
     slice_changed = Signal(Study)
 
     def __init__(
@@ -105,7 +105,7 @@ class Controller:
         self.settling = False
         self.engine = PacedEngine(self._on_answer, self._on_complete)
         self._submitted: Study | None = None
-        # Reason why the tissue cannot follow, report of the last result, and last message of both.
+        # Reason why the tissue is not updated, report of the last result, and last emitted message.
         self._failure = self._report = self._last_message = ""
         self._refresh_timer = single_shot(native, 0, self.refresh)
         self._complete_timer = single_shot(native, _REST, self.complete)
@@ -120,7 +120,7 @@ class Controller:
 
     @property
     def study(self) -> Study | None:
-        """Study that was read last, with the current drawing; None if it cannot be read."""
+        """Study that was read last, with the current drawing; None if no study could be read."""
         read = self._read
         if read is None:
             return None
@@ -133,14 +133,14 @@ class Controller:
 
     @property
     def _latest_here(self) -> CompleteResult | None:
-        """Latest result, if it belongs to the current slice or volume; else None."""
+        """Latest result if it belongs to the current slice or volume, else None."""
         latest, study = self.latest, self.study
         here = latest is not None and study is not None and latest.moved.study.grid == study.grid
         return latest if here else None
 
     @property
     def unheld_warning(self) -> str:
-        """Warning that nothing holds the tissue of the latest result; "" if it is held."""
+        """Warning about unconstrained tissue in the latest result, or ""."""
         return "" if (done := self._latest_here) is None else messages.unheld_warning(done.notes)
 
     @property
@@ -165,7 +165,7 @@ class Controller:
             self._refresh_timer.start()
 
     def refresh(self) -> bool:
-        """Read the current choices and update the tissue; return whether they could be read."""
+        """Read the current choices and update the tissue; return whether reading succeeded."""
         if self._is_released:
             return False
         self._refresh_timer.stop()
@@ -185,7 +185,7 @@ class Controller:
         return True
 
     def solve_cold(self) -> None:
-        """Solve from a cold start; `finished` is emitted at the end."""
+        """Solve from a cold start, and emit `finished` at the end."""
         self._refresh_timer.stop()
         self.reader.invalidate()  # a script may have changed an array in place
         try:
@@ -199,7 +199,7 @@ class Controller:
         self.progress.start("Deforming", at_once=True)
 
     def cancel(self) -> None:
-        """Cancel the work; the dock is idle at once, even if the thread still runs."""
+        """Cancel all work; the dock is idle immediately, even if the thread is still running."""
         settling, going_on = self.settling, self.engine.busy
         self.engine.cancel()
         self._submitted = None
@@ -229,7 +229,7 @@ class Controller:
             self.engine.complete()
 
     def show_before(self, before: bool) -> None:
-        """Show the undeformed image, or the deformed one again."""
+        """Show the undeformed image, or show the deformed image again."""
         result = self.pointer.display.result
         if result is not None:
             result.show_before(before)
@@ -257,7 +257,7 @@ class Controller:
     def _read_chosen(self, unpainted: bool = True) -> Study:
         """Read the current choices as the current study.
 
-        A boundary layer without paint is accepted if `unpainted`, as while the user draws.
+        If `unpainted` is True, as while the user draws, a boundary layer without paint is accepted.
         """
         request = self.reader.request()
         assert request.drawing is not None
@@ -269,11 +269,11 @@ class Controller:
         return replace(study, motion=replace(study.motion, drawing=self._model.drawing))
 
     def _select_slice(self, study: Study, source: Any) -> None:
-        """Make a study the current one, and select the drawing of its slice."""
+        """Make a study current, and select the drawing of its slice."""
         before, place = self._read, study.grid
         is_other = before is None or source is not self.source or before.grid != place
         if is_other and self.settling:
-            self.cancel()  # its result would belong to another slice or image
+            self.cancel()  # the result would belong to another slice or image
         self.pointer.tissue = self.form.tissue.layer
         self._read = study
         if is_other:
@@ -300,7 +300,7 @@ class Controller:
             return
         self._submitted = study
         self._complete_timer.stop()
-        self.progress.start("Following the last edit" if study.moves else "Getting ready")
+        self.progress.start("Updating" if study.moves else "Getting ready")
         preview = None
         if self.pointer.tool.is_dragging:
             volume, place = len(study.grid.shape) == 3, study.grid.known_place
@@ -330,7 +330,7 @@ class Controller:
         self._complete_timer.start(0 if moved.settled else _REST)
 
     def _on_complete(self, done: CompleteResult) -> None:
-        # Read pending edits first: they may lead to another slice or image.
+        # Read pending edits first: they may select another slice or image.
         if not self._refresh_timer.isActive() or self.refresh():
             self._failure = ""
         study = self.study
@@ -351,13 +351,16 @@ class Controller:
             self.finished.emit(done.outputs)
 
     def _end_settling(self) -> None:
-        """End a cold-start solve without a result, as a later edit has replaced it."""
+        """End a cold-start solve without a result, because a later edit has replaced it."""
         if self.settling:
             self._stop()
             self.finished.emit(None)
 
     def _show(self, done: CompleteResult | None) -> None:
-        """Show a complete result, or none; its layers record whether it is up to date."""
+        """Show a complete result, or the undeformed image if `done` is None.
+
+        The metadata of the layers record whether the result is up to date.
+        """
         for made in () if done is None else done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self.pointer.display.finish(done)
@@ -372,11 +375,11 @@ class Controller:
 
     @property
     def _state(self) -> str:
-        """Message about the current study; "" if there is none."""
+        """Message about the current study, or ""."""
         latest, study = self.latest, self.study
         if self._failure:
             stays = "" if latest is None else messages.STAYS
-            return f"The tissue does not follow yet. {self._failure} {stays}".rstrip()
+            return f"The tissue was not updated. {self._failure} {stays}".rstrip()
         if self.pointer.active:
             return ""
         if latest is None or study is None or self.form.footer.live.value or self.fresh:
@@ -384,15 +387,15 @@ class Controller:
         return messages.CHANGED
 
     def _emit_message(self, always: bool = False) -> None:
-        """Emit the message about the study if it has changed; with `always` in any case."""
+        """Emit the message about the study if it has changed or if `always` is True."""
         before, self._last_message = self._last_message, self._state
         if always or self._last_message != before:
             self.message.emit(self._last_message)
 
     def _report_failure(self, error: Exception) -> None:
-        """Report why the tissue does not follow; the last result stays."""
+        """Report why the tissue is not updated, and keep the last result."""
         sentence = messages.in_short(error)
-        # Without a chosen image, no tissue could follow.
+        # Without a chosen image, there is no tissue to update.
         self._failure = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
         self.chip.refresh()
         self._emit_message(always=sentence == messages.WELCOME)
@@ -407,7 +410,7 @@ class Controller:
     def _refuse(self, error: Exception) -> None:
         self._stop()
         self.refusal.emit(messages.in_short(error))
-        # A warning disappears by itself; an error would stay beside the next good result.
+        # A warning disappears by itself; an error would remain beside the next valid result.
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
         show(messages.in_short(error))
         self.finished.emit(None)
@@ -419,6 +422,6 @@ class Controller:
 
 
 def _log_unexpected(error: Exception) -> None:
-    """Log an error of reading that is not about the user's input."""
+    """Log a read error that is not caused by the user's input."""
     if not isinstance(error, HmrfError | ValueError):
         _log.error("the current choices could not be read", exc_info=error)

@@ -33,7 +33,7 @@ from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
 #: Smallest width of the dock, in pixels.
 _WIDTH = 336
-#: Time after which an opened section has its height, in milliseconds.
+#: Time after which an opened section has its final height, in milliseconds.
 _LAYOUT_TIME = 500
 
 
@@ -51,7 +51,7 @@ class DockForm:
     image : LayerChoice
     extent : ExtentChoice
     make, intensity : PushButton
-        Buttons that add layers to paint on, and that take stiffness from brightness.
+        Button that adds layers for painting, and button that derives stiffness from brightness.
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
@@ -66,16 +66,16 @@ class DockForm:
         self._viewer = viewer
         layers: Layers = partial(list, viewer.layers)
         self.image = LayerChoice(
-            layers, is_picture, "image", "The image to deform; of a stack, the slice that is shown"
+            layers, is_picture, "image", "Image to deform; in a stack, the visible slice"
         )
         self.extent = ExtentChoice()
         self.make = PushButton(
             text="Layers to paint on",
-            tooltip="Adds a tissue and a boundary layer on the image's pixels",
+            tooltip="Add an empty tissue layer and an empty boundary layer on the image",
         )
         self.intensity = PushButton(
             text="Tissue from brightness",
-            tooltip="Takes stiffness from the image's brightness, by a curve that you draw",
+            tooltip="Derive stiffness from the brightness of the image, with a curve that you draw",
         )
 
         self.tissue = TissueSection(layers, self.view)
@@ -167,7 +167,7 @@ class DockForm:
             container.margins = (2, 2, 2, 2)
 
     def _scroll_to(self, step: QCollapsible) -> None:
-        """Scroll to a section that was opened: to all of it, or at least to its top."""
+        """Scroll until all of an opened section is visible, or at least its top."""
         bar = self._scroll.verticalScrollBar()
         least = step.geometry().bottom() + 1 - bar.pageStep()
         bar.setValue(min(step.y(), max(bar.value(), least)))

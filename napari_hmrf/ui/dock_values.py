@@ -35,7 +35,7 @@ class DockValues(Dock):
     # Choices of the user
     @property
     def image(self) -> Any:
-        """Image to deform; None: only the motion of painted tissue is shown."""
+        """Image to deform; if None, only the motion of painted tissue is shown."""
         value: Any = self._form.image.value
         return value
 
@@ -45,7 +45,7 @@ class DockValues(Dock):
 
     @property
     def extent(self) -> str:
-        """Extent of the deformation: "slice", without neighbouring slices, or "volume"."""
+        """Extent of the deformation: "slice" (without its neighbours) or "volume"."""
         value: str = self._form.extent.value
         return value
 
@@ -55,7 +55,7 @@ class DockValues(Dock):
 
     @property
     def tissue(self) -> Any:
-        """Labels, an image of stiffness, or "brightness"; None: the whole image is tissue."""
+        """Labels, an image of stiffness, or "brightness"; if None, the whole image is tissue."""
         value: Any = self._form.tissue.choice.value
         return value
 
@@ -65,7 +65,7 @@ class DockValues(Dock):
 
     @property
     def boundary(self) -> Any:
-        """Labels of held and moved regions, or Vectors of observed displacements, or None."""
+        """Labels of fixed and moved regions, Vectors of observed displacements, or None."""
         value: Any = self._form.motion.boundary.choice.value
         return value
 
@@ -75,7 +75,7 @@ class DockValues(Dock):
 
     @property
     def confidence(self) -> Any:
-        """Confidence of the Vectors: an image, Labels or "edges"; None: 1 everywhere."""
+        """Confidence of the Vectors: an image, Labels or "edges"; if None, 1 everywhere."""
         value: Any = self._form.motion.boundary.confidence.value
         return value
 
@@ -105,7 +105,7 @@ class DockValues(Dock):
 
     @property
     def curve(self) -> StiffnessCurve | None:
-        """Curve from intensity to stiffness, if the tissue is defined by one."""
+        """Curve from intensity to stiffness, or None if no curve defines the tissue."""
         value: StiffnessCurve | None = self._binding.curve
         return value
 
@@ -115,7 +115,7 @@ class DockValues(Dock):
 
     @property
     def hold_edge(self) -> bool:
-        """True if the outer edge of the tissue is held in place."""
+        """True if the outer edge of the tissue is fixed."""
         value: bool = self._form.motion.edge.value
         return value
 
@@ -125,7 +125,7 @@ class DockValues(Dock):
 
     @property
     def weight(self) -> tuple[float, ...]:
-        """Body force on all tissue, along each axis; () for none."""
+        """Body force per volume on all tissue, along each axis; () if there is no body force."""
         value: tuple[float, ...] = self._form.motion.weight.value
         return value
 
@@ -145,7 +145,7 @@ class DockValues(Dock):
 
     @property
     def model(self) -> ModelName:
-        """Model of the tissue; "paper" also sets `settings` to those of the paper."""
+        """Model of the tissue; "paper" also sets `settings` to the settings of the paper."""
         value: ModelName = self._form.model.model.value
         return value
 
@@ -165,7 +165,7 @@ class DockValues(Dock):
 
     @property
     def poisson(self) -> float:
-        """Poisson's ratio of elastic tissue without a table; labels have theirs in `materials`."""
+        """Poisson's ratio of elastic tissue without labels; see `materials` for labels."""
         value: float = self._form.model.poisson.value
         return value
 
@@ -175,7 +175,7 @@ class DockValues(Dock):
 
     @property
     def settings(self) -> SolverDetails:
-        """Solver settings, immutable: use `dock.settings = replace(dock.settings, sweeps=7)`."""
+        """Solver settings (immutable); assign `replace(dock.settings, sweeps=7)` to change one."""
         value: SolverDetails = self._form.model.in_detail.details
         return value
 
@@ -185,7 +185,7 @@ class DockValues(Dock):
 
     @property
     def result(self) -> Any:
-        """Vectors layer of the displayed result: the newest, or the last selected one; or None."""
+        """Vectors layer of the displayed (newest or last selected) result, or None."""
         value: Any = self._view.arrows
         return value
 
@@ -205,7 +205,7 @@ class DockValues(Dock):
 
     @property
     def before(self) -> bool:
-        """True if the undeformed image is shown, without its result."""
+        """True if the undeformed image is shown instead of the result."""
         value: bool = self._view.before
         return value
 
@@ -215,7 +215,7 @@ class DockValues(Dock):
 
     @property
     def reference(self) -> Any:
-        """Field or other result that is compared with this one, or None."""
+        """Field or other result with which the displayed result is compared, or None."""
         value: Any = self._form.result.reference.value
         return value
 
@@ -225,7 +225,7 @@ class DockValues(Dock):
 
     @property
     def overlay(self) -> str:
-        """Overlay on the image: "nothing", a `Quantity`, "grid", "labels", "folds" or others."""
+        """Overlay on the image: "nothing", or a name such as "magnitude", "grid" or "folds"."""
         value: str = self._form.result.overlay.value
         return value
 
@@ -235,7 +235,7 @@ class DockValues(Dock):
 
     @property
     def compare_with(self) -> Any:
-        """Second image over the deformed one, or None."""
+        """Second image, shown over the deformed image, or None."""
         value: Any = self._form.result.second.value
         return value
 
@@ -257,8 +257,8 @@ class DockValues(Dock):
     def prompt(self) -> Prompt:
         """Callback for the prompt about unsaved work before the window closes.
 
-        The callback takes a question, and returns "save", "discard" or "cancel". The default one
-        shows a dialog.
+        The callback takes a question, and returns "save", "discard" or "cancel". The default
+        callback shows a dialog.
         """
         return self._unsaved.prompt
 
@@ -270,7 +270,7 @@ class DockValues(Dock):
 
     @property
     def active(self) -> bool:
-        """True if the mouse draws."""
+        """True if the mouse draws instead of moving the view."""
         value: bool = self._pointer.active
         return value
 
@@ -282,13 +282,13 @@ class DockValues(Dock):
 
     @property
     def comparison(self) -> Comparison | None:
-        """Difference of the result from `reference`, once it is computed."""
+        """Difference between the result and `reference`; None until it is computed."""
         value: Comparison | None = self._view.comparison
         return value
 
     @property
     def residual(self) -> str:
-        """Distance of landmarks from their targets, as a sentence."""
+        """Description of the distances of landmarks from their targets; "" if there are none."""
         value: str = self._form.result.landmarks.value
         return value
 
@@ -312,7 +312,7 @@ class DockValues(Dock):
 
     @property
     def invitation(self) -> str:
-        """Hint at the next step."""
+        """Hint about the next step."""
         value: str = self._guide.invitation
         return value
 

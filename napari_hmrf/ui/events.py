@@ -16,9 +16,9 @@ def single_shot(
     Parameters
     ----------
     parent : QObject, optional
-        Owner of the timer, which is deleted with it.
+        Owner of the timer; the timer is deleted with its owner.
     milliseconds : int
-        Delay; 0: as soon as Qt has processed all pending events.
+        Delay. With 0, the timer fires as soon as Qt has processed all pending events.
     callback : callable
         Called in the event loop of the thread that created the timer.
 

@@ -14,25 +14,26 @@ _LINES = 9
 #: Dark text on amber: legible on napari's dark and light themes.
 _CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 8px;"
 _HELP = (
-    "Drag tissue: pull it. Click: hold it there. Drag an arrow's head or base: change it.\n"
-    "Shift+click: select what was drawn. Delete: remove it. Esc: cancel.\n"
-    "[ and ]: size. Hold Space: move the view. Hold Shift+B: the image as it was.\n"
-    "While napari paints: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
-    "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: all commands, by their words.\n"
+    "Drag: pull tissue. Click: hold tissue in place. Drag an end of an arrow: change the arrow.\n"
+    "Shift+click: select a mark. Delete: remove the selected mark. Esc: cancel.\n"
+    "[ and ]: radius. While Space is pressed: move the view. While Shift+B is pressed: show the\n"
+    "undeformed image.\n"
+    "In a Labels layer of napari: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
+    "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: search all commands.\n"
 )
 #: Largest image, in pixels, for which *Live* is on by default. On two cores without a GPU, an edit
-#: takes 0.4 s (elastic) to 1.4 s at 1200 x 1200 pixels, and 1.6 to 5 s at 2048 x 2048.
+#: takes 0.4 s (elastic) to 1.4 s for 1200 x 1200 pixels, and 1.6 s to 5 s for 2048 x 2048 pixels.
 LARGEST = 1200 * 1200
 _LIVE = (
-    "The tissue follows any edit of tissue, boundary or tables; what is pulled, always.\n"
-    "Off at first beyond 1200 x 1200 pixels, which without a graphics card take seconds an edit."
+    "Update the result after every edit of tissue, boundary or tables. Tools always update it.\n"
+    "Off by default above 1200 x 1200 pixels: without a graphics card, each edit takes seconds."
 )
 
 
 class Footer(QWidget):
     """Status text and warning, with buttons below them.
 
-    The text is only as high as necessary. The buttons stay at the bottom, so that they do not move
+    The height of the text fits its content. The buttons are at the bottom, so that they do not move
     under the mouse.
 
     Parameters
@@ -45,7 +46,7 @@ class Footer(QWidget):
     deform, cancel : PushButton
     live : LiveChoice
     undo, redo : PushButton
-        Buttons whose tooltips name the step.
+        Buttons; their tooltips name the step.
     chip : QPushButton
         Visible only while there is a warning about the visible tissue.
     other : QPushButton
@@ -55,9 +56,9 @@ class Footer(QWidget):
     def __init__(self, tools: str = "") -> None:
         super().__init__()
         self.deform = PushButton(
-            text="Deform", tooltip="Compute the motion of the tissue from the start"
+            text="Deform", tooltip="Compute the motion of the tissue from scratch"
         )
-        self.cancel = PushButton(text="Cancel", tooltip="Stop; nothing is changed")
+        self.cancel = PushButton(text="Cancel", tooltip="Stop computing; nothing is changed")
         self.cancel.enabled = False
         self.live = LiveChoice()
         self.undo = PushButton(text="Undo", enabled=False)
@@ -110,7 +111,7 @@ class Footer(QWidget):
         """Show a warning about the visible tissue; "" hides it."""
         self.warning = sentences
         self.chip.setVisible(bool(sentences))
-        self.chip.setText(f"⚠  {short or 'Good to know'}")
+        self.chip.setText(f"⚠  {short or 'Note: show details'}")
         self.chip.setToolTip(sentences)
 
     def offer(self, words: str) -> None:
@@ -124,7 +125,7 @@ class Footer(QWidget):
 
 
 class LiveChoice(CheckBox):
-    """Check box for a solve after every edit; on by default unless the image is large."""
+    """Check box that enables a solve after every edit; on by default unless the image is large."""
 
     def __init__(self) -> None:
         super().__init__(value=True, text="Live", tooltip=_LIVE)

@@ -45,7 +45,7 @@ class FormBinding:
         True while the program, rather than the user, changes values.
     """
 
-    #: Message about a choice that was made automatically as a consequence of another one.
+    #: Emitted with a message about a choice that automatically follows from another choice.
     message = Signal(str)
 
     def __init__(self, viewer: Any, form: DockForm) -> None:
@@ -67,7 +67,7 @@ class FormBinding:
         self.automatic = False
         # True once the user has chosen or deformed an image: new images do not replace it.
         self._image_is_fixed = False
-        # True if an image was chosen before, and none is now.
+        # True if an image was chosen before, but no image is chosen now.
         self._image_is_gone = False
         model.select(None)
         motion.boundary.choice.changed.connect(self._on_boundary)
@@ -105,9 +105,9 @@ class FormBinding:
 
     @contextmanager
     def _showing(self) -> Iterator[None]:
-        """Change forms inside the block to show the model, without writing their values to it.
+        """Change the forms inside the block without writing their values back to the model.
 
-        A form may round a value, or lack a layer that the model has.
+        A form may round a value of the model, or may not offer one of its layers.
         """
         before, self.automatic = self.automatic, True
         try:
@@ -121,7 +121,7 @@ class FormBinding:
         Raises
         ------
         HmrfError
-            If no image, and no labels of tissue, are chosen.
+            If neither an image nor tissue labels are chosen.
         """
         if self.automatic:
             self._write(step=False)
@@ -134,7 +134,7 @@ class FormBinding:
     # Automatic choice of layers
 
     def refresh(self, *_: Any) -> None:
-        """Update the menus of layers; if the image was removed, choose another one."""
+        """Update the menus of layers; if the image was removed, choose another image."""
         form, before = self._form, self._form.image.value
         with self.automatically():
             for choice in form.choices:
@@ -146,13 +146,13 @@ class FormBinding:
                 self._image_is_fixed = self._image_is_fixed and bool(images)
                 if images:
                     form.image.value = images[0]
-                else:  # the next image gets the defaults of a first one
+                else:  # the next image gets the defaults of a first image
                     usual = ImageChoice()
                     form.tissue.border.value = usual.without_border
                     form.motion.edge.value = usual.hold_edge
 
     def choose_first(self) -> None:
-        """Choose the image in front, or one that was edited, and the layers painted on it."""
+        """Choose the image in front, or an edited image, and the layers painted on that image."""
         self.refresh()
         viewer, offered = self._viewer, self._form.image.offered
         edited = self._drawn_on or shared(viewer, ResultLayers).sources
@@ -166,7 +166,7 @@ class FormBinding:
         self._image_is_fixed = True
 
     def use_layer(self, layer: Any) -> None:
-        """Choose a new layer as the image, unless work on another has begun, or as paint."""
+        """Choose a new layer as paint, or as the image unless another image is in use."""
         image = self._form.image
         begun = self._image_is_fixed or (
             image.value is not None and self._model.next_undo is not None
@@ -179,22 +179,21 @@ class FormBinding:
                 self._use_painted(layer)
         if layer in image.offered and begun and not self.automatic:
             covers = image.value and image_covering(self._viewer, image.value) is layer
-            # A covered image is reported anyway.
+            # If the layer covers the image, another message reports that.
             self.message.emit("" if covers else NOT_CHOSEN.format(layer.name))
 
     def _use_painted(self, layer: Any) -> None:
-        """Choose a painted layer by its role, if none is chosen yet."""
+        """Choose a painted layer for its role, unless that role already has a layer."""
         choice = self.fields.get(role_of(layer) or "")
         if choice is None or choice.value is not None or layer not in choice.offered:
             return
-        if (
-            role_of(layer) == BOUNDARY and layer.data.any()
-        ):  # the layer then defines all held tissue
+        # A painted boundary defines all fixed tissue.
+        if role_of(layer) == BOUNDARY and layer.data.any():
             self._release_edge()
         choice.value = layer
 
     def _release_edge(self) -> None:
-        """Release the edge without an event, as part of the choice of a boundary."""
+        """Release the edge without an event, because a boundary is being chosen."""
         edge = self._form.motion.edge
         with edge.changed.blocked():
             edge.value = False
@@ -206,13 +205,13 @@ class FormBinding:
         return [part.layer for part in parts if self._model.get(part).marks]
 
     def _on_extent(self, _: str) -> None:
-        """Make the brush of napari a ball if a volume is deformed."""
+        """Make napari's brush a ball if a volume is deformed, and a disc otherwise."""
         for choice in (self._form.tissue.choice, self._form.motion.boundary.choice):
             if isinstance(choice.value, Labels) and choice.value.ndim > 2:
                 choice.value.n_edit_dimensions = 3 if self._form.extent.is_volume else 2
 
     def _on_boundary(self, layer: Any) -> None:
-        """Release the edge if a field prescribes its motion; hold it if there is no boundary."""
+        """Release the edge if a field prescribes its motion; fix it if there is no boundary."""
         if holds_field(layer):
             if self._form.motion.edge.value:
                 self.message.emit(EDGE_GOES.format(layer.name))
@@ -221,12 +220,12 @@ class FormBinding:
             self._form.motion.edge.value = True
 
     def _on_image(self, image: Any) -> None:
-        """Show the earlier choices for an image, or else choose layers for it."""
+        """Show the earlier choices for an image, or choose layers for a new image."""
         self._image_is_fixed = self._image_is_fixed or not self.automatic
         before, self._image = self._image, image
         if before is image:
             return
-        # Choices made before the first image, or for a removed one, are kept for the next image.
+        # Choices made before the first image, or for a removed image, apply to the next image.
         keep_choices = before is None or (image is None and self.automatic)
         self._image_is_gone = image is None
         known = self._model.select(image)
@@ -242,9 +241,9 @@ class FormBinding:
                 self._begin_with(image)
 
     def _begin_with(self, image: Any) -> None:
-        """Choose the layers painted on a new image, and drop choices that do not fit it."""
+        """Choose the layers painted on a new image, and drop choices that do not fit the image."""
         model, view = self._model, self._form.view()
-        # Layers that were chosen for other images are not meant for this one.
+        # Layers that were chosen for other images are not meant for this image.
         others = [each for each in model.parts if each.kind == "choice" and each.layer]
         used_by_others = [
             layer for part in others if part.layer is not image for layer in model.get(part).layers
@@ -270,14 +269,14 @@ class FormBinding:
     # From the forms to the model
 
     def release(self) -> None:
-        """Disconnect, as the dock was closed or its window was deleted."""
+        """Disconnect, because the dock was closed or its window was deleted."""
         self._undo.unbind_keys(self)
         self._connections.release()
         self.automatic = True  # a closed form must write nothing
 
     def write(self, *, step: bool = True) -> None:
-        """Write the forms' values to the model, unless they are changing automatically."""
-        # While another image is being chosen, the form holds values of both images.
+        """Write the values of the forms to the model, unless the program is changing them."""
+        # While another image is being chosen, the form has values of both images.
         if not self.automatic and self._form.image.value is self._model.image:
             self._write(step)
 
@@ -298,7 +297,7 @@ class FormBinding:
 
     @property
     def curve(self) -> StiffnessCurve | None:
-        """Curve that maps brightness to stiffness, if it is in use; can be set."""
+        """Curve that maps brightness to stiffness, or None if no curve is in use; can be set."""
         return self._form.tissue.curve
 
     @curve.setter
@@ -310,13 +309,13 @@ class FormBinding:
             self._form.tissue.choice.value = None
 
     def _use_curve(self, curve: StiffnessCurve) -> None:
-        """Use a curve for the image: its first one, or the next state during an edit."""
+        """Use a curve for the image: its first curve, or the next state during an edit."""
         image = self._form.image.value
         if image is None:
             raise HmrfError(WELCOME)
         word = f"changed the curve of '{image.name}'"
         if self._model.curve is None:
-            self._model.set_curve(curve, word)  # the first curve is no undo step
+            self._model.set_curve(curve, word)  # the first curve is not an undo step
         if self.curve is None:
             self._form.tissue.go_by(self._model.curve or curve)
         self._model.set_curve(curve, word)

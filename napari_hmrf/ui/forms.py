@@ -37,13 +37,13 @@ def length(label: str, tooltip: str, least: float = -1e6, **options: Any) -> Flo
 
 
 def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> ComboBox:
-    """Create a menu of values, each shown as its words."""
+    """Create a menu of values; `words` has the text of each value."""
     choices = [(word, value) for value, word in words.items()]
     return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
 
 
 def add_entry(menu: QMenu, title: str, about: str, answer: Callable[[], Any]) -> Any:
-    """Add an entry with a tooltip and a callback to a menu; "&" in the title is shown."""
+    """Add an entry with a tooltip and a callback to a menu; "&" is displayed as such."""
     action = menu.addAction(title.replace("&", "&&"))
     action.setToolTip(about)
     action.triggered.connect(lambda: answer())
@@ -106,7 +106,7 @@ class Prose(Label):
 
 
 class _FitHeight(QObject):
-    """Event filter that fits a label's height to its text, unlike layouts in a scroll area."""
+    """Event filter that fits the height of a label to its text, even inside a scroll area."""
 
     def __init__(self, words: Any, lines: int) -> None:
         super().__init__(words)
@@ -126,10 +126,10 @@ class _FitHeight(QObject):
 class CalmField(QObject):
     """Event filter of fields that passes some events on to the surrounding widget.
 
-    The wheel scrolls the surrounding widget unless the field has the focus. The keys of undo and
-    redo act on the last step, as they do outside of the fields, unless a number is being typed. A
-    menu gets the focus only by the Tab key. Otherwise, after a choice by mouse, it would get all
-    keys, such as those of the tools.
+    The mouse wheel scrolls the surrounding widget unless the field has the focus. The undo and redo
+    keys undo and redo steps, as outside the fields, unless the user is typing a number. A menu gets
+    the focus only through the Tab key. Otherwise, after a choice by mouse, the menu would receive
+    all key presses, including those that select tools.
     """
 
     def watch(self, field: Any) -> None:
@@ -141,7 +141,7 @@ class CalmField(QObject):
             field.editingFinished.connect(partial(field.lineEdit().setModified, False))
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Pass on the wheel and the undo keys if the field does not use them."""
+        """Pass on events of the wheel and the undo keys that the field does not use."""
         theirs = event.type() == QEvent.Type.Wheel and not watched.hasFocus()
         if event.type() == QEvent.Type.KeyPress and isinstance(watched, QAbstractSpinBox):
             keys = QKeySequence.StandardKey
@@ -153,6 +153,6 @@ class CalmField(QObject):
 
 
 def align_labels(form: Container) -> None:
-    """Give the labels of a form equal width, as magicgui does only when a label changes."""
+    """Give all labels of a form the same width; magicgui does so only when a label changes."""
     first = form[0]
     first.label = first.label

@@ -29,13 +29,13 @@ class GuiThread(QObject):
         self._submitted.connect(self._run, Qt.ConnectionType.QueuedConnection)
 
     def submit(self, call: Call) -> None:
-        """Submit a call from any thread, and return at once."""
+        """Submit a call from any thread, and return immediately."""
         with self._lock:
             if not self._released:
                 self._submitted.emit(call)
 
     def release(self) -> None:
-        """Drop the pending calls and all later ones."""
+        """Drop all pending and later calls."""
         with self._lock:
             self._released = True
         with suppress(RuntimeError):  # at exit Qt may have deleted the object already
@@ -49,8 +49,8 @@ class GuiThread(QObject):
 class Repainted(QObject):
     """Callback after the next painting of the window and the mouse events that follow it.
 
-    Qt posts its request to paint with low priority, so that an event with a still lower priority is
-    processed after it. Pending mouse events are processed next, and then timers without a delay.
+    Qt posts its request to paint with low priority, so an event with an even lower priority is
+    processed after the request. Pending mouse events are processed next, then timers without delay.
 
     Parameters
     ----------

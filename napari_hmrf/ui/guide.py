@@ -1,4 +1,4 @@
-"""Status text of the dock: results, errors, and hints at the next step."""
+"""Status text of the dock: results, errors, and hints about the next step."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.motion import motion_messages
 
-#: Kind of the current message. "step" and "refused" stay until a new action begins, and
-#: "refused" also hides the progress.
+#: Kind of the current message. Messages of kind "step" and "refused" remain until a new action
+#: begins; "refused" also hides the progress.
 Why = Literal["news", "step", "refused"]
 
 
 class Guide:
     """Status text of the dock, selected from the messages of all its parts.
 
-    Progress is shown while a job runs, and a hint at the next step if there is no message. The
-    message of a step, an undo or a refusal stays until a new action begins.
+    Progress is shown while a job runs, and a hint about the next step if there is no message. The
+    message of a step, an undo or a refusal remains until a new action begins.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Guide:
 
     @property
     def invitation(self) -> str:
-        """Hint at the next step."""
+        """Hint about the next step."""
         form, boundary = self._form, self._form.motion.boundary
         if form.image.value is None:
             return messages.CHOOSE if self._viewer.layers else messages.WELCOME
@@ -81,12 +81,12 @@ class Guide:
         return f"{self._controller.unheld_warning} {self._paused or hint}".lstrip()
 
     def show_message(self, sentence: str, why: Why = "news") -> None:
-        """Show a sentence in place of the earlier ones."""
+        """Show a sentence in place of earlier sentences."""
         self._message, self._why, self._read = sentence, why, ""
         self.show()
 
     def invite(self) -> None:
-        """Show the hint at the next step, unless the message of a step or a refusal must stay."""
+        """Show the hint about the next step, unless a step or a refusal is being reported."""
         if self._why == "news":
             self.show_message("")
 
@@ -114,11 +114,11 @@ class Guide:
         return motion_messages.ARROWS_GONE if arrows.layer is None else motion_messages.OFF
 
     def _on_begun(self, *_: object) -> None:
-        """Allow other messages to replace the current one, as a new action has begun."""
+        """Allow other messages to replace the current message, because a new action has begun."""
         self._why, self._read = "news", self._message
 
     def _on_followed(self, *_: object) -> None:
-        """Clear a message that is older than the last action, as the result is newer."""
+        """Clear a message from before the last action, because the result is newer."""
         self.show_message("" if self._read else self._message, self._why)
 
     def _on_step(self, sentence: str, step: Step | None) -> None:
@@ -138,7 +138,7 @@ class Guide:
             self.invite()
 
     def _on_study(self, sentence: str) -> None:
-        """Show a message about the study, after that of a step; "" means no problem is left."""
+        """Show a message about the study, after the message of a step; "" means no problem."""
         if not sentence:
             self.invite()
         elif self._why != "refused":

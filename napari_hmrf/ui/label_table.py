@@ -38,13 +38,13 @@ class Column(NamedTuple, Generic[Row]):
     Attributes
     ----------
     title, about : str
-        Header, and its tooltip.
+        Header of the column, and tooltip of the header.
     shown : callable
-        Returns the text of a row's cell. An empty text cannot be edited, except for a name.
+        Returns the text of the cell in a row. An empty text cannot be edited, except for a name.
     typed : callable
-        Returns the row with the typed text; raises ValueError if the text is not valid.
+        Returns the row changed by a typed text; raises ValueError if the text is invalid.
     choices : sequence of str
-        Texts to choose from, in a column without typing.
+        Texts to choose from, if the user cannot type text in the column.
     """
 
     title: str
@@ -61,9 +61,8 @@ def _named(row: Row, text: str) -> Row:
 class LabelTable(QTableWidget, Generic[Row]):
     """Table of labels, with their colours and names; subclasses add further columns.
 
-    The table is stored in the metadata of its layer, so that it stays with the layer. Newly painted
-    labels get rows. A click on a row, or its selection by the arrow keys, selects its label for
-    painting.
+    The table is stored in the metadata of its layer. Newly painted labels get a row. To select a
+    label for painting, the user clicks its row or selects the row with the arrow keys.
 
     Parameters
     ----------
@@ -79,7 +78,7 @@ class LabelTable(QTableWidget, Generic[Row]):
     Signals
     -------
     changed : bool, True if the paint or the layer changed, False if the rows were edited
-    picked : layer of which a label was selected for painting
+    picked : layer in which a label was selected for painting
     message : str, message about newly painted labels
     refusal : str, reason why typed text was refused
     """
@@ -120,10 +119,10 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     @property
     def columns(self) -> list[Column[Row]]:
-        """Columns of the table; subclasses add further ones."""
+        """Columns of the table; subclasses add further columns."""
         return [
             Column("", "Click a row to paint with its label", lambda row: str(row.label)),
-            Column(self.title, "Double click: rename", lambda row: row.name, _named),
+            Column(self.title, "Double-click a name to change it", lambda row: row.name, _named),
         ]
 
     def default(self, label: int) -> Row:
@@ -192,7 +191,7 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     def release(self) -> None:
         """Stop listening to the layer."""
-        with suppress(RuntimeError):  # Qt may have deleted it at exit
+        with suppress(RuntimeError):  # Qt may have deleted the timer at exit
             self._timer.stop()
         self._connections.release()
         self._layer = None
@@ -207,7 +206,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._store(automatic=True)
         if new:
             names = " and ".join(f"label {row.label}" for row in new[:3])
-            self.message.emit(f"New in '{self._layer.name}': {names}. Change it in the table.")
+            self.message.emit(f"New in '{self._layer.name}': {names}. Set values in the table.")
 
     def pick(self, label: int) -> None:
         """Select a label for painting."""
@@ -225,7 +224,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.selectRow(row)
 
     def _list_painted(self) -> list[Row]:
-        """Add rows for new labels of the slice, and return them; none if unreadable."""
+        """Add rows for new labels of the slice, and return these rows; [] if unreadable."""
         try:
             picture = copy_slice(self._layer, frame_of(self._layer, self._view()))
         except ProblemError:
@@ -251,10 +250,8 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     def _fill(self) -> None:
         """Write the rows to the cells, and hide columns that are empty in every row."""
-        blocked, columns = (
-            QSignalBlocker(self),
-            self.columns,
-        )  # the changes below are not made by the user
+        # The changes below are not made by the user.
+        blocked, columns = QSignalBlocker(self), self.columns
         self.setRowCount(len(self.rows))
         self.setColumnCount(len(columns))
         for column, about in enumerate(columns):
@@ -264,9 +261,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             for row in range(len(self.rows)):
                 self._write(row, column, about)
             is_shown = any(about.shown(row) for row in self.rows)
-            self.setColumnHidden(
-                column, column > NAME and not is_shown
-            )  # saves width in the narrow dock
+            self.setColumnHidden(column, column > NAME and not is_shown)  # the dock is narrow
         blocked.unblock()
 
     def _write(self, row: int, column: int, about: Column[Row]) -> None:
@@ -293,12 +288,12 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.cellWidget(row, column).setCurrentText(text)
 
     def _box(self, item: QTableWidgetItem, choices: Sequence[str]) -> QComboBox:
-        """Create the menu of a cell whose value is chosen instead of typed."""
+        """Create the menu of a cell with a choice of values."""
         box = QComboBox()
         box.addItems(choices)
         box.setStyleSheet(_COMPACT)
         box.textActivated.connect(item.setText)
-        box.activated.connect(self.clearFocus)  # so that the canvas gets the next keys
+        box.activated.connect(self.clearFocus)  # so that the canvas receives the next keys
         CalmField(box).watch(box)
         return box
 
@@ -314,9 +309,9 @@ class LabelTable(QTableWidget, Generic[Row]):
     # Mouse and keys
 
     def keyPressEvent(self, event: Any) -> None:
-        """Select rows by the arrow keys, pass letters to the canvas, and block Delete."""
+        """Select rows with the arrow keys, pass letters to the canvas, and block Delete."""
         if event.key() in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
-            # Otherwise the window passes it to the active layer, which deletes its selected points.
+            # Otherwise the active layer would receive the key and delete its selected points.
             event.accept()
             return
         if event.text() >= " " and self.currentColumn() <= NAME:
@@ -334,12 +329,12 @@ class LabelTable(QTableWidget, Generic[Row]):
             self._layer.selected_label = self.labels[row]
 
     def _on_typed(self, item: QTableWidgetItem) -> None:
-        """Apply the text typed into a cell, or report why it is refused."""
+        """Apply the text typed into a cell, or report why the text is refused."""
         row, column = self.rows[item.row()], self.columns[item.column()]
         try:
             after = column.typed(row, item.text().strip())
         except ValueError as error:
-            self.refusal.emit(f"{error}; kept {column.shown(row)}.")
+            self.refusal.emit(f"{error}. The value is still {column.shown(row)}.")
             after = row
         if after == row:
             self._fill()

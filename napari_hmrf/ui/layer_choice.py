@@ -34,7 +34,7 @@ class LayerChoice(ComboBox):
     more : callable, optional
         Returns further choices, as pairs of a title and a value.
     if_any : bool
-        Whether the menu is visible only if there is a layer to choose.
+        If True, the menu is visible only if there is a layer to choose.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class LayerChoice(ComboBox):
         return [layer for layer in self._layers() if self._accept(layer)]
 
     def reset_choices(self, *_: Any) -> None:
-        """Update the menu; if the chosen layer was removed, nothing is chosen."""
+        """Update the menu; if the chosen layer was removed, clear the choice."""
         before: Any = self.get_value()
         with self.changed.blocked():
             super().reset_choices()
@@ -94,17 +94,17 @@ class LandmarkChoice(Container):
             layers,
             lambda layer: isinstance(layer, Points | Shapes),
             "landmarks at",
-            "Points: where things are; or Shapes: lines from there to where they should be",
+            "Points layer with landmarks, or Shapes layer with lines from landmarks to targets",
         )
         self.targets = LayerChoice(
             layers,
             lambda layer: isinstance(layer, Points) and layer is not self.sources.value,
             "should be at",
-            "Points: where these should be, in the same order; where both agree, tissue is held",
+            "Points layer with targets, in the same order. A landmark at its target holds tissue",
         )
         self.take_button = PushButton(
-            text="Take as landmarks",
-            tooltip="Adds them to what is drawn, in place of those that were taken before",
+            text="Use as landmarks",
+            tooltip="Add these landmarks to the drawing, in place of those added before",
         )
         super().__init__(widgets=[self.sources, self.targets, self.take_button])
         self.sources.changed.connect(self._on_sources)
@@ -123,7 +123,7 @@ class LandmarkChoice(Container):
         align_labels(self)
 
     def _on_sources(self, layer: Any) -> None:
-        # No layer can be both: of two Points layers, the other becomes the target.
+        # A layer cannot have both roles, so the other of two Points layers becomes the target.
         self.targets.reset_choices()
         others = self.targets.offered
         if isinstance(layer, Points) and self.targets.value is None and len(others) == 1:
@@ -140,8 +140,8 @@ class ExtentChoice(ComboBox):
         super().__init__(
             label="deform",
             choices=[("this slice", "slice"), ("the whole volume", "volume")],
-            tooltip="This slice: as if it had no neighbours, which is quick.\n"
-            "The whole volume: tissue moves in all three directions.",
+            tooltip="this slice: deformed without its neighbours, which is fast.\n"
+            "the whole volume: tissue moves in all three directions.",
         )
         self.visible = False
 

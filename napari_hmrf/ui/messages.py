@@ -20,50 +20,53 @@ from napari_hmrf.wording import in_words_of
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
 CHOOSE = "Choose an image above, or open one (File > Open)."
 READY = "Press Deform."
-STILL = "Nothing moves yet: take a tool and drag tissue, or paint what moves."
+STILL = "Nothing moves yet: choose a tool, then drag or paint tissue."
 PAINT = "Paint in {}: click a row of a table, then paint with its label."
-CURVE = "A first guess: the brighter, the stiffer. Drag the points of the curve."
+CURVE = "First guess: brighter tissue is stiffer. Drag the points of the curve to change it."
 MEANWHILE = "The deformed image is hidden while you paint."
-CHANGED = "Changed since the last result: press Deform."
+CHANGED = "The inputs have changed since the last result. Press Deform."
 CANCELLED = "Cancelled; nothing was changed."
-STAYS = "The last result stays."
-BEHIND = "Cancelled: picture and warnings lack what was edited since: press Deform, or go on."
-NOT_CHOSEN = "'{}' is not chosen, as work has begun on another image: choose it above to go over."
-_NO_IMAGE = "No image is chosen. Choose the last one again to see its result."
-_HIDDEN = "Hidden, to show '{}': {}. Click an eye in the list of layers to see that layer again."
+STAYS = "The last result is still shown."
+BEHIND = (
+    "Cancelled: the picture and the warnings do not include the last edits. Press Deform to update "
+    "them."
+)
+NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, choose it above."
+_NO_IMAGE = "No image is chosen. Choose an image above to see its result."
+_HIDDEN = "Hidden, so that '{}' is visible: {}. Click the eye of a layer to show the layer again."
 EDGE_GOES = (
-    "The edge is no longer held, as '{}' sets the motion: tick 'hold the edge of the tissue' to "
-    "hold the parts of the edge that the layer leaves out."
+    "The outer edge is no longer fixed, because '{}' sets the motion. Tick 'Fix outer edge' to "
+    "fix the parts of the edge that the layer does not cover."
 )
 #: Messages about the data that is lost with a deleted layer.
-DRAWING_GONE = "'{name}' is gone, and the drawing on it: napari cannot restore a deleted layer."
-TISSUE_GONE = "'{name}' is gone, with its stiffness values: napari cannot restore a deleted layer."
+DRAWING_GONE = "'{name}' was deleted with the drawing on it. napari cannot restore a deleted layer."
+TISSUE_GONE = (
+    "'{name}' was deleted with its stiffness values. napari cannot restore a deleted layer."
+)
 BOUNDARY_GONE = (
-    "'{name}' is gone: it holds and moves nothing any more. napari cannot restore a deleted layer."
+    "'{name}' was deleted: it no longer holds or moves tissue. napari cannot restore a deleted "
+    "layer."
 )
 
 MODELS: dict[ModelName, str] = {
-    "elastic": "elastic: as finite elements",
+    "elastic": "elastic: finite elements",
     "large motion": "large motion: never folds",
-    "paper": "paper's: 70 sweeps per level",
-    "paper, converged": "paper's, computed to the end",
+    "paper": "paper: 70 sweeps per level",
+    "paper, converged": "paper, converged",
 }
 #: Labels of the button that offers another model.
-OFFERS: dict[ModelName, str] = {
-    "large motion": "Take large motion, which never folds",
-    "elastic": "Take the elastic model",
-}
+OFFERS: dict[ModelName, str] = {"large motion": "Use large motion, which never folds"}
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
-#: Beginnings of the progress messages that the user sees: waiting and compiling.
+#: Prefixes of progress messages that are shown to the user unchanged: waiting and compiling.
 _WAITS = ("waiting for", "compiling", "starting to compile")
 _WARNINGS: dict[Mark, str] = {
-    "folds": "the tissue is pushed through itself (it folds), which no tissue does. Move it less; "
-    "far from held tissue, a wider patch or boundary helps, too.",
-    "overlaps": "one part of the tissue has moved onto another and hides it; there is no "
-    "contact between parts across a gap.",
+    "folds": "the tissue folds: it passes through itself, which real tissue cannot do. Move it "
+    "less; far from held tissue, a wider patch or boundary also helps.",
+    "overlaps": "one part of the tissue has moved onto another part and hides it. The model does "
+    "not include contact across a gap.",
 }
 #: Message after the view has moved to another slice of a volume.
-MOST = "The slice that is seen now has most of them: {}."
+MOST = "The view has moved to the slice with the most such voxels: {}."
 #: Up to this number, folded pixels are rounding noise and cause no warning.
 HANDFUL = 5
 
@@ -91,7 +94,7 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
 
 
 def can_unfold(done: CompleteResult) -> bool:
-    """Return whether the tissue folds and the large-motion model would avoid that."""
+    """Return whether the tissue folds and the large-motion model would avoid the folds."""
     return "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"
 
 
@@ -101,7 +104,7 @@ def marks_of(outputs: Outputs) -> dict[Mark, int]:
 
 
 def unheld_warning(notes: Sequence[str]) -> str:
-    """Return the note that nothing holds the tissue, as a sentence; "" if there is none."""
+    """Return the note about unconstrained tissue as a sentence, or ""."""
     return next((_sentence(note) for note in notes if note.startswith(LOOSE)), "")
 
 
@@ -111,7 +114,7 @@ def _sentence(clause: str) -> str:
 
 
 def next_mark(outputs: Outputs, overlay: str) -> Mark | None:
-    """Return the mark that follows a shown overlay: folds, then overlaps, then None."""
+    """Return the mark to show after an overlay: folds, then overlaps, then None."""
     marks = [*marks_of(outputs)]
     return next(iter(marks[marks.index(overlay) + 1 :] if overlay in marks else marks), None)
 
@@ -134,12 +137,12 @@ def progress(monitor: Monitor, work: str = "Deforming") -> str:
 
 
 def describe_image_choice(image: Any, hidden: Sequence[Any]) -> str:
-    """Report the layers hidden for the chosen image, or a missing choice; "" if none is hidden."""
+    """Report that no image is chosen, or which layers are hidden for the image, or return ""."""
     names = ", ".join(f"'{layer.name}'" for layer in hidden)
     return _NO_IMAGE if image is None else names and _HIDDEN.format(image.name, names)
 
 
 def saved_study(name: str, solved: bool, pairs: str) -> str:
     """Report a saved study, and the layer of landmark pairs that are not in its file."""
-    apart = f" Landmarks of '{pairs}' are not in it: press 'Take as landmarks'." if pairs else ""
-    return f"Saved {name}{'' if solved else ', without a field: press Deform to have one'}.{apart}"
+    apart = f" It lacks landmarks of '{pairs}': press 'Use as landmarks'." if pairs else ""
+    return f"Saved {name}{'' if solved else ' without a field: press Deform to get one'}.{apart}"

@@ -26,7 +26,7 @@ _PICTURE = QSize(64, 32)
 
 
 class DetailsForm(Container):
-    """Form with a field for each of `SolverDetails`; only those of the chosen model are visible."""
+    """Form with the fields of `SolverDetails`; it shows the fields of the chosen model only."""
 
     def __init__(self) -> None:
         hints = get_type_hints(SolverDetails)
@@ -74,14 +74,14 @@ class ModelForm(Container):
     Attributes
     ----------
     model : ComboBox
-        A `ModelName`. Choosing "paper" also sets the solver settings to those of the paper.
+        A `ModelName`. Choosing "paper" also sets the solver settings to the settings of the paper.
     plane : RadioButtons
         Plane of the elastic model: "stress" or "strain".
     poisson : FloatSpinBox
-        Poisson's ratio of the elastic model if the tissue is an image of stiffness; labels have
-        theirs in a table.
+        Poisson's ratio of the elastic model if the tissue is an image of stiffness; for labels,
+        the table has the ratios.
     in_detail : DetailsForm
-        Solver settings; the dock places this form elsewhere.
+        Solver settings, in a separate section of the dock.
     """
 
     def __init__(self) -> None:
@@ -89,7 +89,7 @@ class ModelForm(Container):
         self.model = menu(
             "model",
             messages.MODELS,
-            "Model of the tissue. The paper's restores its own numbers under Advanced",
+            "Model of the tissue. The paper's model resets its settings under 'Advanced'",
             name="model",
         )
         narrow(self.model)
@@ -104,7 +104,7 @@ class ModelForm(Container):
             name="poisson",
             label="Poisson's ratio",
             min=low,
-            max=1.0,  # a larger ratio gets an error message instead of becoming 0
+            max=1.0,  # too large a ratio causes an error message instead of becoming 0
             step=0.05,
             value=USUAL_POISSON,
             tooltip=ABOUT_POISSON,
@@ -143,13 +143,13 @@ class ModelForm(Container):
         return self.model.value in ELASTIC
 
     def tissue_is(self, layer: Any) -> None:
-        """Set the layer that defines the tissue: an image has a single Poisson's ratio."""
+        """Set the layer that defines the tissue; `poisson` is visible only for an image."""
         if layer is not self._tissue:
             self._tissue = layer
             self._show()
 
     def extent_is(self, volume: bool) -> None:
-        """Set whether a volume is deformed, which has no choice of plane."""
+        """Set whether a volume is deformed; a volume has no choice of plane."""
         self._volume = volume
         self._show()
 

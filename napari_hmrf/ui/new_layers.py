@@ -1,4 +1,4 @@
-"""Empty layers to paint on, with default tables for the first labels."""
+"""Empty layers for painting, with default tables for the first labels."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _LARGEST = 2**30
 
 
 def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View) -> tuple[Any, Any]:
-    """Add missing layers to paint on, and select a brush in one of them.
+    """Add the missing layers for painting, and select a brush in one of the layers.
 
-    Unpainted pixels are normal tissue. The first label of the boundary holds tissue, and the second
-    one pushes it outward.
+    Unpainted pixels are normal tissue. The first label of the boundary holds tissue in place, and
+    the second label pushes tissue outward.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
     Returns
     -------
     tissue, boundary : napari.layers.Layer
-        The chosen layers if they fit the image, else new ones.
+        The chosen layers if they fit the image, else new layers.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
 
 
 def _blank(image: Any, view: View, name: str, description: dict[str, Any], **look: Any) -> Labels:
-    """Create an empty Labels layer on the pixels of an image, at the same place."""
+    """Create an empty Labels layer on the pixel grid of an image."""
     frame, shape = frame_of(image, view), layer_extents(image)
     place = frame.placement()
     if math.prod(shape) > _LARGEST:

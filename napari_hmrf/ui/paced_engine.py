@@ -1,4 +1,4 @@
-"""Engine of the window, paced by its repaints, with answers on the GUI thread."""
+"""Engine that waits for the window to repaint, and delivers answers on the GUI thread."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from napari_hmrf.ui.gui_thread import GuiThread, Repainted
 
 _log = logging.getLogger("napari_hmrf")
 # Description of the work for other callers that wait for the compute thread.
-_DOING = "tissue that 'Soft tissue' deforms, which its Cancel stops"
+_DOING = "a deformation in 'Soft tissue' (its Cancel button stops it)"
 
 
 class PacedEngine:
     """Solver of the newest submitted study, for a window.
 
     After each answer, the engine pauses until the answer is painted. Solver and painting use the
-    same processor cores: if both worked at once, each picture would come later.
+    same processor cores, so running both at the same time would delay each picture.
 
     Parameters
     ----------
     show : callable
         Called on the GUI thread with each answer, as a `ShownDeformation`.
     finish : callable
-        Called on the GUI thread with a `CompleteResult`, after `complete` has made it.
+        Called on the GUI thread with the `CompleteResult` that `complete` has made.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class PacedEngine:
         self._engine.submit(study, backend, cold_start, preview)
 
     def complete(self) -> None:
-        """Make the layers of the latest answer in the background, unless a newer study waits."""
+        """Make the layers of the latest answer in the background, unless a study is pending."""
         self._jobs.submit("layers", self._completed, self._on_completed)
 
     def cancel(self) -> None:
@@ -82,11 +82,11 @@ class PacedEngine:
 
     @property
     def monitor(self) -> Monitor:
-        """Progress of the work, or the job that it waits for."""
+        """Progress of the solve, or of the job for which the solve waits."""
         return self._engine.monitor
 
     def rehearse(self, study: Study) -> None:
-        """Load or compile in the background the code for the first pull and the first stroke."""
+        """Load or compile the code for the first pull and stroke in the background."""
         image, engine = study.pictures.image, self._engine
         if not self._rehearsed and image is not None:
             self._rehearsed = True
@@ -109,7 +109,7 @@ class PacedEngine:
         self._gui.submit(partial(self._on_answer, state))
 
     def _completed(self) -> CompleteResult | ShownDeformation | None:
-        """Make all layers of the latest answer; None if there is none or a newer study waits."""
+        """Make all layers of the latest answer; None without an answer or with a pending study."""
         latest = self._engine.latest
         if latest is None or latest.solution is None:
             return None
@@ -127,7 +127,7 @@ class PacedEngine:
     def _on_answer(self, state: ShownDeformation) -> None:
         if not self._engine.is_current(state.moved):
             return
-        # A newer study has corrected the error, or will report it again.
+        # A newer study has corrected the error, or will report the error again.
         try:
             if state.moved.error is None or not self._engine.has_pending:
                 self._show(state)

@@ -22,7 +22,7 @@ _STYLE = (
 _MARGIN = 6
 #: Top margin, in pixels, below the line that describes the colours of a layer.
 _TOP = 34
-#: Rows and columns of the canvas, in the order of `Sides`.
+#: Row and column of each edge in the grid of labels, in the order of `Sides`.
 _EDGES = ((0, 1), (2, 1), (1, 0), (1, 2))
 #: Events of the list of layers that can change the letters.
 _EVENTS = ("inserted", "removed", "axis_labels")
@@ -51,7 +51,7 @@ class PatientSides:
 
     @property
     def shown(self) -> Sides:
-        """Visible letters, by edge."""
+        """Letter at each edge of the canvas; "" if hidden."""
         return Sides(*(label.text() for label in self._labels)) if self._labels else Sides()
 
     def begin(self, window: Any) -> None:
@@ -59,7 +59,7 @@ class PatientSides:
         if self._labels:
             return
         canvas = window.findChild(QtViewer).canvas.native
-        layout = canvas.layout()  # made by a dock that was closed
+        layout = canvas.layout()  # may exist from a dock that was closed
         if layout is None:
             layout = QGridLayout(canvas)
             layout.setContentsMargins(_MARGIN, _TOP, _MARGIN, _MARGIN)

@@ -1,6 +1,6 @@
-"""Settings that are kept between sessions: the chosen device.
+"""Settings that are stored between sessions: the chosen device.
 
-The choice of result layers is not kept, so that each new dock shows the same few layers at first.
+The choice of result layers is not stored, so each new dock initially shows the same few layers.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ _DEVICE = "deform/device"
 
 
 def settings() -> QSettings:
-    """Return the store of settings that are kept between sessions."""
+    """Return the storage of settings that are shared by all sessions."""
     return QSettings(
         QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
     )
 
 
 def remember(device: ComboBox) -> None:
-    """Set a field to the device that was chosen last, and record later choices."""
+    """Set a menu to the device that was chosen last, and store later choices."""
     store = settings()
-    with suppress(ValueError):  # written by another version, or by hand
+    with suppress(ValueError):  # the stored value may be from another version
         device.value = store.value(_DEVICE, device.value)
     device.changed.connect(lambda value: store.setValue(_DEVICE, value))

@@ -1,4 +1,4 @@
-"""Comparison with a second image and with landmarks: overlay of both, and residuals."""
+"""Comparison of the deformed image with a second image, and residuals of landmarks."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.result.result_view import ResultView
 
-#: Layer settings of the moving image and of the second one; equal images add up to grey.
+#: Layer settings of the deformed and the second image; two equal images add up to grey.
 _MOVED = {"colormap": "magenta"}
 _OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0, "visible": True}
 
 
 class SecondImage:
-    """View of a second image over the deformed one, and residuals of landmarks.
+    """View of a second image over the deformed image, and residuals of landmarks.
 
-    Residuals are measured whenever a result is selected, and when landmarks or their choice change.
+    Residuals are measured when a result is selected, and when landmarks or chosen layers change.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class SecondImage:
     view : ResultView
         View of the selected result.
     controller : Controller
-        Source of the landmarks: the layers chosen in its form, or else those of the drawing.
+        Source of the landmarks: the chosen layers, or the drawing if no layers are chosen.
     """
 
     def __init__(self, viewer: Any, view: ResultView, controller: Controller) -> None:
@@ -65,7 +65,7 @@ class SecondImage:
         self._draw(None, [])
 
     def refresh(self, *_: Any) -> None:
-        """Show the second image over the first, and measure the landmarks."""
+        """Show the second image over the deformed image, and measure the landmarks."""
         image = self._image.value
         moved = [] if image is None else [image, *self._results.pictures_of(image)]
         self._draw(self._form.second.value, moved)
@@ -75,7 +75,7 @@ class SecondImage:
         self._measure()
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
-        """Draw an image over the moving ones, after restoring layers of an earlier comparison."""
+        """Restore the layers of an earlier comparison, and draw an image over the moved images."""
         compared, layers = [] if other is None else [other, *moved], self._viewer.layers
         if compared == list(self._before):
             return
@@ -101,7 +101,7 @@ class SecondImage:
             self._measure()
 
     def _measure(self) -> None:
-        """Show the residuals of the landmarks, and remove earlier ones."""
+        """Show the residuals of the landmarks, and remove earlier residuals."""
         earlier, self._residuals = self._residuals, None
         if earlier is not None and earlier[1] in earlier[0].features:
             earlier[0].features = earlier[0].features.drop(columns=earlier[1])
@@ -129,16 +129,16 @@ class SecondImage:
         return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
 
     def _pairs(self, answer: PlacedSolution) -> LandmarkPairs | None:
-        """Return the landmarks of the chosen layers, or else those of the drawing."""
+        """Return the landmarks of the chosen layers, or of the drawing if no layer is chosen."""
         where, should = self._pair.pair
         if where is not None:
             view = View.of(self._viewer.dims)
             try:
                 return landmark_pairs(where, should, answer.frame, answer.shape, view)
             except HmrfError:
-                return None  # reported when the landmarks are taken
+                return None  # reported when the landmarks are added
         study = self._controller.study
-        if study is None or study.grid.place != answer.frame:  # the study is of another image
+        if study is None or study.grid.place != answer.frame:  # another image
             return None
         marks = (mark for mark in study.motion.drawing.marks if isinstance(mark, Landmark))
         both = [(mark.source, mark.target) for mark in marks]

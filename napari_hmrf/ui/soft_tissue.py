@@ -40,10 +40,11 @@ from napari_hmrf.ui.viewer_watch import ViewerWatch
 class SoftTissue(DockValues):
     """Dock widget that defines tissue and its motion, and shows the resulting deformation.
 
-    A script can do everything the user can: choose layers (`image`, `tissue`, `boundary`, ...),
-    fill the tables (`materials`, `rules`), set `model`, `settings` and `drawing`. While `live` is
-    True, the tissue follows every edit; `deform` solves from a cold start and emits `finished`
-    with the result. `result`, `percent`, `overlay` and similar attributes control the display.
+    A script can do everything that the user can do: choose layers (`image`, `tissue`, `boundary`,
+    ...), fill the tables (`materials`, `rules`), and set `model`, `settings` and `drawing`. While
+    `live` is True, the tissue follows every edit. `deform` solves from a cold start and emits
+    `finished` with the result. `result`, `percent`, `overlay` and similar attributes control the
+    display.
 
     Parameters
     ----------
@@ -52,38 +53,44 @@ class SoftTissue(DockValues):
     Attributes
     ----------
     study_model : StudyModel
-        Studies of the viewer and their undo steps; the window shows all edits of the model.
+        Studies of the viewer with their undo steps. The window shows every edit of the model.
     fields : ToolFields
         Settings of the tools.
     more : ResultMenu
-        Menu that measures the result, saves its field and a film, and moves other layers along.
-    deformation_changed, result_drawn : Signal(Deformation), Signal(Outputs)
-        Emitted with every new state of the tissue, and when all layers of a result are drawn.
-    finished, saved : Signal(object)
-        Emitted when `deform` ends: `Outputs`, or None if it was cancelled or failed; and when
-        pictures were written: a list of `Path`.
+        Menu with measurements of the result, export of its field and of a film, and deformation
+        of other layers.
+    deformation_changed : Signal(Deformation)
+        Emitted for every new state of the tissue.
+    result_drawn : Signal(Outputs)
+        Emitted after all layers of a result have been drawn.
+    finished : Signal(object)
+        Emitted when `deform` ends, with the `Outputs`, or with None if it was cancelled or failed.
+    saved : Signal(object)
+        Emitted after pictures have been written, with a list of `Path`.
     at : callable
-        Given a point in world coordinates, returns the deformation of the visible tissue there, a
+        Returns the deformation of the visible tissue at a point in world coordinates, as a
         `Probe`; None outside tissue.
     undo, redo : callable
-        Undo the last step, and redo the step undone last.
+        Undoes the last step; redoes the step that was undone last.
     remove, clear : callable
-        Remove the selected mark, and all marks of the visible slice.
+        Removes the selected mark; removes all marks of the visible slice.
     play, pause : callable
-        Play back and forth between 0 and 100 %, and pause at the displayed state.
-    save_study, save_materials : callable
-        Given a path, save all of `study`, and its field if that is up to date, as
-        `napari_hmrf.write_study`; and the table of tissues, as `material_tables.write_preset`.
-        Both return the `Path` of the file.
+        Plays back and forth between 0 and 100 %; pauses at the displayed state.
+    save_study : callable
+        Saves `study` to a path, with its field if that is up to date, as
+        `napari_hmrf.write_study`. Returns the `Path` of the file.
+    save_materials : callable
+        Saves the table of tissues to a path, as `material_tables.write_preset`. Returns the `Path`
+        of the file.
     take_materials : callable
-        Fill the table of the Labels layer chosen as tissue, as `MaterialMenu.copy_materials`:
-        given a `Preset`, another Labels layer, or a file's path.
+        Copies a `Preset`, the table of another Labels layer, or a file into the table of the
+        Labels layer chosen as tissue, as `MaterialMenu.copy_materials`.
     cancel : callable
-        Cancel the work; the dock is idle at once, even if the thread still runs.
+        Cancels all work. The dock is idle immediately, even if the thread is still running.
     schedule_refresh : callable
-        Update the tissue after an edit that emits no event.
+        Updates the tissue after an edit that emits no event.
     show_message : callable
-        Show a sentence in the status text of the dock.
+        Shows a sentence in the status text of the dock.
     """
 
     def __init__(self, napari_viewer: Any) -> None:
@@ -140,7 +147,7 @@ class SoftTissue(DockValues):
         Raises
         ------
         HmrfError
-            If no image, and no labels of tissue, are chosen, or a layer cannot be read.
+            If neither an image nor tissue labels are chosen, or if a layer cannot be read.
         """
         return self._controller.reader.read(self._controller.reader.request())
 
@@ -158,7 +165,7 @@ class SoftTissue(DockValues):
 
     @property
     def details(self) -> str:
-        """Method, duration and accuracy of the latest result; "" if there is none."""
+        """Method, duration and accuracy of the latest result; "" if there is no result."""
         return "" if self.solution is None else repr(self.solution)
 
     @property
@@ -173,7 +180,7 @@ class SoftTissue(DockValues):
 
     @property
     def tool(self) -> str:
-        """Tool of the mouse: "pull", "landmark", or an action of a `Stroke` that it paints."""
+        """Current tool: "pull", "landmark", or the action of the `Stroke` that it paints."""
         return self._pointer.tool.name
 
     @tool.setter
@@ -188,7 +195,7 @@ class SoftTissue(DockValues):
     @drawing.setter
     def drawing(self, drawing: Drawing) -> None:
         self._controller.refresh()
-        word = "" if self._binding.automatic else "took over a drawing"
+        word = "" if self._binding.automatic else "replaced the drawing"
         self._pointer.set_drawing(drawing, word)
 
     # Actions
@@ -205,22 +212,29 @@ class SoftTissue(DockValues):
         return self.active
 
     def stop(self) -> None:
-        """Stop drawing, so that the mouse moves the view again; the drawing stays."""
+        """Stop drawing, and keep the drawing; the mouse then moves the view again."""
         if self.active and self.image in self._viewer.layers:
             self._viewer.layers.selection = {self.image}
 
     def save_pictures(self, folder: str | Path) -> None:
-        """Write pictures into an existing folder; `saved` is emitted when they are written."""
+        """Write pictures into an existing folder, then emit `saved`."""
         attempt(partial(self.more.save_pictures, folder), self.show_message)
 
     def open_study(self, path: str | Path) -> None:
-        """Add the layers of a saved study, and restore its settings; errors as in `read_study`."""
+        """Add the layers of a saved study, and restore its settings.
+
+        Errors are those of `read_study`.
+        """
         self._unsaved.open(path)
         if self.drawing.marks:
             self._unused = self.start()  # makes the marks visible
 
     def deform(self) -> None:
-        """Solve from a cold start. Layers are copied now; `finished` is emitted at the end."""
+        """Solve the study from a cold start.
+
+        The layers are copied before this method returns. `finished` is emitted at the end of the
+        solve.
+        """
         if self.idle and not self.away:
             for table in self._form.tables:
                 table.refresh()
@@ -228,9 +242,10 @@ class SoftTissue(DockValues):
             self._controller.solve_cold()
 
     def make_layers(self) -> None:
-        """Add a tissue and a boundary layer on the pixels of the image, and choose them.
+        """Add a tissue and a boundary layer on the pixel grid of the image, and choose both.
 
-        Layers that are chosen already are kept, as is tissue defined by the image's brightness.
+        Layers that are already chosen are kept, as is tissue defined by the brightness of the
+        image.
 
         Raises
         ------
@@ -248,12 +263,12 @@ class SoftTissue(DockValues):
         self.show_message(messages.PAINT.format(" and ".join(painted)))
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
-        """Define the stiffness of tissue by the image's intensity; return the curve.
+        """Define the stiffness of tissue by the intensity of the image, and return the curve.
 
         Parameters
         ----------
         curve : StiffnessCurve, optional
-            By default the existing curve of the image, or else a first guess.
+            By default, the existing curve of the image, or a first guess if there is no curve.
 
         Returns
         -------
@@ -275,9 +290,9 @@ class SoftTissue(DockValues):
         return curve
 
     def take_landmarks(self, where: Any, should: Any = None, **how: float) -> None:
-        """Take points of two layers, or lines of a Shapes layer, as landmarks of the drawing.
+        """Add the points of two layers, or the lines of a Shapes layer, as landmarks.
 
-        They replace the landmarks that were taken before.
+        The landmarks of an earlier call are removed from the drawing.
 
         Parameters
         ----------
@@ -300,7 +315,9 @@ class SoftTissue(DockValues):
         self._added_landmarks = marks = read_landmarks(
             where, should, grid.known_place, grid.shape, view, **how
         )
-        self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
+        self._pointer.set_drawing(
+            Drawing((*marks, *others)), f"added landmarks from '{where.name}'"
+        )
         self.start()
 
     def hand_brush(self, layer: Any) -> None:
@@ -342,7 +359,7 @@ class SoftTissue(DockValues):
 
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer
-        if not pointer.tool.is_dragging:  # a drag changes none of these
+        if not pointer.tool.is_dragging:  # a drag does not change the widgets below
             motion.show_tool(pointer.tool.name if pointer.active else "")
             motion.remove.enabled = pointer.tool.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
@@ -358,7 +375,7 @@ class SoftTissue(DockValues):
     # Buttons and events
 
     def _on_tool(self, name: str) -> None:
-        """Switch to the tool of a button; a second press stops drawing."""
+        """Switch to the tool of a button, or stop drawing if the tool is already in use."""
         unused, self._unused = self._unused, False
         if self.active and self.tool == name and not unused:
             self.stop()
@@ -382,7 +399,7 @@ class SoftTissue(DockValues):
         self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:
-        """Release all parts, as the dock was closed or its window was deleted."""
+        """Release all parts, because the dock was closed or its window was deleted."""
         if closed:
             self._controller.cancel()
             self._controller.clear()

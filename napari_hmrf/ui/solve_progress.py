@@ -1,4 +1,4 @@
-"""Progress of a solve, shown in the dock if the solve takes long."""
+"""Progress of a solve, shown in the dock if the solve takes a long time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from napari_hmrf.ui.paced_engine import PacedEngine
 
 #: Interval between updates, in milliseconds.
 _INTERVAL = 30
-#: Time without a picture after which progress is shown, in seconds.
+#: Time without a new picture after which progress is shown, in seconds.
 _PATIENCE = 0.4
 
 
@@ -29,7 +29,7 @@ class SolveProgress:
     engine : PacedEngine
     """
 
-    #: Progress message; "" when the work has ended.
+    #: Emitted with a progress message; "" when the work has ended.
     doing = Signal(str)
 
     def __init__(self, native: QWidget, footer: Footer, engine: PacedEngine) -> None:
@@ -41,19 +41,19 @@ class SolveProgress:
 
     @property
     def active(self) -> bool:
-        """True until the end of the work is shown."""
+        """True while progress is tracked, until the end of the work is shown."""
         return bool(self._timer.isActive())
 
     def start(self, work: str, at_once: bool = False) -> None:
-        """Start to show the progress of some work.
+        """Start showing the progress of a task.
 
         Parameters
         ----------
         work : str
-            Name of the work, such as "Deforming".
+            Name of the task, such as "Deforming".
         at_once : bool
-            If True, progress is shown immediately and until `stop`. Otherwise, it is shown only
-            when a picture takes long, and until the engine is idle.
+            If True, progress is shown immediately and until `stop`. Otherwise, progress is shown
+            only if a picture takes a long time, and until the engine is idle.
         """
         if at_once or not self._engine.busy:
             self.restart()
@@ -64,7 +64,7 @@ class SolveProgress:
             self._timer.start()
 
     def restart(self) -> None:
-        """Restart the measurement of the time without a picture."""
+        """Reset the time since the last picture."""
         self._since = time.monotonic()
 
     def stop(self) -> None:

@@ -1,4 +1,4 @@
-"""Reader of the study that the layers and the choices in a dock define."""
+"""Reader of the study defined by the layers and choices of a dock."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from napari_hmrf.ui.form_binding import FormBinding
 
 
 class StudyReader:
-    """Reader of the study that the layers and the choices in a dock define.
+    """Reader of the study defined by the layers and choices of a dock.
 
     Layers are read again only if they have changed.
 
@@ -43,7 +43,7 @@ class StudyReader:
         Raises
         ------
         HmrfError
-            If no image, and no labels of tissue, are chosen.
+            If neither an image nor tissue labels are chosen.
         """
         request = self._binding.request()
         layer = request.layers[0]
@@ -64,12 +64,12 @@ class StudyReader:
         return replace(study, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:
-        """Return a first guess of the curve that maps brightness of the slice to stiffness.
+        """Return a first guess of the curve from the brightness of the slice to stiffness.
 
         Raises
         ------
         HmrfError
-            If the slice cannot be read, or has a single value.
+            If the slice cannot be read, or if all its pixels have the same value.
         """
         image = self._form.image.value
         study = self.read(Request(image=image, view=self._form.view(), drawing=Drawing()))

@@ -23,7 +23,7 @@ from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTa
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View]
 Table = TypeVar("Table", bound=MaterialTable | BoundaryTable)
-#: Curve of an editor before the image has one.
+#: Curve that the editor shows until the image has a curve.
 _UNKNOWN = StiffnessCurve(((0, 1), (1, 1)))
 
 
@@ -70,7 +70,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
     brightness_curve : StiffnessCurve or None
         Curve of the image, if the menu offers it.
     editor : CurveEditor
-        Editor of that curve.
+        Editor of the curve.
     """
 
     brightness_curve: StiffnessCurve | None = None
@@ -81,13 +81,13 @@ class TissueSection(_PaintedSection[MaterialTable]):
             # Layers of results, which have a "kind", cannot define the tissue.
             lambda layer: isinstance(layer, Labels | Image) and "kind" not in metadata_of(layer),
             "tissue",
-            "A Labels layer in which tissues are painted, an image of stiffness, or a curve",
+            "Labels layer with painted tissues, image of stiffness, or brightness of the image",
             lambda: [("brightness of the image", BRIGHTNESS)] if self.brightness_curve else [],
         )
         self.border = CheckBox(
             value=True,
-            text="the dark border is no tissue",
-            tooltip="Dark, unpainted surroundings of the image, such as air, are no tissue",
+            text="Ignore dark background",
+            tooltip="Exclude dark, unpainted surroundings, such as air, from the tissue",
         )
         self.editor = CurveEditor(_UNKNOWN)
         table = MaterialTable(view)
@@ -115,21 +115,20 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.choice.reset_choices()
 
     def go_by(self, curve: StiffnessCurve) -> None:
-        """Define the tissue by brightness, with a curve."""
+        """Define the tissue by brightness, through a curve."""
         self.offer(curve)
         self.choice.value = BRIGHTNESS
         self.edited.emit()
 
     def _on_choice(self, layer: Any) -> None:
         self.editor.visible = layer == BRIGHTNESS
-        self.border.visible = isinstance(
-            layer, Labels
-        )  # without labels, the border is always tissue
+        # Without labels, the border is always tissue.
+        self.border.visible = isinstance(layer, Labels)
         super()._on_choice(layer)
 
 
 class BoundarySection(_PaintedSection[BoundaryTable]):
-    """Section for the boundary: Labels with rules, or Vectors with confidence; and landmarks.
+    """Section for the boundary (Labels with rules, or Vectors with confidence) and landmarks.
 
     Attributes
     ----------
@@ -144,14 +143,16 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             layers,
             lambda layer: isinstance(layer, Labels | Vectors) and "kind" not in metadata_of(layer),
             "boundary",
-            "Labels: what is painted holds or moves; or Vectors: observed displacements, such as "
-            "a field by File > Open. Landmarks are chosen below once there are Points or Shapes",
+            "Labels layer with regions to hold or move, or Vectors layer with observed "
+            "displacements, such as a field from File > Open. To choose landmarks below, add a "
+            "Points or Shapes layer",
         )
         self.confidence = LayerChoice(
             layers,
             _may_be_confidence,
             "confidence",
-            "Confidence in the Vectors: an image from 0 to 1, a mask, or the image's edges; else 1",
+            "Confidence in the Vectors: an image from 0 to 1, a mask, or the edges of the image. "
+            "Without a choice, it is 1",
             lambda: [("edges of the image", EDGES)],
         )
         super().__init__(choice, [self.confidence], BoundaryTable(view))
@@ -166,6 +167,6 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
 
 
 def _may_be_confidence(layer: Any) -> bool:
-    """Return whether a layer is grey or a mask, and not the display of painted confidence."""
+    """Return whether a layer is a grey image or a mask, but not painted confidence."""
     grey = isinstance(layer, Labels) or (isinstance(layer, Image) and not layer.rgb)
     return grey and metadata_of(layer).get("kind") != CONFIDENCE

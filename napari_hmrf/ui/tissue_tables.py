@@ -1,6 +1,6 @@
 """Tables of tissues and of boundaries, with a row for each label.
 
-A menu offers published materials, and those of other layers and of files.
+A menu offers published materials and the materials of other layers and of files.
 """
 
 from __future__ import annotations
@@ -64,29 +64,29 @@ class MaterialTable(LabelTable[Material]):
 
     @property
     def columns(self) -> list[Column[Material]]:
-        """Columns of stiffness, in its unit if that is known, Poisson's ratio, and growth."""
+        """Columns for stiffness (with its unit if known), Poisson's ratio, and growth."""
         unit = self.contents.unit  # for display only: the motion depends on ratios of stiffness
         return [
             *super().columns,
             Column(
                 f"Stiffness ({unit})" if unit else "Relative\nstiffness",
-                "Young's modulus, in any unit that all tissues share.\n0: no tissue, such as air. "
-                "'rigid': moves as one, such as bone, in the elastic model.\n"
-                "Label 0 is every pixel that you do not paint.",
+                "Young's modulus, in the same unit for all tissues.\n0: no tissue, such as air. "
+                "'rigid': a rigid body, such as bone, in the elastic model.\n"
+                "Label 0: all pixels that are not painted.",
                 lambda row: stiffness_in_words(row.stiffness),
                 _stiffness,
             ),
             Column(
                 "Poisson's\nratio",
-                f"{ABOUT_POISSON}\nThe paper's model does not ask for it.",
+                f"{ABOUT_POISSON}\nThe paper's model does not use it.",
                 lambda row: f"{row.poisson:g}" if row.is_deformable else "",
                 _poisson,
             ),
             Column(
                 "grows\n%",
-                "Growth in length if the tissue were free, below 0 shorter: 26 % is twice the "
-                "volume.\nTwo numbers, such as 20 / 0: along rows and columns apart.\nNot in the "
-                "paper's model.",
+                "Growth in length of free tissue; a negative number shrinks it. 26 % doubles the "
+                "volume.\nTwo numbers, such as 20 / 0: growth along rows and along columns.\nThe "
+                "paper's model has no growth.",
                 lambda row: _joined(100 * np.atleast_1d(row.growth)) if row.is_deformable else "",
                 _growth,
             ),
@@ -102,7 +102,7 @@ def _stiffness(material: Material, text: str) -> Material:
         return replace(material, stiffness=RIGID)
     stiffness = number_of(text)
     if not 0 <= stiffness <= LARGEST_STIFFNESS:
-        raise ValueError("Stiffness must be a number, 0 or more, or 'rigid'")
+        raise ValueError("Stiffness must be a number of at least 0, or 'rigid'")
     return replace(material, stiffness=stiffness)
 
 
@@ -114,14 +114,14 @@ def _poisson(material: Material, text: str) -> Material:
 
 
 def _joined(parts: Iterable[float]) -> str:
-    """Join numbers as the user types them, with slashes."""
+    """Join numbers with slashes, in the format that the user types."""
     return " / ".join(f"{round(part, 9):g}" for part in parts)
 
 
 def _growth(material: Material, text: str) -> Material:
     parts = tuple(number_of(part) / 100 for part in text.split("/"))
     if len(parts) > 3 or not all(map(is_growth, parts)):
-        raise ValueError("Growth must be per cent, above -100 and up to 1000; or two: 20 / 0")
+        raise ValueError("Growth must be above -100 and at most 1000 %; or two numbers: 20 / 0")
     return replace(material, growth=parts if len(parts) > 1 else parts[0])
 
 
@@ -133,16 +133,16 @@ class BoundaryTable(LabelTable[BoundaryRule]):
 
     @property
     def columns(self) -> list[Column[BoundaryRule]]:
-        """Columns of the action and its amounts, along directions of the patient or the screen."""
+        """Columns for the action and its amounts, in directions of the patient or the screen."""
         unit, ways, stiffness = self._place
         per_area = stiffness or "relative"
         return [
             *super().columns,
             Column(
                 "Action",
-                "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
-                "Expands: so far outward; what is painted must be a closed ring or filled.\n"
-                "Pressed, pulled: by a force per area, where tissue ends under the paint",
+                "fixed: stays in place.\nmoves: by a displacement along rows and columns.\n"
+                "expands: outward, by a distance; the paint must be a closed ring or a patch.\n"
+                "pressed, pulled: by a force per area, on the surface of tissue under the paint",
                 lambda row: _ACTIONS[row.action],
                 _action,
                 tuple(_BY_WORD),
@@ -151,11 +151,11 @@ class BoundaryTable(LabelTable[BoundaryRule]):
             _amount("out", "Distance outward; negative: inward", unit, "expand"),
             Column(
                 "confi-\ndence",
-                "Confidence, 0 to 1.\nTwo numbers, such as 1 / 0.5: for rows and columns apart",
+                "Confidence, 0 to 1.\nTwo numbers, such as 1 / 0.5: along rows and along columns",
                 lambda row: _joined(() if row.action in FORCES else dict.fromkeys(row.confidence)),
                 _confidence,
             ),
-            _amount("pressure", "Force per area; negative: it sucks", per_area, "press"),
+            _amount("pressure", "Force per area; negative: suction", per_area, "press"),
             *(_along(axis, per_area, ways, "pull") for axis in (0, 1)),
         ]
 
@@ -171,14 +171,14 @@ class BoundaryTable(LabelTable[BoundaryRule]):
 
 
 def _action(rule: BoundaryRule, text: str) -> BoundaryRule:
-    """Return the rule with another action; its amount is reset if the unit differs."""
+    """Return the rule with another action; the amount is reset if its unit differs."""
     changed_rule = replace(rule, action=_BY_WORD[text])
     same = (changed_rule.action in FORCES) == (rule.action in FORCES)
     return changed_rule if same else replace(changed_rule, vector=(0.0, 0.0), amount=0.0)
 
 
 def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[BoundaryRule]:
-    """Return the column of a motion or a pull along the rows or the columns."""
+    """Return the column for one component of a motion or a pull, along rows or columns."""
 
     def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
         *deep, down, along = ways.to_display(rule.vector)
@@ -193,7 +193,7 @@ def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[Bou
 
 
 def _amount(title: str, about: str, unit: str, action: Action) -> Column[BoundaryRule]:
-    """Return the column of an amount that only rules with one action have."""
+    """Return the column of an amount that applies to one action only."""
 
     def shown(rule: BoundaryRule) -> float | None:
         return rule.amount if rule.action == action else None
@@ -216,7 +216,7 @@ def _distance(
 
     def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
         if not math.isfinite(far := number_of(text)):
-            raise ValueError(f"This must be a number, in {unit}")
+            raise ValueError(f"The value must be a number, in {unit}")
         return changed(rule, far)
 
     words = title.replace("along ", "along\n")  # saves width in the narrow dock
@@ -226,12 +226,12 @@ def _distance(
 def _confidence(rule: BoundaryRule, text: str) -> BoundaryRule:
     parts = [number_of(part) for part in text.split("/")]
     if len(parts) > 2 or not all(0 <= part <= 1 for part in parts):
-        raise ValueError("Confidence must be a number from 0 to 1, or two: 1 / 0.5")
+        raise ValueError("Confidence must be a number from 0 to 1; or two numbers: 1 / 0.5")
     return replace(rule, confidence=(parts[0], parts[-1]))
 
 
 def materials_of(layer: Any) -> Preset | None:
-    """Return the tissue table of a Labels layer or a result as a preset, or None."""
+    """Return the tissue table of a Labels layer or a result as a preset; None if it has none."""
     table = table_of(layer, TISSUE)
     rows, unit = table[:2] if table.rows else tissue_recorded(layer)
     if not rows or not any(row.stiffness > 0 for row in rows):
@@ -251,7 +251,7 @@ class MaterialMenu(QPushButton):
     Attributes
     ----------
     message : Signal(str)
-        Message about a change of the table, and its effect on existing rows; or an error.
+        Message about a change of the table and its effect on existing rows, or about an error.
     """
 
     message = Signal(str)
@@ -260,7 +260,7 @@ class MaterialMenu(QPushButton):
         super().__init__("Materials")
         self._table, self._layers = table, layers
         self.setToolTip(
-            "Take published stiffnesses, or those of a layer or a file; or keep these in a file"
+            "Load stiffnesses from a publication, a layer or a file, or save these to a file"
         )
         give_menu(self, self.fill)
 
@@ -271,25 +271,25 @@ class MaterialMenu(QPushButton):
         for preset in PRESETS:
             self._offer(menu, preset)
         menu.addSeparator()
-        taken = menu.addMenu("Take from layer")
+        taken = menu.addMenu("Load from layer")
         taken.setToolTipsVisible(True)
         for layer in self._layers():
             if layer is not self._table.layer and (materials := materials_of(layer)):
                 self._offer(taken, materials)
         taken.setEnabled(bool(taken.actions()))
-        about = "A file that was saved here or written by hand, or a segmentation's names of labels"
+        about = "File that was saved here or written by hand, or label names of a segmentation"
         add_entry(menu, "Load from file ...", about, self._load)
-        add_entry(menu, "Save to file ...", "For other images, and for other people", self._save)
+        add_entry(menu, "Save to file ...", "For other images, or to share it", self._save)
 
     def copy_materials(self, materials: Preset | Layer | str | Path) -> None:
-        """Copy materials into the table: a preset, or those of a layer or a file.
+        """Copy the materials of a preset, a layer or a file into the table.
 
         Raises
         ------
         LayerError
             If the layer has no table of materials.
         FileFormatError, OSError
-            As for `tissue_table`.
+            If the file cannot be read, as for `tissue_table`.
         """
         preset: Preset | NamedMaterials | None
         if isinstance(materials, Preset):
@@ -305,7 +305,7 @@ class MaterialMenu(QPushButton):
         self.message.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
-        """Save the table to a file, as `write_preset`; return its path."""
+        """Save the table to a file, as `write_preset`, and return the path of the file."""
         table = self._table.contents
         file = write_preset(path, Preset(table.preset, table.unit, table.source, table.rows))
         self.message.emit(f"Saved {file.name}.")

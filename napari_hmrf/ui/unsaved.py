@@ -50,7 +50,7 @@ _all: weakref.WeakSet[Unsaved] = weakref.WeakSet()
 
 
 class Dock(Protocol):
-    """Members of the dock that saving and opening use."""
+    """Members of the dock that are used to save and open studies."""
 
     @property
     def native(self) -> QWidget:
@@ -83,7 +83,7 @@ class Dock(Protocol):
     def drawing(self, drawing: Drawing) -> None: ...
 
     def insert(self, key: int, widget: Container) -> None:
-        """Insert a part of the dock."""
+        """Insert a container into the dock."""
 
     def show_message(self, message: str) -> None:
         """Show a message."""
@@ -92,7 +92,7 @@ class Dock(Protocol):
 class Unsaved(QObject):
     """Saving and opening of a dock's studies, and protection of unsaved work.
 
-    When a script closes its viewer, there is no prompt.
+    If a script closes the viewer, no prompt is shown.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Unsaved(QObject):
     Attributes
     ----------
     prompt : callable
-        Given a question, returns "save", "discard" or "cancel"; by default from a dialog.
+        Given a question, returns "save", "discard" or "cancel". The default shows a dialog.
     """
 
     def __init__(self, dock: Dock, viewer: Any, controller: Controller, attempt: Attempt) -> None:
@@ -129,7 +129,7 @@ class Unsaved(QObject):
     # Files
 
     def save(self, path: str | Path) -> Path:
-        """Save the current study, and its field if that is up to date."""
+        """Save the current study, with its field if the field is up to date."""
         solution, study = self._dock.solution if self._controller.fresh else None, self._dock.study
         written = write_study(path, study, solution)
         apart = self._landmarks_apart(study)
@@ -138,7 +138,7 @@ class Unsaved(QObject):
         return written
 
     def _landmarks_apart(self, study: Study) -> str:
-        """Return the name of the *landmarks at* layer if a pair in it was not taken; else ""."""
+        """Return the name of the landmarks layer if one of its pairs was not added; else ""."""
         form, grid = self._controller.form, study.grid
         where, should = form.motion.boundary.landmarks.pair
         taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
@@ -146,12 +146,12 @@ class Unsaved(QObject):
             return ""
         try:
             chosen = read_landmarks(where, should, grid.known_place, grid.shape, form.view())
-        except HmrfError:  # reported when the landmarks are taken
+        except HmrfError:  # reported when the landmarks are added
             return ""
         return where.name if any((mark.target, mark.source) not in taken for mark in chosen) else ""
 
     def save_as(self) -> None:
-        """Prompt where to save the study, and save it."""
+        """Prompt for a file name, and save the study."""
         slice_part = self._model.slice
         name = "study" if slice_part.layer is None else _NO_FILE_NAME.sub("-", _name(slice_part))
         known = self._work.paths.get(slice_part, Path(name + SUFFIX))
@@ -162,12 +162,12 @@ class Unsaved(QObject):
             self.save(chosen)
 
     def open(self, path: str | Path) -> None:
-        """Add the layers of a saved study; drawings on other layers stay."""
+        """Add the layers of a saved study, and keep the drawings on other layers."""
         self._add(path)
         self._drop_recovery(self._model.slice, Path(path))
 
     def _add(self, path: str | Path) -> None:
-        """Add the content of a file to the viewer; undo would not remove its layers."""
+        """Add the content of a file to the viewer, without undo steps for its layers."""
         study, dock = read_study(path).study, self._dock
         layers = study_layers(study)
         with self._binding.automatically():
@@ -188,9 +188,9 @@ class Unsaved(QObject):
         model = self._model
         others = part.kind == "paint" and part.layer not in model.choice.layers
         if part.kind in ("choice", "model") or others:
-            return  # easily chosen again, or not part of the study
+            return  # easy to choose again, or not part of the study
         slice_part = part if part.kind == "drawing" else model.slice
-        # A change that follows from another, such as a choice after new layers, is no undo step.
+        # An automatic change, such as the choice of a new layer, is not an undo step.
         steps = (model.next_undo, model.next_redo)
         by_hand = any(step is not None and step.part == part for step in steps)
         if slice_part.layer is not None and by_hand:
@@ -214,7 +214,7 @@ class Unsaved(QObject):
         if event.type() != QEvent.Type.Close or self not in _all:
             return False
         if watched.findChild(QtViewer).isHidden():
-            # A script closes the window, or napari does after another one: too late for a prompt.
+            # A script is closing the window, or napari is quitting: too late for a prompt.
             if QThread.currentThread().loopLevel() == 0:
                 self._discard()
             return False
@@ -236,7 +236,7 @@ class Unsaved(QObject):
         names = [f"'{_name(part)}'" for part in slices]
         replaced = [f"'{paths[part].name}'" for part in slices if part in paths]
         answer = self.prompt(
-            f"What was done on {' and '.join(names)} is in no file yet. Save it before closing?"
+            f"The work on {' and '.join(names)} is not saved. Save it before closing?"
             + (f" Saving replaces {' and '.join(replaced)}." if replaced else "")
         )
         if answer == "discard":
@@ -247,7 +247,7 @@ class Unsaved(QObject):
         return answer != "cancel" and not self.has_work
 
     def _save_slice(self, part: Part) -> None:
-        """Go to a slice, and save it to its known path, or else to a path the user chooses."""
+        """Go to a slice, and save it to its known path, or to a path that the user chooses."""
         self._dock.image = part.layer
         self._undo.go_to(part, turn=True)
         self._controller.refresh()
@@ -296,7 +296,7 @@ class Unsaved(QObject):
         self._work.saved_files[slice_part] = recovery.claim(file)
 
     def release(self) -> None:
-        """Disconnect from edits, as the dock was closed or its window was deleted."""
+        """Disconnect from edits, because the dock was closed or its window was deleted."""
         _all.discard(self)
         self._connections.release()
         self._keep_timer.stop()
@@ -349,7 +349,7 @@ def folder() -> Path:
 
 
 def _name(part: Part) -> str:
-    """Return the name of an image, with its slice if it has several."""
+    """Return the name of an image, with the slice if the image has several slices."""
     return f"{part.layer.name} {'' if part.place is None else part.place.name}".strip()
 
 

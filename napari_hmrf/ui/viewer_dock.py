@@ -1,4 +1,4 @@
-"""Base class of dock widgets: their viewer, and the time from docking to closing."""
+"""Base class of dock widgets, with callbacks for docking and closing."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from napari_hmrf.layers.compat import CanvasContext, camera_of, clear_middle, un
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.ui.events import single_shot
 
-#: Time after which the canvas has its size beside a new dock, in milliseconds.
+#: Time after which the canvas has its final size beside a new dock, in milliseconds.
 _LAYOUT_TIME = 50
-#: Distance below which two centres of a view count as the same, in pixels of the screen.
+#: Distance below which two view centres are considered equal, in screen pixels.
 _SAME_CENTRE = 20
-#: Strong references until the end of each dock, as Qt's signals keep none to their callbacks.
+#: Lifetimes of all open docks, referenced here because Qt's signals do not reference callbacks.
 _lifetimes: set[_Lifetime] = set()
 
 
 class Dock(Container):
-    """Dock widget of a viewer; an image that was fully visible stays so beside the dock.
+    """Dock widget of a viewer.
 
-    A dock ends when it is closed or its window is deleted. The next one that is opened continues
-    with the state of the viewer.
+    An image that was fully visible before docking remains fully visible beside the dock. A dock
+    ends when it is closed or its window is deleted. The next dock to be opened continues with the
+    state of the viewer.
 
     Parameters
     ----------
@@ -53,18 +54,18 @@ class Dock(Container):
         return not self.away and self.native.parent() is not None
 
     def on_docked(self) -> None:
-        """Fit the image into the remaining canvas, if all of it was visible before."""
+        """Fit the image into the remaining canvas, if the whole image was visible before."""
         self._arrival_timer.start()
         if sees_all(self._viewer):
             self._fit_timer.start()
 
     def on_window(self, window: QMainWindow) -> None:
-        """Respond to the arrival of the dock in a napari window."""
+        """Respond to docking in a napari window."""
 
     def _on_arrived(self) -> None:
         window = self.native
         while window is not None and not isinstance(window, QMainWindow):
-            window = window.parent()  # a floating dock has a window of its own
+            window = window.parent()  # a floating dock has its own window
         if window is not None:
             self.on_window(window)
 
@@ -76,9 +77,9 @@ class Dock(Container):
 
 
 class _Lifetime:
-    """Lifetime of a dock widget; after its end, no object of Qt is used."""
+    """Lifetime of a dock widget; no Qt object is used after its end."""
 
-    # Qt would call a closure over the owner even while Python deletes both.
+    # A weak reference, because Qt would call a closure over the owner even during its deletion.
     def __init__(self, owner: Dock) -> None:
         self.has_ended = self._docked = False
         self._owner = weakref.ref(owner)
@@ -101,7 +102,7 @@ class _Lifetime:
             self.end(closed=True)
 
     def end(self, closed: bool) -> None:
-        """End the dock, as it was closed or its window was deleted."""
+        """End the dock, because it was closed or its window was deleted."""
         over, self.has_ended = self.has_ended, True
         _lifetimes.discard(self)
         if not over and (owner := self._owner()) is not None:
@@ -109,13 +110,13 @@ class _Lifetime:
 
 
 def sees_all(viewer: Any) -> bool:
-    """Return whether a viewer shows its layers about as its home button does, in 2D."""
+    """Return whether the 2D view of a viewer is close to that of napari's home button."""
     if not viewer.layers or viewer.dims.ndisplay != 2:
         return False
     camera = camera_of(viewer)
     center, zoom = camera.center, camera.zoom
     viewer.reset_view()
-    # napari fits a first layer before the controls beside it have their width.
+    # napari fits a first layer before the controls beside it have their final width.
     same = math.isclose(zoom, camera.zoom, rel_tol=0.1)
     for one, other in zip(center[-2:], camera.center[-2:], strict=True):
         same = same and abs(one - other) * zoom < _SAME_CENTRE

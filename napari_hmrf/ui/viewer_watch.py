@@ -30,8 +30,8 @@ _BRUSHES = ("paint", "erase", "fill", "polygon")
 class ViewerWatch:
     """Listener that updates a dock when its viewer changes.
 
-    napari's own brushes paint on the undeformed image, so that image is shown when one of them is
-    selected and while it paints.
+    napari's own brushes paint on the undeformed image, so the undeformed image is shown when a
+    brush is selected and while it paints.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class ViewerWatch:
     guide : Guide
     """
 
-    #: The first image is ready to be pulled, and no other layer is active.
+    #: Emitted when the first image is ready to be pulled, and no other layer is active.
     first_image_ready = Signal()
 
     def __init__(self, native: Any, viewer: Any, controller: Controller, guide: Guide) -> None:
@@ -56,7 +56,7 @@ class ViewerWatch:
         self._results = shared(viewer, ResultLayers)
         self._active = viewer.layers.selection.active
         self._first_timer = single_shot(native, 0, self._on_first)
-        # Deferred, as napari may still be removing other layers.
+        # Deferred, because napari may still be removing other layers.
         self._removal_timer = single_shot(native, 0, self._on_left)
         self._has_started = self._was_active = False
         # Message about a removed layer, until it is shown.
@@ -89,7 +89,7 @@ class ViewerWatch:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
     def _on_moved(self, study: Study) -> None:
-        """Set tool sizes that suit the first image, and schedule `first_image_ready`, only once."""
+        """For the first image only, set tool sizes and schedule `first_image_ready`."""
         if not self._has_started:
             self._has_started = True
             size = study.grid.shape, study.grid.spacing
@@ -169,7 +169,7 @@ class ViewerWatch:
             self._callbacks[event.type](event)
 
     def _on_pixels(self, event: Any) -> None:
-        """Schedule a refresh, as the pixels of a layer or their position may have changed."""
+        """Schedule a refresh, because the pixels of a layer or their position may have changed."""
         if self._reads(event.sources[0]):
             self._controller.schedule_refresh()
 
@@ -197,7 +197,7 @@ class ViewerWatch:
         self._on_choice()
 
     def _removal_message_for(self, layer: Any) -> str:
-        """Return a message about work that is lost with a removed layer; "" if none is.
+        """Return a message about work that is lost with a removed layer; "" if no work is lost.
 
         napari cannot restore a removed layer.
         """
@@ -245,11 +245,11 @@ class ViewerWatch:
         return painted and active.mode in _BRUSHES
 
     def _on_mode(self, *_: Any) -> None:
-        """Show the undeformed image if a brush of napari is selected, else the deformed one."""
+        """Show the undeformed image if a brush of napari is selected, else the deformed image."""
         self._controller.show_before(self._is_painted)
 
     def _on_drag(self, _: Any, event: Any) -> Iterator[None]:
-        """Show the undeformed image while a brush paints, and the deformed one after that."""
+        """Show the undeformed image while a brush paints, then the deformed image."""
         if not self._is_painted:
             return
         self._controller.show_before(True)

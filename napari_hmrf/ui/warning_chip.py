@@ -27,7 +27,7 @@ class WarningChip:
         Returns the latest result of the current study, or None.
     """
 
-    #: Message for the user.
+    #: Emitted with a message for the user.
     message = Signal(str)
 
     def __init__(
@@ -47,17 +47,17 @@ class WarningChip:
 
     @property
     def _other(self) -> ModelName | None:
-        """Model that would solve the problems of the chosen one, or None."""
+        """Model to offer instead of the chosen model, or None."""
         done, chosen = self._latest(), self._form.model.model.value
         if chosen == "large motion":
-            return "elastic" if self._form.extent.is_volume else None
+            return None
         return "large motion" if done is not None and messages.can_unfold(done) else None
 
     def _take_other(self) -> None:
         self._form.model.model.value = self._other or self._form.model.model.value
 
     def _on_chip(self) -> None:
-        """Emit the warning, and mark folds, then overlaps, then neither."""
+        """Emit the warning, and show the next mark: folds, then overlaps, then no mark."""
         overlay, latest, slice_message = self._form.result.overlay, self._latest(), ""
         mark = None if latest is None else messages.next_mark(latest.outputs, overlay.value)
         if latest is not None and mark is not None:
@@ -68,7 +68,7 @@ class WarningChip:
         self.message.emit(f"{self._form.footer.warning} {slice_message}".rstrip())
 
     def _go_to_most(self, latest: CompleteResult, mark: Mark) -> str:
-        """Go to the slice of a volume with most marked sites; return a message that names it."""
+        """Show the slice of a volume with the most marked sites; return a message about it."""
         dims, place, view = (
             self._viewer.dims,
             latest.moved.study.grid.known_place,

@@ -154,7 +154,7 @@ def test_a_zero_confidence_and_a_released_edge_are_reported(tmp_path, dock_besid
     Screen(dock).choose("warp")
     wait_for(lambda: not dock.busy)
     assert not dock.hold_edge
-    assert "The edge is no longer held, as 'warp' sets the motion" in dock.status
+    assert "The outer edge is no longer fixed, because 'warp' sets the motion" in dock.status
     dock.confidence = empty
     wait_for(lambda: not dock.busy)
     assert (
@@ -244,7 +244,7 @@ def test_the_distance_of_a_result_from_a_reference_is_reported_and_shown(pulled,
     wait_for(lambda: not dock.busy)
     assert dock.comparison.rmsd == pytest.approx(0.5, abs=1e-4)
     assert "RMSD from 't': 0.5 mm." in screen.words
-    screen.choose("from the reference (mm)")
+    screen.choose("difference from reference (mm)")
     wait_for(lambda: not dock.busy)
     shown = viewer.layers["MR difference from t (mm), elastic"]
     seen = shown.data[np.isfinite(shown.data)]

@@ -202,7 +202,7 @@ def test_imported_landmarks_are_undone_changed_and_imported_again(chosen, settle
     widget.undo()
     widget.undo()
     assert widget.drawing.marks == (own,)
-    assert widget.status == "Undone: took landmarks from 'is'."
+    assert widget.status == "Undid: added landmarks from 'is'."
 
 
 @pytest.mark.usefixtures("unstyled", "without_controls")
@@ -217,7 +217,7 @@ def test_landmarks_are_imported_and_dragged_in_a_window(
     widget.model = "elastic"
     menus(widget).sources.value = viewer.layers["is"]
     screen = Screen(widget)
-    screen.press("Take as landmarks")
+    screen.press("Use as landmarks")
     screen.press("Landmark")
     settle(widget)
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.05)

@@ -20,12 +20,18 @@ _CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 
 def smallest_jacobian(displacement: npt.NDArray[np.floating], points: int = 10) -> float:
-    """Return the smallest Jacobian at a dense grid of points in each element, for cubic voxels."""
+    """Return the smallest Jacobian at a dense grid of points in all elements, for cubic voxels."""
     d = displacement.astype(np.float64)
-    least = np.inf
+    corners = np.stack([d[_at(corner)] for corner in _CORNERS], axis=-2)
+    return float(smallest_jacobians(corners, points).min())
+
+
+def smallest_jacobians(corners: Field, points: int = 10) -> Field:
+    """Return the smallest Jacobian in elements whose corners are displaced by (..., 8, 3)."""
+    least = np.full(corners.shape[:-2], np.inf)
     for place in product(np.linspace(0, 1, points), repeat=3):
-        gradient = np.eye(3) + _gradient(d, np.array(place))
-        least = min(least, float(np.linalg.det(gradient).min()))
+        gradient = np.eye(3) + np.einsum("...ck,ca->...ka", corners, _slopes(np.array(place)))
+        np.minimum(least, np.linalg.det(gradient), out=least)
     return least
 
 
@@ -115,11 +121,6 @@ def _slopes(place: Field) -> Field:
     signs = 2.0 * _CORNERS - 1
     others = np.stack([np.prod(np.delete(values, axis, 1), axis=1) for axis in range(3)], axis=1)
     return signs * others
-
-
-def _gradient(d: Field, place: Field) -> Field:
-    corners = np.stack([d[_at(corner)] for corner in _CORNERS], axis=-2)
-    return np.einsum("...ck,ca->...ka", corners, _slopes(place))
 
 
 def _at(corner: npt.NDArray[np.intp]) -> tuple[slice, ...]:

@@ -148,7 +148,7 @@ def test_air_around_the_image_moves_only_if_the_option_is_off(scanned, run):
     moved = run(scanned).solution
     np.testing.assert_array_equal(moved.tissue, block)
     assert "dark surroundings" not in scanned.warning
-    Screen(scanned).tick("the dark border is no tissue", on=False)
+    Screen(scanned).tick("Ignore dark background", on=False)
     assert not scanned.without_border
     moved = run(scanned).solution
     assert moved.tissue.all()

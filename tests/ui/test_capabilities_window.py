@@ -148,7 +148,7 @@ def test_a_valid_number_in_a_table_is_accepted_and_an_invalid_number_is_reset(
     for nonsense in ("stiff", "-3", "nan", "1e39", ""):
         screen.cell(GEL, "Stiffness").write(nonsense)
         assert screen.cell(GEL, "Stiffness").text() == "12.5"
-        assert "kept 12.5" in screen.words
+        assert "still 12.5" in screen.words
     screen.cell(GEL, "Stiffness").write("rigid")
     assert dock.materials[1].is_rigid
     screen.choose(MODELS["paper"])
@@ -188,7 +188,7 @@ def test_dark_surroundings_are_void_unless_the_option_is_off(dock_without_live_m
     assert counted[2:4, 2:4].all(), "painted dark pixels are void"
     assert counted[8:22, 10:30].all()
     assert not counted[5, 15]
-    screen.tick("the dark border is no tissue", False)
+    screen.tick("Ignore dark background", False)
     assert run(dock).solution.tissue.all()
 
 
@@ -224,7 +224,7 @@ def test_materials_are_copied_from_layers_and_files_and_saved(
     dock.tissue = viewer.layers["other"]
     dock.materials = (Material(1, "jelly", 7.0),)
     dock.tissue = tissue
-    screen.entry("Materials", "Take from layer", "other").trigger()
+    screen.entry("Materials", "Load from layer", "other").trigger()
     assert dock.materials[1] == Material(1, "jelly", 7.0)
     screen.entry("Materials", "Load from file").trigger()
     assert dock.materials == before
@@ -281,15 +281,15 @@ def test_pairs_of_points_become_landmarks_and_a_missing_partner_is_reported(
     dock, screen = dock_without_live_mode
     screen.tick("Live")
     screen.choose("is")
-    screen.press("Take as landmarks")
+    screen.press("Use as landmarks")
     wait_for(lambda: dock.solution is not None and not dock.busy)
     assert dock.solution.displacement[8, 8] == pytest.approx((2, 0), abs=0.02)
     where.add([5.0, 5.0])
-    screen.press("Take as landmarks")
+    screen.press("Use as landmarks")
     assert "'ought' has 2 points, but 'is' has 3" in dock.status
     assert dock.status in screen.words
     should.add([6.0, 6.0])
-    screen.press("Take as landmarks")
+    screen.press("Use as landmarks")
     wait_for(lambda: not dock.busy)
     assert dock.solution.displacement[5, 5] == pytest.approx((1, 1), abs=0.02)
     assert "but 'is' has 3" not in screen.words
@@ -337,7 +337,7 @@ def test_the_edge_of_the_tissue_is_fixed_unless_the_option_is_off(
     pull, hold = Arrow((24, 28), (0, 4), 4.0), Arrow((10, 10), (0, 0), 2.0)
     moved = draw_and_wait(dock, pull, hold)
     assert np.abs(moved[24, -1]).max() < 1e-6
-    screen.tick("hold the edge of the tissue", False)
+    screen.tick("Fix outer edge", False)
     assert draw_and_wait(dock)[24, -1, 1] > 1
 
 
@@ -407,7 +407,7 @@ def test_edits_of_tables_and_drawings_are_undone_in_one_order(
     wait_for(lambda: "changed label 1" in screen.button("Undo").toolTip())
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
-    assert "Undone: changed label 1" in screen.words
+    assert "Undid: changed label 1" in screen.words
     screen.press("Undo")
     assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 0)
     screen.press("Undo")
@@ -454,9 +454,9 @@ def test_the_deformation_is_played_until_it_is_paused(dock_with_result, viewer, 
 def test_a_pressed_button_shows_the_undeformed_image(dock_with_result, viewer):
     _, screen = dock_with_result
     image, moved, arrows = viewer.layers["MR"], layer(viewer, "MR deformed"), layer(viewer, "MR a")
-    screen.hold("Hold: before")
+    screen.hold("Compare")
     assert (image.visible, moved.visible, arrows.visible) == (True, False, False)
-    screen.let_go("Hold: before")
+    screen.let_go("Compare")
     assert moved.visible
     assert arrows.visible
 
@@ -465,9 +465,9 @@ def test_inputs_are_shown_as_layers(dock_with_result, viewer, wait_for):
     dock, screen = dock_with_result
     given = {}
     for words, kind in (
-        ("given: stiffness", "stiffness (kPa)"),
-        ("given: motion", "given motion"),
-        ("given: confidence", "confidence (0 to 1)"),
+        ("input: stiffness", "stiffness (kPa)"),
+        ("input: motion", "motion given where tissue was"),
+        ("input: confidence", "confidence (0 to 1)"),
     ):
         screen.choose(words)
         wait_for(lambda: not dock.busy)

@@ -164,7 +164,7 @@ def test_the_dock_lists_its_keys_until_a_click(qtbot):
     made.native.show()
     Screen(made).press("?")
     (shown,) = (each for each in QApplication.topLevelWidgets() if each.inherits("QWhatsThat"))
-    for words in ("Ctrl+Z: undo", "Shift+B: the image as it was", "G: pull"):
+    for words in ("Ctrl+Z: undo", "While Shift+B is pressed", "G: pull"):
         assert words in Screen(made).button("?").toolTip()
     QTest.mouseClick(shown, Qt.MouseButton.LeftButton)
     assert not shown.isVisible()

@@ -199,11 +199,11 @@ def test_choosing_a_boundary_and_typing_a_ratio_are_undo_steps(widget, small_sam
     _, tissue, boundary = small_sample(viewer)
     widget.boundary = tissue
     widget.undo()
-    assert widget.status == "Undone: chose another boundary."
+    assert widget.status == "Undid: chose another boundary."
     assert widget.boundary is boundary
     widget.poisson = 0.3
     widget.undo()
-    assert widget.status == "Undone: changed Poisson's ratio."
+    assert widget.status == "Undid: changed Poisson's ratio."
 
 
 def test_the_edge_of_a_new_image_is_fixed_regardless_of_removed_images(widget, small_sample):
@@ -286,7 +286,7 @@ def test_imported_landmarks_are_displayed_at_once(pulling_beside, settle, click)
     person.viewer.add_points([[20, 20]], name="is")
     person.viewer.add_points([[20, 24]], name="ought")
     widget._form.motion.boundary.landmarks.sources.value = person.viewer.layers["is"]
-    click(widget, "Take as landmarks")
+    click(widget, "Use as landmarks")
     settle(widget)
     assert len(person.viewer.layers["Motion"].data)
 
@@ -313,10 +313,10 @@ def test_an_error_message_is_shown_until_the_next_action(small_sample, settle, b
     small_sample(viewer)
     quick(widget).live = True
     widget.materials = (*widget.materials[:1], replace(widget.materials[1], stiffness=30.0))
-    qtbot.waitUntil(lambda: widget.status.startswith("Following"), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: widget.status.startswith("Updating"), timeout=LONG_MS)
     Screen(widget).cell("gel", "Stiffness").write("nonsense")
     said = widget.status
-    assert said == "Stiffness must be a number, 0 or more, or 'rigid'; kept 30."
+    assert said == "Stiffness must be a number of at least 0, or 'rigid'. The value is still 30."
     busy_thread.set()
     settle(widget)
     assert widget.status == said, "the result of an earlier edit replaced the message"
@@ -331,9 +331,9 @@ def test_a_message_reports_the_effect_of_a_removed_layer(widget, small_sample, s
     widget.drawing = Drawing((Arrow((10, 10), (1, 0), 3.0),))
     settle(widget)
     for layer, words in (
-        (tissue, "'Tissue' is gone, with its stiffness values"),
-        (boundary, "'Boundary' is gone: it holds and moves nothing any more."),
-        (image, "'MR' is gone, and the drawing on it"),
+        (tissue, "'Tissue' was deleted with its stiffness values"),
+        (boundary, "'Boundary' was deleted: it no longer holds or moves tissue."),
+        (image, "'MR' was deleted with the drawing on it"),
     ):
         viewer.layers.remove(layer)
         settle(widget)

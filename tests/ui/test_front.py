@@ -85,7 +85,7 @@ def test_a_new_dock_selects_the_image_with_a_result(frame, small_sample, run, se
 
 def test_a_message_reports_a_covered_image(open_dock, two_images, settle):
     viewer, lower, upper = two_images
-    said = "The image is covered by 'astronaut': hide that one, or choose it here."
+    said = "'astronaut' covers the image: hide 'astronaut', or choose it as the image."
     dock = open_dock(viewer)
     assert dock.status == START
     upper.visible = False
@@ -123,12 +123,12 @@ def test_the_message_about_a_covered_image_follows_visibility_and_order(open_doc
     dock.show_message("")
     for shown in (False, True):
         upper.visible = shown
-        assert dock.status.startswith("The image is covered") == shown
+        assert dock.status.startswith(f"'{upper.name}' covers the image") == shown
     viewer.layers.move(viewer.layers.index(lower), len(viewer.layers))
     assert dock.status == START
     viewer.layers.remove(upper)
     viewer.add_image(LARGER, rgb=True, name="new")
-    assert dock.status.startswith("The image is covered by 'new'")
+    assert dock.status.startswith("'new' covers the image")
 
 
 def test_covered_tissue_cannot_be_pulled(pulling_beside):
@@ -137,7 +137,7 @@ def test_covered_tissue_cannot_be_pulled(pulling_beside):
     person.viewer.add_image(patch, name="strip", translate=(40, 0))
     person.viewer.layers.selection.active = person.viewer.layers["Motion"]
     person.drag((50, 30), (54, 34))
-    assert widget.status == "The image is covered by 'strip': hide that one, or choose it here."
+    assert widget.status == "'strip' covers the image: hide 'strip', or choose it as the image."
     assert not widget.drawing.marks
     person.drag((20, 30), (24, 34))
     assert len(widget.drawing.marks) == 1

@@ -132,7 +132,7 @@ def test_a_chosen_image_is_made_visible(viewer, widget, place):
     through = viewer.add_image(np.ones((20, 24)), name="through", opacity=0.5)
     widget.image = image
     assert [each.visible for each in (image, over, beside, through)] == [True, False, True, True]
-    assert widget.status.startswith("Hidden, to show 'MR': 'photo'. Click an eye")
+    assert widget.status.startswith("Hidden, so that 'MR' is visible: 'photo'. Click the eye")
     widget.image = over
     assert (over.visible, image.visible) == (True, True)
     assert widget.status == widget.invitation
@@ -206,7 +206,7 @@ def test_undo_on_another_image_shows_that_image(viewer, widget, settle):
     assert widget.image is first[0]
     assert first[0].visible
     assert not second[0].visible
-    assert widget.status.startswith(f"Undone on '{first[0].name}': took over a drawing.")
+    assert widget.status.startswith(f"Undid on '{first[0].name}': replaced the drawing.")
 
 
 def test_a_message_names_the_new_layers_to_paint_on(viewer, widget):
@@ -231,7 +231,7 @@ def test_a_drawing_is_displayed_again_with_its_image(viewer, widget, settle):
     settle(widget)
     np.testing.assert_array_equal(viewer.layers["Motion"].data, drawn)
     assert not widget.active
-    assert widget.status.startswith("To draw on, press a tool")
+    assert widget.status.startswith("To continue drawing, press a tool")
 
 
 @pytest.mark.parametrize("sample", [False, True])
@@ -250,7 +250,7 @@ def test_a_newly_opened_image_is_chosen_until_the_first_edit(viewer, widget, set
     settle(widget)
     assert widget.image is newest
     later = viewer.add_image(np.ones((20, 24)), name="later", translate=(0, 300))
-    assert widget.status.startswith("'later' is not chosen, as work has begun on another image")
+    assert widget.status.startswith("'later' was not chosen, because another image is in use")
     widget.image = later
     settle(widget)
     assert widget.image is later

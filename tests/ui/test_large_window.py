@@ -76,16 +76,16 @@ def test_growth_of_minus_100_per_cent_is_refused(dock):
 
 
 def test_a_button_removes_folds_with_large_motion_and_can_be_undone(dock, do_and_wait):
-    screen, offer = Screen(dock), "Take large motion"
+    screen, offer = Screen(dock), "Use large motion"
     do_and_wait(screen.cell("tumour", "grows").write, "20")
     assert not offers(dock, offer)
     folded = do_and_wait(screen.cell("tumour", "grows").write, "150")
     assert count_folds(folded.displacement, spacing=1) > 5
     assert offers(dock, offer)
     do_and_wait(screen.press, "⚠")
-    assert "it folds" in dock.status
+    assert "the tissue folds" in dock.status
     mended = do_and_wait(screen.press, offer)
-    assert "fold" not in dock.status, "the message about the earlier result is still shown"
+    assert "fold" not in dock.status, "what was said of the last result has gone with it"
     assert dock.model == mended.provenance.model == "large motion"
     assert count_folds(mended.displacement, spacing=1) == 0
     assert "folds" not in dock.warning
@@ -108,14 +108,14 @@ def test_large_motion_is_not_offered_for_a_volume(qtbot, wait_for):
     dock.image, dock.extent, dock.tissue = viewer.layers[0], "volume", viewer.layers[1]
     wait_for(lambda: not dock.busy)
     assert "folds" in dock.warning
-    assert not offers(dock, "Take large motion")
+    assert not offers(dock, "Use large motion")
     dock.model = "large motion"
     wait_for(lambda: not dock.busy)
     assert "large motion is for 2-D" in dock.status
-    Screen(dock).press("Take the elastic model")
+    Screen(dock).press("Use the elastic model")
     wait_for(lambda: not dock.busy)
     assert dock.solution.provenance.model == "elastic"
-    assert not offers(dock, "Take the elastic")
+    assert not offers(dock, "Use the elastic")
 
 
 def test_a_volume_has_no_plane_condition(qtbot):

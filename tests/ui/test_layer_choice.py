@@ -178,7 +178,7 @@ def test_an_error_in_a_layer_during_the_solve_does_not_discard_the_result(
     assert said[0] is not None
     widget.boundary.events.data()
     wait_for(lambda: "'lazy' could not be read" in widget.status)
-    assert widget.status.endswith("The last result stays.")
+    assert widget.status.endswith("The last result is still shown.")
     assert widget.solution is said[0].solution
 
 
@@ -194,7 +194,7 @@ def test_an_unexpected_error_during_a_refresh_is_reported_and_the_result_remains
     with monkeypatch.context() as broken:
         broken.setattr("napari_hmrf.ui.study_reader.study_from_layers", fail)
         widget.schedule_refresh()
-        wait_for(lambda: "no such slice The last result stays." in widget.status)
+        wait_for(lambda: "no such slice The last result is still shown." in widget.status)
     assert widget.solution is outputs.solution
     widget.schedule_refresh()
     wait_for(lambda: widget.status.startswith("Tissue moved up to"))

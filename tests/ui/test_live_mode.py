@@ -142,14 +142,14 @@ def test_an_error_preserves_the_last_result_and_is_reported_once(live_dock, sett
     for kind in ("show_error", "show_warning"):
         monkeypatch.setattr(f"napari_hmrf.ui.controller.{kind}", popups.append)
     before, picture = widget.solution, by_name(widget, "MR deformed, elastic").data.copy()
-    rules, why = widget.rules, "The tissue does not follow yet. 'Boundary' lets label 2 expand, but"
+    rules, why = widget.rules, "The tissue was not updated. 'Boundary' lets label 2 expand, but"
     for amount in (1.0, 2.0, 3.0):
         widget.rules = (rules[0], BoundaryRule(2, "expand", amount=amount))
         settle(widget)
         assert (widget.status == "Heard.") == (amount > 1), "the same error was reported again"
         if amount == 1:
             assert widget.status.startswith(why)
-            assert widget.status.endswith("The last result stays.")
+            assert widget.status.endswith("The last result is still shown.")
         widget.show_message("Heard.")
     assert widget.solution is before
     assert np.array_equal(by_name(widget, "MR deformed, elastic").data, picture)
@@ -193,9 +193,9 @@ def test_cancel_stops_a_solve_and_the_next_edit_is_followed(live_dock, settle, b
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     qtbot.waitUntil(lambda: widget._form.footer.cancel.enabled, timeout=LONG_MS)
-    assert widget.status.startswith("Following the last edit")
+    assert widget.status.startswith("Updating")
     widget.cancel()
-    assert widget.status.startswith("Cancelled: picture and warnings lack")
+    assert widget.status.startswith("Cancelled: the picture and the warnings")
     assert not widget._form.footer.cancel.enabled
     busy_thread.set()
     settle(widget)
@@ -222,7 +222,7 @@ def test_an_undo_with_a_cancelled_solve_remains_and_is_reported_until_deform(
     assert not widget.drawing.marks
     assert widget.solution.displacement.any()
     assert metadata_of(picture)["inputs_changed"]
-    assert "picture and warnings lack what was edited since" in widget.status
+    assert "warnings do not include the last edits" in widget.status
     assert "nothing was changed" not in widget.status
     Screen(widget).press("Deform")
     settle(widget)
@@ -492,7 +492,7 @@ def test_edits_of_tables_are_undone_and_followed(live_dock, settle):
     assert widget.solution.displacement[10, -3, 1] == pytest.approx(5, abs=0.02)
     footer.undo.native.click()
     assert widget.materials == materials
-    assert widget.status == "Undone: changed label 1 of 'Tissue'."
+    assert widget.status == "Undid: changed label 1 of 'Tissue'."
     footer.undo.native.click()
     settle(widget)
     assert widget.rules == rules

@@ -278,7 +278,10 @@ def test_a_valid_poisson_ratio_is_accepted_and_an_invalid_one_is_reset(widget, s
     for nonsense in ("0.5", "-0.1", "much", "nan", ""):
         Cell(table, 1, POISSON).write(nonsense)
         assert widget.materials[1].poisson == 0.3
-        assert widget.status == "Poisson's ratio must be a number from 0 to 0.499; kept 0.3."
+        assert (
+            widget.status
+            == "Poisson's ratio must be a number from 0 to 0.499. The value is still 0.3."
+        )
 
 
 def test_tables_without_poisson_ratios_can_be_opened(widget, small_sample):
@@ -402,7 +405,9 @@ def test_a_change_of_the_model_marks_the_result_as_outdated(widget, small_sample
     widget.settings = replace(widget.settings, sweeps=70)
     run(widget)
     elastic(widget)
-    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    wait_for(
+        lambda: widget.status == "The inputs have changed since the last result. Press Deform."
+    )
     widget.model = "paper"
     wait_for(lambda: widget.status.startswith("Tissue moved"))
 

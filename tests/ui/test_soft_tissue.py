@@ -233,7 +233,7 @@ def test_a_valid_stiffness_is_accepted_and_an_invalid_stiffness_is_reset(widget,
         Cell(table, 1, 2).write(nonsense)
         assert widget.materials[1].stiffness == 12.5
         assert Cell(table, 1, 2).text() == "12.5"
-        said = "Stiffness must be a number, 0 or more, or 'rigid'; kept 12.5."
+        said = "Stiffness must be a number of at least 0, or 'rigid'. The value is still 12.5."
         assert widget.status == said
     Cell(table, 1, 1).write("jelly")
     assert widget.materials[1].name == "jelly"
@@ -279,7 +279,8 @@ def test_cells_of_a_boundary_depend_on_its_action(widget, small_sample):
     Cell(table, 1, 6).write("2")  # Out of range, so the value is reset.
     assert widget.rules[1].confidence == (0.5, 1.0)
     assert widget.status == (
-        "Confidence must be a number from 0 to 1, or two: 1 / 0.5; kept 0.5 / 1."
+        "Confidence must be a number from 0 to 1; or two numbers: 1 / 0.5. "
+        "The value is still 0.5 / 1."
     )
     Cell(table, 1, 6).write("0.25")
     assert widget.rules[1].confidence == (0.25, 0.25)
@@ -550,7 +551,7 @@ def test_the_displayed_slice_of_a_stack_is_deformed_and_named(widget, small_samp
     said = widget.status
     viewer.layers["Boundary"].data[1] = 0
     viewer.dims.set_current_step(0, 1)
-    wait_for(lambda: widget.status.startswith("Changed since the last result"))
+    wait_for(lambda: widget.status.startswith("The inputs have changed"))
     viewer.dims.set_current_step(0, 3)
     wait_for(lambda: widget.status == said)
     viewer.dims.set_current_step(0, 1)
@@ -582,8 +583,8 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     outputs = run(widget)
     assert "5 boundary pixels outside tissue were ignored." in widget.warning
     assert outputs.folds > 0
-    assert f"at {outputs.folds} pixels the tissue is pushed" in widget.warning
-    # The tool tip lists all warnings; marking folds does not solve again.
+    assert f"at {outputs.folds} pixels the tissue folds" in widget.warning
+    # All is listed on the chip; folds can be seen, without solving again.
     chip = Screen(widget).button(f"⚠  Folds at {outputs.folds} pixels: show where")
     assert chip.toolTip() == widget.warning
     chip.click()
@@ -616,7 +617,7 @@ def test_painting_during_a_solve_marks_the_result_as_outdated(
     tissue.refresh()
     busy_thread.set()
     wait_for(lambda: widget.idle)
-    assert widget.status == "Changed since the last result: press Deform."
+    assert widget.status == "The inputs have changed since the last result. Press Deform."
     assert viewer.layers["MR arrows, paper"].metadata[METADATA]["inputs_changed"]
 
 
@@ -628,11 +629,15 @@ def test_the_message_of_a_result_is_shown_while_the_result_is_current(
     run(widget)
     said = widget.status
     boundary.paint((8, 8), 1)
-    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    wait_for(
+        lambda: widget.status == "The inputs have changed since the last result. Press Deform."
+    )
     boundary.undo()
     wait_for(lambda: widget.status == said)
     widget.settings = replace(widget.settings, sweeps=4)
-    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    wait_for(
+        lambda: widget.status == "The inputs have changed since the last result. Press Deform."
+    )
     run(widget)
     before = widget.solution
     widget.overlay = "labels"
@@ -753,8 +758,8 @@ def test_progress_is_described_with_a_percentage_or_the_state_of_compiling():
     preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
     assert progress(preparing) == "Deforming ..."
     compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
-    edit = "Following the last edit"
-    assert progress(Monitor("cycle 8, error 0.0032 px", 0.6), edit) == f"{edit}: 60 %"
+    edit = "Updating"
+    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit}: 60 %"
     assert progress(compiling) == "Deforming: compiling loops (3 of 10), about 18 s left."
 
 

@@ -42,7 +42,7 @@ def test_a_typed_number_is_undone_by_the_key_on_the_canvas(user_in_window):
     screen.cell("gel", "Stiffness").write("33")
     person.key(Z, CTRL)
     assert dock.materials == materials
-    assert dock.status == "Undone: changed label 1 of 'Tissue'."
+    assert dock.status == "Undid: changed label 1 of 'Tissue'."
     person.key(Y, CTRL)
     assert dock.materials[1].stiffness == 33
     person.key(Z, CTRL)
@@ -85,7 +85,7 @@ def test_the_undo_button_undoes_paint_in_order_and_reports_it(pointer_and_dock):
     assert not screen.button("Redo").isEnabled()
     screen.press("Undo")
     assert (tissue.data == painted).all()
-    assert dock.status == "Undone: painted in 'Tissue'."
+    assert dock.status == "Undid: painted in 'Tissue'."
     screen.press("Undo")
     assert dock.materials[1].stiffness != 33
     screen.press("Undo")
@@ -164,4 +164,4 @@ def test_arrows_and_typed_numbers_are_undone_in_reverse_order(pointer_and_dock, 
     assert dock.drawing.marks, "the earlier arrow was undone instead of the number"
     person.key(Z, CTRL)
     assert not dock.drawing.marks
-    assert dock.status == "Undone: took over a drawing."
+    assert dock.status == "Undid: replaced the drawing."

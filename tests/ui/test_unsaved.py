@@ -275,7 +275,7 @@ def test_the_question_has_three_answers(window, press_close, monkeypatch):
     monkeypatch.setattr(QMessageBox, "question", answer)
     assert not press_close(dock)
     ((question, offered),) = shown
-    assert question == "What was done on 'MR slice 1' is in no file yet. Save it before closing?"
+    assert question == "The work on 'MR slice 1' is not saved. Save it before closing?"
     buttons = QMessageBox.StandardButton
     assert offered == buttons.Save | buttons.Discard | buttons.Cancel
     Answers(dock, "discard")

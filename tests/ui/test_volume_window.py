@@ -300,7 +300,7 @@ def test_the_warning_button_shows_the_slice_with_the_most_folds(volume_beside, s
     most = marked.sum(axis=tuple(axis for axis in range(3) if axis != across))
     seen = round(dims.point[across] / (SCALE[across]))
     assert most[seen] == most.max() > 0
-    assert widget.status.endswith(f"The slice that is seen now has most of them: slice {seen}.")
+    assert widget.status.endswith(f"slice with the most such voxels: slice {seen}.")
     assert widget.status.startswith(widget.warning)
 
 
@@ -443,7 +443,7 @@ def test_a_cancelled_solve_of_a_volume_restores_the_last_result(cancelled, settl
     assert metadata_of(picture)["inputs_changed"]
     assert len(widget.drawing.marks) == 2
     assert widget.status.startswith("Cancelled")
-    assert "lack what was edited since" in widget.status
+    assert "do not include the last edits" in widget.status
     person.drag((20, 20), (21, 21))
     settle(widget)
     assert len(widget.drawing.marks) == 3

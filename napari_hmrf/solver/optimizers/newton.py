@@ -39,6 +39,9 @@ _JACOBIAN_PART = 0.25
 _PULL_PART = 0.85
 #: Jacobian below which a pull may not compress a corner any further.
 _PULL_FLOOR = 1e-5
+#: Fraction of the least Jacobian that must remain after a pull that rotates rigid bodies, because
+#: `_JACOBIAN_PART` applies to straight steps only.
+_RIGID_PART = 0.1
 #: Fraction of a descent step. If less is taken, a step without buckling terms is tried.
 _LEAST_STEP = 0.1
 #: Least decrease of the energy, relative to the decrease predicted by the slope (Armijo rule).
@@ -486,6 +489,9 @@ class Newton:
         """Move `d` along a step until a corner is nearly folded; return the fraction taken."""
         length, _ = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR)
         taken, start = 1.0 if length >= 1 else _PULL_PART * length, d.copy()
+        floor = LEAST_JACOBIAN
+        if self._model.bodies:
+            floor = max(floor, _RIGID_PART * self._model.energy(d)[1])
         for _ in range(_HALVING_LIMIT):
             np.copyto(d, start + taken * way)
             if taken == 1.0:
@@ -493,7 +499,7 @@ class Newton:
             # A straight step deforms a rotating rigid body.
             self._poses.make_rigid(d)
             energy, least = self._model.energy(d)
-            if math.isfinite(energy) and least >= LEAST_JACOBIAN:
+            if math.isfinite(energy) and least >= floor:
                 return taken
             taken /= 2
         np.copyto(d, start)

@@ -1,4 +1,4 @@
-"""Layer of the stiffness that a curve gives to the tissue of an image."""
+"""Layer of the stiffness assigned to the pixels of an image by a curve."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from napari_hmrf.ui.curve.editor import CurveEditor
 
 
 class CurveLayer:
-    """Display of a study's curve: the stiffness in the slice as a layer, and the histogram.
+    """Display of the curve of a study: a layer with the stiffness in the slice, and a histogram.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class CurveLayer:
     Attributes
     ----------
     layer : napari.layers.Image or None
-        Layer above the image and its deformed copies, or None without a curve; for display only.
+        Layer above the image and its deformed copies, for display only; None without a curve.
     """
 
     def __init__(self, viewer: Any, editor: CurveEditor) -> None:
@@ -36,7 +36,7 @@ class CurveLayer:
         self.layer: Any = None
 
     def show(self, study: Study | None, image: Any = None) -> None:
-        """Show the curve of a study; quick if neither the slice nor the curve has changed."""
+        """Show the curve of a study, or remove the layer if there is no curve."""
         before, self._study = self._study, study
         curve = None if study is None else study.tissue.curve
         image = None if curve is None else image

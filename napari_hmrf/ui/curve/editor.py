@@ -20,7 +20,7 @@ _JOINED = {
 
 
 class CurveEditor(Container):
-    """Editor of a stiffness curve, whose points are dragged or typed.
+    """Editor of a stiffness curve; the user drags or types the points.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class CurveEditor(Container):
     points, void_below, unit : LineEdit
     joined : ComboBox
     guess : PushButton
-        Button to replace the curve by a first guess; its callback is set by the owner.
+        Button to replace the curve by a first guess; the owner sets its callback.
     refusal : Signal(str)
         Reason why typed text was refused.
     """
@@ -44,21 +44,21 @@ class CurveEditor(Container):
     def __init__(self, curve: StiffnessCurve) -> None:
         self.plot = CurvePlot(curve)
         tip = (
-            "Intensity: stiffness; and so on. Intensity is in the image's own unit, stiffness "
-            "relative or a Young's modulus"
+            "Pairs of intensity and stiffness, such as 10: 1; 50: 2. Intensity is in the unit of "
+            "the image; stiffness is relative, or a Young's modulus"
         )
         self.points = LineEdit(label="points", tooltip=tip)
-        tip = "Darker pixels, such as air, have stiffness 0; empty: all is tissue"
+        tip = "Darker pixels, such as air, have stiffness 0; if empty, all pixels are tissue"
         self.void_below = LineEdit(label="no tissue below", tooltip=tip)
         tip = (
-            "Interpolation between the points: straight, or smooth without overshoot; logarithmic, "
-            "by equal factors of stiffness, or linear, by equal amounts"
+            "Interpolation between the points: straight, or smooth without overshoot; on a "
+            "logarithmic or a linear scale of stiffness"
         )
-        self.joined = menu("joined", _JOINED, tip)
-        tip = "The unit, such as kPa, where stiffnesses are measured ones; shown only"
+        self.joined = menu("interpolation", _JOINED, tip)
+        tip = "Unit of measured stiffness, such as kPa; for display only"
         self.unit = LineEdit(label="unit", tooltip=tip)
-        tip = "The first guess again, from the slice that is shown: the brighter, the stiffer"
-        self.guess = PushButton(text="Anew", tooltip=tip)
+        tip = "Replace the curve by a first guess from the visible slice: brighter is stiffer"
+        self.guess = PushButton(text="Reset", tooltip=tip)
         super().__init__(widgets=[self.points, self.void_below, self.joined, self.unit, self.guess])
         self.margins = (0, 0, 0, 0)
         align_labels(self)
@@ -71,7 +71,7 @@ class CurveEditor(Container):
 
     @property
     def curve(self) -> StiffnessCurve:
-        """Curve that is shown; setting it emits no signal of the plot."""
+        """Displayed curve; setting it emits no signal of the plot."""
         return self.plot.curve
 
     @curve.setter
@@ -114,5 +114,5 @@ def _point(text: str) -> Point:
 
 
 def _digits(number: float) -> str:
-    """Format a number with as few digits as give the same number when parsed."""
+    """Format a number with the fewest digits that are parsed as the same number."""
     return np.format_float_positional(number, trim="-")

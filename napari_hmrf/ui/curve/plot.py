@@ -25,18 +25,18 @@ _LINE = "#4ea6dc"
 _AXES = (0.13, 0.13, 0.84, 0.82)
 _INKS = ("axes.edgecolor", "text.color", "xtick.color", "ytick.color")
 _HELP = (
-    "Drag a point. Double click: add one. Right click: remove it.\n"
-    "Grey behind the curve: how often each intensity occurs."
+    "Drag a point to move it. Double-click to add a point. Right-click a point to remove it.\n"
+    "The grey area behind the curve is the histogram of the intensities."
 )
 
 
 class CurvePlot(QWidget):
-    """Plot of a curve whose points the mouse drags, adds and removes.
+    """Plot of a curve; the user drags, adds and removes its points with the mouse.
 
     Attributes
     ----------
     canvas : FigureCanvasQTAgg or None
-        Canvas of the plot; None before the plot is first shown, as matplotlib imports slowly.
+        Canvas of the plot; None until the plot is shown, because importing matplotlib is slow.
     edited : Signal(StiffnessCurve)
         Emitted with the curve after every change by the user, also during a drag.
     settled : Signal(StiffnessCurve)
@@ -59,7 +59,7 @@ class CurvePlot(QWidget):
 
     @property
     def curve(self) -> StiffnessCurve:
-        """Curve that is shown; setting it emits no signal."""
+        """Displayed curve; setting it emits no signal."""
         return self._curve
 
     @curve.setter
@@ -68,7 +68,7 @@ class CurvePlot(QWidget):
         self._draw_soon()
 
     def apply_edit(self, curve: StiffnessCurve) -> None:
-        """Show a curve that the user has edited, and emit it."""
+        """Show a curve that the user has edited, and emit the signals of the edit."""
         if curve != self._curve:
             self.curve = curve
             self.edited.emit(curve)
@@ -117,7 +117,7 @@ class CurvePlot(QWidget):
         if self._dragged is not None:
             point = self._point_at(event)
             self._change(self._dragged, point)
-            with suppress(ValueError):  # the point cannot be at this place
+            with suppress(ValueError):  # the curve cannot have a point here
                 self._dragged = self._curve.points.index(point)
 
     def _on_release(self, _: Any) -> None:
@@ -127,7 +127,7 @@ class CurvePlot(QWidget):
             self.settled.emit(self._curve)
 
     def _point_at(self, event: Any) -> Point:
-        """Return the point below the mouse, or the nearest point on the axes."""
+        """Return the point at the mouse, clipped to the axes."""
         (axes,) = self.canvas.figure.axes
         within = np.clip((event.x, event.y), axes.bbox.min, axes.bbox.max)
         intensity, stiffness = axes.transData.inverted().transform(within).tolist()
@@ -135,7 +135,7 @@ class CurvePlot(QWidget):
         return float(f"{intensity:.5g}"), float(f"{stiffness:.3g}")
 
     def _change(self, number: int | None, point: Point | None) -> None:
-        with suppress(ProblemError):  # another point has this intensity, or only two are left
+        with suppress(ProblemError):  # another point has this intensity, or only two points remain
             self.apply_edit(with_point(self._curve, number, point))
 
     def _draw_soon(self) -> None:

@@ -1,1 +1,1 @@
-"""Tools of the mouse, and display of the tissue that they move."""
+"""Mouse tools, and display of the tissue that the tools move."""

@@ -59,7 +59,7 @@ class ArrowsLayer:
         self._listener = listener
         self._layer: Any = None
         self._frame: Frame | None = None
-        # Radius of the circle around the pointer; None for no circle.
+        # Radius of the circle around the pointer; None if there is no circle.
         self._circle: float | None = None
         # Callbacks for the end of the drag.
         self._drag = ExitStack()
@@ -82,7 +82,7 @@ class ArrowsLayer:
         return flat and layer is not None and self._viewer.layers.selection.active is layer
 
     def activate(self, frame: Frame, shape: tuple[int, ...], circle: float | None) -> None:
-        """Place the layer on a slice, on top and active, with a circle around the pointer."""
+        """Place the layer on a slice, raise and activate it, and show a circle at the pointer."""
         if self.layer is None:
             self._add(frame, shape)
         self.place(frame, shape)
@@ -94,7 +94,7 @@ class ArrowsLayer:
         self._equip(self._layer)
 
     def raise_up(self) -> None:
-        """Move the layer to the top, if there is a layer."""
+        """Move the layer to the top, if it is in the viewer."""
         layers, layer = self._viewer.layers, self.layer
         if layer is not None and layers[-1] is not layer:
             layers.move(layers.index(layer), len(layers))
@@ -124,7 +124,7 @@ class ArrowsLayer:
         below: Iterable[Lines] = (),
         quick: bool = False,
     ) -> None:
-        """Draw the arrows, and more lines below them.
+        """Draw the arrows, and other lines below the arrows.
 
         With `quick`, as during a drag, only the canvas is updated if possible.
         """
@@ -140,9 +140,9 @@ class ArrowsLayer:
         if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
             return
         layer.data = placed
-        # Setting colours takes as long as drawing lines; only the first move of a drag does it.
+        # Setting colours takes as long as drawing lines, so only the first move of a drag does so.
         if len(lines) and not same:
-            # While the layer is hidden, napari does not update its number of lines.
+            # napari does not update the number of lines of a hidden layer.
             with nullcontext() if layer.visible else layer.events.edge_color.blocker():
                 layer.edge_color = colours
 
@@ -152,10 +152,10 @@ class ArrowsLayer:
             add_metadata(self._layer, drawing=drawing.as_dict())
 
     def show_cursor(self, circle: float | None) -> None:
-        """Show a circle of this radius around the pointer; None shows no circle."""
+        """Show a circle of this radius around the pointer; None hides the circle."""
         self._circle = circle
         layer, frame = self.layer, self._frame
-        # In its other modes, napari sets the cursor.
+        # In the other modes of the layer, napari sets the cursor.
         if layer is None or frame is None or layer.mode != "pan_zoom":
             return
         if circle is None:
@@ -177,7 +177,7 @@ class ArrowsLayer:
         self._layer = self._frame = None
 
     def _add(self, frame: Frame, shape: tuple[int, ...]) -> None:
-        """Add a new layer in place of the previous one."""
+        """Add a new layer in place of the previous layer."""
         self.remove()
         layer = self._layer = Layer.create(*arrow_layer(frame, shape))
         self._frame = frame
@@ -195,7 +195,7 @@ class ArrowsLayer:
     def _equip(self, layer: Any) -> None:
         """Set the mouse and the cursor for drawing.
 
-        napari resets both when the layer is added and when its mode changes.
+        napari resets the mouse and the cursor when the layer is added and when its mode changes.
         """
         layer.mouse_pan = False
         self.show_cursor(self._circle)
@@ -205,7 +205,7 @@ class ArrowsLayer:
             self._equip(self._layer)
 
     def _on_space(self, layer: Any) -> Iterator[None]:
-        """Move the view with the mouse while Space is held, as in napari's own tools."""
+        """Move the view with the mouse while Space is pressed, as in napari's own tools."""
         layer.mouse_pan = True
         yield
         layer.mouse_pan = False
@@ -221,7 +221,7 @@ class ArrowsLayer:
         self._listener.press(point, self._reach(layer, event))
         self._suspend_status()
         yield
-        # vispy drops moves that closely follow another, so the release also counts as a move.
+        # vispy drops a move that closely follows another move, so the release is also a move.
         while True:
             point = self._pixel(layer, event)
             if point is not None:
@@ -233,9 +233,9 @@ class ArrowsLayer:
 
     def _suspend_status(self) -> None:
         """Suspend the updates of the status bar until the drag ends."""
-        # At every step of the cursor, a thread of napari reads the values below it and thereby
-        # blocks the GUI thread, and the layout of the whole window is computed to show them. napari
-        # can disable this only for all viewers, and permanently.
+        # At every move of the cursor, a thread of napari reads the values under the cursor and
+        # blocks the GUI thread. To show the values, the layout of the whole window is recomputed.
+        # napari can disable this only for all viewers, and permanently.
         cursor = self._viewer.cursor
         self._drag.callback(lambda: cursor.events.position(value=cursor.position))
         self._drag.enter_context(cursor.events.position.blocker())

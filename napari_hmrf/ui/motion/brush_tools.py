@@ -33,7 +33,7 @@ class BrushTool(Tool):
     action: ClassVar[Action]
     step: ClassVar[str]
 
-    #: Map to the undeformed place of each point that was visible at the button press.
+    #: Map from each point that was visible at the button press to its undeformed place.
     _origin: Origin
 
     @classmethod
@@ -54,7 +54,7 @@ class BrushTool(Tool):
 
     @property
     def mark_settings(self) -> ToolSettings | None:
-        """Settings of the selected stroke, which keeps its radius; None without a stroke."""
+        """Settings of the selected stroke except its radius; None if no stroke is selected."""
         settings = super().mark_settings
         if settings is not None:
             del settings["radius"]
@@ -63,7 +63,7 @@ class BrushTool(Tool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Begin or continue a stroke; outside tissue, it starts at the visible place."""
+        """Begin or continue a stroke; outside tissue, begin at the visible place."""
         if not self._is_inside(point):
             return motion_messages.OUTSIDE
         self.release()
@@ -83,7 +83,7 @@ class BrushTool(Tool):
             self._show(drawing.with_mark(new), len(drawing.marks))
 
     def move(self, point: Point) -> None:
-        """Continue the stroke to a point; without effect unless a drag is in progress."""
+        """Continue the stroke to a point; do nothing if no drag is in progress."""
         stroke = self.stroke
         if stroke is None:
             return
@@ -104,7 +104,7 @@ class BrushTool(Tool):
         return all(-0.5 <= at <= size - 0.5 for at, size in along)
 
     def _place(self, point: Point) -> Point:
-        """Return the undeformed place of a visible point; the point itself outside tissue."""
+        """Return the undeformed place of a visible point, or the point itself outside tissue."""
         before = self._origin(point)
         return point if before is None else before
 
@@ -122,21 +122,21 @@ class HoldTool(BrushTool):
     title = "Hold"
     key = "P"
     fields = ("radius", "confidence", "components")
-    hint = "Paint what does not move."
+    hint = "Paint tissue to hold it in place."
     action = "pin"
     step = "held tissue"
 
 
 class FreeTool(BrushTool):
-    """Brush that frees tissue from all boundary conditions below it."""
+    """Brush that frees the painted tissue from all boundary conditions."""
 
     name = "free"
-    title = "Free"
+    title = "Release"
     key = "F"
     fields = ("radius",)
-    hint = "Paint what nothing holds, whatever else says so."
+    hint = "Paint tissue to release it from everything that holds or moves it."
     action = "free"
-    step = "freed tissue"
+    step = "released tissue"
 
 
 class PushTool(BrushTool):
@@ -146,24 +146,24 @@ class PushTool(BrushTool):
     title = "Push"
     key = "M"
     fields = ("radius", "by_row", "by_col", "confidence", "components")
-    hint = "Paint what moves, then drag it to where it goes."
+    hint = "Paint tissue, then drag the paint to push the tissue."
     action = "move"
     step = "painted a push"
 
-    #: Place where the drag of the stroke began, and its displacement there; None while painting.
+    #: Start point of the drag, and displacement of the stroke before it; None while painting.
     _grip: tuple[Point, Point] | None = None
 
     def _begin(self, point: Point, settings: ToolSettings) -> None:
-        """Begin to drag the selected stroke if it is hit, else begin to paint."""
+        """Begin to drag the selected stroke if the point is on the stroke, else begin to paint."""
         self._grip, stroke = None, self._stroke_at(self._place(point))
         if stroke is None:
             super()._begin(point, settings)
         else:
             self._grip = point, stroke.by
-            self._model.begin_drawing("pushed what was painted")
+            self._model.begin_drawing("pushed painted tissue")
 
     def move(self, point: Point) -> None:
-        """Continue to push or to paint; without effect unless a drag is in progress."""
+        """Continue to push or to paint; do nothing if no drag is in progress."""
         stroke = self.stroke
         if stroke is None or self._grip is None:
             super().move(point)
@@ -188,15 +188,21 @@ class GrowTool(BrushTool):
     fields = ("radius", "amount", "confidence")
     hint = "Paint a patch or a closed ring that grows; a negative amount shrinks it."
     action = "expand"
-    step = "painted what grows"
+    step = "painted growth"
 
     @property
     def error_message(self) -> str:
-        """Advice to close the ring, while a stroke is being painted; else ""."""
+        """Advice to close the ring while a stroke is being painted, else ""."""
         return "" if self.stroke is None else motion_messages.OPEN
 
     def release(self) -> str | None:
-        """End the stroke, and refuse an open line; as in `Tool`."""
+        """End the stroke as one undo step, and refuse an open line.
+
+        Raises
+        ------
+        ToolError
+            If the stroke is an open line; the drawing is then unchanged.
+        """
         stroke = self.stroke
         if stroke is not None:
             try:
@@ -208,13 +214,13 @@ class GrowTool(BrushTool):
 
 
 class ConfidenceTool(BrushTool):
-    """Brush for the confidence of the boundary conditions below it."""
+    """Brush for the confidence of boundary conditions on the painted tissue."""
 
     name = "confidence"
     title = "Confidence"
     key = "C"
     fields = ("radius", "stroke_confidence", "softness")
-    hint = "Paint over what is held or moved how sure that is."
+    hint = "Paint the confidence of held or moved tissue."
     action = "confidence"
     step = "painted confidence"
 
@@ -222,19 +228,19 @@ class ConfidenceTool(BrushTool):
 class TissueTool(BrushTool):
     """Brush for the kind of tissue.
 
-    Another kind applies to the next stroke, or to a stroke that the user has selected. The stroke
-    painted last does not change, so that several tissues can be painted in turn.
+    A newly chosen kind applies to the next stroke, or to a stroke that the user has selected. The
+    stroke painted last does not change, so that several tissues can be painted in turn.
     """
 
     name = "tissue"
     title = "Tissue"
     key = "T"
     fields = ("radius", "material")
-    hint = "Paint which tissue is where."
+    hint = "Paint tissue to change its kind."
     action = "tissue"
     step = "painted tissue"
 
-    #: True if the user has selected the stroke, rather than just painted it.
+    #: True if the user has selected the stroke; False if the stroke was just painted.
     _is_picked = False
 
     def press(
@@ -252,6 +258,6 @@ class TissueTool(BrushTool):
         self._is_picked = number is not None
 
     def change(self, settings: ToolSettings) -> None:
-        """Apply changed settings to the selected stroke, if the user has selected it."""
+        """Apply changed settings to the selected stroke, if the user has selected the stroke."""
         if self._is_picked:
             super().change(settings)

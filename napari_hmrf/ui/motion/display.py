@@ -1,4 +1,4 @@
-"""Layers that show a drawing and the image deformed by it."""
+"""Layers that show a drawing and the deformed image."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, CanvasListener
 
-#: Brush strokes are painted together with the tissue that follows them, which saves one painting.
+#: Brush strokes are painted together with the tissue that follows them, which saves a repaint.
 #: If the tissue takes longer than this, in milliseconds, strokes are painted first.
 _AHEAD = 80
 
@@ -55,14 +55,14 @@ class Display:
     def __init__(self, native: Any, viewer: Any, listener: CanvasListener) -> None:
         self.arrows = ArrowsLayer(viewer, listener)
         self.state: ShownDeformation | None = None
-        # Paint, deformed with the tissue, and the current stroke, which lies on top.
+        # Paint, deformed with the tissue, and the current stroke, which is drawn on top.
         self._painted: npt.NDArray[np.uint8] | None = None
         self._stroke: Stroke | None = None
         self.tissues: dict[int, Any] = {}
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
-        # Image that is shown, and True if it is a private copy with newer slices.
+        # Displayed image, and True if that is a private copy with newer slices.
         self._whole: Any = None
         self._is_copy = False
         self.quiet = False
@@ -82,7 +82,7 @@ class Display:
         return self._results.at(self._image, moved.study.grid.known_place.slice_name)
 
     def select_slice(self, study: Study | None, image: Any, drawn: bool) -> None:
-        """Switch to another slice in its undeformed state, or to none."""
+        """Switch to another slice in its undeformed state, or to no slice."""
         self._stroke_timer.stop()
         before, moved = self.result, self.moved
         self._image = image
@@ -114,14 +114,14 @@ class Display:
         self.state = state
         self._take_paint(state, stroke)
         with self.program_changes():
-            # Show undeformed tissue, too, so that its layer exists before the first motion.
+            # Also show undeformed tissue, so that its layer exists before the first motion.
             if picture is not None and (moved.moves or self.arrows.active):
                 study = moved.study
                 run = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
                 made = picture_layer(study.grid.known_place, study.pictures, picture, run)
                 self._show_result({"image": made}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
-                # Hide, not remove: napari 0.7 can crash when no lines are left.
+                # Hide the layers instead of removing them: napari 0.7 can crash without lines.
                 self._show_result({}, moving=False)
             else:
                 self._show_painting()
@@ -137,7 +137,7 @@ class Display:
         return self._whole
 
     def finish(self, done: CompleteResult | None) -> None:
-        """Show all layers of a complete result; with None, only the undeformed image."""
+        """Show all layers of a complete result, or only the undeformed image if None."""
         state = self.state
         assert state is not None
         image = state.moved.study.pictures.image
@@ -171,7 +171,7 @@ class Display:
 
     def _take_paint(self, state: ShownDeformation, stroke: Stroke | None) -> None:
         self._stroke_timer.stop()
-        if state.moved.preview is None:  # a preview keeps the paint
+        if state.moved.preview is None:  # a preview does not change the paint
             self._painted = None if state.marks is None else state.moved.overlay[0]
         self._stroke = stroke
 
@@ -213,7 +213,7 @@ class Display:
             self._show_painting()
 
     def draw(self, drawing: Drawing, selected: int | None, is_dragging: bool) -> None:
-        """Show arrows, landmarks and the marks of the paint; only the canvas during a drag."""
+        """Show arrows, landmarks and marks of the paint; during a drag, update only the canvas."""
         below: list[Lines] = []
         state, mark = self.state, None if selected is None else drawing.marks[selected]
         if state is not None and state.marks is not None:
@@ -223,13 +223,13 @@ class Display:
         self.arrows.show(drawing, selected, below, quick=is_dragging)
 
     def leave(self) -> None:
-        """Remove the layer of arrows, which no longer responds to the mouse."""
+        """Remove the layer of arrows, because it no longer responds to the mouse."""
         with self.program_changes():
             self.arrows.remove()
 
     @contextmanager
     def program_changes(self) -> Iterator[None]:
-        """Set `quiet` within this context, in which the program changes layers."""
+        """Set `quiet` to True inside the block, in which the program changes layers."""
         before, self.quiet = self.quiet, True
         try:
             yield

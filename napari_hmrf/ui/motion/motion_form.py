@@ -33,7 +33,7 @@ QToolButton:checked { background: rgba(80, 105, 210, 220); }
 
 
 class MotionForm(Container):
-    """Form with the tools and their fields, the held edge, the boundary and the weight.
+    """Form with the tools and their fields, the outer edge, the boundary and the weight.
 
     Parameters
     ----------
@@ -60,15 +60,17 @@ class MotionForm(Container):
         self.tools = {tool.name: _button(tool) for tool in TOOLS}
         self.fields = ToolFields()
         self.edge = CheckBox(
-            text="hold the edge of the tissue",
+            text="Fix outer edge",
             value=True,
-            tooltip="The outline of the tissue, and what lies at the edge of the image, stay where "
-            "they are, unless they are moved themselves; holes in the tissue are free",
+            tooltip="Fix the outline of the tissue, and tissue at the edge of the image, unless a "
+            "mark or the boundary moves it. Edges of holes in the tissue are free",
         )
         self.weight = WeightForm()
         self.boundary = BoundarySection(layers, view)
-        self.remove = PushButton(text="Remove", enabled=False, tooltip="What is selected (Delete)")
-        self.clear = PushButton(text="Remove all", enabled=False, tooltip="All that is drawn")
+        self.remove = PushButton(
+            text="Remove", enabled=False, tooltip="Remove the selected mark (Delete)"
+        )
+        self.clear = PushButton(text="Remove all", enabled=False, tooltip="Remove all marks")
         drawn = row(self.remove, self.clear)
         parts = [self.fields, drawn, self.edge, self.boundary, self.weight]
         super().__init__(widgets=parts, labels=False)

@@ -25,17 +25,17 @@ from napari_hmrf.ui.motion.tool import Tool, ToolError
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
 
-#: During a drag, arrows are painted together with the tissue that follows them, which saves one
-#: painting. If the tissue takes longer than this, in milliseconds, arrows are painted first.
+#: During a drag, arrows are painted together with the tissue that follows them, which saves a
+#: repaint. If the tissue takes longer than this, in milliseconds, arrows are painted first.
 _AHEAD = 250
 #: Factor by which a key enlarges the brush.
 _LARGER = 1.25
 
 
 class Pointer:
-    """Router of the mouse and key actions on the layer *Motion* to the current tool.
+    """Dispatcher of mouse and key actions on the layer *Motion* to the current tool.
 
-    It edits the drawing of each slice of each image, and depends on no particular tool.
+    The pointer edits the drawing of each slice of each image, and works with any tool.
 
     Parameters
     ----------
@@ -45,28 +45,28 @@ class Pointer:
     fields : ToolFields
         Settings of the tools.
     undo : ViewerUndo
-        Undo of the viewer, with the `StudyModel` whose drawings are edited.
+        Undo of the viewer, with the `StudyModel` that contains the edited drawings.
 
     Attributes
     ----------
     tool : Tool
-        Current tool, with its drag and selection; replaced for each slice.
+        Current tool, with its drag and selection; each slice has a new tool.
     tissue : napari.layers.Labels or Image, optional
-        Layer from which the painted tissue takes its colours.
+        Layer that defines the colours of painted tissue.
     display : Display
         View of the drawing and the tissue.
     """
 
-    #: The drawing has changed.
+    #: Emitted when the drawing has changed.
     drawn = Signal()
-    #: The drawing, the undo steps, the selection or the tool has changed, or the mouse has started
-    #: or stopped drawing.
+    #: Emitted when the drawing, the undo steps, the selection or the tool has changed, or when the
+    #: mouse has started or stopped drawing.
     changed = Signal()
-    #: Status message; "" shows what the user can do next.
+    #: Emitted with a status message; "" shows a hint about the next step.
     message = Signal(str)
-    #: Reason why an action of a tool has no effect.
+    #: Emitted with the reason why an action of a tool has no effect.
     refusal = Signal(str)
-    #: A new action begins: earlier messages are out of date.
+    #: Emitted when a new action begins and earlier messages are out of date.
     action_started = Signal()
 
     def __init__(self, native: Any, viewer: Any, fields: ToolFields, undo: ViewerUndo) -> None:
@@ -93,7 +93,7 @@ class Pointer:
 
     @property
     def active(self) -> bool:
-        """True if the mouse draws."""
+        """True if the mouse draws instead of moving the view."""
         return self.display.state is not None and self.display.arrows.active
 
     @property
@@ -111,7 +111,7 @@ class Pointer:
     # Actions
 
     def select_slice(self, study: Study | None, image: Any = None) -> None:
-        """Switch to the drawing of another slice, or of none.
+        """Switch to the drawing of another slice, or to no drawing.
 
         Parameters
         ----------
@@ -128,12 +128,12 @@ class Pointer:
         self.draw()
 
     def select_tool(self, name: str) -> None:
-        """Switch to a tool, with nothing selected.
+        """Switch to a tool, and clear the selection.
 
         Raises
         ------
         ValueError
-            If there is no tool of that name.
+            If there is no tool with this name.
         """
         if name not in BY_NAME:
             raise ValueError(f"there is no tool {name!r}, only {', '.join(BY_NAME)}")
@@ -165,14 +165,14 @@ class Pointer:
         self.report_tool()
 
     def report_tool(self) -> None:
-        """Show the tool on the canvas while the mouse draws, unless other text is shown there."""
+        """Show the tool on the canvas while the mouse draws, unless other text is shown."""
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
             self._in_corner = corner.text = self._fields.words if self.active else ""
             corner.visible = self.active
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
-        """Replace the drawing, as an undo step named `word`; "" makes no undo step."""
+        """Replace the drawing, as an undo step named `word`; with "", without an undo step."""
         self.release()
         if self._model.slice.layer is not None:  # else there is nothing to draw on
             self._model.draw(drawing, word)
@@ -189,7 +189,7 @@ class Pointer:
         self.changed.emit()
 
     def show(self, state: ShownDeformation) -> None:
-        """Show the tissue as it follows the drawing."""
+        """Show a new state of the tissue, which follows the drawing."""
         ground = state.moved.ground
         if state.moved.error is not None:
             self._show_error(state)
@@ -209,7 +209,7 @@ class Pointer:
             self.message.emit("")
 
     def leave(self) -> None:
-        """Stop drawing, and remove the layers that no longer respond; the drawing stays."""
+        """Stop drawing, remove the layer that no longer responds, and keep the drawing."""
         self.select_slice(None)
         self.display.leave()
         self.report_tool()
@@ -242,7 +242,7 @@ class Pointer:
         self.draw()
 
     def pick(self, point: Point, reach: float) -> None:
-        """Select the mark at a point, and switch to the tool that made it."""
+        """Select the mark at a point, and switch to the tool that makes such marks."""
         moved = self.display.moved
         if moved is None:
             return
@@ -280,7 +280,7 @@ class Pointer:
             self.draw()
 
     def turn(self) -> None:
-        """Respond to a change of the visible slice; in a volume the drag continues there."""
+        """Respond to a change of the visible slice; in a volume, a drag continues."""
         moved = self.display.moved
         if moved is None or len(moved.study.grid.shape) == 2:
             self.release()
@@ -312,7 +312,7 @@ class Pointer:
     # Reactions to changes
 
     def _create_tool(self, kind: type[Tool]) -> Tool:
-        """Return a tool for the visible slice, with nothing selected."""
+        """Return a tool for the visible slice, without a selection."""
         moved = self.display.moved
         if moved is None:
             return kind(self._model)

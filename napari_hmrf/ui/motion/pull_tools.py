@@ -28,7 +28,7 @@ class PullTool(Tool):
 
     #: End of the mark that is dragged.
     _part: Literal["head", "base"] = "head"
-    #: Position of the mouse, and its offset from that end.
+    #: Position of the mouse, and offset of the mouse from the dragged end.
     _at: Point = (0.0, 0.0)
     _offset: Point = (0.0, 0.0)
 
@@ -46,7 +46,7 @@ class PullTool(Tool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Grab the end of a mark, or tissue; as in `Tool`.
+        """Begin to drag an end of a mark, or tissue; as in `Tool`.
 
         A new mark begins at the undeformed place of the tissue, and ends at its visible place.
         """
@@ -71,7 +71,7 @@ class PullTool(Tool):
         return ""
 
     def move(self, point: Point) -> None:
-        """Move the end to a point; without effect unless a drag is in progress."""
+        """Move the dragged end to a point; do nothing if no drag is in progress."""
         if not self.is_dragging or point == self._at:
             return
         self._at, mark = point, self.mark
@@ -98,7 +98,7 @@ class PullTool(Tool):
         return self._with_ends(mark, base, head)
 
     def _with_ends(self, mark: Arrow | Landmark, at: Point, to: Point) -> Arrow | Landmark:
-        """Return the mark with other ends."""
+        """Return the mark with new ends."""
         if isinstance(mark, Landmark):
             return replace(mark, source=at, target=to)
         by, which = np.zeros(len(at)), COMPONENTS[mark.components]
@@ -114,7 +114,7 @@ class LandmarkTool(PullTool):
     title = "Landmark"
     key = "L"
     fields = ("radius", "confidence")
-    hint = "Drag from where something is to where it should be, or click what stays there."
+    hint = "Drag from a point of the tissue to its target, or click a point that must stay."
 
     #: Selected mark just after the button press.
     _pressed: Arrow | Landmark | None = None
@@ -127,13 +127,13 @@ class LandmarkTool(PullTool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Grab the end of a mark, or tissue; as in `PullTool`."""
+        """Begin to drag an end of a mark, or tissue; as in `PullTool`."""
         message = super().press(point, reach, settings, origin)
         self._pressed = self.mark
         return message
 
     def release(self) -> str | None:
-        """End the drag; explain a click, whose landmark holds tissue in place."""
+        """End the drag; after a click, explain that the landmark holds tissue in place."""
         is_click = self.is_dragging and self.mark == self._pressed
         is_new = bool(self._model.end_drawing())
         return motion_messages.NO_WAY if is_click and is_new else None

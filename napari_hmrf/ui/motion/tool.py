@@ -1,4 +1,4 @@
-"""Tool of the mouse: base class of all tools."""
+"""Base class of the mouse tools."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def identity(point: Point) -> Point | None:
 
 
 class ToolSettings(TypedDict, total=False):
-    """Settings of a mark, by attribute; a tool sets those for which it has fields."""
+    """Settings of a mark, by attribute; a tool sets the attributes for which it has fields."""
 
     radius: float
     by: Point
@@ -33,14 +33,14 @@ class ToolSettings(TypedDict, total=False):
 
 
 class ToolError(HmrfError):
-    """Error of a tool whose action has no effect; its message is shown to the user."""
+    """Error raised if an action of a tool has no effect; the user sees its message."""
 
 
 class Tool(ABC):
-    """Tool that edits the drawing of a slice by drags, each of which is one undo step.
+    """Tool that edits the drawing of a slice by drags; each drag is one undo step.
 
-    A new tool is a subclass that is listed in `tools.TOOLS`. The `Pointer` calls these methods and
-    depends on no particular tool.
+    A new tool is a subclass that is listed in `tools.TOOLS`. The `Pointer` calls the methods of
+    this class only, so it works with any tool.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Tool(ABC):
     Attributes
     ----------
     name : str
-        Name in Python, and of the picture on the button.
+        Name in Python, and name of the icon file of the button.
     title : str
         Title of the button, also shown on the canvas.
     key : str
@@ -63,7 +63,7 @@ class Tool(ABC):
     fields : tuple of str
         Names of the fields in `ToolFields` with the settings of the tool.
     hint : str
-        Instructions for the button and the status.
+        Instructions, shown in the tooltip of the button and in the status.
     """
 
     name: ClassVar[str]
@@ -103,11 +103,11 @@ class Tool(ABC):
         point : tuple of float
             Point on the visible image, in pixels.
         reach : float
-            Largest distance of a mark that the press can grab, in the unit of the spacing.
+            Largest distance at which the press grabs a mark, in the unit of the spacing.
         settings : ToolSettings
             Settings of a new mark.
         origin : callable
-            Undeformed place of each visible point.
+            Returns the undeformed place of a visible point.
 
         Returns
         -------
@@ -117,7 +117,7 @@ class Tool(ABC):
 
     @abstractmethod
     def move(self, point: Point) -> None:
-        """Continue to a point; without effect unless a drag is in progress."""
+        """Continue the drag to a point; do nothing if no drag is in progress."""
 
     def release(self) -> str | None:
         """End the drag as one undo step.
@@ -125,12 +125,12 @@ class Tool(ABC):
         Returns
         -------
         str or None
-            Message for the user; None keeps the message that is shown.
+            Message for the user; None keeps the current message.
 
         Raises
         ------
         ToolError
-            If the mark is not possible; the drawing is then unchanged.
+            If the mark is invalid; the drawing is then unchanged.
         """
         self._model.end_drawing()
         return None
@@ -150,7 +150,7 @@ class Tool(ABC):
 
     @property
     def stroke(self) -> Stroke | None:
-        """Stroke that is being painted, to be shown before the tissue follows; or None."""
+        """Stroke that is being painted, or None; it is shown before the tissue follows."""
         return None
 
     @property
@@ -159,10 +159,10 @@ class Tool(ABC):
         return ""
 
     def cursor(self, settings: ToolSettings) -> float | None:
-        """Return the radius of the circle that shows the reach of the tool; None shows none.
+        """Return the radius of the circle around the pointer, or None if there is no circle.
 
-        napari paints the whole canvas for every step of the circle. During a drag, no circle is
-        shown, as the mark itself is visible.
+        napari paints the whole canvas for every move of the circle. During a drag, no circle is
+        shown, because the mark itself is visible.
         """
         return None if self.is_dragging else settings["radius"]
 
@@ -170,7 +170,7 @@ class Tool(ABC):
 
     @property
     def selected(self) -> int | None:
-        """Number of the mark made or selected last; None after another edit of the drawing."""
+        """Index of the mark made or selected last; None after another edit of the drawing."""
         if self._model.drawing is not self._numbered:
             self._selected = None
         return self._selected
@@ -183,25 +183,25 @@ class Tool(ABC):
 
     @property
     def mark_settings(self) -> ToolSettings | None:
-        """Settings of the selected mark that `change` can set; None without a mark."""
+        """Settings of the selected mark that `change` can set; None if no mark is selected."""
         mark = self.mark
         if mark is None:
             return None
         names = ToolSettings.__annotations__
         values = {name: value for name, value in vars(mark).items() if name in names}
-        # A landmark has no choice of components: it prescribes both.
+        # A landmark has no choice of components: it prescribes both components.
         return cast(ToolSettings, {"components": "both", **values})
 
     def select(self, number: int | None) -> None:
-        """Select the mark to change or remove next; None selects none."""
+        """Select a mark to change or remove; None clears the selection."""
         self._numbered, self._selected = self._model.drawing, number
 
     def pick(self, number: int | None) -> None:
-        """Select the mark that the user clicked on the canvas; None if there was none."""
+        """Select the mark that the user clicked on the canvas; None if there is no such mark."""
         self.select(number)
 
     def remove(self) -> bool:
-        """Remove the selected mark; return whether there was one."""
+        """Remove the selected mark, and return whether a mark was selected."""
         mark, number = self.mark, self.selected
         if mark is None or number is None:
             return False
@@ -221,7 +221,7 @@ class Tool(ABC):
 
     @abstractmethod
     def _changed(self, settings: ToolSettings) -> Mark | None:
-        """Return the selected mark with other settings; None without a mark."""
+        """Return the selected mark with new settings; None if no mark is selected."""
 
     # Edits within a drag
 
@@ -239,6 +239,6 @@ class Tool(ABC):
 
 
 def name_of(mark: Mark) -> str:
-    """Return the kind of a mark with its article, such as "an arrow"."""
+    """Return the kind of a mark with an indefinite article, such as "an arrow"."""
     kind = type(mark).__name__.lower()
     return f"an {kind}" if kind == "arrow" else f"a {kind}"

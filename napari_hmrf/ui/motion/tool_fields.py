@@ -1,4 +1,4 @@
-"""Fields of the tools; only those of the current tool are visible."""
+"""Fields of the tools; only the fields of the current tool are visible."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from napari_hmrf.ui.motion.tools import BY_NAME
 #: Lowest confidence that can be chosen; a mark of confidence 0 would have no effect.
 _LEAST_CONFIDENCE = 0.05
 _SURE = (
-    "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
-    "it by more than about that"
+    "Confidence in this motion. 1: tissue is held exactly. Below 1: tissue slips if holding it "
+    "would strain it by more than about this value"
 )
 #: Attribute of a mark that a field sets, if their names differ.
 _ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}
@@ -27,22 +27,22 @@ _STEPS = ("by_row", "by_col")
 
 
 class ToolFields(Container):
-    """Settings of the tools, for new marks and for the selected one.
+    """Settings of the tools, for new marks and for the selected mark.
 
     Attributes
     ----------
     radius, by_row, by_col, amount : FloatSpinBox
     confidence, stroke_confidence, softness : FloatSlider
     components, preset, material : ComboBox
-        Widgets. The `fields` of a tool name the ones that it uses; `preset` is shown with
+        Widgets. `Tool.fields` lists the widgets that a tool uses; `preset` is shown with
         `material`.
     """
 
     def __init__(self) -> None:
         self.radius = length(
             "radius",
-            "Of the patch that is taken hold of, or of the brush, in the unit of the image "
-            "([ and ] make it smaller and larger)",
+            "Radius of the pulled patch or of the brush, in the unit of the image ([ makes it "
+            "smaller, ] makes it larger)",
             least=0.001,
             value=10.0,
             step=1.0,
@@ -51,37 +51,36 @@ class ToolFields(Container):
         self.by_row, self.by_col = (length(self._ways.label(axis), "") for axis in (0, 1))
         self.amount = length(
             "outward",
-            "How far the outline moves along its normal; below 0 inward: it shrinks; in the unit "
-            "of the image",
+            "Distance by which the outline moves along its normal, in the unit of the image; a "
+            "negative distance shrinks the patch",
         )
         self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
         self.stroke_confidence = share(
-            "becomes",
-            "How sure it is what is held or moved under the brush. 1: exactly so, "
-            "0: that says nothing any more",
+            "confidence",
+            "New confidence of the held and moved tissue under the brush. 1: held exactly, 0: free",
         )
         self.softness = share(
             "softness",
-            "Across which part of its radius the brush fades out. 0: hard edge, "
-            "1: from its middle on",
+            "Part of the radius over which the brush fades out. 0: hard edge, "
+            "1: fades out from the centre",
         )
         self.components = ComboBox(
             choices=_components(self._ways),
-            label="moves",
-            tooltip="In which directions this says where tissue goes; in the other it is free",
+            label="direction",
+            tooltip="Directions in which motion is set; in the other direction, tissue is free",
         )
         self.preset = menu(
             "tissues of",
             {each: each.name for each in PRESETS},
-            "Published tissues to paint with, as the tissue layer has no table of its own; what is "
-            "not painted behaves as the first of them",
+            "Published tissues to paint with, because the tissue layer has no table. Unpainted "
+            "pixels are the first of these tissues",
         )
-        tip = "Of the tissue's own table, or of the presets"
-        self.material = ComboBox(choices=[], label="becomes", tooltip=tip)
+        tip = "Tissue to paint, from the table of the tissue layer or from the presets"
+        self.material = ComboBox(choices=[], label="new tissue", tooltip=tip)
         for choices in (self.preset, self.components):
             narrow(choices)
         self._own_table = False
-        # Tools refer to a field by its name, which is that of the attribute.
+        # Tools refer to a field by its name, which is the name of the attribute.
         fields = {name: each for name, each in vars(self).items() if isinstance(each, Widget)}
         for name, field in fields.items():
             field.name = name
@@ -134,7 +133,7 @@ class ToolFields(Container):
         return f"{words}, {self._ways.only(axis).partition(' (')[0]}"
 
     def show_for(self, tool: type[Tool]) -> None:
-        """Show the fields of a tool, and no others."""
+        """Show the fields of a tool, and hide all other fields."""
         self._tool = tool
         for field in self:
             field.visible = field.name in tool.fields
@@ -187,7 +186,7 @@ class ToolFields(Container):
                 self.components.value = before
 
     def offer(self, palette: Palette) -> None:
-        """Offer tissues to paint; the chosen one stays if it is among them."""
+        """Offer tissues to paint, and keep the chosen tissue if the palette contains it."""
         rows = palette.materials
         choices = [(_in_words(row, palette.unit), row.label) for row in rows]
         labels = [label for _, label in choices]
@@ -211,4 +210,4 @@ def _in_words(row: Material, unit: str) -> str:
 
 def _components(ways: Directions) -> list[tuple[str, str]]:
     """Return the choices of components that a mark may prescribe."""
-    return [("both directions", "both"), (ways.only(0), "row"), (ways.only(1), "col")]
+    return [("any", "both"), (ways.only(0), "row"), (ways.only(1), "col")]

@@ -1,4 +1,4 @@
-"""List of all tools; a new tool is added here."""
+"""List of all tools; new tools must be added here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Form for the weight of tissue: direction and size of a body force."""
+"""Form for the weight of tissue: direction and magnitude of a body force."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class WeightForm(Container):
     amount : FloatSpinBox
         Force per volume, in the unit of stiffness per length.
     value : tuple of float
-        Force per volume as a vector, in the order of the axes; () if there is none.
+        Force per volume as a vector, in the order of the axes; () if there is no force.
     """
 
     def __init__(self) -> None:
@@ -33,11 +33,12 @@ class WeightForm(Container):
         self.way = ComboBox(
             name="way",
             choices=self._offered,
-            label="weight pulls",
-            tooltip="All tissue by its weight, as in an open skull; it has to be held somewhere",
+            label="gravity",
+            tooltip="Direction of the weight of all tissue, as in an open skull. Some tissue must "
+            "be held in place",
         )
         narrow(self.way)
-        tip = f"Density times acceleration. That of water is {_WATER} kPa / mm"
+        tip = f"Weight per volume: density times acceleration. For water: {_WATER} kPa / mm"
         self.amount = FloatSpinBox(name="amount", max=1e6, step=0.001, tooltip=tip)
         super().__init__(widgets=[self.way, self.amount])
         self.amount.native.setDecimals(5)
@@ -49,7 +50,7 @@ class WeightForm(Container):
 
     @property
     def value(self) -> Step:
-        """Force per volume, in the order of the axes of the image; () if there is none."""
+        """Force per volume, in the order of the axes of the image; () if there is no force."""
         return tuple(self.amount.value * step for step in self.way.value)
 
     @value.setter
@@ -76,7 +77,7 @@ class WeightForm(Container):
         self.way.value = self._step
 
     def _offered(self, _: ComboBox) -> list[tuple[str, Step]]:
-        return [("nowhere", ()), *self._ways.steps_with(self._step)]
+        return [("off", ()), *self._ways.steps_with(self._step)]
 
     def _show(self, *_: object) -> None:
         self.amount.visible = bool(self.way.value)

@@ -22,8 +22,8 @@ from napari_hmrf.ui.result.result_messages import FULL
 class UnderCursor:
     """Values of a result at the cursor, appended to napari's status text.
 
-    Only one pixel is computed. napari queries its layers in a separate thread, only as often as
-    that thread can respond; this class adds one lookup to each response.
+    Values are computed for a single pixel. napari queries its layers in a separate thread, only as
+    often as that thread can respond; this class adds one lookup to each response.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class UnderCursor:
         self._viewer.events.status.disconnect(self.append_to_status)
 
     def refresh(self) -> None:
-        """Refresh the values below the mouse after the displayed tissue has changed."""
+        """Refresh the values under the cursor after the displayed tissue has changed."""
         cursor = self._viewer.cursor
         cursor.events.position(value=cursor.position)  # napari reads its layers again
         self.append_to_status()
@@ -51,7 +51,8 @@ class UnderCursor:
     def at(self, position: Any) -> Probe | None:
         """Return the deformation of the visible tissue at a point in world coordinates.
 
-        Returns None outside tissue, and while the tissue moves, as the result is then out of date.
+        Returns None outside tissue, and while the tissue moves, because the result is then out of
+        date.
 
         Parameters
         ----------
@@ -75,7 +76,7 @@ class UnderCursor:
         more = [_stiffness(shown, probe)]
         if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
             title, unit = title_and_unit(overlay.name, answer.solution)
-            if unit == "%":  # other quantities are in every line anyway
+            if unit == "%":  # every line includes the other quantities anyway
                 strain = rounded(float(overlay.picture[probe.site]))
                 more.insert(0, f"{title} {strain:g} %")
         return at_point(answer.unit, probe, ways, more, shown.percent)
@@ -97,13 +98,13 @@ class UnderCursor:
 
 
 def _stiffness(shown: MovingLayers, probe: Probe) -> str:
-    """Describe the solved tissue and its stiffness; "" if the result does not record them."""
+    """Describe the tissue and its stiffness in the solve; "" if the result does not store them."""
     answer = shown.answer
     if answer.problem is None:
         return ""
     value, unit = answer.problem.stiffness[probe.site], stiffness_unit(answer)
     labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
-    # A brush may have painted another tissue than that of the label.
+    # A brush may have painted a tissue that differs from the label.
     same = [row for row in rows if np.float32(row.stiffness) == value]
     same.sort(key=lambda row: labels is None or row.label != labels[probe.site])
     if not same:

@@ -33,15 +33,15 @@ _STEP = 2
 
 
 class MovingLayers:
-    """Layers of a result, which can be shown at any percentage of its deformation.
+    """Layers of a result, which can be shown at any percentage of the deformation.
 
-    The user sets the length of the arrows at 100 % in napari's layer controls.
+    In napari's layer controls, the user sets the length of the arrows at 100 %.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     arrows : napari.layers.Vectors
-        Arrows that hold the result.
+        Layer of arrows that stores the result.
     answer : PlacedSolution
         The result.
     layers : Result
@@ -56,7 +56,7 @@ class MovingLayers:
     source : napari.layers.Image, optional
         Image that is deformed.
     image : ndarray, optional
-        Copy of its pixels.
+        Copy of the pixels of `source`.
     percent : int
         Percentage of the deformation that is drawn.
     longest : float
@@ -78,7 +78,7 @@ class MovingLayers:
         self._length = arrows.length
 
     def copy_image(self) -> None:
-        """Copy the current pixels of the image, which are then deformed.
+        """Copy the current pixels of the image, to be deformed.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class MovingLayers:
             self.motion = Motion(self.answer.solution, self.image)
 
     def lay_over(self, made: Overlay | None, show: bool = False) -> None:
-        """Set the overlay, which moves with the tissue, or remove it."""
+        """Set or remove the overlay, which moves with the tissue."""
         solution, self.overlay = self.answer.solution, made
         if made is None:
             self.layers.drop("overlay")
@@ -104,7 +104,7 @@ class MovingLayers:
     def ready(self) -> bool:
         """Add the layer of the moving image, if needed; return whether any layer can move."""
         if self.image is not None:
-            if self.layers.layer("image") is None:  # it begins undeformed
+            if self.layers.layer("image") is None:  # created undeformed
                 look, name = look_of(self.source), self.source.name
                 made = self.answer.layer("image", self.image, "deformed", look, source=name)
                 made.attributes["metadata"][METADATA]["percent"] = 0
@@ -167,7 +167,7 @@ class Player:
 
     @property
     def playing(self) -> bool:
-        """True while playing."""
+        """True while the deformation is played."""
         return bool(self._timer.isActive())
 
     def play(self) -> None:
@@ -200,7 +200,7 @@ class Player:
         self.drawn.emit()
 
     def _on_tick(self) -> None:
-        # The slider moves only after the last picture is drawn, so that both agree.
+        # The slider moves only after the last picture is drawn, so that slider and picture agree.
         if (shown := self._shown()) is None or self._jobs.busy("moment"):
             return
         along = (time.monotonic() - self._started) / SECONDS % 2

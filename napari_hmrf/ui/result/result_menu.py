@@ -1,4 +1,4 @@
-"""Further outputs of a result: pictures, numbers, fields, and other layers moved along."""
+"""Further outputs of a result: pictures, numbers, fields, and moved copies of other layers."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
 _FILMS = "Films (*.gif *.mp4)"
-_BACK = "For SimpleITK, ANTs, elastix and Slicer: maps deformed positions to original ones"
-_FORTH = "The opposite direction: maps original positions to deformed ones, as the file records"
-_FILM = "The image as it moves, there and back: .gif, or .mp4 with imageio-ffmpeg"
+_BACK = "For SimpleITK, ANTs, elastix and Slicer: maps deformed positions to original positions"
+_FORTH = "Opposite direction: maps original to deformed positions; the file records the direction"
+_FILM = "Film of the image as it deforms and returns: .gif, or .mp4 with imageio-ffmpeg"
 _WITH_IT = (
-    "A new layer, moved with the tissue. In a volume at the same place only the slice of this "
-    "result moves; in a film, in channels, and in a stack without units all slices move"
+    "New layer, moved with the tissue. In a volume at the same place, only the slice of this "
+    "result moves. In a film, in channels, and in a stack without units, all slices move"
 )
 
 
@@ -61,7 +61,7 @@ class ResultMenu:
         Called with each message.
     """
 
-    #: Pictures were written; emitted with a list of `Path`.
+    #: Emitted with a list of `Path` after pictures have been written.
     saved = Signal(object)
 
     def __init__(
@@ -105,7 +105,7 @@ class ResultMenu:
         return answer.solution.measure(labels, names={row.label: row.name for row in rows})
 
     def save_pictures(self, folder: str | Path, own_folder: bool = False) -> None:
-        """Write pictures into a folder, or into a new one inside it; then `saved` is emitted.
+        """Write pictures into a folder or a new subfolder, then emit `saved`.
 
         Raises
         ------
@@ -120,14 +120,14 @@ class ResultMenu:
         self._jobs.submit(f"{folder}", partial(write_result_pictures, *arguments), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
-        """Write the field for other tools; a message gives the accuracy of its inverse.
+        """Write the field for other tools, and report the accuracy of its inverse.
 
         Parameters
         ----------
         path : str or Path
         forward : bool
-            If True, write the field that maps original positions to deformed ones; otherwise its
-            inverse, which most tools need to resample images.
+            If True, write the field that maps original positions to deformed positions; otherwise,
+            write its inverse, which most tools need to resample images.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class ResultMenu:
         Raises
         ------
         HmrfError
-            If there is no result, or no image on its pixels.
+            If there is no result, or no image on the pixel grid of the result.
         """
         shown = self._shown
         if shown.image is None:
@@ -160,7 +160,7 @@ class ResultMenu:
         Raises
         ------
         HmrfError
-            If there is no result, or a layer cannot be placed on its tissue.
+            If there is no result, or if a layer cannot be placed on the tissue of the result.
         """
         movers = [prepare_move(layer, self._shown.answer) for layer in layers]
 
@@ -200,7 +200,7 @@ class ResultMenu:
         measure = partial(attempt, self._show_measurements, self._show_message)
         add_entry(menu, "Measurements ...", about, measure)
         forces = partial(attempt, self._show_forces, self._show_message)
-        add_entry(menu, "Forces ...", "Forces that hold tissue, and that pull it", forces)
+        add_entry(menu, "Forces ...", "Forces that hold or move tissue", forces)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         source = None if shown is None else shown.source
@@ -279,7 +279,7 @@ class ResultMenu:
 
 
 def _table_of(titles: list[str], cells: list[list[str]]) -> QtWidgets.QTableWidget:
-    """Make a read-only table of texts."""
+    """Create a read-only table of texts."""
     table = QtWidgets.QTableWidget(len(cells), len(titles))
     table.setObjectName("measurements")
     table.setHorizontalHeaderLabels(titles)

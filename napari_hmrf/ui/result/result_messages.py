@@ -10,18 +10,18 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.result_layers import Name, PlacedSolution
 
-NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
+NO_RESULT = "There is no result yet: drag tissue, or press Deform."
 LOST = (
-    "The result was in the layer '{layer}', which was deleted. Press Deform, or pull again, to "
-    "create it again. To hide arrows, click the eye of their layer."
+    "The result was in the layer '{layer}', which was deleted. To create it again, press Deform or "
+    "pull tissue. To hide arrows, click the eye of their layer instead."
 )
 NO_IMAGE = (
-    "There is no image on the pixels of this result, so none can be moved. Open the image it was "
-    "made from; the arrows, and the choices of 'show', work without it."
+    "There is no image on the pixel grid of this result. Open the image of the result to deform "
+    "it. The arrows and the choices of 'overlay' are available without the image."
 )
 NO_FORCES = (
-    "Forces are known of elastic tissue and of large motion, while the result is worked on: press "
-    "Deform. The paper's model and files of results have none."
+    "Forces are available for elastic tissue and large motion, after Deform in this session. "
+    "Results of the paper's model and results from files have no forces."
 )
 NOTHING: str = "nothing"
 SAVING = "Saving pictures ..."
@@ -29,47 +29,47 @@ FULL = 100
 _UPRIGHT = Directions()
 
 _ABOUT: dict[Name, str] = {
-    "magnitude": "how far ({unit})",
+    "magnitude": "displacement ({unit})",
     "jacobian": "Jacobian",
     "equivalent": "strain: equivalent",
-    "stretch": "strain: largest stretch",
-    "squeeze": "strain: largest squeeze",
+    "stretch": "strain: maximum stretch",
+    "squeeze": "strain: maximum compression",
     "rows": "strain: {rows}",
     "columns": "strain: {columns}",
     "shear": "strain: shear",
     "grid": "grid",
     "labels": "tissue labels",
-    "difference": "from the reference ({unit})",
+    "difference": "difference from reference ({unit})",
     "folds": "folds",
     "overlaps": "overlaps",
-    "stiffness": "given: stiffness",
-    "observed": "given: motion",
-    "confidence": "given: confidence",
+    "stiffness": "input: stiffness",
+    "observed": "input: motion",
+    "confidence": "input: confidence",
 }
 _FROM_A_FILE = (
-    "The given stiffness, motion and confidence are not in the file of a result. Press Deform to "
-    "solve again."
+    "A file of a result does not contain the input stiffness, motion and confidence. Press Deform "
+    "to solve again."
 )
-#: Reasons why a requested overlay may have nothing to show.
+#: Reasons why a requested overlay may be empty.
 LACKING: dict[Name, str] = {
-    "labels": "No labels of tissue have moved with this result.",
-    "folds": "The tissue folds nowhere.",
-    "overlaps": "No part of the tissue has moved onto another.",
+    "labels": "This result has no tissue labels.",
+    "folds": "The tissue does not fold.",
+    "overlaps": "No part of the tissue has moved onto another part.",
     **dict.fromkeys(("stiffness", "observed", "confidence"), _FROM_A_FILE),
 }
 OVERLAY_TIP = (
     "Overlay on the image that moves with the tissue; its values belong to the visible tissue.\n"
-    "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds.\n"
-    "Strain: elastic, without growth, in per cent, squeeze below 0; equivalent: von Mises's, in\n"
-    "all three directions. The paper's model has total strain, within the image.\n"
-    "Given motion begins where tissue was before it moved; a dot: where it is held."
+    "Jacobian: factor of the change of area. Purple: shrinks, orange: grows, yellow: folds.\n"
+    "Strain: elastic strain without growth, in per cent; negative: compression. Equivalent: von\n"
+    "Mises strain in all three directions. The paper's model has total strain within the image.\n"
+    "Input motion: lines start at the undeformed tissue; a dot marks tissue that is held."
 )
 
 
 def overlay_choices(
     unit: str, ways: Directions = _UPRIGHT, compared: bool = False
 ) -> list[tuple[str, str]]:
-    """Return pairs of label and name of all overlays; `compared` adds the difference."""
+    """Return (label, name) pairs of all overlays; `compared` includes the difference."""
     rows, columns = (
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))

@@ -40,12 +40,12 @@ class ResultView:
     Attributes
     ----------
     arrows : napari.layers.Vectors or None
-        Arrows with the selected result, by default the newest one.
+        Layer of arrows that stores the selected result; by default, the newest result.
     """
 
-    #: Message for the user.
+    #: Emitted with a message for the user.
     message = Signal(str)
-    #: The selected result, or its state, has changed.
+    #: Emitted when the selected result or its state has changed.
     view_changed = Signal()
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
@@ -98,12 +98,12 @@ class ResultView:
 
     @property
     def arrows(self) -> Any:
-        """Arrows that hold the selected result, or None."""
+        """Layer of arrows that stores the selected result, or None."""
         return None if self.shown is None else self.shown.arrows
 
     @arrows.setter
     def arrows(self, arrows: Any) -> None:
-        """Select the result that a layer of arrows holds."""
+        """Select the result that is stored in a layer of arrows."""
         before = self.shown
         answer, shown = None if arrows is None else result_of(arrows), None
         if answer is not None:
@@ -129,7 +129,7 @@ class ResultView:
     # Actions
 
     def select_image(self, image: Any) -> None:
-        """Select the result of an image, or none, unless its result is selected already."""
+        """Select the result of an image; do nothing if its result is already selected."""
         shown, layers = self.shown, self._viewer.layers
         if shown is not None and shown.source in (None, image):
             return
@@ -147,7 +147,7 @@ class ResultView:
             self.player.play()
 
     def rest(self) -> None:
-        """Restore the layers and remove the key binding, as the dock closes."""
+        """Restore the layers and remove the key binding, because the dock is closing."""
         if self._while_key_is_held in self._viewer.keymap.values():
             self._viewer.bind_key(BEFORE_KEY, None)
         self._put_back()
@@ -162,7 +162,7 @@ class ResultView:
     # Comparison with a reference
 
     def _compare(self) -> None:
-        """Compare the result with its reference in the background, if one is chosen."""
+        """Compare the result with the chosen reference, if any, in the background."""
         shown, reference, self.comparison = self.shown, self._form.reference.value, None
         self._show_distance()
         self._jobs.cancel("comparison")
@@ -208,7 +208,7 @@ class ResultView:
                 self._draw_whole()  # its layers were redrawn at 100 %
 
     def _on_active(self, *_: Any) -> None:
-        """Select the result whose arrows are active; its image, slice or file may differ."""
+        """Select the result of the active arrows, which may be of another image, slice or file."""
         active = self._viewer.layers.selection.active
         answer = None if active in (None, self.arrows) else result_of(active)
         if answer is not None and not self._results.of(active).is_away:
@@ -242,7 +242,7 @@ class ResultView:
     # Overlay
 
     def _offer(self, shown: MovingLayers) -> None:
-        """Offer the overlays of a result, and select the one that is shown."""
+        """Offer the overlays of a result, and select the visible overlay."""
         choice, layer_shown = self._form.overlay, shown.layers.layer("overlay")
         with choice.changed.blocked():
             name = choice.value
@@ -263,9 +263,8 @@ class ResultView:
         if name == words.NOTHING:
             self._jobs.cancel("overlay")
             self._on_overlay(shown, name, False, None)
-        elif (
-            name != "difference" or self.comparison is not None
-        ):  # otherwise drawn after the comparison
+        # Without a comparison, the difference is drawn after the comparison is computed.
+        elif name != "difference" or self.comparison is not None:
             answer = partial(self._on_overlay, shown, name, chosen)
             work = partial(overlay_of, shown.answer, name, self.comparison)
             self._jobs.submit("overlay", work, answer)
@@ -285,7 +284,7 @@ class ResultView:
     # Percentage
 
     def _can_move(self) -> bool:
-        """Prepare layers to move, or report why there are none; return whether any can move."""
+        """Prepare the layers to move, or report why no layer can; return whether any can move."""
         self.before = False
         if self.shown is None:
             self.message.emit(words.NO_RESULT)

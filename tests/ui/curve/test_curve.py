@@ -391,7 +391,7 @@ def test_tissue_from_intensity_is_deformed(widget, run, wait_for):
     assert not layer.visible, "the stiffness layer tints the deformed image"
     low, high = (at for at, _ in widget.curve.points[::2])
     widget.curve = StiffnessCurve(((low, 1000), (high, 1)))
-    wait_for(lambda: widget.status.startswith("Changed"))
+    wait_for(lambda: widget.status.startswith("The inputs have changed"))
     second = run(widget).solution.displacement
     assert np.abs(second - first).max() > 0.1
 
@@ -544,7 +544,7 @@ def test_materials_are_copied_from_another_layer(widget, small_sample):
     )
     viewer.add_labels(np.ones((20, 24), int), name="nothing")
     widget.tissue = tissue
-    taken = entries(widget._form.tissue.menu)["Take from layer"].menu()
+    taken = entries(widget._form.tissue.menu)["Load from layer"].menu()
     assert [action.text() for action in taken.actions()] == ["other"]
     taken.actions()[0].trigger()
     assert widget.materials[1:] == rows

@@ -133,7 +133,7 @@ def test_an_open_line_that_expands_is_refused_and_leaves_no_mark(brush, model):
     for row in range(6, 50):
         grow.move((row, 5))
     assert grow.error_message == OPEN
-    with pytest.raises(ToolError, match="no outside"):
+    with pytest.raises(ToolError, match="no inside"):
         grow.release()
     assert (model.drawing, model.next_undo) == (Drawing(), None)
     assert not grow.is_dragging
@@ -169,7 +169,7 @@ def test_a_painted_region_of_a_volume_is_dragged_to_its_target(drag, model):
     push = BY_NAME["move"](model, (2.0, *SPACING), (9, *SHAPE))
     settings = paint(by=(0, 0, 0))
     drag(push, settings, (4, 20, 20))
-    assert drag(push, settings, (4, 20, 20), (5, 21, 23)) == "pushed what was painted"
+    assert drag(push, settings, (4, 20, 20), (5, 21, 23)) == "pushed painted tissue"
     assert model.drawing.marks[0].by == (2, SPACING[0], 3 * SPACING[1])
 
 
@@ -276,7 +276,7 @@ def test_a_painted_region_that_moves_is_dragged_to_its_target(brush, drag, model
     push = brush("move")
     drag(push, paint(), (20, 20), (24, 20))
     assert model.drawing.marks[0].moves_nowhere
-    assert drag(push, paint(), (22, 20), (25, 21), (27, 24)) == "pushed what was painted"
+    assert drag(push, paint(), (22, 20), (25, 21), (27, 24)) == "pushed painted tissue"
     (stroke,) = model.drawing.marks
     assert stroke.by == pytest.approx((5 * SPACING[0], 4 * SPACING[1]))
     assert stroke.lines == (((20, 20), (24, 20)),), "the drag extended the stroke"

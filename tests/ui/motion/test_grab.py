@@ -99,7 +99,7 @@ def test_escape_cancels_a_drag(pulling_beside):
     person.move(40, 40)
     person.release(40, 40)
     assert (widget.drawing, widget.study_model.next_undo) == (Drawing(), None)
-    assert widget.status == "Cancelled; everything is as before."
+    assert widget.status == "Cancelled; the drawing is unchanged."
 
 
 @bare
@@ -126,7 +126,7 @@ def test_activating_another_layer_pauses_the_tool(pulling_beside):
     person.viewer.layers.selection.active = by_name(person.viewer, "MR")
     assert not widget.active
     assert not Screen(widget).button("Pull").isChecked()
-    assert "To draw on" in widget.status
+    assert "To continue drawing" in widget.status
     person.drag((30, 30), (34, 34))
     assert not widget.drawing.marks
     Screen(widget).press("Pull")
@@ -179,7 +179,7 @@ def test_the_motion_layer_removed_during_a_drag_is_restored(pulling, settle):
     assert only(widget).by == pytest.approx((4, 4), abs=0.6)
     assert not widget.study_model.drawing_in_progress
     assert not widget.active
-    assert "is gone" in widget.status
+    assert "was deleted" in widget.status
     settle(widget)
     Screen(widget).press("Pull")
     assert len(by_name(person.viewer, "Motion").data) > 10
@@ -198,8 +198,8 @@ def test_removing_the_image_ends_a_drag(pulling, at_rest):
     at_rest()
     assert widget.image is None
     assert not widget.drawing.marks
-    assert widget.status.startswith("'MR' is gone, and the drawing on it")
-    assert "Motion" not in person.viewer.layers, "the motion layer remains without its image"
+    assert widget.status.startswith("'MR' was deleted with the drawing on it")
+    assert "Motion" not in person.viewer.layers, "nobody would answer it"
 
 
 def test_renaming_or_removing_result_layers_does_not_interrupt_a_drag(pulling, settle):
@@ -286,7 +286,7 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     how = widget.status
     viewer.dims.ndisplay = 3
     at_rest()
-    assert "two dimensions" in widget.status
+    assert "2D view only" in widget.status
     viewer.dims.ndisplay = 2
     settle(widget)
     assert (widget.status, len(widget.drawing.marks)) == (how, 1)
@@ -298,7 +298,7 @@ def test_the_tool_is_restored_after_three_dimensional_display_without_a_drawing(
     person, widget = pulling_beside
     person.viewer.dims.ndisplay = 3
     at_rest()
-    assert "two dimensions" in widget.status
+    assert "2D view only" in widget.status
     person.viewer.dims.ndisplay = 2
     qtbot.waitUntil(lambda: widget.active, timeout=LONG_MS)
 
@@ -391,7 +391,9 @@ def test_a_sample_selects_its_tissue_and_hides_its_paint(open_beside, settle):
     assert not layers["Tissue"].visible
     assert not layers["Boundary"].visible
     settle(widget)
-    assert "Hidden, to show 'Brain': 'Tissue', 'Boundary'. Click an eye" in widget.status
+    assert (
+        "Hidden, so that 'Brain' is visible: 'Tissue', 'Boundary'. Click the eye" in widget.status
+    )
     widget.boundary = layers["Boundary"]
     settle(widget)
     painted = layers["Boundary"].data == 2
@@ -443,7 +445,7 @@ def test_undo_of_an_edit_on_another_slice_shows_that_slice(open_beside, settle):
     settle(widget)
     assert viewer.dims.current_step[0] == 1, "the slice of the edit is not displayed"
     assert not widget.drawing.marks
-    assert widget.status == "Undone: drew an arrow."
+    assert widget.status == "Undid: drew an arrow."
     assert not Screen(widget).button("Undo").isEnabled()
     person.key(Qt.Key.Key_Y, CTRL)
     assert only(widget).by == pytest.approx((4, 0), abs=0.6)
@@ -582,7 +584,7 @@ def test_air_cannot_be_pulled_and_does_not_fold(open_beside, settle):
     assert widget.start()
     settle(widget)
     person.drag((10, 48), (20, 48))
-    assert widget.status == "There is no tissue to take hold of there."
+    assert widget.status == "There is no tissue at this point."
     assert not widget.drawing.marks
     widget.hold_edge = False
     # Air is compressed between the body and the image edge without a warning.
@@ -601,7 +603,7 @@ def test_a_message_about_three_dimensions_is_cleared_in_two_dimensions(
     settle(widget)
     person.viewer.dims.ndisplay = 3
     assert not widget.start()
-    assert "two dimensions" in widget.status
+    assert "2D view only" in widget.status
     person.viewer.dims.ndisplay = 2
     at_rest()
     assert widget.status == widget.invitation
@@ -615,12 +617,12 @@ def test_the_status_tells_whether_the_tool_is_active(pulling_beside, settle):
     settle(widget)
     layers = person.viewer.layers
     layers.selection.active = layers["MR"]
-    assert "To draw on" in widget.status
+    assert "To continue drawing" in widget.status
     person.key(Qt.Key.Key_Z, CTRL)
-    assert widget.status.startswith("Undone: drew an arrow. To draw on")
+    assert widget.status.startswith("Undid: drew an arrow. To continue drawing")
     layers.selection.active = layers["Motion"]
     layers.selection.active = layers["MR"]
-    assert widget.status.startswith("To draw on")
+    assert widget.status.startswith("To continue drawing")
     layers.selection.active = layers["Motion"]
     assert (widget.active, widget.status) == (True, how)
 

@@ -218,7 +218,7 @@ def test_an_open_line_that_expands_is_refused_with_a_message(pulling_beside, set
     person.paint(*((row, 30) for row in range(10, 50, 4)))
     settle(widget)
     assert not widget.drawing.marks
-    assert "no outside" in widget.status
+    assert "no inside" in widget.status
     assert not displayed_paint(person).any()
 
 
@@ -234,7 +234,7 @@ def test_an_open_line_shows_a_message_while_it_is_painted(pulling_beside, qtbot)
     qtbot.waitUntil(lambda: bool(said), timeout=LONG_MS)
     assert (said, widget.status) == ([OPEN], OPEN)
     person.release(40, 30)
-    assert "no outside" in widget.status
+    assert "no inside" in widget.status
 
 
 def test_a_brush_outside_the_image_paints_nothing_and_does_not_change_the_fields(pulling_beside):
@@ -579,7 +579,7 @@ def test_a_drag_makes_a_landmark_and_escape_cancels_it(pulling, settle):
 def test_a_click_makes_a_fixed_landmark_with_a_message(pulling_beside, settle):
     person, widget = pulling_beside
     person.key(LANDMARK)
-    assert "or click what stays there" in widget.status
+    assert "or click a point that must stay" in widget.status
     person.drag((30, 30), (30, 30))
     assert only(widget).source == only(widget).target == (30, 30)
     assert widget.status == NO_WAY
@@ -623,7 +623,7 @@ def test_a_first_stroke_has_an_effect_or_shows_a_message(pulling_beside, settle)
     assert fields.amount.value == 1.3, "the default amount is not a third of the radius"
     person.key(MOVE)
     person.paint((30, 28), (30, 34))
-    assert "Now drag it to where it goes" in widget.status
+    assert "Now drag the paint" in widget.status
     fields.by_col.value = 3
     assert fields.words == "Push 3 right"
     settle(widget)
@@ -694,11 +694,11 @@ def test_a_stroke_is_picked_changed_and_removed(brushing_beside, settle):
     person.pick(16, 22)
     assert widget.tool == "move", "the stroke was not found at its target"
     assert widget.fields.by_row.value == -4.0
-    assert "Delete removes it" in widget.status
+    assert "press Delete to remove it" in widget.status
     person.key(Qt.Key.Key_Delete)
     assert len(widget.drawing.marks) == 1
     person.pick(60, 60)
-    assert "Nothing is drawn there" in widget.status
+    assert "There is no mark at this point" in widget.status
 
 
 def test_keys_change_the_radius_of_the_brush(pulling_beside):
@@ -759,7 +759,7 @@ def test_escape_cancels_a_stroke(brushing_beside, settle):
     person.move(20, 40)
     person.release(20, 40)
     settle(widget)
-    assert (widget.drawing, widget.status) == (before, "Cancelled; everything is as before.")
+    assert (widget.drawing, widget.status) == (before, "Cancelled; the drawing is unchanged.")
     assert not displayed_paint(person).any()
 
 
@@ -809,7 +809,7 @@ def test_removing_or_renaming_result_layers_does_not_interrupt_a_stroke(brushing
 
 
 @pytest.mark.parametrize(
-    ("gone", "said"), [("Motion", "The layer 'Motion' is gone"), ("MR", "'MR' is gone")]
+    ("gone", "said"), [("Motion", "The layer 'Motion' was deleted"), ("MR", "'MR' was deleted")]
 )
 def test_removing_the_motion_layer_or_the_image_ends_a_stroke(brushing_beside, at_rest, gone, said):
     person, widget = brushing_beside

@@ -513,11 +513,11 @@ def test_a_warning_about_folds_is_shown_only_while_the_result_has_folds(folded, 
     _, widget = folded
     widget.clear()
     settle(widget)
-    assert (widget.warning, widget.status) == ("", "Removed all; undo brings it back.")
+    assert (widget.warning, widget.status) == ("", "Removed all marks. Press Undo to restore them.")
     widget.undo()
     settle(widget)
     assert "folds" in widget.warning
-    assert "Undone" in widget.status
+    assert "Undid" in widget.status
     widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 1), 4))
     settle(widget)
     assert not widget.warning
@@ -544,7 +544,7 @@ def test_the_status_is_shown_besides_a_warning(folded, settle):
     settle(widget)
     assert "Cancelled" in widget.status
     widget.tool = "pin"
-    assert widget.status == "Paint what does not move."
+    assert widget.status == "Paint tissue to hold it in place."
     assert "folds" in widget.warning
 
 
@@ -553,12 +553,12 @@ def test_a_new_action_replaces_the_status(pulling_beside, settle):
     person.drag((30, 30), (33, 30))
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
-    assert "Undone" in widget.status
+    assert "Undid" in widget.status
     person.drag((30, 30), (33, 30))
     settle(widget)
     assert widget.status.startswith("Drag tissue")
     person.pick(33, 30)
-    assert widget.status.startswith("Selected")
+    assert widget.status.startswith("Mark selected")
     person.key(Qt.Key.Key_Delete)
     settle(widget)
     assert widget.status.startswith("Removed")

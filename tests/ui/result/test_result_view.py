@@ -87,7 +87,7 @@ def test_a_missing_result_causes_a_hint_and_a_new_result_is_selected(
     assert look.result is None
     assert not look._form.result.slider.enabled
     look.play()
-    assert look.status.startswith("There is no result to look at yet: drag tissue, or press Deform")
+    assert look.status.startswith("There is no result yet: drag tissue, or press Deform")
     look.percent = 30
     look.overlay = "jacobian"
     assert not look.playing
@@ -395,7 +395,7 @@ def test_a_missing_quantity_is_reported_and_adds_no_layer(look, set_to):
     before = names(viewer)
     set_to(look, overlay="jacobian")
     set_to(look, overlay="folds")
-    assert look.status == "The tissue folds nowhere."
+    assert look.status == "The tissue does not fold."
     assert names(viewer) == before
 
 
@@ -495,7 +495,7 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     outputs = run(widget)
     set_to(widget, overlay="jacobian")
     assert f"at {outputs.folds} pixels" in widget.warning
-    assert "(it folds)" in widget.warning
+    assert "the tissue folds" in widget.warning
     layer = viewer_of(widget).layers["MR Jacobian (area ratio), paper"]
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
@@ -675,9 +675,9 @@ def test_a_saved_result_is_displayed_with_and_without_an_image(widget, tmp_path,
     look = widget
     wait_for(lambda: not look.busy)
     look.percent = 50
-    assert look.status.startswith("There is no image on the pixels of this result")
+    assert look.status.startswith("There is no image on the pixel grid of this result")
     set_to(look, overlay="stiffness")
-    assert look.status.startswith("The given stiffness, motion and confidence are not in the file")
+    assert look.status.startswith("A file of a result does not contain the input stiffness")
     set_to(look, overlay="magnitude")
     assert "displacement (px), paper" in names(viewer)
     set_to(look, percent=40)
@@ -773,7 +773,7 @@ def test_removing_the_arrows_shows_that_they_contain_the_result(look, run, wait_
     wait_for(lambda: not look.busy)
     told = look.status
     assert "The result was in the layer 'MR arrows, paper', which was deleted" in told
-    assert "Press Deform" in told
+    assert "press Deform" in told
     assert "eye" in told
     run(look)
     wait_for(lambda: not look.busy)
