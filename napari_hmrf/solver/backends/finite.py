@@ -94,7 +94,7 @@ class FiniteModel(Protocol):
         ...
 
     @property
-    def bodies(self) -> list[BodySites]:
+    def bodies(self) -> Sequence[BodySites]:
         """Indices of the sites of each rigid body."""
         ...
 

@@ -77,7 +77,8 @@ def brick_moduli(material: FiniteMaterial, stand_in: float = 0.0) -> BrickModuli
     strains, _ = element_strains(material.growth, 3)
     grown = np.eye(3) + np.moveaxis(strains * grows, (0, 1), (-2, -1))
     amount = np.linalg.det(grown)
-    return BrickModuli(amount * lame.shear, amount * lame.first, np.linalg.inv(grown))
+    undo: Float64Array = np.linalg.inv(grown)
+    return BrickModuli(amount * lame.shear, amount * lame.first, undo)
 
 
 class FiniteBricks:
@@ -260,7 +261,7 @@ def bernstein_coefficients(d: Float64Array, shape: BrickShape) -> Float64Array:
     return made
 
 
-_Side = tuple[int, int]
+_Side = tuple[int, ...]
 
 
 @lru_cache(maxsize=1)

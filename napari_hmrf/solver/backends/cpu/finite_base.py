@@ -48,7 +48,7 @@ class CpuFiniteModelBase:
     def poses(self, held: HeldPlanes) -> Poses:
         """Return the poses of bodies, with their held components."""
         assert self.material is not None
-        return Poses(list(self.bodies), self.material.shape.sides, held)
+        return Poses(self.bodies, self.material.shape.sides, held)
 
     def project(self, values: Planes) -> None:
         """Project displacements or forces onto the rigid motions of bodies, in place."""
@@ -71,7 +71,7 @@ class CpuFiniteModelBase:
         finest = self.levels[0]
         image = finest.vector()
         finest.apply(way.astype(np.float32), image)
-        made = image.astype(np.float64)
+        made: Planes = image.astype(np.float64)
         finest.free(image)
         return made
 

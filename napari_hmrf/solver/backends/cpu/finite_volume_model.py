@@ -71,7 +71,7 @@ class BrickLevel(CpuLevel):
         return self._other
 
     @property
-    def _springs(self) -> tuple[Vector, np.float32]:  # type: ignore[override]
+    def _springs(self) -> tuple[Vector, np.float32]:
         """Strength and factor of the springs as in `CpuLevel`, but not cached.
 
         Springs of the finest level may change with each linear model.
@@ -274,7 +274,7 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         self._positive, self._at = positive, d
         if self.bodies:
             assert self.material is not None
-            finest.bodies = Bodies(list(self.bodies), self.material, held, d)
+            finest.bodies = Bodies(self.bodies, self.material, held, d)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             brick_tangents.coarsen(fine.tangent, coarse.tangent)
         at = tuple(finest.exact.walled.T)

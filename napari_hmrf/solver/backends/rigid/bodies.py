@@ -10,7 +10,7 @@ projected orthogonally onto the free rigid motions.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -87,7 +87,7 @@ class Bodies:
 
     def __init__(
         self,
-        sites: list[BodySites],
+        sites: Sequence[BodySites],
         material: ElasticMaterial,
         held: HeldPlanes,
         moved: Planes | None = None,
@@ -225,7 +225,7 @@ def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
     return found
 
 
-def can_deflate(bodies: list[BodySites], shape: tuple[int, ...]) -> bool:
+def can_deflate(bodies: Sequence[BodySites], shape: tuple[int, ...]) -> bool:
     """Return whether deflation is affordable for these bodies and this grid; False in volumes."""
     # Each body has three motions; each motion needs a displacement field and a force field, with
     # two components each.

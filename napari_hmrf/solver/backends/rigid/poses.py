@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,7 +49,9 @@ class Poses:
         Mask of the constrained components.
     """
 
-    def __init__(self, bodies: list[BodySites], sides: tuple[float, ...], held: HeldPlanes) -> None:
+    def __init__(
+        self, bodies: Sequence[BodySites], sides: tuple[float, ...], held: HeldPlanes
+    ) -> None:
         self._bodies = []
         for sites in bodies:
             places = np.stack(sites) * np.array(sides)[:, None]
