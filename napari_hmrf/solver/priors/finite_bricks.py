@@ -77,7 +77,7 @@ def brick_moduli(material: FiniteMaterial, stand_in: float = 0.0) -> BrickModuli
     strains, _ = element_strains(material.growth, 3)
     grown = np.eye(3) + np.moveaxis(strains * grows, (0, 1), (-2, -1))
     amount = np.linalg.det(grown)
-    undo: Float64Array = np.linalg.inv(grown)
+    undo: Float64Array = np.asarray(np.linalg.inv(grown), dtype=np.float64)
     return BrickModuli(amount * lame.shear, amount * lame.first, undo)
 
 

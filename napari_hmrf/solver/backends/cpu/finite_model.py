@@ -170,7 +170,8 @@ class CpuFiniteModel(CpuFiniteModelBase):
         """Tangents of the linear system without border, shape (21, H - 1, W - 1)."""
         solved = self.levels[0].solved
         assert solved is not None
-        return solved[:, 2:-3, 2:-3]
+        elements: Vector = solved[:, 2:-3, 2:-3]
+        return elements
 
     def _spread(self, material: FiniteMaterial) -> float:
         """Return the norm of the scaled matrix of an element at rest; see `finite_tangents`."""
