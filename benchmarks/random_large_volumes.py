@@ -1,0 +1,206 @@
+"""Random problems of large motion in volumes, and checks of their results.
+
+``python -m benchmarks.large_volumes --random 1000`` solves these problems.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf import HmrfError, NeoHookeanPrior, Problem, solve
+from napari_hmrf.loads import Loads
+from napari_hmrf.solver.optimizers import Multigrid
+from tests.support.finite_volume_oracle import smallest_jacobians
+
+Field = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+# Largest distance of the tissue from a target that is reached, in voxels.
+_MET = 0.01
+# Least Jacobian of a map from which targets are sampled.
+_LEAST = 0.2
+
+
+class Case(NamedTuple):
+    """Random problem and prior, and whether the targets are sampled from a map without folds."""
+
+    problem: Problem
+    prior: NeoHookeanPrior
+    known: bool
+
+
+def run(first: int, count: int) -> None:
+    """Solve random problems and print the numbers of faults, refusals and missed targets."""
+    counts: Counter[str] = Counter()
+    slowest, begun = (0.0, first), time.perf_counter()
+    for number in range(first, first + count):
+        case = make_case(number)
+        counts["known"] += case.known
+        started = time.perf_counter()
+        try:
+            found = solve(case.problem, case.prior, backend="cpu")
+        except HmrfError as error:
+            counts["refused"] += 1
+            print(f"problem {number} refused: {type(error).__name__}: {error}", flush=True)
+            continue
+        finally:
+            slowest = max(slowest, (time.perf_counter() - started, number))
+        faults, least = _faults(case, found)
+        counts.update(faults)
+        gap = _gap(case.problem, found.displacement).max()
+        counts["beyond the tolerance"] += found.convergence.error > Multigrid().tolerance
+        counts["met"] += case.known and gap <= _MET
+        if faults or (case.known and gap > _MET):
+            what = ", ".join(faults) or "not reached"
+            print(
+                f"problem {number} {case.problem.shape} (known map: {case.known}): {what}; least "
+                f"{least:.2g}; {found.reach}; error {found.convergence.error:.2g} px",
+                flush=True,
+            )
+    took = time.perf_counter() - begun
+    for name in _FAULTS:
+        print(f"{counts[name]} of {count}: {name}")
+    print(f"{counts['refused']} of {count}: refused, with the reasons above")
+    print(f"{counts['beyond the tolerance']} of {count}: error beyond the tolerance, as reported")
+    print(f"{counts['met']} of {counts['known']}: targets of a known map reached to {_MET} px")
+    print(f"slowest: problem {slowest[1]}, {slowest[0]:.1f} s; all: {took:.0f} s", flush=True)
+
+
+_FAULTS = (
+    "folded",
+    "error that is not a number",
+    "unreported error beyond the tolerance",
+    "missed target that is not reported",
+)
+
+
+def _faults(case: Case, found: Any) -> tuple[list[str], float]:
+    """Return the names of the faults of a result, and its smallest Jacobian."""
+    problem, reach = case.problem, found.reach
+    error, missing = found.convergence.error, _gap(problem, found.displacement)
+    there = 0.0 if reach.where is None else missing[reach.where]
+    said = reach.missing / problem.unit
+    beyond = error > Multigrid().tolerance
+    is_said = reach.unbalanced_at is not None and reach.unbalanced >= 0.99 * error * problem.unit
+    least = smallest_of(problem, found.displacement)
+    are = (
+        not least > 0 or not reach.least_jacobian > 0,
+        not (math.isfinite(error) and math.isfinite(found.convergence.residual)),
+        beyond and not is_said,
+        not max(abs(missing.max() - said), abs(there - said)) <= _MET,
+    )
+    return [name for name, is_so in zip(_FAULTS, are, strict=True) if is_so], least
+
+
+def smallest_of(problem: Problem, displacement: npt.NDArray[np.floating]) -> float:
+    """Return the smallest Jacobian at 10^3 points in each element of tissue."""
+    d = displacement.astype(np.float64) / np.array(problem.spacing)
+    parts = [(slice(None, -1), slice(1, None))[far] for far in (0, 1)]
+    corners = [(parts[i], parts[j], parts[k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    tissue = np.all([problem.tissue[at] for at in corners], axis=0)
+    values = np.stack([d[at] for at in corners], axis=-2)[tissue]
+    return float(smallest_jacobians(values, 10).min()) if len(values) else 1.0
+
+
+def _gap(problem: Problem, displacement: Any) -> Field:
+    """Return the distance of each site from its target, in voxels."""
+    gap = np.where(problem.known, problem.observed - displacement.astype(np.float64), 0)
+    return np.asarray(np.linalg.norm(gap, axis=-1) / problem.unit)
+
+
+def make_case(number: int) -> Case:
+    """Return a random problem; for even numbers, its targets belong to a map without folds."""
+    random, known = np.random.default_rng(number), number % 2 == 0
+    shape = tuple(int(size) for size in random.integers(8, 19, 3))
+    spacing = (1.0, 1.0, 1.0)
+    if random.random() < 0.5:  # oblong voxels, in any unit
+        spacing = tuple(float(size) for size in 2 ** random.uniform(-1, 1, 3))
+    m = _tissue(random, shape, known)
+    tissue, rigid = m > 0, np.isinf(m)
+    c, y = np.zeros((2, *shape, 3))
+    if random.random() < 0.5:
+        c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
+        c[:, :, 0] = c[:, :, -1] = 1
+    else:
+        c[0] = 1
+    c[~tissue] = 0
+    kind = str(random.choice(["drag", "rim", "none", "landmarks"]))
+    at = _target(random, shape, kind) & tissue & ~rigid
+    size = min(shape)
+    place = np.moveaxis(np.indices(shape, dtype=np.float64), 0, -1)
+    if known:
+        held = (c[..., 0] > 0) | at
+        y[held] = _smooth_map(random, shape)[held]
+    elif kind == "drag":
+        y[at] = random.normal(size=3) * size / 6 * random.choice([1.0, 2.0])
+    elif kind == "rim" and at.any():
+        y[at] = (place[at] - place[at].mean(axis=0)) * random.uniform(-0.5, 1.0)
+    else:
+        y[at] = random.normal(size=(int(at.sum()), 3))
+    moves = y * np.array(spacing)
+    penalty = math.inf
+    c[at] = 1
+    if not known and not rigid.any() and random.random() < 0.3:
+        penalty = float(10 ** random.uniform(-2, 1))
+        c[at] = random.uniform(0.3, 1)
+    prior = NeoHookeanPrior(float(random.choice([0.0, 0.3, 0.45, 0.49])), penalty=penalty)
+    loads = None
+    if random.random() < 0.3:
+        loads = Loads(growth=np.where(_ball(random, shape) & ~rigid, random.uniform(-0.3, 1), 0))
+    return Case(Problem(moves, c, m, spacing=spacing, loads=loads), prior, known)
+
+
+def _tissue(random: np.random.Generator, shape: tuple[int, ...], known: bool) -> Field:
+    """Return stiffness of several values, with holes and rigid bodies."""
+    m = np.ones(shape)
+    decades = random.choice([1.0, 2.0, 3.0])
+    for _ in range(int(random.integers(0, 3))):
+        m[_ball(random, shape)] = 10 ** random.uniform(0, decades)
+    if random.random() < 0.3:
+        m[_ball(random, shape)] = 0
+    if not known and random.random() < 0.3:
+        body = _ball(random, shape)
+        inner = np.zeros(shape, dtype=np.bool_)
+        inner[2:-2, 2:-2, 2:-2] = True
+        m[body & inner & (m > 0)] = np.inf
+    return m
+
+
+def _ball(random: np.random.Generator, shape: tuple[int, ...]) -> Mask:
+    centre = random.uniform(0.2, 0.8, 3) * shape
+    radius = random.uniform(1.2, min(shape) / 3)
+    off = np.moveaxis(np.indices(shape), 0, -1) - centre
+    return np.asarray(np.linalg.norm(off, axis=-1) < radius)
+
+
+def _target(random: np.random.Generator, shape: tuple[int, ...], kind: str) -> Mask:
+    """Return a mask of the sites with a target."""
+    at = np.zeros(shape, dtype=np.bool_)
+    if kind == "none":
+        return at
+    if kind == "landmarks":
+        for _ in range(int(random.integers(3, 10))):
+            at[tuple(random.integers(1, np.array(shape) - 1))] = True
+        return at
+    ball = _ball(random, shape)
+    return ball if kind == "drag" else ball & ~scipy.ndimage.binary_erosion(ball)
+
+
+def _smooth_map(random: np.random.Generator, shape: tuple[int, ...]) -> Field:
+    """Return a smooth random displacement, in voxels, with Jacobians of at least `_LEAST`."""
+    noise = random.normal(size=(3, *shape))
+    smooth = [scipy.ndimage.gaussian_filter(each, min(shape) / 5) for each in noise]
+    d = np.stack(smooth, axis=-1)
+    d *= random.uniform(1, 6) / np.abs(d).max()
+    parts = [slice(None, -1), slice(1, None)]
+    corners = [(parts[i], parts[j], parts[k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    while smallest_jacobians(np.stack([d[at] for at in corners], axis=-2), 5).min() < _LEAST:
+        d *= 0.8
+    return d
