@@ -120,10 +120,11 @@ def test_the_paper_model_rejects_growth_and_suggests_the_elastic_model(model):
         solve_study(study(model=model))
 
 
-def test_large_motion_of_a_volume_is_rejected_with_a_suggestion():
+def test_a_volume_sinks_under_its_weight_in_large_motion():
     block = Study(Grid((4, 5, 6), (1.0, 1.0, 1.0)), motion=Motion(hold_edge=True, weight=(1, 0, 0)))
-    with pytest.raises(ProblemError, match=r"2-D.*elastic model.*slice"):
-        solve_study(replace(block, prior=NeoHookeanPrior()))
+    large = solve_study(replace(block, prior=NeoHookeanPrior())).displacement
+    small = solve_study(block).displacement
+    np.testing.assert_allclose(large, small, atol=0.05 * np.abs(small).max())
 
 
 @pytest.mark.parametrize("wrong", [-1.0, 150.0, math.nan, (0.1, 0.1, 0.1), (0.1, -2.0), "much"])

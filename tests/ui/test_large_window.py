@@ -97,7 +97,7 @@ def test_a_button_removes_folds_with_large_motion_and_can_be_undone(dock, do_and
     assert not offers(dock, offer), "large motion is offered although it is chosen"
 
 
-def test_large_motion_is_not_offered_for_a_volume(qtbot, wait_for):
+def test_a_button_removes_the_folds_of_a_volume_with_large_motion(qtbot, wait_for):
     viewer = ViewerModel()
     ball = np.linalg.norm(np.indices((12, 12, 12)) - 5.5, axis=0) < 3
     viewer.add_image(np.where(ball, 0.9, 0.5), name="Head")
@@ -108,14 +108,12 @@ def test_large_motion_is_not_offered_for_a_volume(qtbot, wait_for):
     dock.image, dock.extent, dock.tissue = viewer.layers[0], "volume", viewer.layers[1]
     wait_for(lambda: not dock.busy)
     assert "folds" in dock.warning
+    Screen(dock).press("Use large motion")
+    wait_for(lambda: not dock.busy)
+    assert dock.solution.provenance.model == "large motion"
+    assert "folds" not in dock.warning
+    assert dock.solution.count_folds() == 0
     assert not offers(dock, "Use large motion")
-    dock.model = "large motion"
-    wait_for(lambda: not dock.busy)
-    assert "large motion is for 2-D" in dock.status
-    Screen(dock).press("Use the elastic model")
-    wait_for(lambda: not dock.busy)
-    assert dock.solution.provenance.model == "elastic"
-    assert not offers(dock, "Use the elastic")
 
 
 def test_a_volume_has_no_plane_condition(qtbot):
