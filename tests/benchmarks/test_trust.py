@@ -163,7 +163,7 @@ def test_a_report_counts_failures_and_gives_the_command_for_each(fake_solver, ca
     for text in (said, written):
         assert "3 problems of seed 5 (3 on cpu)" in text
         assert "with the message “not within # px”" in text
-        assert "Of 2 random volumes" in text
+        assert "2 random volumes: " in text
         assert "`--seed 5 --only " in text
     assert written.startswith("# Random problems against exact solutions\n")
 
