@@ -1,7 +1,9 @@
 """Study files: a study and, optionally, its displacement field, which can be reproduced.
 
 A study file is an archive of plain arrays and a text header (`napari_hmrf.array_file`). Reading it
-never executes code from the file, and it is written atomically.
+never executes code from the file, and it is written atomically. The attribute `Motion.confidence`
+is stored in the array "counts", for compatibility with earlier versions. The page
+`docs/reference/files.md` lists all arrays.
 """
 
 from __future__ import annotations
@@ -213,6 +215,9 @@ def replay(
 ) -> Solution:
     """Solve a saved study again, with the backend that computed its saved solution.
 
+    The new solution is not compared with the saved solution; only the shell command `replay`
+    compares them.
+
     If the saved field was computed with a cold start, as with `solve_study` or *Deform*, it is
     reproduced bit by bit on the same machine and with the same version, for any number of threads.
     If it was updated during edits in the window, it was computed with a warm start; the two fields
@@ -333,7 +338,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "poisson": poisson if np.ndim(poisson) else None,
         "boundary_labels": motion.labels,
         "observed": motion.observed,
-        "counts": motion.confidence,  # this name is kept for compatibility with earlier versions
+        "counts": motion.confidence,
         "image": image if content.image else None,
         "labels": pictures.labels,
     }

@@ -94,13 +94,13 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Interpretation of a study without its drawing: stiffness and prescribed displacements.
+    """Interpretation of a study without its drawing: stiffness and boundary conditions.
 
     Attributes
     ----------
     study : Study
     base : Canvas
-        Images of prescribed displacements, without the drawing.
+        Images of the boundary conditions, without the drawing.
     stiffness : ndarray, shape ([D,] H, W), float32
         Young's modulus; 0 in void, infinite in rigid tissue.
     prior : Prior
@@ -433,7 +433,7 @@ def _refuse_other_axes(study: Study) -> None:
 
 
 def _tissue_of(study: Study) -> Ground:
-    """Return the ground of a study with its tissues, but without prescribed displacements."""
+    """Return the ground of a study with its tissues, but without boundary conditions."""
     tissue, image, shape, prior = study.tissue, study.pictures.image, study.grid.shape, study.prior
     palette, notes = Palette.of_preset(tissue.preset, relative=False), [*study.notes]
     labels, around = np.full(shape, OTHER, dtype=np.int32), np.zeros(shape, dtype=bool)
@@ -492,7 +492,7 @@ def _unknown_pixels(study: Study) -> str:
 
 
 def _observe(study: Study, base: Canvas) -> list[str]:
-    """Write observed and painted displacements to a blank canvas; return notes about them."""
+    """Write the boundary conditions of a study to a blank canvas; return notes about them."""
     motion, notes = study.motion, []
     if motion.observed is not None and motion.confidence is not None:
         c, by_component = motion.confidence, motion.confidence.ndim > len(base.shape)

@@ -103,7 +103,8 @@ class SolverDetails:
     accuracy: float = _form_field(
         Multigrid.tolerance,
         "converged to",
-        "Largest estimated distance between a pixel and the exact solution of the model",
+        "Tolerance: largest accepted error of any pixel, as estimated by the solver.\n"
+        "The error is the distance from the field that further iterations would reach.",
         choices=[(f"{distance:g} px", distance) for distance in (1e-1, 1e-2, 1e-3, 1e-4)],
     )
     device: str = _form_field(

@@ -62,4 +62,4 @@ def test_two_checkouts_alternate_and_ratios_are_computed_in_pairs(monkeypatch):
     # The pairs are 1 and 2 x 2, 4 and 2 x 3, 5 and 2 x 6.
     assert median.split()[1] == "0.42"
     assert "; 0.25 to 0.67)" in median, "the range of ratios is wrong"
-    assert "of a picture: 33.3 ms" in said
+    assert "per picture: 33.3 ms of the dragging thread" in said

@@ -162,8 +162,8 @@ def test_a_report_counts_failures_and_gives_the_command_for_each(fake_solver, ca
     said, written = capsys.readouterr().out, page.read_text(encoding="utf-8")
     for text in (said, written):
         assert "3 problems of seed 5 (3 on cpu)" in text
-        assert "saying “not within # px”" in text
-        assert "Of 2 random volumes" in text
+        assert "with the message “not within # px”" in text
+        assert "2 random volumes: " in text
         assert "`--seed 5 --only " in text
     assert written.startswith("# Random problems against exact solutions\n")
 
@@ -221,7 +221,7 @@ def test_residuals_of_rounding_size_do_not_cause_repeated_solves():
         backend="cpu",
         progress=said.append,
     )
-    solutions = [monitor for monitor in said if monitor.message.startswith("solution")]
+    solutions = [monitor for monitor in said if monitor.message.startswith("direct solve")]
     assert 0 < len(solutions) < 30
 
 

@@ -359,7 +359,7 @@ def test_bone_with_prescribed_sites_follows_their_motion():
     assert error_in_voxels(found, problem, 0.4) <= found.convergence.error <= PRECISE.tolerance
     np.testing.assert_allclose(found.displacement[3, 2, 3], turn[3, 2, 3], atol=1e-5)
     y[3, 2, 3], c[3, 2, 3] = (1, 1, 1), 1
-    with pytest.raises(ProblemError, match=r"the rigid body around \(2, 2, 3\) against each"):
+    with pytest.raises(ProblemError, match=r"the rigid body around \(2, 2, 3\) relative to each"):
         solve(Problem(y, c, problem.stiffness, spacing=OBLONG))
 
 

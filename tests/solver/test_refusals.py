@@ -33,7 +33,7 @@ def test_tissue_that_bends_without_energy_is_named():
 
 
 def test_tissue_beyond_double_precision_is_named_with_its_relative_energy():
-    with pytest.raises(ConvergenceError, match=r"around \(22, 0\) .* is 4e-14 of"):
+    with pytest.raises(ConvergenceError, match=r"around \(22, 0\) .* is only 4e-14 of"):
         solve_drawn(101, 1109)
 
 

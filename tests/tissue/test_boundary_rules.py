@@ -266,13 +266,21 @@ def test_a_word_as_stiffness_is_refused_with_the_value_for_rigid_tissue():
         Material(1, "bone", "rigid")
 
 
-def test_every_preset_names_the_source_of_its_values():
+def test_every_preset_has_a_source_a_unit_and_valid_materials():
+    names = [preset.name for preset in PRESETS]
+    assert len(set(names)) == len(names)
     for preset in PRESETS:
-        assert preset.source
-        assert bool(preset.unit) == (preset is not PRESETS[0]), "the paper has only ratios"
+        about = f"the preset {preset.name!r} in sample_data/materials.json"
+        assert preset.source, f"{about} has no source"
+        assert "Poisson" in preset.source, f"{about} does not state where Poisson's ratio is from"
+        unit = "" if preset is PRESETS[0] else "kPa"  # the paper has only ratios
+        assert preset.unit == unit, about
         labels = [material.label for material in preset.materials]
-        assert labels == list(range(1, len(labels) + 1))
-        assert all(material.stiffness > 0 for material in preset.materials)
+        assert labels == list(range(1, len(labels) + 1)), about
+        for material in preset.materials:
+            assert material.name, about
+            assert 0 < material.stiffness < 1000, f"{about}: is {material} in kPa?"
+            assert 0 <= material.poisson <= 0.49, f"{about}: {material}"
     paper = {material.name: material.stiffness for material in PRESETS[0].materials}
     assert paper == {"normal tissue": 20.0, "soft tissue": 10.0, "tumour": 40.0}
 

@@ -466,13 +466,13 @@ def test_inputs_are_shown_as_layers(dock_with_result, viewer, wait_for):
     given = {}
     for words, kind in (
         ("input: stiffness", "stiffness (kPa)"),
-        ("input: motion", "motion given where tissue was"),
+        ("input: motion", "given motion"),
         ("input: confidence", "confidence (0 to 1)"),
     ):
         screen.choose(words)
         wait_for(lambda: not dock.busy)
         found = layer(viewer, f"MR {kind}")
-        given[words.removeprefix("given: ")] = found.data
+        given[words.removeprefix("input: ")] = found.data
     stiffness, confidence = given["stiffness"], given["confidence"]
     assert set(np.unique(stiffness[np.isfinite(stiffness)])) == {0, 20}, (
         "the stiffness is not that of air and gel"

@@ -59,12 +59,15 @@ class Multigrid:
     Parameters
     ----------
     tolerance : float
-        Largest estimated distance of any site from the converged field, in pixels. The estimate is
-        the correction of the last cycle, times the reduction of the residual, divided by the least
-        eigenvalue of the preconditioned system found by the iteration. For tissue with high
-        contrast, thin parts or weak constraints, the estimate is first tested on a field with a
-        known solution. If the test fails, the system is factorised. In the centred reading, the
-        estimate is a proven bound from a maximum principle.
+        Largest accepted error, in pixels. The error is the largest distance of any site from its
+        position in the converged field. After each cycle, it is estimated as s r / e: s is the
+        largest correction of the cycle, r the residual after the cycle as a fraction of the
+        residual before, and e the least eigenvalue of the preconditioned system found so far. For
+        tissue with high contrast, thin parts or weak constraints, the estimate is first tested on a
+        field with a known solution. If the test fails, the system is factorised. In the centred
+        reading, the estimate is a proven bound from a maximum principle. Large motion of crushed
+        tissue may exceed the tolerance, as reported in `Solution.reach`; every other solve that
+        does not reach the tolerance raises a `ConvergenceError`.
     max_iterations : int
         Number of cycles after which the solve fails with an error. If observations may slip, the
         number applies to each set of slipping observations. In a volume that requires double

@@ -1,4 +1,7 @@
-"""Canvas: the images of a problem on which marks are drawn, and functions that draw marks."""
+"""Conversion of marks to boundary conditions: images of a problem, and functions that draw marks.
+
+This package calls these images a canvas. They are unrelated to the canvas of napari.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,10 @@ KINDS: dict[Action, int] = {"pin": 1, "free": 2, "move": 3, "expand": 4, "confid
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """Images of a problem on which marks are drawn.
+    """Images of a problem on which marks are drawn; not the canvas of napari.
+
+    In these images, marks become the boundary conditions of the tissue: `observed` and `confidence`
+    are the arguments of `Problem` with the same names.
 
     Attributes
     ----------
@@ -109,6 +115,9 @@ def is_empty(box: Box) -> bool:
 
 def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     """Draw a mark on the canvas in place; pixels outside the window stay unchanged.
+
+    Here a mark becomes a boundary condition: its displacement is written to `canvas.observed`, and
+    its confidence to `canvas.confidence`. `Ground.statement` passes both images to `Problem`.
 
     Parameters
     ----------

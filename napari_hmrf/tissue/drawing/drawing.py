@@ -207,6 +207,8 @@ class Drawing:
     def render(self, base: Canvas) -> Canvas:
         """Draw all marks on a copy of the images.
 
+        For repeated edits, such as a drag, `Rendering` draws the same images faster.
+
         Parameters
         ----------
         base : Canvas
@@ -258,6 +260,9 @@ class Drawing:
 
 class Rendering:
     """Rendering of a drawing on images; an edit redraws only pixels that may have changed.
+
+    `Engine` uses a rendering for all solves of the window. Its images equal those of
+    `Drawing.render`.
 
     Parameters
     ----------

@@ -311,7 +311,7 @@ def test_uncertain_sites_near_rigid_tissue_are_prescribed_exactly_with_a_note():
     rendering.show(Drawing((Arrow((3, 3), (1, 0), 2.0, confidence=0.5),)))
     stated = ground.statement(rendering.canvas)
     assert not stated.prior.can_slip(stated.problem)
-    assert any("beside rigid tissue nothing may slip" in note for note in ground.notes_on(stated))
+    assert any("observations cannot slip" in note for note in ground.notes_on(stated))
 
 
 def test_unconstrained_tissue_is_excluded_and_does_not_move():

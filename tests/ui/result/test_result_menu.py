@@ -360,6 +360,6 @@ def test_an_unsupported_format_or_a_missing_result_is_reported(
     set_save_path(tmp_path / "field.txt")
     Screen(dock).entry("More", "Save field for images").trigger()
     wait_for(lambda: not dock.busy)
-    assert dock.status.startswith("field.txt: fields are not written in such a format")
+    assert dock.status.startswith("field.txt: fields cannot be written in this format")
     with pytest.raises(HmrfError, match="There is no result yet"):
         widget.more.measure()

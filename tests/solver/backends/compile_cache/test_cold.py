@@ -189,7 +189,7 @@ def test_a_solve_can_be_cancelled_while_this_process_compiles(monkeypatch):
     with pytest.raises(Cancelled):
         pending.answer.result(LONG)
     waiting = compute_thread.submit(lambda: None)
-    assert compute_thread.delays(waiting).startswith("waiting for what was cancelled")
+    assert compute_thread.delays(waiting).startswith("waiting for cancelled work")
     go_on.set()
     waiting.result(LONG)
     assert compute_thread.delays(waiting) == ""

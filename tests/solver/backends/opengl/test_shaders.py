@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
 
 import pytest
 
 from napari_hmrf import BackendError
 from napari_hmrf.resources import resource_folder
 from napari_hmrf.solver.backends.opengl.programs import source
+from napari_hmrf.solver.backends.opengl.programs.programs import compile_program
 from napari_hmrf.solver.backends.opengl.programs.source import KERNELS, STAGES, compose, vertices
 from napari_hmrf.solver.backends.opengl.programs.volume_source import (
     GROUP,
@@ -161,6 +163,18 @@ def test_a_compiler_message_names_the_source_file(log):
     assert re.search(r"sum\.glsl[:(]14", explained.splitlines()[0])
     fourteenth = (resource_folder("shaders") / "sum.glsl").read_text().splitlines()[13]
     assert re.search(rf"sum\.glsl:14 \| {re.escape(fourteenth)}", explained)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_compile_error_names_the_kernel_and_its_file(name: str) -> None:
+    def refuse(text: str) -> None:
+        raise RuntimeError("no")
+
+    ctx = SimpleNamespace(compute_shader=refuse, info={"GL_RENDERER": "none"})
+    with pytest.raises(BackendError, match=rf"the kernel '{name}' \(\w+\.glsl\)") as raised:
+        compile_program(ctx, name, "compute", defines(name))
+    file = re.search(r"\((\w+\.glsl)\)", str(raised.value))[1]
+    assert (resource_folder("shaders") / file).is_file()
 
 
 def test_the_vertex_shader_has_no_uniforms():

@@ -94,8 +94,9 @@ def compile_program(
             program = ctx.program(vertex_shader=vertices().text, fragment_shader=source.text)
     except Exception as error:
         raise BackendError(
-            f"the {stage} shader {name}.glsl does not compile on {ctx.info['GL_RENDERER']}; please "
-            f"report this with the following text\n{source.explain(str(error))}"
+            f"the {stage} shader of the kernel {name!r} ({KERNELS[name].text}.glsl) does not "
+            f"compile on {ctx.info['GL_RENDERER']}; please report this with the following text\n"
+            f"{source.explain(str(error))}"
         ) from error
     time.sleep(BREATH)
     for unit, texture in enumerate((*KERNELS[name].inputs, "groups")):
