@@ -19,13 +19,14 @@ import numpy as np
 
 from napari_hmrf.solver.priors.elements import Float64Array, Lame
 
-#: Shape of an array of modes. An index is 1 if the coordinate of that axis is a factor, else 0.
+#: Shape of an array of modes. An index is 1 if the coordinate of that axis is a factor of the mode,
+#: otherwise 0.
 _MODES = (2, 2, 2)
 _AXES = range(3)
 
 
 class BrickShape(NamedTuple):
-    """Factors that convert an element's modes to derivatives, for the size of a voxel.
+    """Factors that convert an element's modes to derivatives, for a given voxel size.
 
     Attributes
     ----------

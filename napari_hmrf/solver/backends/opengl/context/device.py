@@ -47,13 +47,13 @@ class Device:
     largest : int
         Largest number of sites along an axis of a texture.
     largest_buffer, most_buffers : int
-        Largest size of a storage buffer in bytes, and largest number of storage buffers of a
-        compute shader; 0 without compute shaders.
+        Largest size of a storage buffer in bytes, and largest number of storage buffers in a
+        compute shader; 0 if compute shaders are not supported.
     software : bool
         True for a software renderer.
     rows : int
         Number of texels that an invocation computes in the compute stage (see `source.compose`);
-        1 on a GPU, which needs many invocations.
+        1 on a GPU, because a GPU needs many invocations.
     lost : bool
         True after the device was released, for example after an error.
     """
@@ -81,8 +81,8 @@ class Device:
         # it has been released. Therefore bind a permanent framebuffer before each release.
         self._idle_framebuffer = self.ctx.simple_framebuffer((1, 1))
         self._idle_framebuffer.use()
-        # The triangle has depth 0.5, so the depth test passes where the mask is 1. Without a mask
-        # it passes everywhere.
+        # The triangle has depth 0.5, so the depth test passes where the mask is 1. Without a mask,
+        # the depth test always passes.
         self.ctx.enable_only(self.ctx.DEPTH_TEST)
         self.ctx.depth_func = "<"
 
@@ -97,7 +97,7 @@ class Device:
     def best_stage(self) -> Stage:
         """Default stage: compute if available, even on a software renderer.
 
-        Mesa's llvmpipe synchronises its threads twice in each pass of a fragment shader, which
+        Mesa's llvmpipe synchronizes its threads twice in each pass of a fragment shader, which
         takes longer than the computation of a small pass.
         """
         return "compute" if "compute" in self.stages else "fragment"
@@ -169,7 +169,7 @@ class Device:
         return texture
 
     def mask(self, shown: npt.NDArray[np.bool_]) -> Any:
-        """Create a depth texture that limits passes to True texels of a mask (rows, cols)."""
+        """Create a depth texture that limits passes to the True texels of a mask (rows, cols)."""
         self.check("computing")
         try:
             made = self.ctx.depth_texture(shown.shape[::-1])
