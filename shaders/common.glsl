@@ -15,7 +15,7 @@
 // outside the image as void.
 
 // Lines of cliques, as the step from t to u (figure 2); s is on the opposite side. The order and
-// directions are those of `napari_hmrf.solver.priors.LINES`.
+// directions are those of `napari_hmrf.solver.priors.cliques.line_steps`.
 const ivec2 VERTICAL = ivec2(0, 1);
 const ivec2 HORIZONTAL = ivec2(1, 0);
 const ivec2 DIAGONAL = ivec2(1, 1);

@@ -7,7 +7,7 @@
 // are sums and differences of the corners: m100 varies along the plane axis, m010 along the row
 // axis, m001 along the column axis, and so on. Forces are computed from differences, because in a
 // large volume an assembled stencil would lose whole voxels to cancellation. Only modes of the same
-// strain are coupled, and lambda contributes only through the mean change of volume.
+// strain are coupled, and lambda contributes only through the mean change in volume.
 //
 // An invocation computes several sites that are adjacent along the plane axis. The forces of the
 // elements between two planes are computed once and used for both sites.

@@ -128,7 +128,7 @@ class SeilerMaterial:
 
     #: False because a trial run of the cycles can succeed for any tissue.
     laced = False
-    #: True because the model does not resist changes of volume.
+    #: True because the model does not resist changes in volume.
     compressible = True
     #: Number of sites along a side of an element, which consists of the cliques centred at a site.
     patch = 3
@@ -314,7 +314,7 @@ def _halves(a: Float64Array) -> _Pair:
 def ratios(
     m: npt.NDArray[np.floating], s: Slices, t: Slices, u: Slices
 ) -> tuple[Float64Array, Float64Array, npt.NDArray[np.bool_]]:
-    """Return m_t/m_s, m_t/m_u (1 if undefined) and a mask of existing cliques, shapes (..., 1)."""
+    """Return m_t/m_s, m_t/m_u (1 if undefined) and a mask of existing cliques, all (..., 1)."""
     ms, mt, mu = (m[at].astype(np.float64)[..., None] for at in (s, t, u))
     exists = (ms > 0) & (mt > 0) & (mu > 0)
     one = np.ones_like(mt)

@@ -35,9 +35,9 @@ FACTOR_STAND_IN = 1e6
 #: Largest ratio of stiffnesses for which a multigrid cycle is known to reduce the error in every
 #: motion.
 MILD_CONTRAST = 5.0
-#: Same for the ratio of the sides of a pixel.
+#: Same for the ratio between the sides of a pixel.
 MILD_ASPECT = 1.5
-#: Same for the ratio of the sides of a voxel; estimates for volumes have a larger margin.
+#: Same for the ratio between the sides of a voxel; error estimates in volumes have a larger margin.
 MILD_VOXEL_ASPECT = 2.0
 #: Same for Poisson's ratio in plane strain.
 MILD_POISSON = 0.4
@@ -101,7 +101,7 @@ class ElasticMaterial:
 
     @property
     def compressible(self) -> bool:
-        """True if cycles reduce changes of volume as well as other motions."""
+        """True if cycles reduce errors in volume as well as in other motions."""
         return not (self.strain and self.largest_poisson > MILD_POISSON)
 
     @cached_property
@@ -170,7 +170,7 @@ class ElementShape(NamedTuple):
     twist_rows, twist_cols : float
         Factors on the square of D_x, for its strain along the row axis and the column axis.
     twist_volume : float
-        1 if the twist counts as a change of volume, otherwise 0.
+        1 if the twist counts as a change in volume, otherwise 0.
     """
 
     rows: float

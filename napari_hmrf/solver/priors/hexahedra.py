@@ -6,9 +6,9 @@ product of all three. The coefficient of a mode is the mean of the values at the
 multiplied by the sign of the mode at each corner (Walsh functions). The modes are orthogonal, so
 their energies add up. The only coupling within a mode is between the two terms of a shear strain.
 
-Only the mean volume change of an element contributes to the energy, as in plane strain (selective
-reduced integration). Including the volume change at each point would lock nearly incompressible
-tissue.
+Only the mean change in volume of an element contributes to the energy, as in plane strain
+(selective reduced integration). Including the change in volume at each point would lock nearly
+incompressible tissue.
 """
 
 from __future__ import annotations

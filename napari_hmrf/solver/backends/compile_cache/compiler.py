@@ -98,7 +98,7 @@ def compile_meanwhile(job: str = "") -> None:
 
 
 def request(job: str) -> None:
-    """Request compilation of the loops of a job as the next job of the compiling process."""
+    """Request that the compiling process compile the loops of a job next."""
     with suppress(OSError):
         _request_file().write_text(job, encoding="utf-8")
     compile_meanwhile(job)

@@ -1,10 +1,10 @@
 """State of the compiled loops in this process.
 
 Compiling all loops takes a minute or more. In the process of a window, compilation would hold the
-GIL, so another process compiles the loops (`compile_cache.compiler`) and numba
-stores them on disk (`compile_cache.disk_cache`). Until the loops are ready, shaders solve, and
-`backends.arrays` performs the host's part in NumPy. A process that has started without compiled
-loops loads them in the background (`compile_cache.loader`) and switches to them between two solves.
+GIL, so another process compiles the loops (`compile_cache.compiler`) and numba stores them on disk
+(`compile_cache.disk_cache`). Until the loops are ready, shaders solve, and `backends.arrays`
+performs the host's part in NumPy. A process that has started without compiled loops loads them in
+the background (`compile_cache.loader`) and switches to them between two solves.
 
 If the environment contains ``NAPARI_HMRF_COMPILE=here``, no other process is started, and each
 solve compiles the loops that it requires. This mode is for batch jobs and tests.
@@ -38,7 +38,7 @@ HERE = "NAPARI_HMRF_COMPILE"
 
 @dataclass
 class _Part:
-    """Use of a group of loops by this process."""
+    """State of one group of loops in this process."""
 
     #: True if this process computes with the compiled loops.
     in_use: bool = False

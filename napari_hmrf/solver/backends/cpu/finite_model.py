@@ -231,7 +231,7 @@ class CpuFiniteModel:
     def _add_geometric_stiffness(self, d: Planes, forces: Planes, positive: float) -> None:
         """Add the rotational stiffness of bodies that results from the current forces on them."""
         rigid = self._elements > 0
-        # Remove the terms that make tangents positive, because they would resist rigid rotations.
+        # Remove the terms that make tangents positive, because these terms resist rigid rotations.
         shear = self._solid[finite_strain.SHEAR, 2:-3, 2:-3]
         self._add_isotropic_stress(rigid, -positive * finite_tangents.LEAST * shear[rigid])
         self._stiff = self._solved[:, rigid]
@@ -267,7 +267,7 @@ class CpuFiniteModel:
     def balance(self, rest: Planes) -> Balance:
         """Return the residual as the load of an iteration.
 
-        It is 0 at fixed components and projected onto the rigid motions of bodies.
+        The residual is 0 at fixed components and projected onto the rigid motions of bodies.
         """
         rest = np.where(self.levels[0].inverse > 0, rest, 0.0)
         self.project(rest)
@@ -278,7 +278,7 @@ class CpuFiniteModel:
         return Balance(scaled, unit, most, unit * math.sqrt(square))
 
     def image(self, way: Planes) -> Planes:
-        """Return ``A @ way`` for the linear model; it is 0 at fixed components."""
+        """Return ``A @ way`` for the linear model, or 0 at fixed components."""
         finest = self.levels[0]
         image = finest.vector()
         finest.apply(way.astype(np.float32), image)

@@ -10,7 +10,7 @@ compiler vectorizes:
 2. `_elements` computes the modes of each element from its two faces, and the forces of these modes
    on both faces.
 3. `_gather` adds the forces of the elements before and after a face at the face's four sites. The
-   force at the first site is then complete. The forces at the other sites are carried to the next
+   force at the first site is then complete. The forces at the other sites are passed to the next
    row and plane.
 
 The distance between scratch lines is constant, so that the compiler can exclude overlaps. A few

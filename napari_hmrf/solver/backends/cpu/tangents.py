@@ -2,7 +2,7 @@
 
 Arrays have the layout of `backends.cpu.elastic`, but each element has a tangent instead of Lame
 parameters (see `backends.cpu.finite_tangents`). The full system uses all 21 numbers of a tangent,
-while cycles use the first 13. Each row requires two loops, which both vectorize: the first loop
+while cycles use the first 13. Each row requires two loops, both of which vectorize: the first loop
 computes the forces of the elements, and the second loop adds them at the sites.
 """
 

@@ -73,7 +73,7 @@ class GLModel:
 
     @property
     def iterates(self) -> bool:
-        """True if V-cycles can be used; rigid bodies are not supported on the device."""
+        """True unless there are rigid bodies, which V-cycles on the device do not support."""
         return self.bodies is None
 
     @property

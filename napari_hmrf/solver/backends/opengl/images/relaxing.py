@@ -20,8 +20,8 @@ from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 
 Float64Array = npt.NDArray[np.float64]
 
-# On a level with at most `_FEW_VALUES` values, a faster single pass with a dense matrix replaces
-# more than `_FEW_STEPS` smoothing steps.
+# On a level with at most `_FEW_VALUES` values, more than `_FEW_STEPS` smoothing steps are run as a
+# single pass with a dense matrix, which is faster.
 _FEW_VALUES = 128
 _FEW_STEPS = 2
 
