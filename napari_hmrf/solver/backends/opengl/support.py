@@ -49,7 +49,7 @@ def volume_refusal(device: Device, stage: str, shape: tuple[int, ...]) -> str | 
     renderer, most = device.renderer, device.largest_buffer
     if "compute" not in device.stages:
         return (
-            f"volumes need compute shaders, which need OpenGL 4.3, but this is {renderer}. Use "
+            f"volumes require compute shaders (OpenGL 4.3), but the device is {renderer}. Use "
             'backend="cpu".'
         )
     if stage != "compute":

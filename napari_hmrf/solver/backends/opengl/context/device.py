@@ -128,14 +128,14 @@ class Device:
         try:
             made = self.ctx.buffer(reserve=size)
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
-            self.lose(f"making {description}: {error}")
+            self.lose(f"allocating {description}: {error}")
         self.clear_buffer(made)
         failure = self.ctx.error
         if failure != "GL_NO_ERROR":
             made.release()
             self.lose(
-                f"making {description}: {failure}. It is probably out of memory: downsample the "
-                "volume, or close other programs that use the graphics card"
+                f"allocating {description}: {failure}. The device is probably out of memory: "
+                "downsample the volume, or close other programs that use the graphics card"
             )
         return made
 
@@ -157,13 +157,13 @@ class Device:
         try:
             texture = self.ctx.texture((width, height), components, dtype="f4")
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
-            self.lose(f"making {description}: {error}")
+            self.lose(f"allocating {description}: {error}")
         failure = self.ctx.error
         if failure != "GL_NO_ERROR":
             texture.release()
             self.lose(
-                f"making {description}: {failure}. It is probably out of memory: downsample the "
-                "image, or close other programs that use the graphics card"
+                f"allocating {description}: {failure}. The device is probably out of memory: "
+                "downsample the image, or close other programs that use the graphics card"
             )
         texture.filter = (self.ctx.NEAREST, self.ctx.NEAREST)
         return texture
@@ -175,8 +175,8 @@ class Device:
             made = self.ctx.depth_texture(shown.shape[::-1])
             made.write(shown.astype(np.float32))
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
-            self.lose(f"making a mask of {shown.shape[0]} x {shown.shape[1]} texels: {error}")
-        self.check("making a mask")
+            self.lose(f"allocating a mask of {shown.shape[0]} x {shown.shape[1]} texels: {error}")
+        self.check("allocating a mask")
         return made
 
     def framebuffer(self, textures: Sequence[Any], mask: Any = None) -> Any:
@@ -223,8 +223,8 @@ class Device:
         """
         self.release()
         raise BackendError(
-            f"{self.renderer} failed while {doing}. The result was dropped; the next solve starts "
-            'a new context. If it happens again, update the driver or use backend="cpu".'
+            f"{self.renderer} failed while {doing}. The result was discarded; the next solve "
+            'starts a new context. If it happens again, update the driver or use backend="cpu".'
         )
 
     def release(self) -> None:
@@ -244,7 +244,7 @@ class Device:
         """Check that a stage is available, and run its test kernel once (`canary`)."""
         if stage not in self.stages:
             raise BackendError(
-                f"compute shaders need OpenGL 4.3, but this is {self.renderer}. Use "
+                f"compute shaders require OpenGL 4.3, but the device is {self.renderer}. Use "
                 'backend="opengl:fragment" or backend="cpu".'
             )
         if stage not in self._checked:
