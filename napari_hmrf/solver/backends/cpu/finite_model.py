@@ -35,7 +35,7 @@ _STRAINED, _WORST = 1.3, 2.0
 # Numbers per element: tangent for cycles with its damping, full tangent, and elastic parameters
 # (`finite_strain`).
 _CYCLED, _ALL, _OF_SOLID = int(tangents.PLANES), 21, 7
-# Factor on the norm of an element at rest; it is less than 1 because elements share their sites.
+# Factor on the norm of an element at rest; less than 1 because elements share sites.
 _CALM = 0.75
 # Relative stiffness added to rigid tissue in direct factorizations. The next Newton step corrects
 # the error that this causes.
@@ -154,7 +154,7 @@ class CpuFiniteModel:
         self.bodies: list[BodySites] = []
 
     def assemble(self, material: FiniteMaterial) -> None:
-        """Replace the material by another material on the same grid."""
+        """Replace the material with another material on the same grid."""
         if self.material is not None and self.material == material:
             return
         if self.material is None or not self.material.is_tissue_of(material):
@@ -197,7 +197,7 @@ class CpuFiniteModel:
         return float(finite_tangents.spread(cycled[:13, 2, 2].astype(np.float64)))
 
     def energy(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and the least Jacobian of all element corners."""
+        """Return the energy of a displacement, and the smallest Jacobian at any element corner."""
         self._work(finite_strain.energy, d, self._energies, self._least)
         return float(self._energies.sum()) + self._stored, float(self._least.min())
 
@@ -229,9 +229,9 @@ class CpuFiniteModel:
             coarse.hold_as(fine)
 
     def _add_geometric_stiffness(self, d: Planes, forces: Planes, positive: float) -> None:
-        """Add the rotational stiffness of bodies that results from the present forces on them."""
+        """Add the rotational stiffness of bodies that results from the current forces on them."""
         rigid = self._elements > 0
-        # Remove the terms that make tangents positive, because they would resist rigid rotations.
+        # Remove the terms that make tangents positive, because these terms resist rigid rotations.
         shear = self._solid[finite_strain.SHEAR, 2:-3, 2:-3]
         self._add_isotropic_stress(rigid, -positive * finite_tangents.LEAST * shear[rigid])
         self._stiff = self._solved[:, rigid]
@@ -267,7 +267,7 @@ class CpuFiniteModel:
     def balance(self, rest: Planes) -> Balance:
         """Return the residual as the load of an iteration.
 
-        It is 0 at fixed components and projected onto the rigid motions of bodies.
+        The residual is 0 at fixed components and projected onto the rigid motions of bodies.
         """
         rest = np.where(self.levels[0].inverse > 0, rest, 0.0)
         self.project(rest)
@@ -278,7 +278,7 @@ class CpuFiniteModel:
         return Balance(scaled, unit, most, unit * math.sqrt(square))
 
     def image(self, way: Planes) -> Planes:
-        """Return ``A @ way`` for the linear model; it is 0 at fixed components."""
+        """Return ``A @ way`` for the linear model, or 0 at fixed components."""
         finest = self.levels[0]
         image = finest.vector()
         finest.apply(way.astype(np.float32), image)
