@@ -1,4 +1,4 @@
-"""Part of the dock for the motion of tissue: tools, painted boundary and landmarks."""
+"""Dock section for the motion of tissue: tools, painted boundary and landmarks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class MotionForm(Container):
     Attributes
     ----------
     tools : dict of str to QToolButton
-        Buttons by the name of the tool.
+        Buttons by tool name.
     fields : ToolFields
     edge : CheckBox
     weight : WeightForm
@@ -63,7 +63,7 @@ class MotionForm(Container):
             text="Fix outer edge",
             value=True,
             tooltip="Fix the outline of the tissue, and tissue at the edge of the image, unless a "
-            "mark or the boundary moves it. Edges of holes in the tissue are free",
+            "mark or the boundary moves it; edges of holes in the tissue stay free",
         )
         self.weight = WeightForm()
         self.boundary = BoundarySection(layers, view)
