@@ -138,7 +138,7 @@ class Guide:
             self.invite()
 
     def _on_study(self, sentence: str) -> None:
-        """Show a message about the study, after the message of a step; "" shows the hint instead."""
+        """Show a message about the study, after a step message; "" shows the hint instead."""
         if not sentence:
             self.invite()
         elif self._why != "refused":

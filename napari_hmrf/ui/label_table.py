@@ -224,7 +224,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.selectRow(row)
 
     def _list_painted(self) -> list[Row]:
-        """Add rows for new labels of the slice and return them, or [] if the slice cannot be read."""
+        """Add rows for new labels of the slice and return them; [] if the slice cannot be read."""
         try:
             picture = copy_slice(self._layer, frame_of(self._layer, self._view()))
         except ProblemError:
