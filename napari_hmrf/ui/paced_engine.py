@@ -86,7 +86,7 @@ class PacedEngine:
         return self._engine.monitor
 
     def rehearse(self, study: Study) -> None:
-        """Load or compile the code for the first pull and stroke by trial runs in the background."""
+        """Load or compile the code for the first pull and stroke in background trial runs."""
         image, engine = study.pictures.image, self._engine
         if not self._rehearsed and image is not None:
             self._rehearsed = True
@@ -109,7 +109,7 @@ class PacedEngine:
         self._gui.submit(partial(self._on_answer, state))
 
     def _completed(self) -> CompleteResult | ShownDeformation | None:
-        """Return all layers of the latest answer; None without an answer or with a pending study."""
+        """Return the layers of the latest answer; None if no answer exists or a study is pending."""
         latest = self._engine.latest
         if latest is None or latest.solution is None:
             return None

@@ -68,7 +68,7 @@ class WarningChip:
         self.message.emit(f"{self._form.footer.warning} {slice_message}".rstrip())
 
     def _go_to_most(self, latest: CompleteResult, mark: Mark) -> str:
-        """Show the slice of a volume with the most marked sites; return a message about it."""
+        """Show the slice of a volume with the most marked sites, and return a message."""
         dims, place, view = (
             self._viewer.dims,
             latest.moved.study.grid.known_place,

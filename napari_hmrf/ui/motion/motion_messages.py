@@ -17,8 +17,8 @@ REMOVED_ALL = "Removed all marks. Press Undo to restore them."
 CANCELLED = "Cancelled; the drawing is unchanged."
 OPEN = "Continue to the start of the line: only a closed ring or a patch can grow."
 NO_STEP = (
-    "Now drag the paint to push the tissue, or set a distance above. Until then, the tissue is held "
-    "in place."
+    "Now drag the paint to push the tissue, or set a distance above. Until then, the tissue is "
+    "held in place."
 )
 NO_WAY = "This landmark holds tissue in place: drag the dot to its target to move the tissue."
 NO_OUTSIDE = (

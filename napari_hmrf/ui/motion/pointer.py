@@ -348,7 +348,7 @@ class Pointer:
             self._draw_timer.start()
 
     def _on_step(self, _: str, step: Step | None) -> None:
-        """Select the mark that undo or redo changed or restored, if the current tool makes such marks."""
+        """Select the mark that undo or redo changed, if the current tool makes such marks."""
         if step is None or step.part != self._model.slice:
             return
         marks = self.drawing.marks

@@ -48,7 +48,7 @@ class PullTool(Tool):
     ) -> str:
         """Begin dragging an end of a mark, or tissue; see `Tool.press`.
 
-        A new mark begins at the undeformed position of the tissue, and ends at the visible position.
+        A new mark starts at the undeformed position of the tissue and ends at the visible position.
         """
         self.release()
         drawing, at = self._model.drawing, origin(point)

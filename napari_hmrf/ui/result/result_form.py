@@ -47,8 +47,8 @@ class ResultForm(Container):
             value=100,
             max=100,
             readout=False,
-            tooltip="Displayed fraction of the displacement: 0 % is the undeformed image, 100 % is the "
-            "result",
+            tooltip="Displayed fraction of the displacement: 0 % is the undeformed image, 100 % is "
+            "the result",
         )
         self._style = _JumpStyle()  # Qt does not keep a reference to it
         self.slider.native.findChild(QSlider).setStyle(self._style)
