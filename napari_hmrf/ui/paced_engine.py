@@ -109,7 +109,7 @@ class PacedEngine:
         self._gui.submit(partial(self._on_answer, state))
 
     def _completed(self) -> CompleteResult | ShownDeformation | None:
-        """Return the layers of the latest answer; None if no answer exists or a study is pending."""
+        """Create the layers of the latest answer, unless there is none or a study is pending."""
         latest = self._engine.latest
         if latest is None or latest.solution is None:
             return None

@@ -84,9 +84,9 @@ class MaterialTable(LabelTable[Material]):
             ),
             Column(
                 "grows\n%",
-                "Growth in length of free tissue; a negative number shrinks the tissue. 26 % doubles "
-                "the volume.\nTwo numbers, such as 20 / 0: growth along rows and along columns.\nThe "
-                "paper's model has no growth.",
+                "Growth in length of free tissue; a negative number shrinks the tissue. 26 % "
+                "doubles the volume.\nTwo numbers, such as 20 / 0: growth along rows and along "
+                "columns.\nThe paper's model has no growth.",
                 lambda row: _joined(100 * np.atleast_1d(row.growth)) if row.is_deformable else "",
                 _growth,
             ),
@@ -281,8 +281,7 @@ class MaterialMenu(QPushButton):
         taken.setEnabled(bool(taken.actions()))
         about = "File that was saved here or written by hand, or label names of a segmentation"
         add_entry(menu, "Load from file ...", about, self._load)
-        about = "To use the table for other images, or to share it"
-        add_entry(menu, "Save to file ...", about, self._save)
+        add_entry(menu, "Save to file ...", "For other images, or to share the table", self._save)
 
     def copy_materials(self, materials: Preset | Layer | str | Path) -> None:
         """Copy the materials of a preset, a layer or a file into the table.

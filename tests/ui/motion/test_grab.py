@@ -392,7 +392,7 @@ def test_a_sample_selects_its_tissue_and_hides_its_paint(open_beside, settle):
     assert not layers["Boundary"].visible
     settle(widget)
     assert (
-        "Hidden, so that 'Brain' is visible: 'Tissue', 'Boundary'. Click the eye" in widget.status
+        "Hidden to make 'Brain' visible: 'Tissue', 'Boundary'. Click the eye" in widget.status
     )
     widget.boundary = layers["Boundary"]
     settle(widget)
@@ -422,7 +422,7 @@ def test_each_tool_has_a_button_a_key_and_a_name_on_the_canvas(pulling_beside, s
     screen.press("Push")
     assert not widget.active, "a second press of its button did not deactivate the tool"
     assert not badge.visible
-    with pytest.raises(ValueError, match="no tool 'saw'"):
+    with pytest.raises(ValueError, match="unknown tool 'saw'"):
         widget.tool = "saw"
 
 
