@@ -7,8 +7,8 @@ An edit passes through six steps:
 1. *Edit.* A form writes its values to the `StudyModel` through `form_binding`. A tool writes its
    drawing to the same model; `motion.pointer` passes mouse and key events to the current tool.
    The model records one undo step and emits `changed`.
-2. *Read.* Once napari is idle, the `controller` reads the chosen layers as a `Study` through
-   `study_reader` (`refresh`). After an edit to the drawing, only the drawing is replaced.
+2. *Read.* Once napari is idle, `Controller.refresh` reads the chosen layers as a `Study` through
+   `study_reader`. After an edit to the drawing, only the drawing is replaced.
 3. *Submit.* The controller submits the study to the `paced_engine`, which solves the newest
    submitted study as soon as the last picture has been painted.
 4. *Answer.* The compute thread solves the study and deforms its image (`study.engine`). If the

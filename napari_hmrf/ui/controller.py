@@ -66,7 +66,7 @@ class Controller:
     curve_layer : CurveLayer
         Layer that shows the stiffness of the tissue if a curve defines it.
     chip : WarningChip
-        Warning about problems of the latest result.
+        Warning about problems with the latest result.
     engine : PacedEngine
     progress : SolveProgress
     """
@@ -290,7 +290,7 @@ class Controller:
         self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
 
     def _on_drawn(self) -> None:
-        """Solve for a changed drawing, without reading the layers again."""
+        """Solve for the changed drawing without reading the layers again."""
         study = self.study
         if study is not None:
             self._follow(study)
@@ -319,7 +319,7 @@ class Controller:
         self.pointer.show(state)
         if moved.error is not None:
             self._submitted = None
-            if not self.pointer.active:  # else the pointer has reported the error
+            if not self.pointer.active:  # otherwise the pointer has reported the error
                 self._report_failure(moved.error)
             self._end_settling()
             return
@@ -387,7 +387,7 @@ class Controller:
         return messages.CHANGED
 
     def _emit_message(self, always: bool = False) -> None:
-        """Emit the message about the study if it has changed or if `always` is True."""
+        """Emit the message about the study if it has changed, or if `always` is True."""
         before, self._last_message = self._last_message, self._state
         if always or self._last_message != before:
             self.message.emit(self._last_message)

@@ -31,7 +31,7 @@ from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.tissue_form import Layers, TissueSection
 from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
-#: Smallest width of the dock, in pixels.
+#: Minimum width of the dock, in pixels.
 _WIDTH = 336
 #: Time after which an opened section has its final height, in milliseconds.
 _LAYOUT_TIME = 500

@@ -85,7 +85,7 @@ class DockValues(Dock):
 
     @property
     def materials(self) -> tuple[Material, ...]:
-        """Stiffness of each tissue label."""
+        """Materials of the tissue labels, one row for each label."""
         value: tuple[Material, ...] = self._form.tissue.table.rows
         return value
 
@@ -95,7 +95,7 @@ class DockValues(Dock):
 
     @property
     def rules(self) -> tuple[BoundaryRule, ...]:
-        """Effect of each boundary label."""
+        """Rules of the boundary labels, one row for each label."""
         value: tuple[BoundaryRule, ...] = self._form.motion.boundary.table.rows
         return value
 
@@ -175,7 +175,7 @@ class DockValues(Dock):
 
     @property
     def settings(self) -> SolverDetails:
-        """Solver settings (immutable); assign `replace(dock.settings, sweeps=7)` to change one."""
+        """Immutable solver settings; to change them, assign `replace(dock.settings, sweeps=7)`."""
         value: SolverDetails = self._form.model.in_detail.details
         return value
 
@@ -215,7 +215,7 @@ class DockValues(Dock):
 
     @property
     def reference(self) -> Any:
-        """Field or other result with which the displayed result is compared, or None."""
+        """Field or other result that the displayed result is compared with, or None."""
         value: Any = self._form.result.reference.value
         return value
 

@@ -40,7 +40,7 @@ class FormBinding:
     Attributes
     ----------
     fields : dict of str to ValueWidget
-        Widget of each attribute of `ImageChoice`.
+        Widget for each attribute of `ImageChoice`.
     automatic : bool
         True while the program, rather than the user, changes values.
     """
@@ -152,7 +152,7 @@ class FormBinding:
                     form.motion.edge.value = usual.hold_edge
 
     def choose_first(self) -> None:
-        """Choose the image in front, or an edited image, and the layers painted on that image."""
+        """Choose the image to deform, preferably an edited image, and the layers painted on it."""
         self.refresh()
         viewer, offered = self._viewer, self._form.image.offered
         edited = self._drawn_on or shared(viewer, ResultLayers).sources

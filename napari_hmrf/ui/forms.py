@@ -51,7 +51,7 @@ def add_entry(menu: QMenu, title: str, about: str, answer: Callable[[], Any]) ->
 
 
 def give_menu(button: QPushButton, fill: Callable[[], None]) -> None:
-    """Give a button a menu that is filled by a callback each time it opens."""
+    """Give a button a menu that is filled by a callback each time the menu opens."""
     made = QMenu(button)
     made.setToolTipsVisible(True)
     made.aboutToShow.connect(fill)
@@ -114,7 +114,7 @@ class _FitHeight(QObject):
 
     def fit(self) -> None:
         words, most = self._words, self._lines * self._words.fontMetrics().lineSpacing()
-        words.setMinimumHeight(0)  # else `heightForWidth` is at least the current height
+        words.setMinimumHeight(0)  # otherwise `heightForWidth` is at least the current height
         words.setFixedHeight(min(max(0, words.heightForWidth(words.width())), most))  # -1: no text
 
     def eventFilter(self, watched: Any, event: Any) -> bool:

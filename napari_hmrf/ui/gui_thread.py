@@ -47,7 +47,7 @@ class GuiThread(QObject):
 
 
 class Repainted(QObject):
-    """Callback that runs after the next painting of the window and the pending mouse events.
+    """Callback that runs once the window is repainted and pending mouse events are processed.
 
     Qt posts its paint request with low priority, so an event with an even lower priority is
     processed after the request. Pending mouse events are processed next, then zero-delay timers.

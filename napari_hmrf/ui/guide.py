@@ -23,8 +23,8 @@ Why = Literal["news", "step", "refused"]
 class Guide:
     """Status text of the dock, selected from the messages of all its parts.
 
-    Progress is shown while a job runs, and a hint about the next step if there is no message. The
-    message of a step, an undo or a refusal remains until a new action begins.
+    Progress is shown while a job runs, and a hint about the next step if there is no message. A
+    message about a step, an undo or a refusal remains until a new action begins.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Guide:
 
     @property
     def shown(self) -> str:
-        """Status text."""
+        """Displayed status text."""
         doing = "" if self._why == "refused" else self._doing
         return doing or self._message or self.invitation
 
@@ -138,7 +138,7 @@ class Guide:
             self.invite()
 
     def _on_study(self, sentence: str) -> None:
-        """Show a message about the study, after a step message; "" shows the hint instead."""
+        """Show a message about the study, appended to a step message; "" shows the hint instead."""
         if not sentence:
             self.invite()
         elif self._why != "refused":

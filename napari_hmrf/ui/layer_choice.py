@@ -84,7 +84,7 @@ class LandmarkChoice(Container):
     Attributes
     ----------
     sources, targets : LayerChoice
-        Menus for two Points layers of equal length, or for a Shapes layer of lines and None.
+        Menus for two Points layers of equal length, or for a Shapes layer of lines (without targets).
     take_button : PushButton
         Button that adds the landmarks to the drawing.
     """

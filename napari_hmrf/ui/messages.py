@@ -63,8 +63,8 @@ PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its fa
 #: Prefixes of progress messages that are shown to the user unchanged: waiting and compiling.
 _WAITS = ("waiting for", "compiling", "starting to compile")
 _WARNINGS: dict[Mark, str] = {
-    "folds": "the tissue folds: it passes through itself, which real tissue cannot do. Move it "
-    "less; far from held tissue, a wider patch or boundary also helps.",
+    "folds": "the tissue folds over itself, which real tissue cannot do. Move the tissue less; far "
+    "from held tissue, a wider patch or boundary also helps.",
     "overlaps": "one part of the tissue has moved onto another part and hides it. The model does "
     "not include contact across a gap.",
 }

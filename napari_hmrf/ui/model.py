@@ -76,7 +76,7 @@ class ModelForm(Container):
     model : ComboBox
         A `ModelName`. Choosing "paper" also sets the solver settings to the settings of the paper.
     plane : RadioButtons
-        Plane of the elastic model: "stress" or "strain".
+        Plane assumption of the elastic model: "stress" or "strain".
     poisson : FloatSpinBox
         Poisson's ratio of the elastic model if the tissue is a stiffness image; for labels, the
         ratios are in the tissue table.

@@ -21,7 +21,7 @@ from napari_hmrf.ui.gui_thread import GuiThread, Repainted
 
 _log = logging.getLogger("napari_hmrf")
 # Description of the work in the messages of jobs that wait for the compute thread.
-_DOING = "a deformation in 'Soft tissue' (its Cancel button stops it)"
+_DOING = "a deformation in 'Soft tissue' (press Cancel there to stop it)"
 
 
 class PacedEngine:
@@ -109,7 +109,7 @@ class PacedEngine:
         self._gui.submit(partial(self._on_answer, state))
 
     def _completed(self) -> CompleteResult | ShownDeformation | None:
-        """Create the layers of the latest answer, unless there is none or a study is pending."""
+        """Create the layers of the latest answer if an answer exists and no study is pending."""
         latest = self._engine.latest
         if latest is None or latest.solution is None:
             return None

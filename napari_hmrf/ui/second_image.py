@@ -82,7 +82,7 @@ class SecondImage:
         for layer, look in self._before.items():
             _set(layer, look)
         second = next(iter(self._before), None)
-        if second in layers:  # on top, it would cover the image
+        if second in layers:  # on top, the second image would cover the image
             layers.move(layers.index(second), self._place)
         self._before = {}
         for layer in compared:

@@ -250,7 +250,7 @@ class SoftTissue(DockValues):
         Raises
         ------
         HmrfError
-            If no image is chosen, or the image has no pixels in the visible slice.
+            If no image is chosen, or if the image has no pixels in the visible slice.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
@@ -263,7 +263,7 @@ class SoftTissue(DockValues):
         self.show_message(messages.PAINT.format(" and ".join(painted)))
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
-        """Define the stiffness of tissue by the intensity of the image, and return the curve.
+        """Define the stiffness of tissue from the intensity of the image, and return the curve.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ class SoftTissue(DockValues):
         Raises
         ------
         HmrfError
-            If no image is chosen, or no curve can be made for the image.
+            If no image is chosen, or if no curve can be created for the image.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)

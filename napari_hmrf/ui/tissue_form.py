@@ -115,7 +115,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.choice.reset_choices()
 
     def go_by(self, curve: StiffnessCurve) -> None:
-        """Define the tissue by brightness, through a curve."""
+        """Define the tissue by brightness, using a curve."""
         self.offer(curve)
         self.choice.value = BRIGHTNESS
         self.edited.emit()
@@ -135,7 +135,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
     confidence : LayerChoice
         Confidence of the Vectors layer.
     landmarks : LandmarkChoice
-        Two Points layers, or lines; usable with or without a boundary layer.
+        Menus for landmark layers; usable with or without a boundary layer.
     """
 
     def __init__(self, layers: Layers, view: Shown) -> None:

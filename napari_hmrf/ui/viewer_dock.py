@@ -110,7 +110,7 @@ class _Lifetime:
 
 
 def sees_all(viewer: Any) -> bool:
-    """Return whether the 2D view of a viewer is close to the view of napari's home button."""
+    """Return whether the 2D view of a viewer is close to napari's home view."""
     if not viewer.layers or viewer.dims.ndisplay != 2:
         return False
     camera = camera_of(viewer)

@@ -1,4 +1,4 @@
-"""Warning chip: reports problems of the visible tissue and offers a remedy."""
+"""Warning chip: reports problems with the visible tissue and offers a remedy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from napari_hmrf.ui.result.result_messages import NOTHING
 
 
 class WarningChip:
-    """Chip that reports problems of a result, marks them, and offers a better model.
+    """Chip that reports problems with a result, marks them, and offers a better model.
 
     Parameters
     ----------

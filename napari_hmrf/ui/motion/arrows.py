@@ -66,7 +66,7 @@ class ArrowsLayer:
 
     @property
     def layer(self) -> Any:
-        """Layer, or None if it is not in the viewer."""
+        """The *Motion* layer, or None if the layer is not in the viewer."""
         return still_there(self._viewer, self._layer)
 
     @property
@@ -140,7 +140,7 @@ class ArrowsLayer:
         if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
             return
         layer.data = placed
-        # Setting colours takes as long as drawing lines, so the moves of a drag set them only once.
+        # Setting colours is as slow as drawing lines, so only the first move of a drag sets them.
         if len(lines) and not same:
             # napari does not update the number of lines of a hidden layer.
             with nullcontext() if layer.visible else layer.events.edge_color.blocker():
@@ -233,9 +233,9 @@ class ArrowsLayer:
 
     def _suspend_status(self) -> None:
         """Suspend the updates of the status bar until the drag ends."""
-        # At every move of the cursor, a thread of napari reads the values under the cursor and
-        # blocks the GUI thread. To show the values, the layout of the whole window is recomputed.
-        # napari can disable this only for all viewers, and permanently.
+        # At every cursor move, a napari thread reads the values under the cursor and blocks the
+        # GUI thread. To show the values, napari recomputes the layout of the whole window. These
+        # updates can be disabled only permanently and for all viewers.
         cursor = self._viewer.cursor
         self._drag.callback(lambda: cursor.events.position(value=cursor.position))
         self._drag.enter_context(cursor.events.position.blocker())

@@ -27,7 +27,7 @@ class BrushTool(Tool):
     action : Action
         Effect of the strokes.
     step : str
-        Name of the undo step of a stroke.
+        Name of the undo step for a stroke.
     """
 
     action: ClassVar[Action]

@@ -82,7 +82,7 @@ class Display:
         return self._results.at(self._image, moved.study.grid.known_place.slice_name)
 
     def select_slice(self, study: Study | None, image: Any, drawn: bool) -> None:
-        """Switch to another slice in its undeformed state; a study of None clears the slice."""
+        """Switch to another slice in its undeformed state, or to no slice if `study` is None."""
         self._stroke_timer.stop()
         before, moved = self.result, self.moved
         self._image = image
@@ -121,7 +121,7 @@ class Display:
                 made = picture_layer(study.grid.known_place, study.pictures, picture, run)
                 self._show_result({"image": made}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
-                # Hide the layers instead of removing them: napari 0.7 can crash without lines.
+                # Hide, rather than remove, the layers: napari 0.7 can crash if no lines are left.
                 self._show_result({}, moving=False)
             else:
                 self._show_painting()

@@ -24,7 +24,7 @@ from napari_hmrf.ui.tissue_form import BoundarySection
 #: Number of tool buttons in a row.
 _ACROSS = 4
 _ICON = QSize(20, 20)
-#: Style of the buttons on light and dark themes; napari's own style shows no pressed state.
+#: Style of the buttons on light and dark themes; napari's own style does not show a pressed state.
 _LOOK = """
 QToolButton { background: rgba(128, 128, 128, 60); border-radius: 2px; padding: 3px 0px; }
 QToolButton:hover { background: rgba(128, 128, 128, 110); }

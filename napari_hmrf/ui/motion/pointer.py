@@ -33,7 +33,7 @@ _LARGER = 1.25
 
 
 class Pointer:
-    """Dispatcher of mouse and key actions on the layer *Motion* to the current tool.
+    """Dispatcher that passes mouse and key actions on the layer *Motion* to the current tool.
 
     The pointer edits the drawing of each slice of each image, and works with any tool.
 
@@ -116,7 +116,7 @@ class Pointer:
         Parameters
         ----------
         study : Study or None
-            None if there is nothing to draw on.
+            Study of the slice; None if there is nothing to draw on.
         image : napari.layers.Image, optional
             Image to draw on.
         """

@@ -13,7 +13,7 @@ from napari_hmrf.tissue.drawing.marks import COMPONENTS, Point, between
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.tool import Origin, Tool, ToolSettings, identity, name_of
 
-#: Displacements below this value are set to 0 as rounding errors, in the unit of the spacing.
+#: Displacements below this value, in the unit of the spacing, are rounding errors and set to 0.
 _NOTHING = 1e-9
 
 
@@ -116,7 +116,7 @@ class LandmarkTool(PullTool):
     fields = ("radius", "confidence")
     hint = "Drag from a point of the tissue to its target, or click a point that must stay."
 
-    #: Selected mark just after the button press.
+    #: Mark that was selected just after the button press.
     _pressed: Arrow | Landmark | None = None
 
     @classmethod

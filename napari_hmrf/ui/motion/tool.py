@@ -21,7 +21,7 @@ def identity(point: Point) -> Point | None:
 
 
 class ToolSettings(TypedDict, total=False):
-    """Settings of a mark, by attribute; a tool sets the attributes for which it has fields."""
+    """Settings of a mark, by attribute; a tool sets the attributes that it has fields for."""
 
     radius: float
     by: Point
@@ -54,7 +54,7 @@ class Tool(ABC):
     Attributes
     ----------
     name : str
-        Name in Python, and name of the icon file of the button.
+        Name used in Python and for the icon file of the button.
     title : str
         Title of the button, also shown on the canvas.
     key : str
@@ -216,7 +216,7 @@ class Tool(ABC):
             return
         if changed != mark:
             drawing = self._model.drawing.replaced(number, changed)
-            self._numbered = drawing  # before callbacks read the selection
+            self._numbered = drawing  # set before callbacks read the selection
             self._model.draw(drawing, f"changed {name_of(changed)}")
 
     @abstractmethod

@@ -165,7 +165,7 @@ class ToolFields(Container):
         self.amount.value = self.amount.value or step
 
     def show_place(self, unit: str, ways: Directions) -> None:
-        """Show the unit of lengths and the directions of the rows and columns.
+        """Show the unit of length and the directions of the rows and columns.
 
         The displacement stays the same; only the labels and signs of its fields change.
         """

@@ -35,7 +35,8 @@ _STEP = 2
 class MovingLayers:
     """Layers of a result, which can be shown at any percentage of the deformation.
 
-    The user may change the arrow length in napari's layer controls; it scales with the percentage.
+    The arrow length scales with the percentage. The user can change the arrow length in napari's
+    layer controls.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class ResultForm(Container):
     layers : callable
         Returns the layers of the viewer.
     image : LayerChoice
-        Menu of the image to deform.
+        Menu for the image to deform.
     """
 
     def __init__(self, layers: Callable[[], list[Any]], image: LayerChoice) -> None:
