@@ -84,7 +84,7 @@ class LandmarkChoice(Container):
     Attributes
     ----------
     sources, targets : LayerChoice
-        Menus for two Points layers of equal length, or for a Shapes layer of lines (without targets).
+        Menus for two Points layers of equal length, or for one Shapes layer of lines.
     take_button : PushButton
         Button that adds the landmarks to the drawing.
     """
