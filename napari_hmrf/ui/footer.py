@@ -26,7 +26,7 @@ _HELP = (
 #: pixels.
 LARGEST = 1200 * 1200
 _LIVE = (
-    "Update the result after every edit of tissue, boundary or tables. Tools always update it.\n"
+    "Update the result after every edit to tissue, boundary or tables. Tools always update it.\n"
     "Off by default above 1200 x 1200 pixels: without a graphics card, each edit takes seconds."
 )
 

@@ -78,7 +78,7 @@ class MaterialTable(LabelTable[Material]):
             ),
             Column(
                 "Poisson's\nratio",
-                f"{ABOUT_POISSON}\nThe paper's model does not use it.",
+                f"{ABOUT_POISSON}\nThe paper's model does not use this ratio.",
                 lambda row: f"{row.poisson:g}" if row.is_deformable else "",
                 _poisson,
             ),
@@ -218,7 +218,7 @@ def _distance(
 
     def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
         if not math.isfinite(far := number_of(text)):
-            raise ValueError(f"The value must be a number, in {unit}")
+            raise ValueError(f"The value must be a number in {unit}")
         return changed(rule, far)
 
     words = title.replace("along ", "along\n")  # saves width in the narrow dock

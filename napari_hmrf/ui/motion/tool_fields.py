@@ -68,7 +68,7 @@ class ToolFields(Container):
         self.components = ComboBox(
             choices=_components(self._ways),
             label="direction",
-            tooltip="Directions in which motion is set; in the other direction, tissue is free",
+            tooltip="Directions in which the motion is set; tissue is free in the other directions",
         )
         self.preset = menu(
             "tissues of",
