@@ -286,7 +286,7 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     how = widget.status
     viewer.dims.ndisplay = 3
     at_rest()
-    assert "2D view only" in widget.status
+    assert "only in the 2D view" in widget.status
     viewer.dims.ndisplay = 2
     settle(widget)
     assert (widget.status, len(widget.drawing.marks)) == (how, 1)
@@ -298,7 +298,7 @@ def test_the_tool_is_restored_after_three_dimensional_display_without_a_drawing(
     person, widget = pulling_beside
     person.viewer.dims.ndisplay = 3
     at_rest()
-    assert "2D view only" in widget.status
+    assert "only in the 2D view" in widget.status
     person.viewer.dims.ndisplay = 2
     qtbot.waitUntil(lambda: widget.active, timeout=LONG_MS)
 
@@ -601,7 +601,7 @@ def test_a_message_about_three_dimensions_is_cleared_in_two_dimensions(
     settle(widget)
     person.viewer.dims.ndisplay = 3
     assert not widget.start()
-    assert "2D view only" in widget.status
+    assert "only in the 2D view" in widget.status
     person.viewer.dims.ndisplay = 2
     at_rest()
     assert widget.status == widget.invitation
