@@ -66,7 +66,7 @@ class PacedEngine:
         self._jobs.submit("layers", self._completed, self._on_completed)
 
     def cancel(self) -> None:
-        """Drop all pending work; its results are not shown."""
+        """Drop all pending work without showing its results."""
         self._engine.cancel()
         self._jobs.cancel("layers")
 

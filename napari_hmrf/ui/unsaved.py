@@ -90,7 +90,7 @@ class Dock(Protocol):
 
 
 class Unsaved(QObject):
-    """Saving and opening of a dock's studies, and protection of unsaved work.
+    """Manager that saves and opens the studies of a dock, and protects unsaved work.
 
     If a script closes the viewer, no prompt is shown.
 

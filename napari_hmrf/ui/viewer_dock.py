@@ -91,7 +91,7 @@ class _Lifetime:
         self.end(closed=False)
 
     def _on_parent(self, *_: Any) -> None:
-        """Detect docking and closing: napari removes the widget from a dock to close it."""
+        """Detect docking and closing: napari closes a dock by removing the widget from it."""
         owner, docked = self._owner(), self._docked
         self._docked = (
             not self.has_ended and owner is not None and owner.native.parent() is not None

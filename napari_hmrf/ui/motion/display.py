@@ -223,7 +223,7 @@ class Display:
         self.arrows.show(drawing, selected, below, quick=is_dragging)
 
     def leave(self) -> None:
-        """Remove the arrow layer, because it no longer responds to the mouse."""
+        """Remove the arrow layer, which no longer responds to the mouse."""
         with self.program_changes():
             self.arrows.remove()
 

@@ -326,7 +326,7 @@ class Pointer:
             self._fields.show_settings(settings)
 
     def _show_cursor(self) -> None:
-        """Show the radius of the tool on the canvas."""
+        """Show the radius of the tool as a circle on the canvas."""
         self.display.arrows.show_cursor(self.tool.cursor(self._fields.settings))
 
     def _show_stroke(self, at_once: bool) -> None:
