@@ -1,6 +1,6 @@
 // Step of an iteration along a search direction.
 //
-//     length = above / below, or `above` alone if SIGNED
+//     length = above / below, or `above` if SIGNED
 //     further = found + length direction,    left = rest - length image,    share = left . left
 //
 // Inputs:  found, direction  pixels; pairs

@@ -5,19 +5,19 @@
 // with r_s = m_t/m_s, r_u = m_t/m_u and the weight w of the line for the (row, col) component.
 // V is a quadratic function of the displacement of each site. For each site, the curvatures A and
 // the slopes b of its cliques are added. A is half the second derivative of V, and b is minus half
-// the derivative, at the present displacement. The minimum of the sum is at d + b / A.
+// the first derivative, at the current displacement. The minimum of the sum is at d + b / A.
 //
-// Differences of displacement are computed first, because in a large image an assembled stencil
-// would lose whole pixels to cancellation.
+// Differences between displacements are computed first, because in a large image an assembled
+// stencil would lose whole pixels to cancellation.
 //
 // Inputs:  displacement  d, pixels; pairs (read by the kernel's function `read_row`)
 //          straight, diagonal  stiffness ratios, no unit (ratios.glsl)
 //          weights       w, no unit
-// Border rule: a clique that extends beyond the image, or contains void, has two ratios of 0
+// Border rule: a clique that extends beyond the image or contains void has two ratios of 0
 // (ratios.glsl) and never contributes.
 
 // Weight of each line for the (row, col) component: `napari_hmrf.solver.priors.line_weights`. The
-// weights of square pixels are constants, so the compiler removes terms with weight zero.
+// weights of square pixels are constants, so that the compiler removes terms with weight zero.
 #if SQUARE
 const vec2 weights[4] = vec2[4](vec2(1.0, 0.0), vec2(0.0, 1.0), vec2(1.0), vec2(1.0));
 #else

@@ -5,17 +5,17 @@
 // level, and all values are float32. A component of the displacement is fixed if it is prescribed
 // or has no neighbours, and free otherwise.
 //
-// Fields of two components (displacement and stiffness) store two sites in each texel, because the
-// cost of a read does not depend on the size of the texel. Texel (j, i) is the pair of the sites
-// (2j, i) in .xy and (2j + 1, i) in .zw. Other fields have one texel for each site. A level with an
-// odd number of columns is padded with one column of void.
+// Fields with two components (displacement and stiffness) store two sites in each texel, because
+// the cost of a read does not depend on the size of the texel. Texel (j, i) is the pair of the
+// sites (2j, i) in .xy and (2j + 1, i) in .zw. Other fields have one texel for each site. A level
+// with an odd number of columns is padded with one column of void.
 //
 // Border rule: each kernel has its own rule. A kernel clamps the coordinates of all reads with
 // `clamped`, because a read outside a texture is undefined, and uses `in_image` to treat sites
 // outside the image as void.
 
 // Lines of cliques, as the step from t to u (figure 2); s is on the opposite side. The order and
-// the directions are those of `napari_hmrf.solver.priors.LINES`.
+// directions are those of `napari_hmrf.solver.priors.cliques.line_steps`.
 const ivec2 VERTICAL = ivec2(0, 1);
 const ivec2 HORIZONTAL = ivec2(1, 0);
 const ivec2 DIAGONAL = ivec2(1, 1);

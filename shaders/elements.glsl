@@ -25,7 +25,7 @@ vec4 lame_at(ivec2 pair)
     return min(pair.x, pair.y) < 0 ? vec4(0.0) : both;
 }
 
-/// Add the forces of an element on its corners, given the displacements of the corners. The first
+/// Add the forces of an element at its corners, given the displacements of the corners. The first
 /// digit of a name is the row of the corner, and the second digit is the column.
 void add_element(
     vec2 lame, vec2 d00, vec2 d01, vec2 d10, vec2 d11,

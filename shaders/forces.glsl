@@ -1,4 +1,4 @@
-// Force of the elements around a pair of sites: the stiffness matrix times displacement.
+// Force of the elements around a pair of sites: the stiffness matrix times the displacement.
 //
 //     force = (A d) at both sites of the pair
 //
@@ -10,7 +10,7 @@
 // Border rule: elements outside the image are void (elements.glsl), so the values of clamped reads
 // do not matter.
 
-// Displacement of four sites of a row, with the pair in the middle: the present row, and the row
+// Displacement of four sites of a row, with the pair in the middle: the current row, and the row
 // below.
 vec2 here[4];
 vec2 below[4];

@@ -1,4 +1,4 @@
-// Force of the elements around a site: the stiffness matrix times displacement.
+// Force of the elements around a site: the stiffness matrix times the displacement.
 //
 //     force = (A d) at the site
 //
@@ -7,7 +7,7 @@
 // are sums and differences of the corners: m100 varies along the plane axis, m010 along the row
 // axis, m001 along the column axis, and so on. Forces are computed from differences, because in a
 // large volume an assembled stencil would lose whole voxels to cancellation. Only modes of the same
-// strain are coupled, and lambda contributes only through the mean change of volume.
+// strain are coupled, and lambda contributes only through the mean change in volume.
 //
 // An invocation computes several sites that are adjacent along the plane axis. The forces of the
 // elements between two planes are computed once and used for both sites.
@@ -28,7 +28,7 @@ uniform REAL shape[3];
 uniform REAL share;
 
 // Displacement of 3 x 3 sites of a plane around the invocation's site, component by component: the
-// present plane, and the next plane.
+// current plane, and the next plane.
 REAL here[27];
 REAL below[27];
 // Force at the site, and the known part of the force at the next site.
@@ -99,7 +99,8 @@ REAL of_three(REAL own, REAL one, REAL other)
 }
 
 /// Add the forces of an element on the invocation's sites. These sites are in the first row of the
-/// element if `behind_row` is 0, else in its last row. `behind_col` selects the column likewise.
+/// element if `behind_row` is 0, otherwise in its last row. `behind_col` selects the column in the
+/// same way.
 void add_element(int at, int behind_row, int behind_col)
 {
     REAL mu = REAL(lame[0].at[at]);

@@ -5,7 +5,7 @@
 //
 // for a move e, with the damping g. A and b are the curvature and the slope of the site's cliques
 // (cliques.glsl): the cliques with the site in the middle, or with BLANKET all cliques that contain
-// the site. If STEPS > 0, the move is the best of {0} and {-e, 0, e}^2 for all steps e, and the
+// the site. If STEPS > 0, the move is the best of {0} and {-e, 0, e}^2 for all steps e; the
 // first of several equally good moves is used. If STEPS is 0, the site moves to the exact minimum,
 // d = y + soft(q - y, g p / 2A), with q = d + g b/A and the soft threshold `soft`.
 //

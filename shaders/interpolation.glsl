@@ -4,7 +4,8 @@
 //     fine(2 i) = coarse(i),    fine(2 i + 1) = (coarse(i) + coarse(i + 1)) / 2    along each axis
 //
 // Inputs:  coarse  correction of the coarser level, pixels; pairs
-// Border rule: reads are clamped, without effect because all free sites are between coarse sites.
+// Border rule: reads are clamped, which has no effect because all free sites are between coarse
+// sites.
 
 /// Read the interpolated correction at the sites of a pair and at their neighbours in the row.
 void read_coarse(ivec2 pair, out vec2 row[4])

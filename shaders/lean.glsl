@@ -1,4 +1,4 @@
-// Next search direction of stabilised biconjugate gradients.
+// Next search direction of stabilized biconjugate gradients.
 //
 //     leaned = rest + share (direction - stride image)
 //

@@ -2,7 +2,7 @@
 //
 //     fine(site) = sum of w coarse(k) / sum of w
 //
-// over the four nearest coarse sites k, without sites in void. The weight w is the product of 3/4
+// over the four nearest coarse sites k, excluding sites in void. The weight w is the product of 3/4
 // or 1/4 for the row and 3/4 or 1/4 for the column.
 //
 // Inputs:  coarse            d, pixels; pairs

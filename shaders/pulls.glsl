@@ -4,8 +4,8 @@
 //     A d = - b, half the gradient of the energy   with BLANKET, for all cliques with the site
 //
 // with the curvature a and the slope b of the cliques (cliques.glsl). Without BLANKET, A d is the
-// distance of a site from the minimum q of its local energy. A d is then a length, and the diagonal
-// of A is 1.
+// distance of a site from the minimum q of its local energy. In that case, A d is a length, and the
+// diagonal of A is 1.
 //
 // Inputs:  displacement, straight, diagonal, weights  see cliques.glsl
 // Border rule: cliques that extend beyond the image do not exist, and the force at a site without

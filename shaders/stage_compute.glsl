@@ -1,7 +1,7 @@
 // Compute shader of a kernel, in work groups of GROUP_COLS x GROUP_ROWS texels.
 //
 // A kernel for tissue runs on the listed groups, which contain tissue. If CARRIES, an invocation
-// computes ROWS vertically adjacent texels. Other kernels run on a window.
+// computes ROWS vertically adjacent texels. Other kernels run in a window.
 //
 // Inputs:  groups      list of groups: (col, row) of each group, in units of groups
 //          first       first row of the list for this dispatch

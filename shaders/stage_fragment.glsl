@@ -1,4 +1,4 @@
-// Fragment shader of a kernel: the rasteriser runs it once for each texel of the viewport.
+// Fragment shader of a kernel: the rasterizer runs the kernel once for each texel of the viewport.
 //
 // Inputs:  origin  position of texel (0, 0) in the output textures, (col, row)
 // Border rule: texels outside the viewport are not computed.

@@ -6,7 +6,7 @@
 //
 // Inputs:  places        indices of the listed groups; the column axis is the fastest
 //          listed        1 for listed groups, 0 for all groups
-//          first, past   range of entries of the list, or of group indices; `past` is excluded
+//          first, past   range of entries of the list, or of group indices; `past` is exclusive
 // Outputs: shares        if SHARES, (total, most) of each group that runs, in the same order
 // Border rule: sites outside the grid are not computed.
 

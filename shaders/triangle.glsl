@@ -2,7 +2,7 @@
 // 0.5. A mask is a depth texture with 1 in tissue and 0 in void. With a mask, a kernel runs only
 // where the mask is deeper than the triangle.
 //
-// Border rule: the rasteriser clips the triangle, which is larger than the viewport.
+// Border rule: the rasterizer clips the triangle, which is larger than the viewport.
 
 void main()
 {

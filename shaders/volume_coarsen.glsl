@@ -2,10 +2,10 @@
 //
 //     coarse = (sum of fine over the eight elements) / 4
 //
-// This is twice the mean, because the energy of an element is proportional to its side.
+// This is twice the mean, because the energy of an element is proportional to its side length.
 //
 // Inputs:  fine                     mu or lambda of the finer level's elements
-//          fine_height, fine_width  number of rows and columns of that level
+//          fine_height, fine_width  number of rows and columns of the finer level
 // Outputs: coarse                   unit of `fine`; the kernel runs on the coarser level
 // Border rule: elements outside the grid are void.
 

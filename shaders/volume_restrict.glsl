@@ -6,7 +6,7 @@
 // site 2 i, and the neighbouring fine sites have weight 1/2 along each axis.
 //
 // Inputs:  fine                     vector of the finer level, any unit
-//          fine_height, fine_width  number of rows and columns of that level
+//          fine_height, fine_width  number of rows and columns of the finer level
 // Outputs: coarse                   unit of `fine`; the kernel runs on the coarser level
 // Border rule: the border around the finer grid is 0.
 

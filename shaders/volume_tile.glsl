@@ -1,8 +1,8 @@
 // Displacement of a level that fits into the shared memory of one work group, in voxels.
 //
 // In kernels that include this file before hexahedra.glsl, elements read `tile` instead of
-// `displacement`. The tile has three consecutive components of TILE values each, which are indexed
-// by site.
+// `displacement`. The tile contains three consecutive components of TILE values each, which are
+// indexed by site.
 //
 // Border rule: the border around the grid is void, and 0 in the tile.
 

@@ -1,4 +1,4 @@
-// Scalar product, and largest absolute value.
+// Scalar product of two vectors, and largest absolute value in the first vector.
 //
 //     total = one . other,    most = max |one|
 //

@@ -4,11 +4,11 @@ This is the only subpackage that imports Qt.
 
 An edit passes through six steps:
 
-1. *Edit.* A form writes its values to the `StudyModel` through the `form_binding`. A tool writes
-   its drawing to the same model; `motion.pointer` passes mouse and key events to the current tool.
+1. *Edit.* A form writes its values to the `StudyModel` through `form_binding`. A tool writes its
+   drawing to the same model; `motion.pointer` passes mouse and key events to the current tool.
    The model records one undo step and emits `changed`.
-2. *Read.* Once napari is idle, the `controller` reads the chosen layers as a `Study` through the
-   `study_reader` (`refresh`). After an edit of the drawing, only the drawing is replaced.
+2. *Read.* Once napari is idle, `Controller.refresh` reads the chosen layers as a `Study` through
+   `study_reader`. After an edit to the drawing, only the drawing is replaced.
 3. *Submit.* The controller submits the study to the `paced_engine`, which solves the newest
    submitted study as soon as the last picture has been painted.
 4. *Answer.* The compute thread solves the study and deforms its image (`study.engine`). If the
@@ -20,5 +20,5 @@ An edit passes through six steps:
    its pictures.
 
 `soft_tissue` combines these parts and is the interface for scripts. `viewer_watch` responds to
-events of napari, and `guide` writes the status text.
+napari events, and `guide` writes the status text.
 """

@@ -1,4 +1,4 @@
-"""Jobs of the window on the compute thread, with results delivered on the GUI thread."""
+"""Jobs on the compute thread, with results delivered on the GUI thread."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _DOING = "a picture that is being drawn"
 
 
 class _Pending(NamedTuple):
-    """Queue for one kind of job, and the turn of the last job of that kind."""
+    """Queue for one kind of job, and the turn of the latest job."""
 
     queue: LatestQueue
     turn: Turn
 
 
 class BackgroundJobs:
-    """Jobs on the compute thread; the newest job of each kind replaces a pending job.
+    """Runner for jobs on the compute thread; a new job replaces a pending job of the same kind.
 
     Jobs must reference only copies of data, and no Qt objects, because the caller may be deleted
     before a job ends. All methods must be called on the GUI thread.
@@ -34,7 +34,7 @@ class BackgroundJobs:
     Parameters
     ----------
     refuse : callable
-        Called with the message of the error that a job raised.
+        Called with the error message if a job raises an error.
     """
 
     def __init__(self, refuse: Callable[[str], object]) -> None:
@@ -46,7 +46,7 @@ class BackgroundJobs:
         """Submit a job; `show` is called with the result unless a newer job replaces this job.
 
         The result of a running job is shown even if a newer job is pending, so that the picture
-        moves during a drag.
+        is updated during a drag.
         """
         pending = self._pending.get(kind)
         queue = LatestQueue(_DOING) if pending is None else pending.queue
@@ -66,11 +66,11 @@ class BackgroundJobs:
         self._pending[kind] = _Pending(queue, queue.submit(job))
 
     def busy(self, kind: str | None = None) -> bool:
-        """Return whether a job of a kind, or any job, is unfinished."""
+        """Return whether any job, or any job of the given kind, is unfinished."""
         return bool(self._pending) if kind is None else kind in self._pending
 
     def cancel(self, kind: str | None = None) -> None:
-        """Drop the jobs of a kind, or all jobs; a running job stops at its next checkpoint."""
+        """Drop all jobs, or all jobs of a kind; a running job stops at its next checkpoint."""
         for each in [*self._pending] if kind is None else [kind]:
             if each in self._pending:
                 self._pending.pop(each).queue.close()

@@ -36,14 +36,14 @@ from napari_hmrf.ui.study_reader import StudyReader
 from napari_hmrf.ui.warning_chip import WarningChip
 
 _log = logging.getLogger("napari_hmrf")
-#: Pause in the edits after which all layers of a result are drawn, in milliseconds.
+#: Time without edits after which all layers of the result are drawn, in milliseconds.
 _REST = 200
 
 
 class Controller:
     """Controller of the dock: solves the study after each edit and shows the results.
 
-    After an edit of a form or a layer, `refresh` reads the whole study again; after an edit of the
+    After an edit to a form or a layer, `refresh` reads the whole study again; after an edit to the
     drawing, only the drawing is replaced. The study is then submitted to the engine. Each answer is
     shown immediately. After a pause in the edits, all layers of the complete result are drawn.
 
@@ -64,9 +64,9 @@ class Controller:
     settling : bool
         True while a cold-start solve is in progress.
     curve_layer : CurveLayer
-        Layer that shows the stiffness of the tissue, if a curve defines the stiffness.
+        Layer that shows the stiffness of the tissue if a curve defines it.
     chip : WarningChip
-        Warning about problems of the latest result.
+        Warning about problems with the latest result.
     engine : PacedEngine
     progress : SolveProgress
     """
@@ -75,9 +75,9 @@ class Controller:
     deformation_changed = Signal(object)
     #: Emitted with `Outputs` after all layers of the complete result have been drawn.
     result_drawn = Signal(object)
-    #: Emitted after a cold-start solve, with `Outputs`, or None if it was cancelled or failed.
+    #: Emitted after a cold-start solve with `Outputs`, or with None if it was cancelled or failed.
     finished = Signal(object)
-    #: Emitted with a status message; "" clears the earlier message.
+    #: Emitted with a status message; "" clears the previous message.
     message = Signal(str)
     #: Emitted with the reason why a request cannot be carried out.
     refusal = Signal(str)
@@ -97,7 +97,7 @@ class Controller:
         self._model = model
         self._is_released = False
         self.reader = StudyReader(viewer, form, binding, model)
-        # Study that was read last, without later changes of its drawing.
+        # Study that was read last, without later changes to its drawing.
         self._read: Study | None = None
         self.source: Layer | None = None
         self._results: weakref.WeakKeyDictionary[Layer, CompleteResult]
@@ -105,7 +105,7 @@ class Controller:
         self.settling = False
         self.engine = PacedEngine(self._on_answer, self._on_complete)
         self._submitted: Study | None = None
-        # Reason why the tissue is not updated, report of the last result, and last emitted message.
+        # Reason why the tissue is not updated, report on the last result, and last emitted message.
         self._failure = self._report = self._last_message = ""
         self._refresh_timer = single_shot(native, 0, self.refresh)
         self._complete_timer = single_shot(native, _REST, self.complete)
@@ -199,7 +199,7 @@ class Controller:
         self.progress.start("Deforming", at_once=True)
 
     def cancel(self) -> None:
-        """Cancel all work; the dock is idle immediately, even if the thread is still running."""
+        """Cancel all work; the dock is idle immediately, even if a solve is still stopping."""
         settling, going_on = self.settling, self.engine.busy
         self.engine.cancel()
         self._submitted = None
@@ -239,7 +239,7 @@ class Controller:
         self._refresh_timer.stop()
         self._complete_timer.stop()
         self.engine.cancel()
-        self.reader.invalidate()  # later changes of layers are not tracked
+        self.reader.invalidate()  # later changes to layers are not tracked
         self.progress.release()
         self.curve_layer.show(None)
         self._read = self.source = self._submitted = None
@@ -257,7 +257,7 @@ class Controller:
     def _read_chosen(self, unpainted: bool = True) -> Study:
         """Read the current choices as the current study.
 
-        If `unpainted` is True, as while the user draws, a boundary layer without paint is accepted.
+        If `unpainted` is True, a boundary layer without paint is accepted.
         """
         request = self.reader.request()
         assert request.drawing is not None
@@ -290,7 +290,7 @@ class Controller:
         self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
 
     def _on_drawn(self) -> None:
-        """Solve for a changed drawing, without reading the layers again."""
+        """Solve for the changed drawing without reading the layers again."""
         study = self.study
         if study is not None:
             self._follow(study)
@@ -319,7 +319,7 @@ class Controller:
         self.pointer.show(state)
         if moved.error is not None:
             self._submitted = None
-            if not self.pointer.active:  # else the pointer has reported the error
+            if not self.pointer.active:  # otherwise the pointer has reported the error
                 self._report_failure(moved.error)
             self._end_settling()
             return
@@ -351,7 +351,7 @@ class Controller:
             self.finished.emit(done.outputs)
 
     def _end_settling(self) -> None:
-        """End a cold-start solve without a result, because a later edit has replaced it."""
+        """End a cold-start solve without a result, because a later edit has replaced its study."""
         if self.settling:
             self._stop()
             self.finished.emit(None)
@@ -359,7 +359,7 @@ class Controller:
     def _show(self, done: CompleteResult | None) -> None:
         """Show a complete result, or the undeformed image if `done` is None.
 
-        The metadata of the layers record whether the result is up to date.
+        The metadata of each layer records whether the result is up to date.
         """
         for made in () if done is None else done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
@@ -387,7 +387,7 @@ class Controller:
         return messages.CHANGED
 
     def _emit_message(self, always: bool = False) -> None:
-        """Emit the message about the study if it has changed or if `always` is True."""
+        """Emit the message about the study if it has changed, or if `always` is True."""
         before, self._last_message = self._last_message, self._state
         if always or self._last_message != before:
             self.message.emit(self._last_message)
@@ -401,7 +401,7 @@ class Controller:
         self._emit_message(always=sentence == messages.WELCOME)
 
     def _clear_result(self) -> None:
-        """Reset to the undeformed state, without a result or its report."""
+        """Reset to the undeformed state, and discard the result."""
         before, self._failure = self._results.pop(self.source, None), ""
         self._report = self._report if before is None else messages.STILL
         self.chip.refresh()

@@ -31,14 +31,14 @@ from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.tissue_form import Layers, TissueSection
 from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
-#: Smallest width of the dock, in pixels.
+#: Minimum width of the dock, in pixels.
 _WIDTH = 336
 #: Time after which an opened section has its final height, in milliseconds.
 _LAYOUT_TIME = 500
 
 
 class DockForm:
-    """All widgets of *Soft tissue*, arranged in its container.
+    """All widgets of the *Soft tissue* dock, arranged in its container.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class DockForm:
     footer : Footer
     """
 
-    #: Emitted when the user changes an input of the solve.
+    #: Emitted when the user changes an input to the solve.
     edited = Signal()
 
     def __init__(self, outer: Container, viewer: Any) -> None:
@@ -95,12 +95,12 @@ class DockForm:
         self._assemble(outer)
 
     def view(self) -> View:
-        """Return the visible slice, or the volume if that is chosen."""
+        """Return the view of the visible slice, or of the volume if the extent is "volume"."""
         return View.of(self._viewer.dims, self.extent.is_volume)
 
     @property
     def choices(self) -> tuple[LayerChoice, ...]:
-        """Menus of layers."""
+        """Layer menus."""
         boundary, result = self.motion.boundary, self.result
         marks = (boundary.landmarks.sources, boundary.landmarks.targets)
         compared = (result.reference, result.second)
@@ -109,17 +109,17 @@ class DockForm:
 
     @property
     def tables(self) -> tuple[MaterialTable, BoundaryTable]:
-        """Tables of tissues and of boundaries."""
+        """Tissue table and boundary table."""
         return self.tissue.table, self.motion.boundary.table
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
-        """Show the units of lengths and stiffness, and the directions of rows and columns."""
+        """Show the units of length and stiffness, and the directions of rows and columns."""
         self.motion.fields.show_place(unit, ways)
         for part in (self.motion.boundary.table, self.motion.weight):
             part.show_place(unit, ways, stiffness)
 
     def release(self) -> None:
-        """Stop listening to layers."""
+        """Disconnect the tables from their layers."""
         for table in self.tables:
             table.release()
 
@@ -157,7 +157,7 @@ class DockForm:
         scroll.setMinimumWidth(_WIDTH)
         scroll.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
-        self._body = body  # magicgui deletes a container with its last reference
+        self._body = body  # magicgui deletes an unreferenced container
         outer.native.layout().addWidget(self.footer)
         calm = CalmField(scroll)
         for kind in (QComboBox, QAbstractSpinBox, QAbstractSlider):

@@ -32,7 +32,7 @@ class DockValues(Dock):
     _sides: PatientSides
     _unsaved: Unsaved
 
-    # Choices of the user
+    # User choices
     @property
     def image(self) -> Any:
         """Image to deform; if None, only the motion of painted tissue is shown."""
@@ -45,7 +45,7 @@ class DockValues(Dock):
 
     @property
     def extent(self) -> str:
-        """Extent of the deformation: "slice" (without its neighbours) or "volume"."""
+        """Extent of the deformation: "slice" (the visible slice alone) or "volume"."""
         value: str = self._form.extent.value
         return value
 
@@ -55,7 +55,7 @@ class DockValues(Dock):
 
     @property
     def tissue(self) -> Any:
-        """Labels, an image of stiffness, or "brightness"; if None, the whole image is tissue."""
+        """Labels layer, stiffness image or "brightness"; if None, the whole image is tissue."""
         value: Any = self._form.tissue.choice.value
         return value
 
@@ -65,7 +65,7 @@ class DockValues(Dock):
 
     @property
     def boundary(self) -> Any:
-        """Labels of fixed and moved regions, Vectors of observed displacements, or None."""
+        """Labels layer of fixed and moved regions, Vectors layer of displacements, or None."""
         value: Any = self._form.motion.boundary.choice.value
         return value
 
@@ -75,7 +75,7 @@ class DockValues(Dock):
 
     @property
     def confidence(self) -> Any:
-        """Confidence of the Vectors: an image, Labels or "edges"; if None, 1 everywhere."""
+        """Confidence of the Vectors layer: image, Labels layer or "edges"; None means 1."""
         value: Any = self._form.motion.boundary.confidence.value
         return value
 
@@ -85,7 +85,7 @@ class DockValues(Dock):
 
     @property
     def materials(self) -> tuple[Material, ...]:
-        """Stiffness of each tissue label."""
+        """Materials of the tissue labels, one row for each label."""
         value: tuple[Material, ...] = self._form.tissue.table.rows
         return value
 
@@ -95,7 +95,7 @@ class DockValues(Dock):
 
     @property
     def rules(self) -> tuple[BoundaryRule, ...]:
-        """Effect of each boundary label."""
+        """Rules of the boundary labels, one row for each label."""
         value: tuple[BoundaryRule, ...] = self._form.motion.boundary.table.rows
         return value
 
@@ -105,7 +105,7 @@ class DockValues(Dock):
 
     @property
     def curve(self) -> StiffnessCurve | None:
-        """Curve from intensity to stiffness, or None if no curve defines the tissue."""
+        """Curve that maps intensity to stiffness, or None if no curve defines the tissue."""
         value: StiffnessCurve | None = self._binding.curve
         return value
 
@@ -125,7 +125,7 @@ class DockValues(Dock):
 
     @property
     def weight(self) -> tuple[float, ...]:
-        """Body force per volume on all tissue, along each axis; () if there is no body force."""
+        """Body force per unit volume on all tissue, along each axis; () if there is no force."""
         value: tuple[float, ...] = self._form.motion.weight.value
         return value
 
@@ -145,7 +145,7 @@ class DockValues(Dock):
 
     @property
     def model(self) -> ModelName:
-        """Model of the tissue; "paper" also sets `settings` to the settings of the paper."""
+        """Tissue model; setting "paper" also sets `settings` to the settings of the paper."""
         value: ModelName = self._form.model.model.value
         return value
 
@@ -155,7 +155,7 @@ class DockValues(Dock):
 
     @property
     def plane(self) -> Plane:
-        """Plane of elastic tissue: "stress" or "strain"."""
+        """Plane assumption of the elastic model: "stress" or "strain"."""
         value: Plane = self._form.model.plane.value
         return value
 
@@ -165,7 +165,7 @@ class DockValues(Dock):
 
     @property
     def poisson(self) -> float:
-        """Poisson's ratio of elastic tissue without labels; see `materials` for labels."""
+        """Poisson's ratio of elastic tissue without labels; for labels, see `materials`."""
         value: float = self._form.model.poisson.value
         return value
 
@@ -175,7 +175,7 @@ class DockValues(Dock):
 
     @property
     def settings(self) -> SolverDetails:
-        """Solver settings (immutable); assign `replace(dock.settings, sweeps=7)` to change one."""
+        """Immutable solver settings; to change them, assign `replace(dock.settings, sweeps=7)`."""
         value: SolverDetails = self._form.model.in_detail.details
         return value
 
@@ -195,7 +195,7 @@ class DockValues(Dock):
 
     @property
     def percent(self) -> int:
-        """Displayed part of the deformation, from 0 to 100."""
+        """Displayed fraction of the deformation in percent, from 0 to 100."""
         value: int = self._form.result.slider.value
         return value
 
@@ -215,7 +215,7 @@ class DockValues(Dock):
 
     @property
     def reference(self) -> Any:
-        """Field or other result with which the displayed result is compared, or None."""
+        """Field or other result that the displayed result is compared with, or None."""
         value: Any = self._form.result.reference.value
         return value
 
@@ -245,7 +245,7 @@ class DockValues(Dock):
 
     @property
     def live(self) -> bool:
-        """True if the tissue follows every edit; the default depends on the size of the image."""
+        """True if every edit updates the result; the default depends on the size of the image."""
         value: bool = self._form.footer.live.value
         return value
 
@@ -266,7 +266,7 @@ class DockValues(Dock):
     def prompt(self, value: Prompt) -> None:
         self._unsaved.prompt = value
 
-    # State that the dock shows
+    # State shown in the dock
 
     @property
     def active(self) -> bool:
@@ -288,7 +288,7 @@ class DockValues(Dock):
 
     @property
     def residual(self) -> str:
-        """Description of the distances of landmarks from their targets; "" if there are none."""
+        """Summary of the distances from landmarks to their targets; "" without landmarks."""
         value: str = self._form.result.landmarks.value
         return value
 

@@ -1,4 +1,4 @@
-"""Timers of the window, and connections to events of napari."""
+"""Timers of the window, and connections to napari events."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def single_shot(
 def repeating(parent: QObject | None, milliseconds: int, callback: Callable[[], object]) -> QTimer:
     """Create a timer that fires at a fixed interval from its start until it is stopped.
 
-    The parameters are those of `single_shot`.
+    The parameters are the same as for `single_shot`.
     """
     timer = QTimer(parent)
     timer.setInterval(milliseconds)
@@ -44,12 +44,12 @@ def repeating(parent: QObject | None, milliseconds: int, callback: Callable[[], 
 
 
 class EventConnections:
-    """Connections of callbacks to events, until `release`.
+    """Callbacks that are connected to events until `release` is called.
 
     Parameters
     ----------
     *connections : tuple of (event, callable)
-        Events of napari, each with its callback.
+        Events or signals, each with its callback.
     """
 
     def __init__(self, *connections: tuple[Any, Callable[..., object]]) -> None:

@@ -21,11 +21,12 @@ _HELP = (
     "In a Labels layer of napari: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
     "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: search all commands.\n"
 )
-#: Largest image, in pixels, for which *Live* is on by default. On two cores without a GPU, an edit
-#: takes 0.4 s (elastic) to 1.4 s for 1200 x 1200 pixels, and 1.6 s to 5 s for 2048 x 2048 pixels.
+#: Largest image, in pixels, for which *Live* is on by default. On two cores without a GPU, an
+#: update takes 0.4 s (elastic) to 1.4 s for 1200 x 1200 pixels, and 1.6 s to 5 s for 2048 x 2048
+#: pixels.
 LARGEST = 1200 * 1200
 _LIVE = (
-    "Update the result after every edit of tissue, boundary or tables. Tools always update it.\n"
+    "Update the result after every edit to tissue, boundary or tables. Tools always update it.\n"
     "Off by default above 1200 x 1200 pixels: without a graphics card, each edit takes seconds."
 )
 
@@ -39,18 +40,18 @@ class Footer(QWidget):
     Parameters
     ----------
     tools : str
-        Keys of the tools, for the help.
+        Text about the keys of the tools, appended to the help.
 
     Attributes
     ----------
     deform, cancel : PushButton
     live : LiveChoice
     undo, redo : PushButton
-        Buttons; their tooltips name the step.
+        Buttons; the tooltip names the step to undo or redo.
     chip : QPushButton
-        Visible only while there is a warning about the visible tissue.
+        Warning about the visible tissue; hidden if there is no warning.
     other : QPushButton
-        Visible only while another model is offered.
+        Button that offers another model; hidden if no model is offered.
     """
 
     def __init__(self, tools: str = "") -> None:
@@ -72,7 +73,7 @@ class Footer(QWidget):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
-        # Keep a reference: magicgui deletes containers that have none.
+        # Keep a reference, because magicgui deletes unreferenced containers.
         self._rows = row(self.live, self.undo, self.redo, self.help), row(self.deform, self.cancel)
         self.chip.setStyleSheet(_CHIP)
         self.chip.hide()
@@ -88,13 +89,13 @@ class Footer(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def show_steps(self, undo: ViewerUndo) -> None:
-        """Show the next steps to undo and to redo."""
+        """Show the next steps to undo and redo."""
         self.undo.tooltip, self.redo.tooltip = undo.tooltips
         self.undo.enabled = undo.model.next_undo is not None
         self.redo.enabled = undo.model.next_redo is not None
 
     def show_status(self, status: str) -> None:
-        """Show a status text; its tooltip has the whole text, which may not fit."""
+        """Show a status text; the tooltip has the whole text in case it does not fit."""
         self._status.show_text(status)
         self._status.tooltip = status
 
@@ -134,7 +135,7 @@ class LiveChoice(CheckBox):
         self.changed.connect(self._on_changed)
 
     def judge(self, pixels: int) -> None:
-        """Set the default for an image of this size, unless the value was set before."""
+        """Set the default for this number of pixels, unless the value was set before."""
         if not self._decided:
             with self.changed.blocked():
                 self.value = pixels <= LARGEST

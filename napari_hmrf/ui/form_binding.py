@@ -28,7 +28,7 @@ from napari_hmrf.ui.messages import CHOOSE, EDGE_GOES, NOT_CHOSEN, WELCOME
 
 
 class FormBinding:
-    """Binding in both directions between the dock's forms and the `StudyModel`.
+    """Two-way binding between the dock's forms and the `StudyModel`.
 
     New layers are chosen automatically, without undo steps.
 
@@ -40,12 +40,12 @@ class FormBinding:
     Attributes
     ----------
     fields : dict of str to ValueWidget
-        Widget of each attribute of `ImageChoice`.
+        Widget for each attribute of `ImageChoice`.
     automatic : bool
         True while the program, rather than the user, changes values.
     """
 
-    #: Emitted with a message about a choice that automatically follows from another choice.
+    #: Emitted with a message about a choice that was made automatically after another choice.
     message = Signal(str)
 
     def __init__(self, viewer: Any, form: DockForm) -> None:
@@ -65,7 +65,7 @@ class FormBinding:
         }
         self._image: Any = None
         self.automatic = False
-        # True once the user has chosen or deformed an image: new images do not replace it.
+        # True once the user has chosen or deformed an image; new images then do not replace it.
         self._image_is_fixed = False
         # True if an image was chosen before, but no image is chosen now.
         self._image_is_gone = False
@@ -107,7 +107,7 @@ class FormBinding:
     def _showing(self) -> Iterator[None]:
         """Change the forms inside the block without writing their values back to the model.
 
-        A form may round a value of the model, or may not offer one of its layers.
+        Writing back could change the model, because a form may round a value or not offer a layer.
         """
         before, self.automatic = self.automatic, True
         try:
@@ -134,7 +134,7 @@ class FormBinding:
     # Automatic choice of layers
 
     def refresh(self, *_: Any) -> None:
-        """Update the menus of layers; if the image was removed, choose another image."""
+        """Update the layer menus; if the image was removed, choose another image."""
         form, before = self._form, self._form.image.value
         with self.automatically():
             for choice in form.choices:
@@ -152,7 +152,7 @@ class FormBinding:
                     form.motion.edge.value = usual.hold_edge
 
     def choose_first(self) -> None:
-        """Choose the image in front, or an edited image, and the layers painted on that image."""
+        """Choose the image to deform, preferably an edited image, and the layers painted on it."""
         self.refresh()
         viewer, offered = self._viewer, self._form.image.offered
         edited = self._drawn_on or shared(viewer, ResultLayers).sources
@@ -166,7 +166,7 @@ class FormBinding:
         self._image_is_fixed = True
 
     def use_layer(self, layer: Any) -> None:
-        """Choose a new layer as paint, or as the image unless another image is in use."""
+        """Choose a new layer as a paint layer, or as the image if no other image is in use."""
         image = self._form.image
         begun = self._image_is_fixed or (
             image.value is not None and self._model.next_undo is not None
@@ -179,7 +179,7 @@ class FormBinding:
                 self._use_painted(layer)
         if layer in image.offered and begun and not self.automatic:
             covers = image.value and image_covering(self._viewer, image.value) is layer
-            # If the layer covers the image, another message reports that.
+            # Another message reports that a layer covers the image.
             self.message.emit("" if covers else NOT_CHOSEN.format(layer.name))
 
     def _use_painted(self, layer: Any) -> None:
@@ -211,7 +211,7 @@ class FormBinding:
                 choice.value.n_edit_dimensions = 3 if self._form.extent.is_volume else 2
 
     def _on_boundary(self, layer: Any) -> None:
-        """Release the edge if a field prescribes its motion; fix it if there is no boundary."""
+        """Release the edge if a field prescribes the motion; fix it if there is no boundary."""
         if holds_field(layer):
             if self._form.motion.edge.value:
                 self.message.emit(EDGE_GOES.format(layer.name))
@@ -243,7 +243,7 @@ class FormBinding:
     def _begin_with(self, image: Any) -> None:
         """Choose the layers painted on a new image, and drop choices that do not fit the image."""
         model, view = self._model, self._form.view()
-        # Layers that were chosen for other images are not meant for this image.
+        # Layers that are in use for other images are not chosen.
         others = [each for each in model.parts if each.kind == "choice" and each.layer]
         used_by_others = [
             layer for part in others if part.layer is not image for layer in model.get(part).layers
@@ -258,7 +258,7 @@ class FormBinding:
                 self._use_painted(layer)
 
     def _show(self, choice: ImageChoice) -> None:
-        """Show choices in the form, without layers that were removed."""
+        """Show choices in the form, except layers that were removed."""
         with self.automatically():
             if choice.tissue == BRIGHTNESS:
                 self._form.tissue.offer(self._model.curve)
@@ -269,14 +269,14 @@ class FormBinding:
     # From the forms to the model
 
     def release(self) -> None:
-        """Disconnect, because the dock was closed or its window was deleted."""
+        """Disconnect from the model and the keys after the dock was closed or deleted."""
         self._undo.unbind_keys(self)
         self._connections.release()
         self.automatic = True  # a closed form must write nothing
 
     def write(self, *, step: bool = True) -> None:
         """Write the values of the forms to the model, unless the program is changing them."""
-        # While another image is being chosen, the form has values of both images.
+        # While another image is being chosen, the form contains values of both images.
         if not self.automatic and self._form.image.value is self._model.image:
             self._write(step)
 
@@ -309,7 +309,7 @@ class FormBinding:
             self._form.tissue.choice.value = None
 
     def _use_curve(self, curve: StiffnessCurve) -> None:
-        """Use a curve for the image: its first curve, or the next state during an edit."""
+        """Use a curve for the image: its first curve, or the next state of an edited curve."""
         image = self._form.image.value
         if image is None:
             raise HmrfError(WELCOME)
@@ -323,19 +323,21 @@ class FormBinding:
     # From the model to the forms
 
     def _on_selected(self, image: Any) -> None:
-        """Show the selected image in the form; raise if it is not in the viewer."""
+        """Show the selected image in the form; raise an error if it is not in the viewer."""
         form = self._form
         if image is form.image.value:
             return
         if image is not None and image not in form.image.offered:
             self._model.select(form.image.value)
-            raise HmrfError(f"'{image.name}' is not an image in this viewer. Add it first.")
+            raise HmrfError(
+                f"'{image.name}' is not an image in this viewer. Add it to the viewer first."
+            )
         with self.automatically():
             form.image.value = image
         self._image_is_gone = False
 
     def _on_changed(self, part: Part, value: Any, _: Any = None) -> None:
-        """Show a changed part in the form, and choose the image to which it belongs."""
+        """Show a changed part in the form, and choose the image that the part belongs to."""
         form = self._form
         if part.kind == "drawing" and part.layer is form.image.value:
             return

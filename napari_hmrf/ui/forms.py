@@ -1,4 +1,4 @@
-"""Fields, menus and labels for forms, in addition to those of magicgui."""
+"""Form fields, menus and labels that magicgui does not provide."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def length(label: str, tooltip: str, least: float = -1e6, **options: Any) -> Flo
 
 
 def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> ComboBox:
-    """Create a menu of values; `words` has the text of each value."""
+    """Create a menu of values; `words` maps each value to its text."""
     choices = [(word, value) for value, word in words.items()]
     return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
 
 
 def add_entry(menu: QMenu, title: str, about: str, answer: Callable[[], Any]) -> Any:
-    """Add an entry with a tooltip and a callback to a menu; "&" is displayed as such."""
+    """Add an entry with a tooltip and a callback to a menu; "&" is displayed literally."""
     action = menu.addAction(title.replace("&", "&&"))
     action.setToolTip(about)
     action.triggered.connect(lambda: answer())
@@ -51,7 +51,7 @@ def add_entry(menu: QMenu, title: str, about: str, answer: Callable[[], Any]) ->
 
 
 def give_menu(button: QPushButton, fill: Callable[[], None]) -> None:
-    """Give a button a menu that is filled by a callback each time it opens."""
+    """Give a button a menu that is filled by a callback each time the menu opens."""
     made = QMenu(button)
     made.setToolTipsVisible(True)
     made.aboutToShow.connect(fill)
@@ -67,7 +67,7 @@ def number_of(text: str) -> float:
 
 
 def attempt(action: Callable[[], object], refuse: Callable[[str], object]) -> None:
-    """Run an action, and report its error in a short message if it fails."""
+    """Run an action, and report a short error message if it fails."""
     try:
         action()
     except (HmrfError, OSError, ValueError) as error:  # ValueError: data that cannot be saved
@@ -82,7 +82,7 @@ def row(*widgets: Any) -> Container:
 
 
 class Prose(Label):
-    """Label with wrapped text, as narrow as its parent and as high as its text.
+    """Label that wraps its text at the width of the parent and is as high as the text.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class _FitHeight(QObject):
 
     def fit(self) -> None:
         words, most = self._words, self._lines * self._words.fontMetrics().lineSpacing()
-        words.setMinimumHeight(0)  # else `heightForWidth` is at least the present height
+        words.setMinimumHeight(0)  # otherwise `heightForWidth` is at least the current height
         words.setFixedHeight(min(max(0, words.heightForWidth(words.width())), most))  # -1: no text
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
@@ -124,12 +124,12 @@ class _FitHeight(QObject):
 
 
 class CalmField(QObject):
-    """Event filter of fields that passes some events on to the surrounding widget.
+    """Event filter for fields; passes some events on to the surrounding widget.
 
     The mouse wheel scrolls the surrounding widget unless the field has the focus. The undo and redo
-    keys undo and redo steps, as outside the fields, unless the user is typing a number. A menu gets
-    the focus only through the Tab key. Otherwise, after a choice by mouse, the menu would receive
-    all key presses, including those that select tools.
+    keys undo and redo steps, as they do outside the fields, unless the user is typing a number. A
+    menu gets the focus only through the Tab key. Otherwise, after a choice by mouse, the menu would
+    receive all key presses, including those that select tools.
     """
 
     def watch(self, field: Any) -> None:
@@ -141,7 +141,7 @@ class CalmField(QObject):
             field.editingFinished.connect(partial(field.lineEdit().setModified, False))
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Pass on events of the wheel and the undo keys that the field does not use."""
+        """Pass on wheel events and undo or redo keys that the field does not use."""
         theirs = event.type() == QEvent.Type.Wheel and not watched.hasFocus()
         if event.type() == QEvent.Type.KeyPress and isinstance(watched, QAbstractSpinBox):
             keys = QKeySequence.StandardKey

@@ -10,12 +10,12 @@ from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 
 from napari_hmrf.ui.events import single_shot
 
-#: A function to call, with its arguments bound to it.
+#: Function that is called without arguments.
 Call = Callable[[], object]
 
 
 class GuiThread(QObject):
-    """Queue of calls that run, in order, in the event loop of the thread that created it.
+    """Queue of calls that run, in order, in the event loop of the thread that created the queue.
 
     The object has no parent, because a parent could delete it while another thread submits a call.
     """
@@ -47,10 +47,10 @@ class GuiThread(QObject):
 
 
 class Repainted(QObject):
-    """Callback after the next painting of the window and the mouse events that follow it.
+    """Callback that runs once the window is repainted and pending mouse events are processed.
 
-    Qt posts its request to paint with low priority, so an event with an even lower priority is
-    processed after the request. Pending mouse events are processed next, then timers without delay.
+    Qt posts its paint request with low priority, so an event with an even lower priority is
+    processed after the request. Pending mouse events are processed next, then zero-delay timers.
 
     Parameters
     ----------
@@ -66,11 +66,11 @@ class Repainted(QObject):
         self._timer = single_shot(self, 0, callback)
 
     def schedule(self) -> None:
-        """Schedule the callback after the next painting."""
+        """Schedule the callback to run after the next painting."""
         QCoreApplication.postEvent(self, QEvent(self._KIND), self._PRIORITY)
 
     def event(self, event: QEvent | None) -> bool:
-        """Start the timer of the callback after the requested painting."""
+        """Start the timer of the callback when the posted event arrives, after the painting."""
         if event is not None and event.type() == self._KIND:
             self._timer.start()
             return True

@@ -23,8 +23,8 @@ Why = Literal["news", "step", "refused"]
 class Guide:
     """Status text of the dock, selected from the messages of all its parts.
 
-    Progress is shown while a job runs, and a hint about the next step if there is no message. The
-    message of a step, an undo or a refusal remains until a new action begins.
+    Progress is shown while a job runs, and a hint about the next step if there is no message. A
+    message about a step, an undo or a refusal remains until a new action begins.
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ class Guide:
         self._connections = EventConnections((undo.message, self._on_step))
 
     def release(self) -> None:
-        """Stop listening to the undo of the viewer."""
+        """Disconnect from the undo messages of the viewer."""
         self._connections.release()
 
     @property
     def shown(self) -> str:
-        """Status text."""
+        """Displayed status text."""
         doing = "" if self._why == "refused" else self._doing
         return doing or self._message or self.invitation
 
@@ -81,7 +81,7 @@ class Guide:
         return f"{self._controller.unheld_warning} {self._paused or hint}".lstrip()
 
     def show_message(self, sentence: str, why: Why = "news") -> None:
-        """Show a sentence in place of earlier sentences."""
+        """Show a message in place of the previous message."""
         self._message, self._why, self._read = sentence, why, ""
         self.show()
 
@@ -100,14 +100,14 @@ class Guide:
 
     @property
     def _covered(self) -> str:
-        """Message that another image covers the image, or ""."""
+        """Message if another image covers the chosen image, else ""."""
         image = still_there(self._viewer, self._form.image.value)
         other = None if image is None else image_covering(self._viewer, image)
         return "" if other is None else motion_messages.covered(other.name)
 
     @property
     def _paused(self) -> str:
-        """Message that drawing has stopped and how to resume it, or ""."""
+        """Message about how to resume drawing if drawing has stopped, else ""."""
         arrows = self._pointer.display.arrows
         if arrows.former is None or self._controller.study is None or self._pointer.active:
             return ""
@@ -122,7 +122,7 @@ class Guide:
         self.show_message("" if self._read else self._message, self._why)
 
     def _on_step(self, sentence: str, step: Step | None) -> None:
-        """Report an undo or redo; for a drawing, also whether drawing has stopped."""
+        """Report an undo or redo; for a drawing, also how to resume drawing if it has stopped."""
         drawn = step is not None and isinstance(step.value, Drawing)
         self.show_message(f"{sentence} {self._paused if drawn else ''}".rstrip(), "step")
 
@@ -138,7 +138,7 @@ class Guide:
             self.invite()
 
     def _on_study(self, sentence: str) -> None:
-        """Show a message about the study, after the message of a step; "" means no problem."""
+        """Show a message about the study, appended to a step message; "" shows the hint instead."""
         if not sentence:
             self.invite()
         elif self._why != "refused":

@@ -21,13 +21,13 @@ from napari_hmrf.tissue.row_table import Row, RowTable
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import CalmField
 
-#: Columns of every table.
+#: Columns that every table has.
 LABEL, NAME = range(2)
 #: Time from the last brush stroke to the update of the labels, in milliseconds.
 _PAUSE = 150
-#: Events of the layer that can change its labels or colours.
+#: Layer events that can change the labels or their colours.
 _EVENTS = (*CHANGES, "colormap")
-#: Heights of a row and of the whole table, in pixels; about five rows fit without scrolling.
+#: Height of a row and largest height of a table, in pixels; about five rows fit without scrolling.
 _ROW_HEIGHT, _HIGHEST = 26, 172
 _COMPACT = "QComboBox { padding: 1px 0px 1px 3px; } QComboBox::drop-down { width: 14px; }"
 
@@ -40,11 +40,11 @@ class Column(NamedTuple, Generic[Row]):
     title, about : str
         Header of the column, and tooltip of the header.
     shown : callable
-        Returns the text of the cell in a row. An empty text cannot be edited, except for a name.
+        Returns the text of a row's cell. An empty cell cannot be edited, except in the name column.
     typed : callable
-        Returns the row changed by a typed text; raises ValueError if the text is invalid.
+        Returns the row with a typed text applied; raises ValueError if the text is invalid.
     choices : sequence of str
-        Texts to choose from, if the user cannot type text in the column.
+        Texts to choose from in a column that does not accept typed text.
     """
 
     title: str
@@ -61,8 +61,8 @@ def _named(row: Row, text: str) -> Row:
 class LabelTable(QTableWidget, Generic[Row]):
     """Table of labels, with their colours and names; subclasses add further columns.
 
-    The table is stored in the metadata of its layer. Newly painted labels get a row. To select a
-    label for painting, the user clicks its row or selects the row with the arrow keys.
+    The table is stored in the metadata of its layer. A row is added for each newly painted label.
+    To select a label for painting, the user clicks its row or moves to the row with the arrow keys.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class LabelTable(QTableWidget, Generic[Row]):
     ----------
     role : "tissue" or "boundary"
     title : str
-        Header of the column of names.
+        Header of the name column.
 
     Signals
     -------
@@ -158,7 +158,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         return tuple(int(row.label) for row in self.rows)
 
     def add(self) -> int:
-        """Add a row with the next free label."""
+        """Add a row with the next free label, and return the label."""
         label = max([0, *self.labels]) + 1
         self.rows = [*self.rows, self.default(label)]
         self.pick(label)
@@ -190,14 +190,14 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._store(automatic=True)
 
     def release(self) -> None:
-        """Stop listening to the layer."""
+        """Disconnect the table from its layer."""
         with suppress(RuntimeError):  # Qt may have deleted the timer at exit
             self._timer.stop()
         self._connections.release()
         self._layer = None
 
     def refresh(self) -> None:
-        """Add rows for new labels and update the colours, without waiting for a pause."""
+        """Add rows for new labels and update the colours immediately."""
         if self._layer is None:
             return
         self._timer.stop()
@@ -224,7 +224,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.selectRow(row)
 
     def _list_painted(self) -> list[Row]:
-        """Add rows for new labels of the slice, and return these rows; [] if unreadable."""
+        """Add rows for new labels of the slice and return them; [] if the slice cannot be read."""
         try:
             picture = copy_slice(self._layer, frame_of(self._layer, self._view()))
         except ProblemError:
@@ -288,12 +288,12 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.cellWidget(row, column).setCurrentText(text)
 
     def _box(self, item: QTableWidgetItem, choices: Sequence[str]) -> QComboBox:
-        """Create the menu of a cell with a choice of values."""
+        """Create the menu for a cell with a fixed set of values."""
         box = QComboBox()
         box.addItems(choices)
         box.setStyleSheet(_COMPACT)
         box.textActivated.connect(item.setText)
-        box.activated.connect(self.clearFocus)  # so that the canvas receives the next keys
+        box.activated.connect(self.clearFocus)  # so that the canvas receives the next key presses
         CalmField(box).watch(box)
         return box
 
@@ -329,7 +329,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             self._layer.selected_label = self.labels[row]
 
     def _on_typed(self, item: QTableWidgetItem) -> None:
-        """Apply the text typed into a cell, or report why the text is refused."""
+        """Apply the text typed into a cell, or report why the text was refused."""
         row, column = self.rows[item.row()], self.columns[item.column()]
         try:
             after = column.typed(row, item.text().strip())

@@ -1,4 +1,4 @@
-"""Menus of the layers of a viewer, and of the extent of the deformation."""
+"""Menus for the layers of a viewer and for the extent of the deformation."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from napari_hmrf.ui.forms import align_labels, narrow
 
 
 def is_picture(layer: Any) -> bool:
-    """Return whether a layer is an image other than a result or an image of stiffness."""
+    """Return whether a layer is an image, but neither a result nor a stiffness image."""
     own = isinstance(layer, Image) and "kind" not in metadata_of(layer)
     return own and role_of(layer) != TISSUE
 
 
 class LayerChoice(ComboBox):
-    """Menu of layers, with an empty choice.
+    """Layer menu with an empty choice.
 
-    magicgui's own menu of layers needs a napari window, which a script may not have.
+    magicgui's own layer menu requires a napari window, which a script may not have.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class LayerChoice(ComboBox):
         Returns whether a layer can be chosen.
     label, tooltip : str
     more : callable, optional
-        Returns further choices, as pairs of a title and a value.
+        Returns further choices, as pairs of title and value.
     if_any : bool
         If True, the menu is visible only if there is a layer to choose.
     """
@@ -74,7 +74,7 @@ class LayerChoice(ComboBox):
 
 
 class LandmarkChoice(Container):
-    """Menus for landmarks and their targets, visible only if there are points or lines.
+    """Menus for landmarks and their targets, visible only if there is a Points or Shapes layer.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class LandmarkChoice(Container):
     Attributes
     ----------
     sources, targets : LayerChoice
-        Two Points layers of equal length; or a Shapes layer of lines, and None.
+        Menus for two Points layers of equal length, or for one Shapes layer of lines.
     take_button : PushButton
         Button that adds the landmarks to the drawing.
     """
@@ -100,11 +100,11 @@ class LandmarkChoice(Container):
             layers,
             lambda layer: isinstance(layer, Points) and layer is not self.sources.value,
             "should be at",
-            "Points layer with targets, in the same order. A landmark at its target holds tissue",
+            "Points layer with targets, in the same order; a landmark at its target holds tissue",
         )
         self.take_button = PushButton(
             text="Use as landmarks",
-            tooltip="Add these landmarks to the drawing, in place of those added before",
+            tooltip="Add these landmarks to the drawing; landmarks added before are replaced",
         )
         super().__init__(widgets=[self.sources, self.targets, self.take_button])
         self.sources.changed.connect(self._on_sources)
@@ -112,11 +112,11 @@ class LandmarkChoice(Container):
 
     @property
     def pair(self) -> tuple[Any, Any]:
-        """Chosen layers of landmarks and of their targets; each may be None."""
+        """Chosen landmark layer and target layer; each may be None."""
         return self.sources.value, self.targets.value
 
     def refresh(self) -> None:
-        """Update the visible and enabled widgets for the current layers."""
+        """Update which widgets are visible and enabled."""
         self.visible = bool(self.sources.offered)
         self.targets.visible = not isinstance(self.sources.value, Shapes)
         self.take_button.enabled = self.sources.value is not None
@@ -132,7 +132,7 @@ class LandmarkChoice(Container):
 
 
 class ExtentChoice(ComboBox):
-    """Menu for the extent of the deformation: a slice or the volume, if an image has slices."""
+    """Menu for the extent of the deformation, slice or volume; hidden if there are no slices."""
 
     has_slices = False
 
@@ -140,7 +140,7 @@ class ExtentChoice(ComboBox):
         super().__init__(
             label="deform",
             choices=[("this slice", "slice"), ("the whole volume", "volume")],
-            tooltip="this slice: deformed without its neighbours, which is fast.\n"
+            tooltip="this slice: only the visible slice is deformed, which is fast.\n"
             "the whole volume: tissue moves in all three directions.",
         )
         self.visible = False

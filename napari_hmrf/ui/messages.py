@@ -33,7 +33,7 @@ BEHIND = (
 )
 NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, choose it above."
 _NO_IMAGE = "No image is chosen. Choose an image above to see its result."
-_HIDDEN = "Hidden, so that '{}' is visible: {}. Click the eye of a layer to show the layer again."
+_HIDDEN = "Hidden to make '{}' visible: {}. Click the eye icon of a layer to show the layer again."
 EDGE_GOES = (
     "The outer edge is no longer fixed, because '{}' sets the motion. Tick 'Fix outer edge' to "
     "fix the parts of the edge that the layer does not cover."
@@ -60,14 +60,14 @@ PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its fa
 #: Prefixes of progress messages that are shown to the user unchanged: waiting and compiling.
 _WAITS = ("waiting for", "compiling", "starting to compile")
 _WARNINGS: dict[Mark, str] = {
-    "folds": "the tissue folds: it passes through itself, which real tissue cannot do. Move it "
-    "less; far from held tissue, a wider patch or boundary also helps.",
+    "folds": "the tissue folds over itself, which real tissue cannot do. Move the tissue less; far "
+    "from held tissue, a wider patch or boundary also helps.",
     "overlaps": "one part of the tissue has moved onto another part and hides it. The model does "
     "not include contact across a gap.",
 }
 #: Message after the view has moved to another slice of a volume.
 MOST = "The view has moved to the slice with the most such voxels: {}."
-#: Up to this number, folded pixels are rounding noise and cause no warning.
+#: Largest number of marked sites that counts as rounding noise and causes no warning.
 HANDFUL = 5
 
 
@@ -99,7 +99,7 @@ def can_unfold(done: CompleteResult) -> bool:
 
 
 def marks_of(outputs: Outputs) -> dict[Mark, int]:
-    """Count the sites of each mark; leave out marks that are only noise."""
+    """Count the sites of each mark, and omit marks that are only noise."""
     return {mark: number for mark in MARKS if (number := getattr(outputs, mark)) > HANDFUL}
 
 
@@ -137,12 +137,12 @@ def progress(monitor: Monitor, work: str = "Deforming") -> str:
 
 
 def describe_image_choice(image: Any, hidden: Sequence[Any]) -> str:
-    """Report that no image is chosen, or which layers are hidden for the image, or return ""."""
+    """Return a message if no image is chosen or if layers are hidden for the image, else ""."""
     names = ", ".join(f"'{layer.name}'" for layer in hidden)
     return _NO_IMAGE if image is None else names and _HIDDEN.format(image.name, names)
 
 
 def saved_study(name: str, solved: bool, pairs: str) -> str:
-    """Report a saved study, and the layer of landmark pairs that are not in its file."""
-    apart = f" It lacks landmarks of '{pairs}': press 'Use as landmarks'." if pairs else ""
+    """Return a message about a saved study, and about landmarks that are missing from its file."""
+    apart = f" It lacks the landmarks of '{pairs}': press 'Use as landmarks'." if pairs else ""
     return f"Saved {name}{'' if solved else ' without a field: press Deform to get one'}.{apart}"

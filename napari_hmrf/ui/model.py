@@ -21,12 +21,12 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
 
-#: Size of the picture on a plane's button, in pixels.
+#: Size of the icon on a plane button, in pixels.
 _PICTURE = QSize(64, 32)
 
 
 class DetailsForm(Container):
-    """Form with the fields of `SolverDetails`; it shows the fields of the chosen model only."""
+    """Form with the fields of `SolverDetails`; only the fields of the chosen model are visible."""
 
     def __init__(self) -> None:
         hints = get_type_hints(SolverDetails)
@@ -58,7 +58,7 @@ class DetailsForm(Container):
 
 
 class _PlaneChoice(RadioButtons):
-    """Radio buttons with pictures; magicgui recreates the buttons when the widget is moved."""
+    """Radio buttons with icons; magicgui recreates the buttons when the widget is moved."""
 
     def reset_choices(self, *_: Any) -> None:
         super().reset_choices()
@@ -69,17 +69,17 @@ class _PlaneChoice(RadioButtons):
 
 
 class ModelForm(Container):
-    """Form for the model, with a sentence of advice on its use.
+    """Form for the model, with advice on its use.
 
     Attributes
     ----------
     model : ComboBox
         A `ModelName`. Choosing "paper" also sets the solver settings to the settings of the paper.
     plane : RadioButtons
-        Plane of the elastic model: "stress" or "strain".
+        Plane assumption of the elastic model: "stress" or "strain".
     poisson : FloatSpinBox
-        Poisson's ratio of the elastic model if the tissue is an image of stiffness; for labels,
-        the table has the ratios.
+        Poisson's ratio of the elastic model if the tissue is a stiffness image; for labels, the
+        ratios are in the tissue table.
     in_detail : DetailsForm
         Solver settings, in a separate section of the dock.
     """
@@ -89,7 +89,7 @@ class ModelForm(Container):
         self.model = menu(
             "model",
             messages.MODELS,
-            "Model of the tissue. The paper's model resets its settings under 'Advanced'",
+            "Tissue model; choosing the paper's model resets the settings under 'Advanced'",
             name="model",
         )
         narrow(self.model)
@@ -139,7 +139,7 @@ class ModelForm(Container):
 
     @property
     def is_elastic(self) -> bool:
-        """True if Poisson's ratios apply."""
+        """True if the chosen model uses Poisson's ratio."""
         return self.model.value in ELASTIC
 
     def tissue_is(self, layer: Any) -> None:

@@ -16,7 +16,7 @@ from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.usual_lengths import usual_step
 
-#: Largest number of pixels of a new labels layer; beyond it, the layer covers one slice only.
+#: Largest number of pixels in a new Labels layer; for a larger image, the layer covers one slice.
 _LARGEST = 2**30
 
 

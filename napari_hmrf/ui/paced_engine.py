@@ -20,14 +20,14 @@ from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.gui_thread import GuiThread, Repainted
 
 _log = logging.getLogger("napari_hmrf")
-# Description of the work for other callers that wait for the compute thread.
-_DOING = "a deformation in 'Soft tissue' (its Cancel button stops it)"
+# Description of the work in the messages of jobs that wait for the compute thread.
+_DOING = "a deformation in 'Soft tissue' (press Cancel there to stop it)"
 
 
 class PacedEngine:
-    """Solver of the newest submitted study, for a window.
+    """Engine that solves the newest submitted study, and waits for each repaint of the window.
 
-    After each answer, the engine pauses until the answer is painted. Solver and painting use the
+    After each answer, the engine pauses until the answer is painted. Solving and painting use the
     same processor cores, so running both at the same time would delay each picture.
 
     Parameters
@@ -35,7 +35,7 @@ class PacedEngine:
     show : callable
         Called on the GUI thread with each answer, as a `ShownDeformation`.
     finish : callable
-        Called on the GUI thread with the `CompleteResult` that `complete` has made.
+        Called on the GUI thread with the `CompleteResult` that `complete` has created.
     """
 
     def __init__(
@@ -56,17 +56,17 @@ class PacedEngine:
         cold_start: bool = False,
         preview: Preview | None = None,
     ) -> None:
-        """Submit a study, as `Engine.submit`; with `cold_start`, drop earlier work first."""
+        """Submit a study (see `Engine.submit`); with `cold_start`, drop earlier work first."""
         if cold_start:  # the engine drops its own work
             self._jobs.cancel("layers")
         self._engine.submit(study, backend, cold_start, preview)
 
     def complete(self) -> None:
-        """Make the layers of the latest answer in the background, unless a study is pending."""
+        """Create the layers of the latest answer in the background, unless a study is pending."""
         self._jobs.submit("layers", self._completed, self._on_completed)
 
     def cancel(self) -> None:
-        """Drop all pending work; its results are not shown."""
+        """Drop all pending work without showing its results."""
         self._engine.cancel()
         self._jobs.cancel("layers")
 
@@ -82,11 +82,11 @@ class PacedEngine:
 
     @property
     def monitor(self) -> Monitor:
-        """Progress of the solve, or of the job for which the solve waits."""
+        """Progress of the solve, or of the job that the solve is waiting for."""
         return self._engine.monitor
 
     def rehearse(self, study: Study) -> None:
-        """Load or compile the code for the first pull and stroke in the background."""
+        """Load or compile the code for the first pull and stroke in background trial runs."""
         image, engine = study.pictures.image, self._engine
         if not self._rehearsed and image is not None:
             self._rehearsed = True
@@ -109,7 +109,7 @@ class PacedEngine:
         self._gui.submit(partial(self._on_answer, state))
 
     def _completed(self) -> CompleteResult | ShownDeformation | None:
-        """Make all layers of the latest answer; None without an answer or with a pending study."""
+        """Create the layers of the latest answer if an answer exists and no study is pending."""
         latest = self._engine.latest
         if latest is None or latest.solution is None:
             return None
@@ -119,7 +119,7 @@ class PacedEngine:
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001 - every error is reported to the user
-            _log.exception("the layers of a result could not be made")
+            _log.exception("the layers of a result could not be created")
             return ShownDeformation(replace(latest, error=error))
 
     # On the GUI thread
@@ -127,7 +127,7 @@ class PacedEngine:
     def _on_answer(self, state: ShownDeformation) -> None:
         if not self._engine.is_current(state.moved):
             return
-        # A newer study has corrected the error, or will report the error again.
+        # A pending study either corrects the error or reports it again.
         try:
             if state.moved.error is None or not self._engine.has_pending:
                 self._show(state)

@@ -20,11 +20,11 @@ _STYLE = (
     "font-weight: bold;"
 )
 _MARGIN = 6
-#: Top margin, in pixels, below the line that describes the colours of a layer.
+#: Top margin in pixels, which leaves room for the line of text about the colours of a layer.
 _TOP = 34
 #: Row and column of each edge in the grid of labels, in the order of `Sides`.
 _EDGES = ((0, 1), (2, 1), (1, 0), (1, 2))
-#: Events of the list of layers that can change the letters.
+#: Layer list events that can change the letters.
 _EVENTS = ("inserted", "removed", "axis_labels")
 
 

@@ -1,4 +1,4 @@
-"""Settings that are stored between sessions: the chosen device.
+"""Settings stored between sessions: the chosen device.
 
 The choice of result layers is not stored, so each new dock initially shows the same few layers.
 """
@@ -14,7 +14,7 @@ _DEVICE = "deform/device"
 
 
 def settings() -> QSettings:
-    """Return the storage of settings that are shared by all sessions."""
+    """Return the store of the settings that all sessions share."""
     return QSettings(
         QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
     )

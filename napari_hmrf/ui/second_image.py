@@ -59,7 +59,7 @@ class SecondImage:
         self._residuals: tuple[Any, str] | None = None
 
     def release(self) -> None:
-        """Restore all layers, and stop listening."""
+        """Restore all layers, and disconnect from all events."""
         self._connections.release()
         self._points.release()
         self._draw(None, [])
@@ -75,14 +75,14 @@ class SecondImage:
         self._measure()
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
-        """Restore the layers of an earlier comparison, and draw an image over the moved images."""
+        """Restore the layers of the last comparison, and draw an image over the moved images."""
         compared, layers = [] if other is None else [other, *moved], self._viewer.layers
         if compared == list(self._before):
             return
         for layer, look in self._before.items():
             _set(layer, look)
         second = next(iter(self._before), None)
-        if second in layers:  # on top, it would cover the image
+        if second in layers:  # on top, the second image would cover the image
             layers.move(layers.index(second), self._place)
         self._before = {}
         for layer in compared:
@@ -101,7 +101,7 @@ class SecondImage:
             self._measure()
 
     def _measure(self) -> None:
-        """Show the residuals of the landmarks, and remove earlier residuals."""
+        """Show the residuals of the landmarks, and remove the previous residuals."""
         earlier, self._residuals = self._residuals, None
         if earlier is not None and earlier[1] in earlier[0].features:
             earlier[0].features = earlier[0].features.drop(columns=earlier[1])

@@ -42,7 +42,7 @@ class SoftTissue(DockValues):
 
     A script can do everything that the user can do: choose layers (`image`, `tissue`, `boundary`,
     ...), fill the tables (`materials`, `rules`), and set `model`, `settings` and `drawing`. While
-    `live` is True, the tissue follows every edit. `deform` solves from a cold start and emits
+    `live` is True, every edit updates the result. `deform` solves from a cold start and emits
     `finished` with the result. `result`, `percent`, `overlay` and similar attributes control the
     display.
 
@@ -53,7 +53,7 @@ class SoftTissue(DockValues):
     Attributes
     ----------
     study_model : StudyModel
-        Studies of the viewer with their undo steps. The window shows every edit of the model.
+        Studies of the viewer with their undo steps. The window shows every edit to the model.
     fields : ToolFields
         Settings of the tools.
     more : ResultMenu
@@ -77,20 +77,20 @@ class SoftTissue(DockValues):
     play, pause : callable
         Plays back and forth between 0 and 100 %; pauses at the displayed state.
     save_study : callable
-        Saves `study` to a path, with its field if that is up to date, as
+        Saves `study` to a path, with its field if the field is up to date; see
         `napari_hmrf.write_study`. Returns the `Path` of the file.
     save_materials : callable
-        Saves the table of tissues to a path, as `material_tables.write_preset`. Returns the `Path`
-        of the file.
+        Saves the tissue table to a path; see `material_tables.write_preset`. Returns the `Path` of
+        the file.
     take_materials : callable
         Copies a `Preset`, the table of another Labels layer, or a file into the table of the
-        Labels layer chosen as tissue, as `MaterialMenu.copy_materials`.
+        Labels layer chosen as tissue; see `MaterialMenu.copy_materials`.
     cancel : callable
-        Cancels all work. The dock is idle immediately, even if the thread is still running.
+        Cancels all work. The dock is idle immediately, even if a solve is still stopping.
     schedule_refresh : callable
-        Updates the tissue after an edit that emits no event.
+        Updates the result after an edit that does not emit an event.
     show_message : callable
-        Shows a sentence in the status text of the dock.
+        Shows a message in the status text of the dock.
     """
 
     def __init__(self, napari_viewer: Any) -> None:
@@ -180,7 +180,7 @@ class SoftTissue(DockValues):
 
     @property
     def tool(self) -> str:
-        """Current tool: "pull", "landmark", or the action of the `Stroke` that it paints."""
+        """Current tool: "pull", "landmark", or the action of the `Stroke`s that it paints."""
         return self._pointer.tool.name
 
     @tool.setter
@@ -207,12 +207,12 @@ class SoftTissue(DockValues):
         elif self._controller.refresh():
             self._pointer.start_drawing()
             self._watch.hide_paint()
-            self.schedule_refresh()  # the tissue follows its drawing even if `live` is False
+            self.schedule_refresh()  # the drawing updates the result even if `live` is False
         self._watch.update_mouse_mode()
         return self.active
 
     def stop(self) -> None:
-        """Stop drawing, and keep the drawing; the mouse then moves the view again."""
+        """Stop drawing, so that the mouse moves the view again; the drawing is kept."""
         if self.active and self.image in self._viewer.layers:
             self._viewer.layers.selection = {self.image}
 
@@ -223,7 +223,7 @@ class SoftTissue(DockValues):
     def open_study(self, path: str | Path) -> None:
         """Add the layers of a saved study, and restore its settings.
 
-        Errors are those of `read_study`.
+        Raises the same errors as `read_study`.
         """
         self._unsaved.open(path)
         if self.drawing.marks:
@@ -250,7 +250,7 @@ class SoftTissue(DockValues):
         Raises
         ------
         HmrfError
-            If no image is chosen, or the image has no pixels in the visible slice.
+            If no image is chosen, or if the image has no pixels in the visible slice.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
@@ -263,7 +263,7 @@ class SoftTissue(DockValues):
         self.show_message(messages.PAINT.format(" and ".join(painted)))
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
-        """Define the stiffness of tissue by the intensity of the image, and return the curve.
+        """Define the stiffness of tissue from the intensity of the image, and return the curve.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ class SoftTissue(DockValues):
         Raises
         ------
         HmrfError
-            If no image is chosen, or no curve can be made for the image.
+            If no image is chosen, or if no curve can be created for the image.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
@@ -306,7 +306,7 @@ class SoftTissue(DockValues):
         Raises
         ------
         HmrfError
-            If no image is chosen, or the layers cannot be read, as for `read_landmarks`.
+            If no image is chosen, or if the layers cannot be read; see `read_landmarks`.
         """
         if self.image is None or not self._controller.refresh():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
@@ -321,7 +321,7 @@ class SoftTissue(DockValues):
         self.start()
 
     def hand_brush(self, layer: Any) -> None:
-        """Prepare a layer for painting: make it visible and active, on the undeformed image."""
+        """Prepare a layer for painting: make it visible and active, and select its brush."""
         if layer in self._viewer.layers:
             self._viewer.layers.selection.active = layer
             layer.visible = True
@@ -391,7 +391,7 @@ class SoftTissue(DockValues):
             self._controller.show_before(False)
             for tissue in (self._form.tissue.layer, self._controller.curve_layer.layer):
                 if tissue is not None:
-                    tissue.visible = False  # would tint the deformed image
+                    tissue.visible = False
 
     def on_window(self, window: Any) -> None:
         """Connect to the napari window that the dock was added to."""
@@ -399,7 +399,7 @@ class SoftTissue(DockValues):
         self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:
-        """Release all parts, because the dock was closed or its window was deleted."""
+        """Release all parts after the dock was closed or its window was deleted."""
         if closed:
             self._controller.cancel()
             self._controller.clear()

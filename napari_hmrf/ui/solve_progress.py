@@ -19,7 +19,7 @@ _PATIENCE = 0.4
 
 
 class SolveProgress:
-    """Progress of the engine, in the footer and as a message.
+    """Display of the engine's progress in the footer and as a message.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ class SolveProgress:
         work : str
             Name of the task, such as "Deforming".
         at_once : bool
-            If True, progress is shown immediately and until `stop`. Otherwise, progress is shown
-            only if a picture takes a long time, and until the engine is idle.
+            If True, progress is shown immediately until `stop` is called. Otherwise, progress is
+            shown only if a picture takes a long time, until the engine is idle.
         """
         if at_once or not self._engine.busy:
             self.restart()

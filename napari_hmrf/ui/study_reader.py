@@ -64,7 +64,7 @@ class StudyReader:
         return replace(study, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:
-        """Return a first guess of the curve from the brightness of the slice to stiffness.
+        """Return a first guess of the curve that maps the brightness of the slice to stiffness.
 
         Raises
         ------
@@ -77,5 +77,5 @@ class StudyReader:
         return first_curve(study.intensities)
 
     def invalidate(self) -> None:
-        """Discard all copies of layers; a script may have changed an array in place."""
+        """Discard all layer copies, because a script may have changed an array in place."""
         self._copies.invalidate()

@@ -1,4 +1,4 @@
-"""Sections of the dock for the tissue and for the boundary."""
+"""Dock sections for the tissue and the boundary."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _UNKNOWN = StiffnessCurve(((0, 1), (1, 1)))
 
 
 class _PaintedSection(Container, Generic[Table]):
-    """Menu of layers; for Labels, their table and a row of buttons below it."""
+    """Layer menu; for a Labels layer, also its table and a row of buttons."""
 
     edited = Signal()
 
@@ -60,7 +60,7 @@ class _PaintedSection(Container, Generic[Table]):
 
 
 class TissueSection(_PaintedSection[MaterialTable]):
-    """Section for the tissue: Labels with a table, an image of stiffness, or a brightness curve.
+    """Section for the tissue: Labels with a table, a stiffness image, or a brightness curve.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
     brightness_curve : StiffnessCurve or None
         Curve of the image, if the menu offers it.
     editor : CurveEditor
-        Editor of the curve.
+        Editor for the curve.
     """
 
     brightness_curve: StiffnessCurve | None = None
@@ -78,10 +78,10 @@ class TissueSection(_PaintedSection[MaterialTable]):
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
             layers,
-            # Layers of results, which have a "kind", cannot define the tissue.
+            # Result layers, which have a "kind", cannot define the tissue.
             lambda layer: isinstance(layer, Labels | Image) and "kind" not in metadata_of(layer),
             "tissue",
-            "Labels layer with painted tissues, image of stiffness, or brightness of the image",
+            "Labels layer with painted tissues, stiffness image, or brightness of the image",
             lambda: [("brightness of the image", BRIGHTNESS)] if self.brightness_curve else [],
         )
         self.border = CheckBox(
@@ -115,7 +115,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.choice.reset_choices()
 
     def go_by(self, curve: StiffnessCurve) -> None:
-        """Define the tissue by brightness, through a curve."""
+        """Define the tissue by brightness, using a curve."""
         self.offer(curve)
         self.choice.value = BRIGHTNESS
         self.edited.emit()
@@ -133,9 +133,9 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
     Attributes
     ----------
     confidence : LayerChoice
-        Confidence of the Vectors.
+        Confidence of the Vectors layer.
     landmarks : LandmarkChoice
-        Two Points layers, or lines; usable with or without a boundary layer.
+        Menus for landmark layers; usable with or without a boundary layer.
     """
 
     def __init__(self, layers: Layers, view: Shown) -> None:
@@ -145,14 +145,14 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             "boundary",
             "Labels layer with regions to hold or move, or Vectors layer with observed "
             "displacements, such as a field from File > Open. To choose landmarks below, add a "
-            "Points or Shapes layer",
+            "Points or Shapes layer.",
         )
         self.confidence = LayerChoice(
             layers,
             _may_be_confidence,
             "confidence",
-            "Confidence in the Vectors: an image from 0 to 1, a mask, or the edges of the image. "
-            "Without a choice, it is 1",
+            "Confidence in the Vectors layer: an image from 0 to 1, a mask, or the edges of the "
+            "image; 1 if nothing is chosen",
             lambda: [("edges of the image", EDGES)],
         )
         super().__init__(choice, [self.confidence], BoundaryTable(view))

@@ -1,4 +1,4 @@
-"""Tables of tissues and of boundaries, with a row for each label.
+"""Tissue table and boundary table, with a row for each label.
 
 A menu offers published materials and the materials of other layers and of files.
 """
@@ -44,7 +44,7 @@ from napari_hmrf.tissue.tissue_names import NamedMaterials
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
 
-#: Words in the table for the actions of a boundary.
+#: Text in the table for each boundary action.
 _ACTIONS: dict[Action, str] = {
     "fixed": "fixed",
     "move": "moves",
@@ -78,15 +78,15 @@ class MaterialTable(LabelTable[Material]):
             ),
             Column(
                 "Poisson's\nratio",
-                f"{ABOUT_POISSON}\nThe paper's model does not use it.",
+                f"{ABOUT_POISSON}\nThe paper's model does not use this ratio.",
                 lambda row: f"{row.poisson:g}" if row.is_deformable else "",
                 _poisson,
             ),
             Column(
                 "grows\n%",
-                "Growth in length of free tissue; a negative number shrinks it. 26 % doubles the "
-                "volume.\nTwo numbers, such as 20 / 0: growth along rows and along columns.\nThe "
-                "paper's model has no growth.",
+                "Growth in length of free tissue; a negative number shrinks the tissue. 26 % "
+                "doubles the volume.\nTwo numbers, such as 20 / 0: growth along rows and along "
+                "columns.\nThe paper's model has no growth.",
                 lambda row: _joined(100 * np.atleast_1d(row.growth)) if row.is_deformable else "",
                 _growth,
             ),
@@ -102,7 +102,7 @@ def _stiffness(material: Material, text: str) -> Material:
         return replace(material, stiffness=RIGID)
     stiffness = number_of(text)
     if not 0 <= stiffness <= LARGEST_STIFFNESS:
-        raise ValueError("Stiffness must be a number of at least 0, or 'rigid'")
+        raise ValueError("Stiffness must be a non-negative number or 'rigid'")
     return replace(material, stiffness=stiffness)
 
 
@@ -121,7 +121,9 @@ def _joined(parts: Iterable[float]) -> str:
 def _growth(material: Material, text: str) -> Material:
     parts = tuple(number_of(part) / 100 for part in text.split("/"))
     if len(parts) > 3 or not all(map(is_growth, parts)):
-        raise ValueError("Growth must be above -100 and at most 1000 %; or two numbers: 20 / 0")
+        raise ValueError(
+            "Growth must be above -100 % and at most 1000 %, or two such numbers: 20 / 0"
+        )
     return replace(material, growth=parts if len(parts) > 1 else parts[0])
 
 
@@ -133,7 +135,7 @@ class BoundaryTable(LabelTable[BoundaryRule]):
 
     @property
     def columns(self) -> list[Column[BoundaryRule]]:
-        """Columns for the action and its amounts, in directions of the patient or the screen."""
+        """Columns for the action and its amounts, in patient or screen directions."""
         unit, ways, stiffness = self._place
         per_area = stiffness or "relative"
         return [
@@ -142,7 +144,7 @@ class BoundaryTable(LabelTable[BoundaryRule]):
                 "Action",
                 "fixed: stays in place.\nmoves: by a displacement along rows and columns.\n"
                 "expands: outward, by a distance; the paint must be a closed ring or a patch.\n"
-                "pressed, pulled: by a force per area, on the surface of tissue under the paint",
+                "pressed, pulled: by a force per area, on the surface of tissue under the paint.",
                 lambda row: _ACTIONS[row.action],
                 _action,
                 tuple(_BY_WORD),
@@ -151,7 +153,7 @@ class BoundaryTable(LabelTable[BoundaryRule]):
             _amount("out", "Distance outward; negative: inward", unit, "expand"),
             Column(
                 "confi-\ndence",
-                "Confidence, 0 to 1.\nTwo numbers, such as 1 / 0.5: along rows and along columns",
+                "Confidence from 0 to 1.\nTwo numbers, such as 1 / 0.5: along rows and columns.",
                 lambda row: _joined(() if row.action in FORCES else dict.fromkeys(row.confidence)),
                 _confidence,
             ),
@@ -193,7 +195,7 @@ def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[Bou
 
 
 def _amount(title: str, about: str, unit: str, action: Action) -> Column[BoundaryRule]:
-    """Return the column of an amount that applies to one action only."""
+    """Return the column for an amount that applies to one action only."""
 
     def shown(rule: BoundaryRule) -> float | None:
         return rule.amount if rule.action == action else None
@@ -208,7 +210,7 @@ def _distance(
     amount: Callable[[BoundaryRule], float | None],
     changed: Callable[[BoundaryRule, float], BoundaryRule],
 ) -> Column[BoundaryRule]:
-    """Return a column of numbers with a unit; its cell is empty if `amount` returns None."""
+    """Return a column of numbers with a unit; a cell is empty if `amount` returns None."""
 
     def shown(rule: BoundaryRule) -> str:
         value = amount(rule)
@@ -216,7 +218,7 @@ def _distance(
 
     def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
         if not math.isfinite(far := number_of(text)):
-            raise ValueError(f"The value must be a number, in {unit}")
+            raise ValueError(f"The value must be a number in {unit}")
         return changed(rule, far)
 
     words = title.replace("along ", "along\n")  # saves width in the narrow dock
@@ -226,12 +228,12 @@ def _distance(
 def _confidence(rule: BoundaryRule, text: str) -> BoundaryRule:
     parts = [number_of(part) for part in text.split("/")]
     if len(parts) > 2 or not all(0 <= part <= 1 for part in parts):
-        raise ValueError("Confidence must be a number from 0 to 1; or two numbers: 1 / 0.5")
+        raise ValueError("Confidence must be a number from 0 to 1, or two such numbers: 1 / 0.5")
     return replace(rule, confidence=(parts[0], parts[-1]))
 
 
 def materials_of(layer: Any) -> Preset | None:
-    """Return the tissue table of a Labels layer or a result as a preset; None if it has none."""
+    """Return the tissue table of a Labels layer or a result as a preset; None without a table."""
     table = table_of(layer, TISSUE)
     rows, unit = table[:2] if table.rows else tissue_recorded(layer)
     if not rows or not any(row.stiffness > 0 for row in rows):
@@ -240,7 +242,7 @@ def materials_of(layer: Any) -> Preset | None:
 
 
 class MaterialMenu(QPushButton):
-    """Button with a menu to load materials from presets, layers and files, and to save them.
+    """Button with a menu to load materials from presets, layers and files, and to save the table.
 
     Parameters
     ----------
@@ -251,7 +253,7 @@ class MaterialMenu(QPushButton):
     Attributes
     ----------
     message : Signal(str)
-        Message about a change of the table and its effect on existing rows, or about an error.
+        Message about a change to the table and its effect on existing rows, or about an error.
     """
 
     message = Signal(str)
@@ -260,7 +262,7 @@ class MaterialMenu(QPushButton):
         super().__init__("Materials")
         self._table, self._layers = table, layers
         self.setToolTip(
-            "Load stiffnesses from a publication, a layer or a file, or save these to a file"
+            "Load stiffnesses from a publication, a layer or a file, or save the table to a file"
         )
         give_menu(self, self.fill)
 
@@ -279,7 +281,7 @@ class MaterialMenu(QPushButton):
         taken.setEnabled(bool(taken.actions()))
         about = "File that was saved here or written by hand, or label names of a segmentation"
         add_entry(menu, "Load from file ...", about, self._load)
-        add_entry(menu, "Save to file ...", "For other images, or to share it", self._save)
+        add_entry(menu, "Save to file ...", "For other images, or to share the table", self._save)
 
     def copy_materials(self, materials: Preset | Layer | str | Path) -> None:
         """Copy the materials of a preset, a layer or a file into the table.
@@ -289,7 +291,7 @@ class MaterialMenu(QPushButton):
         LayerError
             If the layer has no table of materials.
         FileFormatError, OSError
-            If the file cannot be read, as for `tissue_table`.
+            If the file cannot be read; see `tissue_table`.
         """
         preset: Preset | NamedMaterials | None
         if isinstance(materials, Preset):
@@ -305,7 +307,7 @@ class MaterialMenu(QPushButton):
         self.message.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
-        """Save the table to a file, as `write_preset`, and return the path of the file."""
+        """Save the table to a file (see `write_preset`), and return the path of the file."""
         table = self._table.contents
         file = write_preset(path, Preset(table.preset, table.unit, table.source, table.rows))
         self.message.emit(f"Saved {file.name}.")

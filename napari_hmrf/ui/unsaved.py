@@ -45,7 +45,7 @@ _log = logging.getLogger("napari_hmrf")
 _NO_FILE_NAME = re.compile(r'[\\/:*?"<>|]')
 #: Time without an edit after which a recovery file is written, in milliseconds.
 _REST = 1000
-#: Instances of all open docks.
+#: `Unsaved` instances of all open docks.
 _all: weakref.WeakSet[Unsaved] = weakref.WeakSet()
 
 
@@ -90,7 +90,7 @@ class Dock(Protocol):
 
 
 class Unsaved(QObject):
-    """Saving and opening of a dock's studies, and protection of unsaved work.
+    """Manager that saves and opens the studies of a dock, and protects unsaved work.
 
     If a script closes the viewer, no prompt is shown.
 
@@ -105,7 +105,7 @@ class Unsaved(QObject):
     Attributes
     ----------
     prompt : callable
-        Given a question, returns "save", "discard" or "cancel". The default shows a dialog.
+        Takes a question, and returns "save", "discard" or "cancel". The default shows a dialog.
     """
 
     def __init__(self, dock: Dock, viewer: Any, controller: Controller, attempt: Attempt) -> None:
@@ -138,7 +138,7 @@ class Unsaved(QObject):
         return written
 
     def _landmarks_apart(self, study: Study) -> str:
-        """Return the name of the landmarks layer if one of its pairs was not added; else ""."""
+        """Return the name of the landmark layer if any of its pairs was not added, else ""."""
         form, grid = self._controller.form, study.grid
         where, should = form.motion.boundary.landmarks.pair
         taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
@@ -296,14 +296,14 @@ class Unsaved(QObject):
         self._work.saved_files[slice_part] = recovery.claim(file)
 
     def release(self) -> None:
-        """Disconnect from edits, because the dock was closed or its window was deleted."""
+        """Disconnect from edits after the dock was closed or its window was deleted."""
         _all.discard(self)
         self._connections.release()
         self._keep_timer.stop()
 
 
 class RecoveryNotice(Container):
-    """Notice of work that was not saved when napari ended, with buttons to open or discard it.
+    """Notice about work that was not saved when napari ended, with buttons to open or discard it.
 
     Parameters
     ----------
@@ -328,7 +328,7 @@ class RecoveryNotice(Container):
             when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
             more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
             of = f" on '{name}'" if (name := image_named_in(files[0])) else ""
-            text = f"Work of {when}{of} was not saved when napari ended{more}."
+            text = f"Work from {when}{of} was not saved when napari ended{more}."
         self._text.show_text(text)
         self.visible = bool(files)
 
@@ -338,13 +338,13 @@ class RecoveryNotice(Container):
 
 
 def _discard(file: Path) -> None:
-    """Move a file to the system's trash, or delete it if there is none."""
+    """Move a file to the system's trash, or delete the file if there is no trash."""
     if not QFile(str(file)).moveToTrash():
         file.unlink(missing_ok=True)
 
 
 def folder() -> Path:
-    """Return the folder of the recovery files, beside the file of remembered settings."""
+    """Return the folder of the recovery files, next to the file of remembered settings."""
     return Path(settings().fileName()).parent / "unsaved"
 
 

@@ -18,16 +18,16 @@ from napari_hmrf.ui.events import single_shot
 _LAYOUT_TIME = 50
 #: Distance below which two view centres are considered equal, in screen pixels.
 _SAME_CENTRE = 20
-#: Lifetimes of all open docks, referenced here because Qt's signals do not reference callbacks.
+#: Lifetimes of all open docks, stored here because Qt's signals do not reference callbacks.
 _lifetimes: set[_Lifetime] = set()
 
 
 class Dock(Container):
     """Dock widget of a viewer.
 
-    An image that was fully visible before docking remains fully visible beside the dock. A dock
-    ends when it is closed or its window is deleted. The next dock to be opened continues with the
-    state of the viewer.
+    An image that was fully visible before docking remains fully visible beside the dock. The
+    lifetime of a dock ends when the dock is closed or its window is deleted. The next dock that is
+    opened continues with the state of the viewer.
 
     Parameters
     ----------
@@ -70,16 +70,16 @@ class Dock(Container):
             self.on_window(window)
 
     def on_over(self, closed: bool) -> None:
-        """Stop all timers if the dock was closed; Qt deletes them with a window."""
+        """Stop all timers if the dock was closed; with a deleted window, Qt deletes the timers."""
         if closed:
             for timer in self.native.findChildren(QTimer):
                 timer.stop()
 
 
 class _Lifetime:
-    """Lifetime of a dock widget; no Qt object is used after its end."""
+    """Lifetime of a dock widget, after which no Qt object is used."""
 
-    # A weak reference, because Qt would call a closure over the owner even during its deletion.
+    # The reference is weak: Qt would call a closure over the owner even while deleting the owner.
     def __init__(self, owner: Dock) -> None:
         self.has_ended = self._docked = False
         self._owner = weakref.ref(owner)
@@ -91,7 +91,7 @@ class _Lifetime:
         self.end(closed=False)
 
     def _on_parent(self, *_: Any) -> None:
-        """Detect docking and closing: napari removes the widget from a dock to close it."""
+        """Detect docking and closing: napari closes a dock by removing the widget from it."""
         owner, docked = self._owner(), self._docked
         self._docked = (
             not self.has_ended and owner is not None and owner.native.parent() is not None
@@ -102,7 +102,7 @@ class _Lifetime:
             self.end(closed=True)
 
     def end(self, closed: bool) -> None:
-        """End the dock, because it was closed or its window was deleted."""
+        """End the lifetime after the dock was closed or its window was deleted."""
         over, self.has_ended = self.has_ended, True
         _lifetimes.discard(self)
         if not over and (owner := self._owner()) is not None:
@@ -110,13 +110,13 @@ class _Lifetime:
 
 
 def sees_all(viewer: Any) -> bool:
-    """Return whether the 2D view of a viewer is close to that of napari's home button."""
+    """Return whether the 2D view of a viewer is close to napari's home view."""
     if not viewer.layers or viewer.dims.ndisplay != 2:
         return False
     camera = camera_of(viewer)
     center, zoom = camera.center, camera.zoom
     viewer.reset_view()
-    # napari fits a first layer before the controls beside it have their final width.
+    # napari fits a first layer before the controls beside the canvas have their final width.
     same = math.isclose(zoom, camera.zoom, rel_tol=0.1)
     for one, other in zip(center[-2:], camera.center[-2:], strict=True):
         same = same and abs(one - other) * zoom < _SAME_CENTRE

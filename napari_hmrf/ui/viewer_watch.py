@@ -1,4 +1,4 @@
-"""Callbacks of the dock for events of the viewer."""
+"""Callbacks of the dock for viewer events."""
 
 from __future__ import annotations
 
@@ -83,13 +83,13 @@ class ViewerWatch:
         self._on_choice()
 
     def release(self) -> None:
-        """Stop listening."""
+        """Disconnect from all events."""
         self._events.release()
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
     def _on_moved(self, study: Study) -> None:
-        """For the first image only, set tool sizes and schedule `first_image_ready`."""
+        """Set tool sizes and schedule `first_image_ready`, for the first image only."""
         if not self._has_started:
             self._has_started = True
             size = study.grid.shape, study.grid.spacing
@@ -159,12 +159,12 @@ class ViewerWatch:
 
     @property
     def _slice_shown(self) -> tuple[tuple[int, ...], list[float]]:
-        """Displayed axes, and the position along each other axis."""
+        """Displayed axes, and positions along the other axes."""
         dims = self._viewer.dims
         return dims.displayed, [dims.point[axis] for axis in dims.not_displayed]
 
     def _on_layers(self, event: Any) -> None:
-        """Dispatch an event of the list of layers, or of a layer in it."""
+        """Dispatch an event of the layer list or of a layer in the list."""
         if event.type in self._callbacks:
             self._callbacks[event.type](event)
 
@@ -221,7 +221,7 @@ class ViewerWatch:
     # Mouse
 
     def update_mouse_mode(self) -> None:
-        """Update status and tool after the mouse may have started or stopped drawing."""
+        """Update the status and the tool after the mouse may have started or stopped drawing."""
         pointer = self._pointer
         if not pointer.display.quiet:
             stopped, self._was_active = self._was_active and not pointer.active, pointer.active
@@ -239,13 +239,13 @@ class ViewerWatch:
 
     @property
     def _is_painted(self) -> bool:
-        """True if a brush of napari is selected in the chosen tissue or boundary."""
+        """True if a napari brush is selected in the chosen tissue or boundary layer."""
         active = self._viewer.layers.selection.active
         painted = isinstance(active, Labels) and active in self._painted
         return painted and active.mode in _BRUSHES
 
     def _on_mode(self, *_: Any) -> None:
-        """Show the undeformed image if a brush of napari is selected, else the deformed image."""
+        """Show the undeformed image if a napari brush is selected, else the deformed image."""
         self._controller.show_before(self._is_painted)
 
     def _on_drag(self, _: Any, event: Any) -> Iterator[None]:

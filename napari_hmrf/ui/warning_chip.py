@@ -1,4 +1,4 @@
-"""Warning chip: reports problems of the visible tissue and offers a remedy."""
+"""Warning chip: reports problems with the visible tissue and offers a remedy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from napari_hmrf.ui.result.result_messages import NOTHING
 
 
 class WarningChip:
-    """Chip that reports problems of a result, marks them, and offers a better model.
+    """Chip that reports problems with a result, marks them, and offers a better model.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class WarningChip:
         self.message.emit(f"{self._form.footer.warning} {slice_message}".rstrip())
 
     def _go_to_most(self, latest: CompleteResult, mark: Mark) -> str:
-        """Show the slice of a volume with the most marked sites; return a message about it."""
+        """Show the slice of a volume with the most marked sites, and return a message."""
         dims, place, view = (
             self._viewer.dims,
             latest.moved.study.grid.known_place,

@@ -132,7 +132,7 @@ def test_a_chosen_image_is_made_visible(viewer, widget, place):
     through = viewer.add_image(np.ones((20, 24)), name="through", opacity=0.5)
     widget.image = image
     assert [each.visible for each in (image, over, beside, through)] == [True, False, True, True]
-    assert widget.status.startswith("Hidden, so that 'MR' is visible: 'photo'. Click the eye")
+    assert widget.status.startswith("Hidden to make 'MR' visible: 'photo'. Click the eye")
     widget.image = over
     assert (over.visible, image.visible) == (True, True)
     assert widget.status == widget.invitation

@@ -331,14 +331,14 @@ def test_a_message_reports_landmarks_that_were_not_imported_before_saving(make_d
     screen = Screen(dock)
     screen.choose("is")
     dock.save_study(path)
-    assert "It lacks landmarks of 'is': press 'Use as landmarks'" in dock.status
+    assert "It lacks the landmarks of 'is': press 'Use as landmarks'" in dock.status
     screen.press("Use as landmarks")
     dock.save_study(path)
     assert "andmarks" not in dock.status
     assert len(read_study(path).study.motion.drawing.marks) == 2
     viewer.layers["ought"].data = [[11, 10], [20, 33]]
     dock.save_study(path)
-    assert "lacks landmarks of 'is'" in dock.status, "the layers say something else now"
+    assert "lacks the landmarks of 'is'" in dock.status, "the layers say something else now"
 
 
 def test_a_study_is_saved_before_it_has_a_result(make_dock, wait_for, tmp_path, monkeypatch):

@@ -45,8 +45,8 @@ def line_weights(spacing: tuple[float, ...]) -> Float64Array:
     1. The same holds for cubic voxels, where a diagonal contributes to the components of its
     direction. For other pixels and voxels, the weights are nonnegative and preserve the continuum
     limit: in uniform tissue, component i satisfies ``3 d_ii + 2 d_jj (+ 2 d_kk) = 0`` in physical
-    lengths, for any spacing. With these weights, the solution of a volume of equal slices is also
-    the solution of the image of a single slice.
+    lengths, for any spacing. With these weights, a volume of identical slices has the same solution
+    as the image of a single slice.
 
     Parameters
     ----------
@@ -84,11 +84,11 @@ class SeilerMaterial:
     Attributes
     ----------
     m : ndarray, shape (H, W) or (D, H, W), float32
-        Stiffness; 0 is void. Only its ratios matter.
+        Stiffness; 0 is void. Only ratios of stiffness matter.
     lines : ndarray, shape (4, 2) or (13, 3)
         Weight of each line of cliques for each component; see `line_weights`.
     square : bool
-        True if the pixels are square, or the voxels are cubes.
+        True if the pixels are squares or the voxels are cubes.
     blanket : bool
         True for the blanket reading, in which all cliques that contain a site act on it. False for
         the centred reading, in which only the cliques centred at a site act on it.
@@ -126,11 +126,11 @@ class SeilerMaterial:
         # In the blanket reading, cycles do not reduce the bending of parts three sites wide.
         return contrast(self.m) <= MILD_CONTRAST and self.square and not self.blanket
 
-    #: False because a rehearsal can succeed for any tissue.
+    #: False because a trial run of the cycles can succeed for any tissue.
     laced = False
-    #: True because the model does not resist changes of volume.
+    #: True because the model does not resist changes in volume.
     compressible = True
-    #: Number of sites along a side of an element, which consists of the cliques around a site.
+    #: Number of sites along a side of an element, which consists of the cliques centred at a site.
     patch = 3
     #: Number of sites by which elements extend beyond the image.
     margin = 1
@@ -142,9 +142,9 @@ class SeilerMaterial:
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """Components of an image, one by one, each with the function that returns its matrices.
+        """Components of an image, each with the function that returns its matrices.
 
-        The matrices of the cliques around sites have shape (h, w, 9, 9).
+        The matrices of the cliques centred at the sites have shape (h, w, 9, 9).
         """
         padded = np.pad(self.m, 1)
         return tuple(((k,), partial(self._matrices, k, padded)) for k in range(2))
@@ -152,7 +152,7 @@ class SeilerMaterial:
     def _matrices(
         self, component: int, padded: npt.NDArray[np.float32], rows: slice, cols: slice
     ) -> Float64Array:
-        """Return the matrices of the cliques centred at the sites in these rows and columns."""
+        """Return the matrices of the cliques centred at the sites in the given rows and columns."""
         # Blanket: second derivatives of the energy. Centred: d - q(d) of the middle site.
         sites = padded[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
         shape = sites.shape[0] - 2, sites.shape[1] - 2
@@ -182,10 +182,10 @@ class SeilerMaterial:
         return total
 
     def pull(self, d: Float64Array, low: Float64Array) -> Float64Array:
-        """Return -A d in the blanket reading, for a displacement given as the sum d + low.
+        """Return -A (d + low) in the blanket reading, where d + low is the displacement.
 
         The forces of the softest tissue are tiny, and stiff tissue amplifies rounding errors in the
-        differences between neighbours, so these differences are computed in doubled precision.
+        differences between neighbours, so these differences use double-double arithmetic.
         """
         m = np.pad(self.m, 2)
         total = np.zeros(d.shape)
@@ -260,7 +260,7 @@ def cliques(
 def _lines(
     lines: Float64Array, m: npt.NDArray[np.floating]
 ) -> Iterator[tuple[Float64Array, tuple[Slices, Slices, Slices]]]:
-    """Yield the weights, (2, 1, 1), and the slices of sites s, t and u of each line of cliques."""
+    """Yield the weights, (2, 1, 1), and the slices of sites s, t and u for each line of cliques."""
     for step, weights in zip(line_steps(m.ndim), lines, strict=True):
         s, t, u = (
             tuple(slice(2 + k * a, size - 2 + k * a) for a, size in zip(step, m.shape, strict=True))
@@ -314,7 +314,7 @@ def _halves(a: Float64Array) -> _Pair:
 def ratios(
     m: npt.NDArray[np.floating], s: Slices, t: Slices, u: Slices
 ) -> tuple[Float64Array, Float64Array, npt.NDArray[np.bool_]]:
-    """Return m_t/m_s, m_t/m_u (1 where undefined) and a mask of existing cliques, each (..., 1)."""
+    """Return m_t/m_s, m_t/m_u (1 if undefined) and a mask of existing cliques, all (..., 1)."""
     ms, mt, mu = (m[at].astype(np.float64)[..., None] for at in (s, t, u))
     exists = (ms > 0) & (mt > 0) & (mu > 0)
     one = np.ones_like(mt)

@@ -40,8 +40,8 @@ from napari_hmrf.solver.rigid_modes import check_held
 
 Plane = Literal["stress", "strain"]
 
-#: Penalty K (eq. 19) of doubted observations if none is given: a force of 1 strains a pixel of the
-#: stiffest tissue by 1.
+#: Default penalty K (eq. 19) of doubted observations. A force of 1 strains a pixel of the stiffest
+#: tissue by 1.
 DOUBTED_PENALTY = 1.0
 #: Range of Poisson's ratio in which tissue is stable and compressible.
 POISSON_RANGE = (0.0, 0.499)
@@ -60,12 +60,13 @@ class ElasticPrior:
         bulges when compressed. A ratio of 0.5 would be incompressible; soft tissue has 0.45 to
         0.499. Values in void are ignored.
     plane : {"stress", "strain"}
-        ``"stress"`` is a thin slice that is free to bulge out of the image. ``"strain"`` is a slice
-        confined between its neighbours. In plane strain, the twist of an element does not count as
-        a change of volume (selective reduced integration), because counting it would lock
-        nearly incompressible tissue. Ignored in a volume, which is strained in all directions.
+        ``"stress"`` describes a thin slice that is free to bulge out of the image. ``"strain"``
+        describes a slice confined between its neighbours. In plane strain, the twist of an element
+        does not count as a change in volume (selective reduced integration), because counting it
+        would lock nearly incompressible tissue. Ignored for volumes, which are strained in all
+        directions.
     penalty : float, optional
-        Strength of observations. By default, it depends on their confidence c: with c = 1 an
+        Strength of observations. By default, it depends on the confidence c: with c = 1, an
         observation is certain and prescribed exactly; with 0 < c < 1 it is doubted and exerts a
         force of at most c per component, where a force of 1 strains a pixel of the stiffest tissue
         by 1. The observation slips where the force would exceed this limit. If there is rigid
@@ -92,7 +93,7 @@ class ElasticPrior:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters by name (JSON types only), with the shape and digest of a map of ratios."""
+        """Parameters by name (JSON types only), with a map of ratios as its shape and digest."""
         nu: Any = self.poisson
         if isinstance(nu, np.ndarray):
             digest = hashlib.sha256(nu.tobytes()).hexdigest()
@@ -181,14 +182,14 @@ class ElasticPrior:
         return ElasticMaterial(problem.stiffness, self.poisson, self._strain(problem), shape)
 
     def _strain(self, problem: Problem) -> bool:
-        """Return whether tissue cannot bulge out of the grid: plane strain, or a volume."""
+        """Return True in plane strain and in volumes, where tissue cannot bulge out of the grid."""
         return self.plane == "strain" or problem.stiffness.ndim == 3
 
     def lame(self, problem: Problem, sites: slice = slice(None)) -> Lame:
-        """Return Lame's parameters of elements from the means of their sites.
+        """Return Lame parameters of elements from the means of their sites.
 
-        They are 0 for elements with void or rigid sites. By default all elements are returned;
-        otherwise only the elements between the given range of sites along the first axis.
+        The parameters are 0 for elements with void or rigid sites. If `sites` is given, only the
+        elements between this range of sites along the first axis are included.
         """
         m = problem.stiffness[sites] / np.float64(stiffest(problem.stiffness))
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
@@ -208,11 +209,11 @@ class ElasticPrior:
         )
 
     def force_unit(self, problem: Problem) -> float:
-        """Return the force, in units of `Loads`, that strains a pixel of stiffest tissue by 1."""
+        """Return the force that strains a pixel of the stiffest tissue by 1, in `Loads` units."""
         return stiffest(problem.stiffness) * problem.unit ** (len(problem.shape) - 1)
 
     def load(self, problem: Problem) -> Load | None:
-        """Return the contribution of a problem's loads to its energy, or None without loads."""
+        """Return the contribution of a problem's loads to its energy, or None if there are none."""
         loads, grid = problem.loads, problem.shape
         if loads is None or (loads.growth is None and loads.force is None):
             return None
@@ -255,7 +256,7 @@ class ElasticPrior:
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Return the gradient of the energy with respect to the displacement in pixels, (H, W, 2).
 
-        It consists of the internal forces of the tissue minus the forces of loads.
+        The gradient consists of the internal forces of the tissue minus the forces of the loads.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         shape, load, forces = self.shape(problem.spacing), self.load(problem), np.zeros(d.shape)
@@ -276,8 +277,8 @@ def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
         poisson = np.array(given, dtype=np.float32, order="C")
     if poisson.ndim not in (2, 3):
         raise ArgumentError(
-            "poisson must be one number, or one for each pixel (H, W) or voxel (D, H, W), not an "
-            f"array of shape {poisson.shape}"
+            "poisson must be a number or an array of shape (H, W) or (D, H, W), not an array of "
+            f"shape {poisson.shape}"
         )
     poisson.setflags(write=False)
     return poisson
@@ -287,8 +288,8 @@ def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> No
     if poisson.shape != problem.shape:
         raise ProblemError(
             "poisson",
-            f"has shape {poisson.shape}, but stiffness has shape {problem.shape}. Give both on the "
-            "same pixel grid.",
+            f"has shape {poisson.shape}, but stiffness has shape {problem.shape}. Use the "
+            "same pixel grid for both.",
         )
     low, high = (np.float32(bound) for bound in POISSON_RANGE)
     wrong = problem.tissue & ~((poisson >= low) & (poisson <= high))
@@ -297,12 +298,12 @@ def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> No
         raise ProblemError(
             "poisson",
             f"has {int(wrong.sum())} values outside {POISSON_RANGE[0]} to {POISSON_RANGE[1]} in "
-            f"tissue, the first at {first}. Soft tissue is 0.45 to 0.499.",
+            f"tissue, the first at {first}. Soft tissue has ratios of 0.45 to 0.499.",
         )
 
 
 def prior_in_words(prior: Any) -> str:
-    """Return a one-line text for an elastic prior, with the size of a map of ratios."""
+    """Return a one-line description of an elastic prior, with the size of any map of ratios."""
     nu = prior.poisson
     ratio = f"map of {grid_in_words(nu.shape)}" if isinstance(nu, np.ndarray) else f"{nu}"
     name = type(prior).__name__

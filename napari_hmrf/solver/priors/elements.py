@@ -28,22 +28,23 @@ Float64Array = npt.NDArray[np.float64]
 #: Stiffness that represents rigid tissue in cycles with all bodies prescribed, relative to the
 #: stiffest non-rigid tissue.
 HELD_STAND_IN = 1.0
-#: Same for cycles that move bodies; coarse levels must remain accurate.
+#: Same for cycles that move bodies; small enough for the coarse levels to remain accurate.
 CYCLE_STAND_IN = 40.0
 #: Same for factorizations.
 FACTOR_STAND_IN = 1e6
-#: Largest ratio of stiffnesses for which a multigrid cycle is known to reduce every motion.
+#: Largest ratio of stiffnesses for which a multigrid cycle is known to reduce the error in every
+#: motion.
 MILD_CONTRAST = 5.0
-#: Same for the ratio of the sides of a pixel.
+#: Same for the ratio between the sides of a pixel.
 MILD_ASPECT = 1.5
-#: Same for the ratio of the sides of a voxel; estimates for volumes have a larger margin.
+#: Same for the ratio between the sides of a voxel; error estimates in volumes have a larger margin.
 MILD_VOXEL_ASPECT = 2.0
 #: Same for Poisson's ratio in plane strain.
 MILD_POISSON = 0.4
-#: Least number of elements per site for which a cycle reduces every motion. Thin strips have fewer,
-#: and coarse levels cannot represent all their bending modes.
+#: Smallest number of elements per site for which a cycle reduces the error in every motion. Thin
+#: strips have fewer, and coarse levels cannot represent all their bending modes.
 MILD_COMPACTNESS = 0.85
-#: Ratio of stiffnesses above which cycles do not reduce some motions of thin strips.
+#: Ratio of stiffnesses above which cycles do not reduce the error in some motions of thin strips.
 LACED_CONTRAST = 300.0
 
 
@@ -54,7 +55,7 @@ class ElasticMaterial:
     Attributes
     ----------
     m : ndarray, shape (H, W) or (D, H, W), float32
-        Stiffness; 0 is void. Only its ratios matter.
+        Stiffness; 0 is void. Only ratios of stiffness matter.
     poisson : float or ndarray of the same shape, float32
         Poisson's ratio of all tissue, or of each site.
     strain : bool
@@ -84,7 +85,7 @@ class ElasticMaterial:
         return math.isinf(float(self.m.max()))
 
     def relative(self, stand_in: float, sites: Any = ...) -> Float64Array:
-        """Return the stiffness of some sites relative to the stiffest non-rigid tissue."""
+        """Return the stiffness relative to the stiffest non-rigid tissue; `stand_in` if rigid."""
         m = self.m[sites].astype(np.float64) / stiffest(self.m)
         return np.where(np.isinf(m), stand_in, m)
 
@@ -100,19 +101,19 @@ class ElasticMaterial:
 
     @property
     def compressible(self) -> bool:
-        """True if cycles reduce changes of volume as well as other motions."""
+        """True if cycles reduce errors in volume as well as in other motions."""
         return not (self.strain and self.largest_poisson > MILD_POISSON)
 
     @cached_property
     def laced(self) -> bool:
-        """True if thin strips have too high a contrast for a rehearsal to succeed."""
+        """True if thin strips have too high a contrast for a trial run of the cycles to succeed."""
         return self._compactness < MILD_COMPACTNESS and contrast(self.m) >= LACED_CONTRAST
 
     @cached_property
     def _compactness(self) -> float:
-        """Number of elements per site of tissue: 1/2 for strips two sites wide, near 1 if wide."""
-        # Borders reduce the number by the same factor per axis; the power makes volumes and images
-        # comparable.
+        """Number of elements per site of tissue: 1/2 in strips two sites wide, at most 1."""
+        # Borders reduce the number by the same factor for each axis. The exponent makes volumes
+        # comparable with images.
         share = np.count_nonzero(in_elements(self.m)) / np.count_nonzero(self.m > 0)
         return float(share ** (2 / self.m.ndim))
 
@@ -131,7 +132,7 @@ class ElasticMaterial:
         return ((tuple(range(self.m.ndim)), self._matrices),)
 
     def _matrices(self, *elements: slice) -> Float64Array:
-        """Return the matrices of the elements in these ranges along the axes."""
+        """Return the matrices of the elements in the given ranges along the axes."""
         first, shear = element_stiffness(self.shape)
         sites = tuple(slice(each.start, each.stop + 1) for each in elements)
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
@@ -148,7 +149,7 @@ class ElasticMaterial:
 
 
 class Lame(NamedTuple):
-    """Lame's parameters of the elements, relative to the stiffest tissue; 0 in void.
+    """Lame parameters of the elements, relative to the stiffest tissue; 0 in void.
 
     Along each axis, the arrays are one element shorter than the arrays of the sites.
     """
@@ -158,7 +159,7 @@ class Lame(NamedTuple):
 
 
 class ElementShape(NamedTuple):
-    """Factors on an element's differences, from the size of a pixel (area times squared lengths).
+    """Factors on an element's differences, derived from the size of a pixel.
 
     Attributes
     ----------
@@ -169,7 +170,7 @@ class ElementShape(NamedTuple):
     twist_rows, twist_cols : float
         Factors on the square of D_x, for its strain along the row axis and the column axis.
     twist_volume : float
-        1 if the twist counts as a change of volume, otherwise 0.
+        1 if the twist counts as a change in volume, otherwise 0.
     """
 
     rows: float
@@ -209,13 +210,13 @@ class Differences(NamedTuple):
 
 
 def of_elements(values: Float64Array) -> Float64Array:
-    """Return the mean over the sites of each element: four, or eight in a volume."""
+    """Return the mean over the sites of each element: four sites, or eight in a volume."""
     mean: Float64Array = of_corners(values, np.add) / 2**values.ndim
     return mean
 
 
 def lame_ratio(poisson: float, strain: bool) -> float:
-    """Return lambda / mu, the ratio of Lame's parameters."""
+    """Return lambda / mu, the ratio of Lame parameters."""
     return 2 * poisson / (1 - (2 * poisson if strain else poisson))
 
 
@@ -233,7 +234,7 @@ def stiffest(m: npt.NDArray[np.float32]) -> float:
 
 
 def lame_parameters(m: Float64Array, poisson: Any, strain: bool) -> Lame:
-    """Return Lame's parameters of each element from the means of its sites; 0 if a site is void.
+    """Return Lame parameters of each element from the means of its sites; 0 if a site is void.
 
     Parameters
     ----------

@@ -162,12 +162,12 @@ def moduli_of(
     growth: Float64Array | None = None,
     across: Float64Array | float = 0.0,
 ) -> Moduli:
-    """Return the moduli of elements from their in-plane Lame's parameters for small motion.
+    """Return the moduli of elements from their in-plane Lame parameters for small motion.
 
     Parameters
     ----------
     lame : Lame
-        Lame's parameters of linear elasticity in the plane.
+        Lame parameters of linear elasticity in the plane.
     shape : ElementShape
         Factors on the differences of an element.
     growth : ndarray, shape (2, 2, H - 1, W - 1), optional

@@ -1,10 +1,10 @@
 """Forces of growth on each site, in NumPy and float64, for images and volumes.
 
-An element with growth strain e_g has the energy of the strain e - e_g. With s_g = C : e_g,
+An element with growth strain e_g has the energy of the strain e - e_g. With s_g = C : e_g, this is
 
     U = 1/2 integral of e : C : e  -  integral of e : s_g  +  1/2 integral of e_g : s_g
 
-Within an element e_g is constant, the mean over its sites, so the second integral depends only on
+Within an element, e_g is constant (the mean over its sites), so the second integral depends only on
 the mean of the strain e.
 """
 
@@ -21,7 +21,7 @@ from napari_hmrf.solver.neighbours import pairs
 from napari_hmrf.solver.priors.elements import Float64Array, Lame, of_elements
 from napari_hmrf.solver.real_arrays import FloatArray
 
-# Number of elements that are processed at once. Processing all elements of a volume together would
+# Number of elements processed at once. Processing all elements of a volume together would
 # require more memory than its solve.
 _BLOCK_SIZE = 1 << 17
 
@@ -59,8 +59,8 @@ def growth_load(
     sides : tuple of float
         Lengths of the sides of an element, scaled to a product of 1.
     lame_of : callable
-        Function that returns Lame's parameters of the elements between the sites in a range of the
-        first axis.
+        Function that returns Lame parameters of the elements between the sites in a range along
+        the first axis.
     across : bool
         True if growth perpendicular to the image exerts forces, as in plane strain.
     """
@@ -124,7 +124,7 @@ def element_strains(growth: FloatArray, axes: int) -> tuple[Float64Array, Float6
 
 
 def _pulls(stresses: Float64Array, sides: tuple[float, ...]) -> Float64Array:
-    """Return the forces on the sites for the stress tensor, (n, n), of each element."""
+    """Return the forces on the sites, given the stress tensor, (n, n), of each element."""
     axes = len(sides)
     total = np.zeros((*(size + 1 for size in stresses.shape[2:]), axes))
     for component in range(axes):

@@ -6,9 +6,9 @@ product of all three. The coefficient of a mode is the mean of the values at the
 multiplied by the sign of the mode at each corner (Walsh functions). The modes are orthogonal, so
 their energies add up. The only coupling within a mode is between the two terms of a shear strain.
 
-Only the mean volume change of an element contributes to the energy, as in plane strain (selective
-reduced integration). Including the volume change at each point would lock nearly incompressible
-tissue.
+Only the mean change in volume of an element contributes to the energy, as in plane strain
+(selective reduced integration). Including the change in volume at each point would lock nearly
+incompressible tissue.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ import numpy as np
 
 from napari_hmrf.solver.priors.elements import Float64Array, Lame
 
-#: Shape of an array of modes. An index is 1 if the coordinate of that axis is a factor, else 0.
+#: Shape of an array of modes. An index is 1 if the coordinate of that axis is a factor of the mode,
+#: otherwise 0.
 _MODES = (2, 2, 2)
 _AXES = range(3)
 
 
 class BrickShape(NamedTuple):
-    """Factors that convert an element's modes to derivatives, for the size of a voxel.
+    """Factors that convert an element's modes to derivatives, for a given voxel size.
 
     Attributes
     ----------

@@ -175,8 +175,8 @@ def _check_growth(problem: Problem) -> None:
     if wrong.any():
         raise ProblemError(
             "growth",
-            f"shrinks tissue to nothing in some direction, first at {first_index(wrong)}. Give "
-            "tensors whose strain is above -1 in all directions.",
+            f"shrinks tissue to nothing in some direction, first at {first_index(wrong)}. Pass "
+            "growth tensors with a strain above -1 in all directions.",
         )
 
 

@@ -40,10 +40,10 @@ from napari_hmrf.solver.quadtree import levels, sampled
 Float64Array = npt.NDArray[np.float64]
 Conditional = Literal["centred", "blanket"]
 
-# K in uniform tissue, by the number of axes. The energy of one pixel of deviation from the
-# observation then equals that of a difference of 200 pixels from the neighbours.
+# K in uniform tissue, by number of axes. One pixel of deviation from the observation then has the
+# same energy as a difference of 200 pixels from the neighbours.
 _UNIFORM_PENALTY = {2: 1e4, 3: 3e4}
-# Range of penalties; beyond it, float32 energies would overflow.
+# Range of penalties; outside this range, float32 energies would overflow or underflow.
 _SMALLEST_PENALTY, _LARGEST_PENALTY = 1e-30, 1e30
 
 
@@ -72,9 +72,9 @@ class SeilerPrior:
         the cliques centred at the site. ``"blanket"``: all cliques that contain the site, which is
         the textbook reading of eq. 7, for images only. docs/method.md compares their accuracy.
     damping : float, optional
-        Factor on the step of each site to its best displacement, as all sites move simultaneously.
-        The default is 1 for centred, and 0.6 for blanket, which diverges without damping (values
-        below 2/3 are safe for any stiffness).
+        Factor on the step of each site to its best displacement, because all sites move
+        simultaneously. The default is 1 for centred cliques and 0.6 for blanket cliques, which
+        diverge without damping (values below 2/3 are safe for any stiffness).
     """
 
     penalty: float | None = None
@@ -157,7 +157,7 @@ class SeilerPrior:
         return replace(self, penalty=self.penalty_for(problem))
 
     def limit(self, problem: Problem) -> Float64Array:
-        """Return P = K c of every component (H, W, 2) or (D, H, W, 3)."""
+        """Return P = K c for every component, shape (H, W, 2) or (D, H, W, 3)."""
         limit: Float64Array = self.penalty_for(problem) * problem.confidence.astype(np.float64)
         return limit
 
@@ -204,7 +204,7 @@ class SeilerPrior:
         SiteParabola
             Two arrays of shape (H, W, 2) or (D, H, W, 3): the curvature A, which is 0 if the site
             is not in any clique, and the minimizer q in the unit of ``problem.spacing``, which is
-            the present displacement of the site if A = 0.
+            the current displacement of the site if A = 0.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         cliques_at_sites = self._cliques_of(problem, d)
@@ -241,7 +241,7 @@ def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
 def _steepest(
     m: npt.NDArray[np.float32], sites: npt.NDArray[np.bool_], weights: Float64Array
 ) -> float:
-    """Return the largest curvature of the centred energy at any of these sites."""
+    """Return the largest curvature of the centred energy at any of the given sites."""
     padded, at = np.pad(m, 1), np.argwhere(sites) + 1
 
     def stiffness(sites: npt.NDArray[np.int_]) -> Float64Array:

@@ -1,1 +1,1 @@
-"""Editor of the curve that maps the intensity of an image to stiffness."""
+"""Editor for the curve that maps the intensity of an image to stiffness."""

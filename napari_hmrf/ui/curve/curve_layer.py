@@ -1,4 +1,4 @@
-"""Layer of the stiffness assigned to the pixels of an image by a curve."""
+"""Layer that shows the stiffness assigned to image pixels by a curve."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from napari_hmrf.ui.curve.editor import CurveEditor
 
 
 class CurveLayer:
-    """Display of the curve of a study: a layer with the stiffness in the slice, and a histogram.
+    """Display of a study's stiffness curve: a stiffness layer for the slice, and a histogram.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class CurveLayer:
     Attributes
     ----------
     layer : napari.layers.Image or None
-        Layer above the image and its deformed copies, for display only; None without a curve.
+        Display-only layer above the image and its deformed copies; None if there is no curve.
     """
 
     def __init__(self, viewer: Any, editor: CurveEditor) -> None:
@@ -65,5 +65,5 @@ class CurveLayer:
             below = [image, *shared(self._viewer, ResultLayers).pictures_of(image)]
             with same_selection(self._viewer):
                 layers.insert(max(map(layers.index, below)) + 1, self.layer)
-        # The lower limit is below the softest tissue, so that only void pixels lie below it.
+        # Set the lower limit below the softest tissue, so that only void pixels fall below it.
         self.layer.contrast_limits = min(softest / 2, stiffest / 256), stiffest

@@ -1,4 +1,4 @@
-"""Editor of a stiffness curve: a plot, and fields with the same curve as text."""
+"""Editor for a stiffness curve: a plot, and fields with the same curve as text."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _JOINED = {
 
 
 class CurveEditor(Container):
-    """Editor of a stiffness curve; the user drags or types the points.
+    """Editor for a stiffness curve; the user drags or types the points.
 
     Parameters
     ----------
@@ -30,11 +30,11 @@ class CurveEditor(Container):
     Attributes
     ----------
     plot : CurvePlot
-        Plot of the curve; emits all edits, including typed ones.
+        Plot of the curve; emits its signals for all edits, including typed edits.
     points, void_below, unit : LineEdit
     joined : ComboBox
     guess : PushButton
-        Button to replace the curve by a first guess; the owner sets its callback.
+        Button that replaces the curve with a first guess; the owner sets the callback.
     refusal : Signal(str)
         Reason why typed text was refused.
     """
@@ -44,20 +44,20 @@ class CurveEditor(Container):
     def __init__(self, curve: StiffnessCurve) -> None:
         self.plot = CurvePlot(curve)
         tip = (
-            "Pairs of intensity and stiffness, such as 10: 1; 50: 2. Intensity is in the unit of "
-            "the image; stiffness is relative, or a Young's modulus"
+            "Pairs of intensity (in the unit of the image) and stiffness (relative, or a Young's "
+            "modulus), such as 10: 1; 50: 2"
         )
         self.points = LineEdit(label="points", tooltip=tip)
         tip = "Darker pixels, such as air, have stiffness 0; if empty, all pixels are tissue"
         self.void_below = LineEdit(label="no tissue below", tooltip=tip)
         tip = (
-            "Interpolation between the points: straight, or smooth without overshoot; on a "
-            "logarithmic or a linear scale of stiffness"
+            "Interpolation between the points: straight, or smooth without overshoot, on a "
+            "logarithmic or linear stiffness scale"
         )
         self.joined = menu("interpolation", _JOINED, tip)
         tip = "Unit of measured stiffness, such as kPa; for display only"
         self.unit = LineEdit(label="unit", tooltip=tip)
-        tip = "Replace the curve by a first guess from the visible slice: brighter is stiffer"
+        tip = "Replace the curve with a first guess from the visible slice: brighter is stiffer"
         self.guess = PushButton(text="Reset", tooltip=tip)
         super().__init__(widgets=[self.points, self.void_below, self.joined, self.unit, self.guess])
         self.margins = (0, 0, 0, 0)
@@ -71,7 +71,7 @@ class CurveEditor(Container):
 
     @property
     def curve(self) -> StiffnessCurve:
-        """Displayed curve; setting it emits no signal of the plot."""
+        """Displayed curve; setting it does not emit the signals of the plot."""
         return self.plot.curve
 
     @curve.setter
@@ -80,7 +80,7 @@ class CurveEditor(Container):
         self._show()
 
     def _show(self) -> None:
-        """Show the curve of the plot in the fields."""
+        """Show the plot's curve in the fields."""
         curve, below = self.curve, self.curve.void_below
         pairs = [f"{_digits(at)}: {_digits(stiffness)}" for at, stiffness in curve.points]
         self.points.value = "; ".join(pairs)
@@ -114,5 +114,5 @@ def _point(text: str) -> Point:
 
 
 def _digits(number: float) -> str:
-    """Format a number with the fewest digits that are parsed as the same number."""
+    """Format a number with the fewest digits that parse back to the same number."""
     return np.format_float_positional(number, trim="-")

@@ -21,7 +21,7 @@ _LARGEST = 1_000_000
 #: Largest distance at which the mouse grabs a point, in pixels.
 _NEAR = 9
 _LINE = "#4ea6dc"
-#: Left, bottom, width and height of the axes, as parts of the figure.
+#: Left, bottom, width and height of the axes, as fractions of the figure size.
 _AXES = (0.13, 0.13, 0.84, 0.82)
 _INKS = ("axes.edgecolor", "text.color", "xtick.color", "ytick.color")
 _HELP = (
@@ -38,9 +38,9 @@ class CurvePlot(QWidget):
     canvas : FigureCanvasQTAgg or None
         Canvas of the plot; None until the plot is shown, because importing matplotlib is slow.
     edited : Signal(StiffnessCurve)
-        Emitted with the curve after every change by the user, also during a drag.
+        Emitted with the curve after every change by the user, including during a drag.
     settled : Signal(StiffnessCurve)
-        Emitted at the end of an edit.
+        Emitted with the curve at the end of an edit.
     """
 
     edited = Signal(StiffnessCurve)
@@ -52,14 +52,14 @@ class CurvePlot(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         QVBoxLayout(self).setContentsMargins(0, 0, 0, 0)
         self._curve = curve
-        # Index of the dragged point.
+        # Index of the dragged point, or None.
         self._dragged: int | None = None
         self._counts, self._edges = np.zeros(0), np.array([curve.points[0][0], curve.points[-1][0]])
         self.canvas: Any = None
 
     @property
     def curve(self) -> StiffnessCurve:
-        """Displayed curve; setting it emits no signal."""
+        """Displayed curve; setting it does not emit signals."""
         return self._curve
 
     @curve.setter
@@ -127,11 +127,11 @@ class CurvePlot(QWidget):
             self.settled.emit(self._curve)
 
     def _point_at(self, event: Any) -> Point:
-        """Return the point at the mouse, clipped to the axes."""
+        """Return the point at the mouse position, clipped to the axes."""
         (axes,) = self.canvas.figure.axes
         within = np.clip((event.x, event.y), axes.bbox.min, axes.bbox.max)
         intensity, stiffness = axes.transData.inverted().transform(within).tolist()
-        stiffness = max(stiffness, self._curve.range[0] / 100)  # a linear axis goes below 0
+        stiffness = max(stiffness, self._curve.range[0] / 100)  # a linear axis extends below 0
         return float(f"{intensity:.5g}"), float(f"{stiffness:.3g}")
 
     def _change(self, number: int | None, point: Point | None) -> None:
@@ -173,5 +173,5 @@ class CurvePlot(QWidget):
             axes.axvspan(marks[0], curve.void_below, color="#808080", alpha=0.4)
         for each in limits:  # keep the axes during a drag, so that the point stays under the mouse
             axes.axis(each)
-        with suppress(RuntimeError):  # Python may delete the window meanwhile
+        with suppress(RuntimeError):  # the window may be deleted meanwhile
             self.canvas.draw()

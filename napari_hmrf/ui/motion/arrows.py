@@ -25,14 +25,14 @@ _NEAR = 8.0
 
 
 class CanvasListener(Protocol):
-    """Receiver of mouse and key actions on the canvas; points are in pixels of the image."""
+    """Receiver of mouse and key actions on the canvas; points are in image pixels."""
 
     @property
     def keys(self) -> Mapping[str, Callable[[], object]]:
         """Actions by key."""
 
     def press(self, point: Point, reach: float) -> None:
-        """Begin a drag; `reach` is the largest distance of a hit, in the unit of the spacing."""
+        """Begin a drag; `reach` is the hit distance in the unit of the spacing."""
 
     def pick(self, point: Point, reach: float) -> None:
         """Select the mark at a point."""
@@ -45,7 +45,7 @@ class CanvasListener(Protocol):
 
 
 class ArrowsLayer:
-    """Vectors layer of the viewer, created when it is first needed.
+    """Vectors layer *Motion* of the viewer, created on first use.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class ArrowsLayer:
 
     @property
     def layer(self) -> Any:
-        """Layer, or None if it is not in the viewer."""
+        """The *Motion* layer, or None if the layer is not in the viewer."""
         return still_there(self._viewer, self._layer)
 
     @property
@@ -76,7 +76,7 @@ class ArrowsLayer:
 
     @property
     def active(self) -> bool:
-        """True if the layer receives the mouse; always False in 3D display."""
+        """True if the layer receives mouse events; always False in 3D display."""
         layer = self.layer
         flat = self._viewer.dims.ndisplay == 2
         return flat and layer is not None and self._viewer.layers.selection.active is layer
@@ -126,7 +126,7 @@ class ArrowsLayer:
     ) -> None:
         """Draw the arrows, and other lines below the arrows.
 
-        With `quick`, as during a drag, only the canvas is updated if possible.
+        With `quick`, which is set during a drag, only the canvas is updated if possible.
         """
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
@@ -140,7 +140,7 @@ class ArrowsLayer:
         if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
             return
         layer.data = placed
-        # Setting colours takes as long as drawing lines, so only the first move of a drag does so.
+        # Setting colours is as slow as drawing lines, so only the first move of a drag sets them.
         if len(lines) and not same:
             # napari does not update the number of lines of a hidden layer.
             with nullcontext() if layer.visible else layer.events.edge_color.blocker():
@@ -167,7 +167,7 @@ class ArrowsLayer:
         layer.cursor = "circle"
 
     def end_drag(self) -> None:
-        """Restore the updates that were suspended for the drag."""
+        """Resume the updates that were suspended for the drag."""
         self._drag.close()
 
     def remove(self) -> None:
@@ -189,11 +189,11 @@ class ArrowsLayer:
         layer.bind_key("Space", self._on_space)
         layer.events.mode.connect(self._on_mode)
         self._viewer.add_layer(layer)
-        # Otherwise vispy builds a program in each update, which takes longer than the drawing.
+        # Otherwise vispy builds a shader program in each update, which takes longer than drawing.
         compile_once(drawn_node(self._viewer, layer))
 
     def _equip(self, layer: Any) -> None:
-        """Set the mouse and the cursor for drawing.
+        """Configure the mouse and the cursor for drawing.
 
         napari resets the mouse and the cursor when the layer is added and when its mode changes.
         """
@@ -221,7 +221,7 @@ class ArrowsLayer:
         self._listener.press(point, self._reach(layer, event))
         self._suspend_status()
         yield
-        # vispy drops a move that closely follows another move, so the release is also a move.
+        # vispy drops a move that closely follows another move, so the release counts as a move.
         while True:
             point = self._pixel(layer, event)
             if point is not None:
@@ -233,15 +233,15 @@ class ArrowsLayer:
 
     def _suspend_status(self) -> None:
         """Suspend the updates of the status bar until the drag ends."""
-        # At every move of the cursor, a thread of napari reads the values under the cursor and
-        # blocks the GUI thread. To show the values, the layout of the whole window is recomputed.
-        # napari can disable this only for all viewers, and permanently.
+        # At every cursor move, a napari thread reads the values under the cursor and blocks the
+        # GUI thread. To show the values, napari recomputes the layout of the whole window. These
+        # updates can be disabled only permanently and for all viewers.
         cursor = self._viewer.cursor
         self._drag.callback(lambda: cursor.events.position(value=cursor.position))
         self._drag.enter_context(cursor.events.position.blocker())
 
     def _pixel(self, layer: Any, event: Any) -> Point | None:
-        """Return the position of the mouse in pixels of the image; None in 3D display."""
+        """Return the position of the mouse in image pixels, or None in 3D display."""
         flat = len(event.dims_displayed) == 2 and self._viewer.dims.ndisplay == 2
         if self._frame is None or not flat:
             return None

@@ -13,12 +13,12 @@ from napari_hmrf.tissue.drawing.marks import Action, Point, between
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.tool import Origin, Tool, ToolError, ToolSettings, identity
 
-#: Smallest distance between two points of a stroke, as a part of the brush's radius.
+#: Smallest distance between two points of a stroke, as a fraction of the brush radius.
 _STEP = 0.1
 
 
 class BrushTool(Tool):
-    """Base class of tools that paint; painting over the selected stroke continues it.
+    """Base class of painting tools; painting over the selected stroke continues it.
 
     Strokes are placed on the undeformed tissue, even while the tissue moves.
 
@@ -27,13 +27,13 @@ class BrushTool(Tool):
     action : Action
         Effect of the strokes.
     step : str
-        Name of the undo step of a stroke.
+        Name of the undo step for a stroke.
     """
 
     action: ClassVar[Action]
     step: ClassVar[str]
 
-    #: Map from each point that was visible at the button press to its undeformed place.
+    #: Map from points visible at the button press to their undeformed positions.
     _origin: Origin
 
     @classmethod
@@ -63,7 +63,7 @@ class BrushTool(Tool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Begin or continue a stroke; outside tissue, begin at the visible place."""
+        """Begin or continue a stroke; outside tissue, begin at the visible position."""
         if not self._is_inside(point):
             return motion_messages.OUTSIDE
         self.release()
@@ -104,12 +104,12 @@ class BrushTool(Tool):
         return all(-0.5 <= at <= size - 0.5 for at, size in along)
 
     def _place(self, point: Point) -> Point:
-        """Return the undeformed place of a visible point, or the point itself outside tissue."""
+        """Return the undeformed position of a visible point, or the point itself outside tissue."""
         before = self._origin(point)
         return point if before is None else before
 
     def _stroke_at(self, place: Point) -> Stroke | None:
-        """Return the selected stroke if it covers an undeformed place, or None."""
+        """Return the selected stroke if it covers an undeformed position, or None."""
         stroke = self.mark
         is_hit = stroke is not None and covers(stroke, place, self._spacing)
         return stroke if is_hit else None
@@ -128,7 +128,7 @@ class HoldTool(BrushTool):
 
 
 class FreeTool(BrushTool):
-    """Brush that frees the painted tissue from all boundary conditions."""
+    """Brush that releases the painted tissue from all boundary conditions."""
 
     name = "free"
     title = "Release"
@@ -150,11 +150,11 @@ class PushTool(BrushTool):
     action = "move"
     step = "painted a push"
 
-    #: Start point of the drag, and displacement of the stroke before it; None while painting.
+    #: Start point of the drag, and displacement of the stroke before the drag; None while painting.
     _grip: tuple[Point, Point] | None = None
 
     def _begin(self, point: Point, settings: ToolSettings) -> None:
-        """Begin to drag the selected stroke if the point is on the stroke, else begin to paint."""
+        """Begin dragging the selected stroke if the point is on the stroke, else begin painting."""
         self._grip, stroke = None, self._stroke_at(self._place(point))
         if stroke is None:
             super()._begin(point, settings)
@@ -163,7 +163,7 @@ class PushTool(BrushTool):
             self._model.begin_drawing("pushed painted tissue")
 
     def move(self, point: Point) -> None:
-        """Continue to push or to paint; do nothing if no drag is in progress."""
+        """Continue pushing or painting; do nothing if no drag is in progress."""
         stroke = self.stroke
         if stroke is None or self._grip is None:
             super().move(point)
@@ -246,18 +246,18 @@ class TissueTool(BrushTool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Begin or continue a stroke; as in `BrushTool`."""
+        """Begin or continue a stroke; see `BrushTool.press`."""
         message = super().press(point, reach, settings, origin)
         if self.is_dragging:
             self._is_picked = False
         return message
 
     def pick(self, number: int | None) -> None:
-        """Select a stroke, to which later changes of the fields apply."""
+        """Select a stroke; later changes to the fields apply to this stroke."""
         super().pick(number)
         self._is_picked = number is not None
 
     def change(self, settings: ToolSettings) -> None:
-        """Apply changed settings to the selected stroke, if the user has selected the stroke."""
+        """Apply changed settings to the selected stroke, but not to a newly painted stroke."""
         if self._is_picked:
             super().change(settings)

@@ -25,8 +25,8 @@ from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, CanvasListener
 
-#: Brush strokes are painted together with the tissue that follows them, which saves a repaint.
-#: If the tissue takes longer than this, in milliseconds, strokes are painted first.
+#: Longest time that a brush stroke waits for the updated tissue, in milliseconds. Painting both
+#: together saves a repaint.
 _AHEAD = 80
 
 
@@ -62,7 +62,7 @@ class Display:
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
-        # Displayed image, and True if that is a private copy with newer slices.
+        # Displayed image, and whether it is a private copy with newer slices.
         self._whole: Any = None
         self._is_copy = False
         self.quiet = False
@@ -82,7 +82,7 @@ class Display:
         return self._results.at(self._image, moved.study.grid.known_place.slice_name)
 
     def select_slice(self, study: Study | None, image: Any, drawn: bool) -> None:
-        """Switch to another slice in its undeformed state, or to no slice."""
+        """Switch to another slice in its undeformed state, or to no slice if `study` is None."""
         self._stroke_timer.stop()
         before, moved = self.result, self.moved
         self._image = image
@@ -92,7 +92,7 @@ class Display:
             if before is not None and moved is not None:
                 before.drop_paint()
                 if moved.ground is not None and not moved.moves:
-                    before.remove()  # the picture is undeformed
+                    before.remove()  # the displayed image is undeformed
             if study is not None:
                 self.state = ShownDeformation(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.known_place, study.grid.shape, drawn)
@@ -114,14 +114,14 @@ class Display:
         self.state = state
         self._take_paint(state, stroke)
         with self.program_changes():
-            # Also show undeformed tissue, so that its layer exists before the first motion.
+            # Also show undeformed tissue, so that the image layer exists before the first motion.
             if picture is not None and (moved.moves or self.arrows.active):
                 study = moved.study
                 run = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
                 made = picture_layer(study.grid.known_place, study.pictures, picture, run)
                 self._show_result({"image": made}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
-                # Hide the layers instead of removing them: napari 0.7 can crash without lines.
+                # Hide, rather than remove, the layers: napari 0.7 can crash if no lines are left.
                 self._show_result({}, moving=False)
             else:
                 self._show_painting()
@@ -137,7 +137,7 @@ class Display:
         return self._whole
 
     def finish(self, done: CompleteResult | None) -> None:
-        """Show all layers of a complete result, or only the undeformed image if None."""
+        """Show all layers of a complete result, or only the undeformed image if `done` is None."""
         state = self.state
         assert state is not None
         image = state.moved.study.pictures.image
@@ -151,7 +151,7 @@ class Display:
             self.arrows.raise_up()
 
     def _show_result(self, layers: Mapping[Kind, LayerData], moving: bool = False) -> None:
-        """Show layers of the result, with the paint."""
+        """Show the layers of the result together with the paint."""
         state, result = self.state, self.result
         assert state is not None
         place, shown = state.moved.study.grid.known_place, dict[Any, LayerData](layers)
@@ -164,7 +164,7 @@ class Display:
         self._results.show(self._image, place, shown, moving=moving)
 
     def show_painted(self, state: ShownDeformation) -> None:
-        """Show the paint."""
+        """Show the paint of a state."""
         self._take_paint(state, None)
         with self.program_changes():
             self._show_painting()
@@ -200,7 +200,7 @@ class Display:
             result.put(PAINTED, painted_layer(place, picture, self.tissues), show=False)
 
     def show_stroke(self, stroke: Stroke, at_once: bool) -> None:
-        """Show the stroke that is being painted: at once, or after a short delay."""
+        """Show the stroke that is being painted, immediately or after a short delay."""
         self._stroke = stroke
         if at_once:
             self._show_stroke()
@@ -213,7 +213,7 @@ class Display:
             self._show_painting()
 
     def draw(self, drawing: Drawing, selected: int | None, is_dragging: bool) -> None:
-        """Show arrows, landmarks and marks of the paint; during a drag, update only the canvas."""
+        """Show the arrows, landmarks and paint marks; during a drag, update only the canvas."""
         below: list[Lines] = []
         state, mark = self.state, None if selected is None else drawing.marks[selected]
         if state is not None and state.marks is not None:
@@ -223,13 +223,13 @@ class Display:
         self.arrows.show(drawing, selected, below, quick=is_dragging)
 
     def leave(self) -> None:
-        """Remove the layer of arrows, because it no longer responds to the mouse."""
+        """Remove the arrow layer, which no longer responds to the mouse."""
         with self.program_changes():
             self.arrows.remove()
 
     @contextmanager
     def program_changes(self) -> Iterator[None]:
-        """Set `quiet` to True inside the block, in which the program changes layers."""
+        """Set `quiet` to True inside the block, while the program changes layers."""
         before, self.quiet = self.quiet, True
         try:
             yield

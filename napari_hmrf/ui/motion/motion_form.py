@@ -1,4 +1,4 @@
-"""Part of the dock for the motion of tissue: tools, painted boundary and landmarks."""
+"""Dock section for the motion of tissue: tools, painted boundary and landmarks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from napari_hmrf.ui.tissue_form import BoundarySection
 #: Number of tool buttons in a row.
 _ACROSS = 4
 _ICON = QSize(20, 20)
-#: Style of the buttons on light and dark themes; napari's own style shows no pressed state.
+#: Style of the buttons on light and dark themes; napari's own style does not show a pressed state.
 _LOOK = """
 QToolButton { background: rgba(128, 128, 128, 60); border-radius: 2px; padding: 3px 0px; }
 QToolButton:hover { background: rgba(128, 128, 128, 110); }
@@ -43,7 +43,7 @@ class MotionForm(Container):
     Attributes
     ----------
     tools : dict of str to QToolButton
-        Buttons by the name of the tool.
+        Buttons by tool name.
     fields : ToolFields
     edge : CheckBox
     weight : WeightForm
@@ -63,7 +63,7 @@ class MotionForm(Container):
             text="Fix outer edge",
             value=True,
             tooltip="Fix the outline of the tissue, and tissue at the edge of the image, unless a "
-            "mark or the boundary moves it. Edges of holes in the tissue are free",
+            "mark or the boundary moves it; edges of holes in the tissue stay free",
         )
         self.weight = WeightForm()
         self.boundary = BoundarySection(layers, view)

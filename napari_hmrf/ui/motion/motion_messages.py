@@ -5,7 +5,7 @@ from __future__ import annotations
 START = "Press 'Pull', then drag tissue in the image."
 PREPARING = "Getting ready ..."
 OFF = "To continue drawing, press a tool, or select the layer 'Motion'."
-FLAT = "The tools work in the 2D view only: press napari's 2D/3D button first."
+FLAT = "The tools work only in the 2D view: press napari's 2D/3D button first."
 ARROWS_GONE = "The layer 'Motion' was deleted: press a tool to restore it."
 NOTHING = "There is no tissue at this point."
 OUTSIDE = "This point is outside the image."
@@ -16,11 +16,14 @@ REMOVED = "Removed the selected mark. Press Undo to restore it."
 REMOVED_ALL = "Removed all marks. Press Undo to restore them."
 CANCELLED = "Cancelled; the drawing is unchanged."
 OPEN = "Continue to the start of the line: only a closed ring or a patch can grow."
-NO_STEP = "Now drag the paint to push the tissue, or set a distance above. Until then, it is held."
+NO_STEP = (
+    "Now drag the paint to push the tissue, or set a distance above. Until then, the tissue is "
+    "held in place."
+)
 NO_WAY = "This landmark holds tissue in place: drag the dot to its target to move the tissue."
 NO_OUTSIDE = (
-    "Nothing was painted: an open line has no inside, so it cannot grow. Close the line to a ring, "
-    "paint a patch, or use 'Push'."
+    "Nothing was painted: an open line has no inside, so it cannot grow. Close the line to form a "
+    "ring, paint a patch, or use 'Push'."
 )
 
 

@@ -25,15 +25,15 @@ from napari_hmrf.ui.motion.tool import Tool, ToolError
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
 
-#: During a drag, arrows are painted together with the tissue that follows them, which saves a
-#: repaint. If the tissue takes longer than this, in milliseconds, arrows are painted first.
+#: Longest time that arrows wait for the updated tissue during a drag, in milliseconds. Painting
+#: both together saves a repaint.
 _AHEAD = 250
-#: Factor by which a key enlarges the brush.
+#: Factor by which a key press enlarges the brush.
 _LARGER = 1.25
 
 
 class Pointer:
-    """Dispatcher of mouse and key actions on the layer *Motion* to the current tool.
+    """Dispatcher that passes mouse and key actions on the layer *Motion* to the current tool.
 
     The pointer edits the drawing of each slice of each image, and works with any tool.
 
@@ -45,12 +45,12 @@ class Pointer:
     fields : ToolFields
         Settings of the tools.
     undo : ViewerUndo
-        Undo of the viewer, with the `StudyModel` that contains the edited drawings.
+        Undo commands of the viewer, with the `StudyModel` that contains the edited drawings.
 
     Attributes
     ----------
     tool : Tool
-        Current tool, with its drag and selection; each slice has a new tool.
+        Current tool, with its drag and selection; a new tool is created for each slice.
     tissue : napari.layers.Labels or Image, optional
         Layer that defines the colours of painted tissue.
     display : Display
@@ -98,7 +98,7 @@ class Pointer:
 
     @property
     def keys(self) -> dict[str, Callable[[], object]]:
-        """Actions of the keys while the mouse draws, as in `CanvasListener`."""
+        """Key actions while the mouse draws; see `CanvasListener.keys`."""
         return {
             "Delete": self.remove,
             "Backspace": self.remove,
@@ -111,12 +111,12 @@ class Pointer:
     # Actions
 
     def select_slice(self, study: Study | None, image: Any = None) -> None:
-        """Switch to the drawing of another slice, or to no drawing.
+        """Select the drawing of another slice, or no drawing.
 
         Parameters
         ----------
         study : Study or None
-            None if there is nothing to draw on.
+            Study of the slice; None if there is nothing to draw on.
         image : napari.layers.Image, optional
             Image to draw on.
         """
@@ -136,7 +136,7 @@ class Pointer:
             If there is no tool with this name.
         """
         if name not in BY_NAME:
-            raise ValueError(f"there is no tool {name!r}, only {', '.join(BY_NAME)}")
+            raise ValueError(f"unknown tool {name!r}; use one of {', '.join(BY_NAME)}")
         tool = BY_NAME[name]
         if tool is type(self.tool):
             return
@@ -165,14 +165,14 @@ class Pointer:
         self.report_tool()
 
     def report_tool(self) -> None:
-        """Show the tool on the canvas while the mouse draws, unless other text is shown."""
+        """Show the tool on the canvas while the mouse draws, unless other text is shown there."""
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
             self._in_corner = corner.text = self._fields.words if self.active else ""
             corner.visible = self.active
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
-        """Replace the drawing, as an undo step named `word`; with "", without an undo step."""
+        """Replace the drawing as an undo step named `word`, or without a step if `word` is ""."""
         self.release()
         if self._model.slice.layer is not None:  # else there is nothing to draw on
             self._model.draw(drawing, word)
@@ -189,7 +189,7 @@ class Pointer:
         self.changed.emit()
 
     def show(self, state: ShownDeformation) -> None:
-        """Show a new state of the tissue, which follows the drawing."""
+        """Show the new state of the tissue after a change to the drawing."""
         ground = state.moved.ground
         if state.moved.error is not None:
             self._show_error(state)
@@ -203,13 +203,13 @@ class Pointer:
         if self._draw_timer.isActive():
             self.draw()
         elif state.marks is not None or (before is not None and before.marks is not None):
-            self._show_drawing()  # the marks follow the tissue
+            self._show_drawing()  # the marks move with the tissue
         if (known is None and self.active) or self._in_error:
             self._in_error = False
             self.message.emit("")
 
     def leave(self) -> None:
-        """Stop drawing, remove the layer that no longer responds, and keep the drawing."""
+        """Stop drawing and remove the layer *Motion*, but keep the drawing."""
         self.select_slice(None)
         self.display.leave()
         self.report_tool()
@@ -223,7 +223,7 @@ class Pointer:
     # Mouse and key actions on the canvas
 
     def press(self, point: Point, reach: float) -> None:
-        """Begin a drag with the tool, unless the tissue is not ready or not visible."""
+        """Begin a drag with the tool if the tissue is ready and visible."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
             self.message.emit(motion_messages.PREPARING)
@@ -280,7 +280,7 @@ class Pointer:
             self.draw()
 
     def turn(self) -> None:
-        """Respond to a change of the visible slice; in a volume, a drag continues."""
+        """Respond to a change in the visible slice: end the drag, or continue it in a volume."""
         moved = self.display.moved
         if moved is None or len(moved.study.grid.shape) == 2:
             self.release()
@@ -305,14 +305,14 @@ class Pointer:
         self.message.emit(motion_messages.REMOVED if removed else motion_messages.NOTHING_SELECTED)
 
     def resize(self, factor: float) -> None:
-        """Multiply the radius of the brush by a factor."""
+        """Multiply the brush radius by a factor."""
         radius = self._fields.radius
         radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
 
     # Reactions to changes
 
     def _create_tool(self, kind: type[Tool]) -> Tool:
-        """Return a tool for the visible slice, without a selection."""
+        """Create a tool for the visible slice, without a selection."""
         moved = self.display.moved
         if moved is None:
             return kind(self._model)
@@ -326,7 +326,7 @@ class Pointer:
             self._fields.show_settings(settings)
 
     def _show_cursor(self) -> None:
-        """Show the reach of the tool on the canvas."""
+        """Show the radius of the tool as a circle on the canvas."""
         self.display.arrows.show_cursor(self.tool.cursor(self._fields.settings))
 
     def _show_stroke(self, at_once: bool) -> None:
@@ -348,7 +348,7 @@ class Pointer:
             self._draw_timer.start()
 
     def _on_step(self, _: str, step: Step | None) -> None:
-        """Select the mark that undo or redo changed or restored, if the current tool made it."""
+        """Select the mark that undo or redo changed, if the current tool makes such marks."""
         if step is None or step.part != self._model.slice:
             return
         marks = self.drawing.marks

@@ -1,4 +1,4 @@
-"""Tools that pull tissue: by an arrow, or from a landmark to its target."""
+"""Tools that pull tissue with an arrow, or from a landmark to its target."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from napari_hmrf.tissue.drawing.marks import COMPONENTS, Point, between
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.tool import Origin, Tool, ToolSettings, identity, name_of
 
-#: Displacements below this, in the unit of the spacing, are rounding errors and become 0.
+#: Displacements below this value, in the unit of the spacing, are rounding errors and set to 0.
 _NOTHING = 1e-9
 
 
 class PullTool(Tool):
-    """Tool that pulls tissue by a new arrow, or drags an end of an earlier arrow or landmark."""
+    """Tool that pulls tissue with a new arrow, or drags an end of an existing arrow or landmark."""
 
     name = "pull"
     title = "Pull"
@@ -26,7 +26,7 @@ class PullTool(Tool):
     fields: ClassVar[tuple[str, ...]] = ("radius", "confidence", "components")
     hint = "Drag tissue to pull it, or click it to hold it in place."
 
-    #: End of the mark that is dragged.
+    #: Dragged end of the mark.
     _part: Literal["head", "base"] = "head"
     #: Position of the mouse, and offset of the mouse from the dragged end.
     _at: Point = (0.0, 0.0)
@@ -46,9 +46,9 @@ class PullTool(Tool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Begin to drag an end of a mark, or tissue; as in `Tool`.
+        """Begin dragging an end of a mark, or tissue; see `Tool.press`.
 
-        A new mark begins at the undeformed place of the tissue, and ends at its visible place.
+        A new mark starts at the undeformed position of the tissue and ends at the visible position.
         """
         self.release()
         drawing, at = self._model.drawing, origin(point)
@@ -82,7 +82,7 @@ class PullTool(Tool):
             self._replace(self._with_ends(mark, *ends))
 
     def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
-        """Return a mark that moves tissue from one place to another."""
+        """Return a mark that moves tissue from one position to another."""
         still = (0.0,) * len(at)
         arrow = Arrow(at, still, settings["radius"], settings["confidence"], settings["components"])
         return self._with_ends(arrow, at, to)
@@ -108,7 +108,7 @@ class PullTool(Tool):
 
 
 class LandmarkTool(PullTool):
-    """Tool that draws landmarks, or drags an end of an earlier arrow or landmark."""
+    """Tool that draws landmarks, or drags an end of an existing arrow or landmark."""
 
     name = "landmark"
     title = "Landmark"
@@ -116,7 +116,7 @@ class LandmarkTool(PullTool):
     fields = ("radius", "confidence")
     hint = "Drag from a point of the tissue to its target, or click a point that must stay."
 
-    #: Selected mark just after the button press.
+    #: Mark that was selected just after the button press.
     _pressed: Arrow | Landmark | None = None
 
     @classmethod
@@ -127,7 +127,7 @@ class LandmarkTool(PullTool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Begin to drag an end of a mark, or tissue; as in `PullTool`."""
+        """Begin dragging an end of a mark, or tissue; see `PullTool.press`."""
         message = super().press(point, reach, settings, origin)
         self._pressed = self.mark
         return message

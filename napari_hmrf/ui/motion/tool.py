@@ -11,7 +11,7 @@ from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Components, Point
 
-#: Map from a visible point to its undeformed place; None outside tissue.
+#: Function that maps a visible point to its undeformed position, or to None outside tissue.
 Origin = Callable[[Point], Point | None]
 
 
@@ -21,7 +21,7 @@ def identity(point: Point) -> Point | None:
 
 
 class ToolSettings(TypedDict, total=False):
-    """Settings of a mark, by attribute; a tool sets the attributes for which it has fields."""
+    """Settings of a mark, by attribute; a tool sets the attributes that it has fields for."""
 
     radius: float
     by: Point
@@ -33,14 +33,14 @@ class ToolSettings(TypedDict, total=False):
 
 
 class ToolError(HmrfError):
-    """Error raised if an action of a tool has no effect; the user sees its message."""
+    """Error raised if a tool action has no effect; the message is shown to the user."""
 
 
 class Tool(ABC):
     """Tool that edits the drawing of a slice by drags; each drag is one undo step.
 
-    A new tool is a subclass that is listed in `tools.TOOLS`. The `Pointer` calls the methods of
-    this class only, so it works with any tool.
+    A new tool is a subclass that is listed in `tools.TOOLS`. The `Pointer` calls only methods of
+    this class, so it works with any tool.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Tool(ABC):
     Attributes
     ----------
     name : str
-        Name in Python, and name of the icon file of the button.
+        Name used in Python and for the icon file of the button.
     title : str
         Title of the button, also shown on the canvas.
     key : str
@@ -107,7 +107,7 @@ class Tool(ABC):
         settings : ToolSettings
             Settings of a new mark.
         origin : callable
-            Returns the undeformed place of a visible point.
+            Returns the undeformed position of a visible point.
 
         Returns
         -------
@@ -150,7 +150,7 @@ class Tool(ABC):
 
     @property
     def stroke(self) -> Stroke | None:
-        """Stroke that is being painted, or None; it is shown before the tissue follows."""
+        """Stroke that is being painted, or None; shown before the tissue is updated."""
         return None
 
     @property
@@ -161,7 +161,7 @@ class Tool(ABC):
     def cursor(self, settings: ToolSettings) -> float | None:
         """Return the radius of the circle around the pointer, or None if there is no circle.
 
-        napari paints the whole canvas for every move of the circle. During a drag, no circle is
+        napari repaints the whole canvas whenever the circle moves. During a drag, no circle is
         shown, because the mark itself is visible.
         """
         return None if self.is_dragging else settings["radius"]
@@ -197,7 +197,7 @@ class Tool(ABC):
         self._numbered, self._selected = self._model.drawing, number
 
     def pick(self, number: int | None) -> None:
-        """Select the mark that the user clicked on the canvas; None if there is no such mark."""
+        """Select the mark that the user clicked on the canvas; None clears the selection."""
         self.select(number)
 
     def remove(self) -> bool:
@@ -216,7 +216,7 @@ class Tool(ABC):
             return
         if changed != mark:
             drawing = self._model.drawing.replaced(number, changed)
-            self._numbered = drawing  # before callbacks read the selection
+            self._numbered = drawing  # set before callbacks read the selection
             self._model.draw(drawing, f"changed {name_of(changed)}")
 
     @abstractmethod

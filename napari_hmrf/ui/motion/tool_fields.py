@@ -17,12 +17,12 @@ from napari_hmrf.ui.motion.tools import BY_NAME
 #: Lowest confidence that can be chosen; a mark of confidence 0 would have no effect.
 _LEAST_CONFIDENCE = 0.05
 _SURE = (
-    "Confidence in this motion. 1: tissue is held exactly. Below 1: tissue slips if holding it "
-    "would strain it by more than about this value"
+    "Confidence in this motion: 1 holds tissue exactly; below 1, tissue slips if holding it would "
+    "strain it by more than about this value"
 )
-#: Attribute of a mark that a field sets, if their names differ.
+#: Attributes of marks by the name of the field that sets them, if the names differ.
 _ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}
-#: Fields of a displacement, along the rows and the columns.
+#: Fields for the displacement along the row axis and the column axis.
 _STEPS = ("by_row", "by_col")
 
 
@@ -57,22 +57,23 @@ class ToolFields(Container):
         self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
         self.stroke_confidence = share(
             "confidence",
-            "New confidence of the held and moved tissue under the brush. 1: held exactly, 0: free",
+            "New confidence of held and moved tissue under the brush, from 0 (free) to 1 (held "
+            "exactly)",
         )
         self.softness = share(
             "softness",
-            "Part of the radius over which the brush fades out. 0: hard edge, "
-            "1: fades out from the centre",
+            "Fraction of the radius over which the brush fades out, from 0 (hard edge) to 1 (fades "
+            "out from the centre)",
         )
         self.components = ComboBox(
             choices=_components(self._ways),
             label="direction",
-            tooltip="Directions in which motion is set; in the other direction, tissue is free",
+            tooltip="Directions in which the motion is set; tissue is free in the other directions",
         )
         self.preset = menu(
             "tissues of",
             {each: each.name for each in PRESETS},
-            "Published tissues to paint with, because the tissue layer has no table. Unpainted "
+            "Published tissues to paint with, because the tissue layer has no table; unpainted "
             "pixels are the first of these tissues",
         )
         tip = "Tissue to paint, from the table of the tissue layer or from the presets"
@@ -96,7 +97,7 @@ class ToolFields(Container):
 
     @property
     def settings(self) -> ToolSettings:
-        """Settings of new marks of the visible tool."""
+        """Settings for new marks of the current tool."""
         values = {
             _ATTRIBUTES.get(name, name): getattr(self, name).value
             for name in self._tool.fields
@@ -110,17 +111,17 @@ class ToolFields(Container):
 
     @property
     def _has_step(self) -> bool:
-        """True if the visible tool sets a displacement."""
+        """True if the current tool sets a displacement."""
         return not set(_STEPS).isdisjoint(self._tool.fields)
 
     @property
     def _by(self) -> Point:
-        """Displacement in the fields, in the order of the axes of the image."""
+        """Displacement in the fields, in the order of the image axes."""
         return self._ways.from_display((self.by_row.value, self.by_col.value))
 
     @property
     def words(self) -> str:
-        """Short description of the visible tool and its settings."""
+        """Short description of the current tool and its settings."""
         words, which = self._tool.title, self.components.value
         if self._has_step:
             *deep, row, col = self._by
@@ -156,7 +157,7 @@ class ToolFields(Container):
                     field.value = value
 
     def begin_with(self, radius: float, step: float) -> None:
-        """Set lengths that suit an image, so that the tool Grow has an effect at once.
+        """Set default lengths for an image, so that the tool *Grow* has an immediate effect.
 
         A displacement has no good default direction, so it stays 0 until the user sets it.
         """
@@ -164,9 +165,9 @@ class ToolFields(Container):
         self.amount.value = self.amount.value or step
 
     def show_place(self, unit: str, ways: Directions) -> None:
-        """Show the unit of lengths and the directions of the rows and columns.
+        """Show the unit of length and the directions of the rows and columns.
 
-        The displacement of the tissue stays the same; its labels and signs in the fields change.
+        The displacement stays the same; only the labels and signs of its fields change.
         """
         by, steps = self._by, (self.by_row, self.by_col)
         turned, self._ways = ways != self._ways, ways
@@ -195,7 +196,7 @@ class ToolFields(Container):
             # Otherwise magicgui would move the remaining choices to the front.
             self.material.choices = []
             self.material.choices = choices
-            # The default is the last deformable tissue, as tables begin with common tissues.
+            # The default is the last deformable tissue, because tables begin with common tissues.
             solid = [row.label for row in rows if row.is_deformable]
             usual = (solid or labels)[-1]
             self.material.value = before if before in labels else usual
@@ -209,5 +210,5 @@ def _in_words(row: Material, unit: str) -> str:
 
 
 def _components(ways: Directions) -> list[tuple[str, str]]:
-    """Return the choices of components that a mark may prescribe."""
+    """Return the menu entries for the components that a mark prescribes."""
     return [("any", "both"), (ways.only(0), "row"), (ways.only(1), "col")]

@@ -9,22 +9,22 @@ from magicgui.widgets import ComboBox, Container, FloatSpinBox
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.ui.forms import narrow
 
-#: Weight of water per volume, in kPa / mm.
+#: Weight of water per unit volume, in kPa / mm.
 _WATER = 0.00981
 Step = tuple[float, ...]
 
 
 class WeightForm(Container):
-    """Form for a direction and the force per volume along it.
+    """Form for the direction and magnitude of a force per unit volume.
 
     Attributes
     ----------
     way : ComboBox
-        Unit vector in the order of the axes of the image; () if tissue has no weight.
+        Unit vector in the order of the image axes; () if tissue has no weight.
     amount : FloatSpinBox
-        Force per volume, in the unit of stiffness per length.
+        Force per unit volume, in units of stiffness per length.
     value : tuple of float
-        Force per volume as a vector, in the order of the axes; () if there is no force.
+        Force per unit volume as a vector, in the order of the image axes; () if there is no force.
     """
 
     def __init__(self) -> None:
@@ -34,11 +34,11 @@ class WeightForm(Container):
             name="way",
             choices=self._offered,
             label="gravity",
-            tooltip="Direction of the weight of all tissue, as in an open skull. Some tissue must "
+            tooltip="Direction of the weight of all tissue, as in an open skull; some tissue must "
             "be held in place",
         )
         narrow(self.way)
-        tip = f"Weight per volume: density times acceleration. For water: {_WATER} kPa / mm"
+        tip = f"Weight per unit volume (density times acceleration); for water, {_WATER} kPa / mm"
         self.amount = FloatSpinBox(name="amount", max=1e6, step=0.001, tooltip=tip)
         super().__init__(widgets=[self.way, self.amount])
         self.amount.native.setDecimals(5)
@@ -50,7 +50,7 @@ class WeightForm(Container):
 
     @property
     def value(self) -> Step:
-        """Force per volume, in the order of the axes of the image; () if there is no force."""
+        """Force per unit volume, in the order of the image axes; () if there is no force."""
         return tuple(self.amount.value * step for step in self.way.value)
 
     @value.setter
@@ -60,7 +60,7 @@ class WeightForm(Container):
         self.amount.value = size or self.amount.value
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
-        """Show the unit of the force, and directions of the screen or the patient.
+        """Show the unit of the force, and the directions on the screen or in the patient.
 
         The direction relative to the tissue does not change if the image is turned.
         """

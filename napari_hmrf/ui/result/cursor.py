@@ -39,7 +39,7 @@ class UnderCursor:
         viewer.events.status.connect(self.append_to_status)
 
     def release(self) -> None:
-        """Stop listening to the status bar."""
+        """Disconnect from the status bar."""
         self._viewer.events.status.disconnect(self.append_to_status)
 
     def refresh(self) -> None:
@@ -86,8 +86,8 @@ class UnderCursor:
         status = self._viewer.status
         known = status if isinstance(status, dict) else {"coordinates": status}
         text = str(known.get("coordinates", "")).removesuffix(self._line)
-        # napari also emits a status before the mouse was ever on the canvas. When the mouse leaves,
-        # it emits an empty text before it updates `mouse_over_canvas`.
+        # napari also emits a status before the mouse first enters the canvas. When the mouse
+        # leaves, napari emits an empty text before it updates `mouse_over_canvas`.
         is_over_canvas = bool(text) and self._viewer.mouse_over_canvas
         line = self.line_at(self._viewer.cursor.position) if is_over_canvas else ""
         self._line = f"  |  {line}" if line else ""
@@ -98,7 +98,7 @@ class UnderCursor:
 
 
 def _stiffness(shown: MovingLayers, probe: Probe) -> str:
-    """Describe the tissue and its stiffness in the solve; "" if the result does not store them."""
+    """Describe the tissue and its stiffness in the solve; "" if they are not in the result."""
     answer = shown.answer
     if answer.problem is None:
         return ""

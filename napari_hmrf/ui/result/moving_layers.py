@@ -28,20 +28,21 @@ from napari_hmrf.ui.result.result_messages import FULL
 SECONDS = 2.0
 #: Interval between two pictures while playing, in milliseconds.
 _TICK = 40
-#: Smallest step while playing, in per cent.
+#: Smallest step while playing, in percentage points.
 _STEP = 2
 
 
 class MovingLayers:
     """Layers of a result, which can be shown at any percentage of the deformation.
 
-    In napari's layer controls, the user sets the length of the arrows at 100 %.
+    The arrow length scales with the percentage. The user can change the arrow length in napari's
+    layer controls.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     arrows : napari.layers.Vectors
-        Layer of arrows that stores the result.
+        Arrow layer that stores the result.
     answer : PlacedSolution
         The result.
     layers : Result
@@ -78,7 +79,7 @@ class MovingLayers:
         self._length = arrows.length
 
     def copy_image(self) -> None:
-        """Copy the current pixels of the image, to be deformed.
+        """Copy the current pixels of the image to deform.
 
         Raises
         ------
@@ -125,7 +126,7 @@ class MovingLayers:
         self.draw_arrows(percent)
 
     def draw_arrows(self, percent: int) -> None:
-        """Scale the displayed length of the arrows; their data do not change."""
+        """Scale the displayed length of the arrows without changing their data."""
         if (arrows := self.layers.layer("arrows")) is not None:
             # The user may have changed the length.
             if self.percent and arrows.length != self._length * self.percent / FULL:
@@ -135,7 +136,7 @@ class MovingLayers:
 
 
 class Player:
-    """Player of a deformation; its pictures are computed on the compute thread.
+    """Player for a deformation; the pictures are computed on the compute thread.
 
     Parameters
     ----------
@@ -171,7 +172,7 @@ class Player:
         return bool(self._timer.isActive())
 
     def play(self) -> None:
-        """Play back and forth until `stop`, from the current percentage."""
+        """Play back and forth from the current percentage until `stop` is called."""
         if (shown := self._shown()) is None or self.playing:
             return
         self._started = time.monotonic() - SECONDS * shown.percent / FULL
@@ -179,13 +180,13 @@ class Player:
         self.playing_changed.emit(True)
 
     def stop(self) -> None:
-        """Stop playing, at the current percentage."""
+        """Stop playing at the current percentage."""
         if self.playing:
             self._timer.stop()
             self.playing_changed.emit(False)
 
     def show(self, percent: int) -> None:
-        """Draw the layers at a percentage: at once if cached, else after the computation."""
+        """Draw the layers at a percentage: immediately if cached, else after the computation."""
         if (shown := self._shown()) is None:
             return
         if (moment := shown.motion.cached(percent / FULL)) is not None:

@@ -20,7 +20,7 @@ PLAY, PAUSE = "Play", "Pause"
 
 
 class _JumpStyle(QProxyStyle):
-    """Style of sliders that jump to the clicked position instead of moving by a page."""
+    """Slider style that jumps to the clicked position instead of moving by a page."""
 
     def styleHint(self, hint: Any, option: Any = None, widget: Any = None, data: Any = None) -> int:
         if hint == QStyle.StyleHint.SH_Slider_AbsoluteSetButtons:
@@ -37,20 +37,20 @@ class ResultForm(Container):
     layers : callable
         Returns the layers of the viewer.
     image : LayerChoice
-        Menu of the image to deform.
+        Menu for the image to deform.
     """
 
     def __init__(self, layers: Callable[[], list[Any]], image: LayerChoice) -> None:
-        # Arrows of the displayed result, which cannot be its own reference.
+        # Arrow layer of the displayed result; a result cannot be its own reference.
         self._own_arrows: Any = None
         self.slider = Slider(
             value=100,
             max=100,
             readout=False,
-            tooltip="Displayed part of the displacement: 0 % is the undeformed image, 100 % is the "
-            "result",
+            tooltip="Displayed fraction of the displacement: 0 % is the undeformed image, 100 % is "
+            "the result",
         )
-        self._style = _JumpStyle()  # Qt keeps no reference to it
+        self._style = _JumpStyle()  # Qt does not keep a reference to it
         self.slider.native.findChild(QSlider).setStyle(self._style)
         self.play = PushButton(text=PLAY, tooltip="Play back and forth between 0 and 100 %")
         self.before = PushButton(
@@ -67,15 +67,15 @@ class ResultForm(Container):
             layers,
             lambda layer: layer is not self._own_arrows and holds_field(layer),
             "reference",
-            "Displacement field (File > Open) or another result. The difference from this result "
-            "is reported here, and 'overlay' offers a map of it",
+            "Displacement field (File > Open) or another result; its difference from this result "
+            "is reported here, and 'overlay' offers a map of the difference",
             if_any=True,
         )
         self.second = LayerChoice(
             layers,
             lambda layer: is_picture(layer) and layer is not image.value,
             "second image",
-            "Second image of the same tissue, such as a later scan. It is shown in green over the "
+            "Second image of the same tissue, such as a later scan, shown in green over the "
             "deformed image in magenta; where both images agree, the sum is grey",
             if_any=True,
         )
@@ -84,12 +84,12 @@ class ResultForm(Container):
         self.save = PushButton(
             text="Save pictures ...",
             tooltip="Save figures as PNG files in a new folder: displacement, before and after, "
-            "grid, Jacobian, strain and energy. To save the canvas, use File > Save Screenshot",
+            "grid, Jacobian, strain and energy. To save the canvas, use File > Save Screenshot.",
         )
         self.keep = PushButton(
             text="Save study ...",
             tooltip="Save all choices, paint, marks and settings, and the result if there is one, "
-            "in one file. To restore them, use File > Open",
+            "in one file. To restore them, use File > Open.",
         )
         self.more = QPushButton("More")
         self.more.setToolTip(
@@ -113,7 +113,7 @@ class ResultForm(Container):
                 part.margins = (0, 0, 0, 0)
 
     def offer(self, arrows: Any) -> None:
-        """Enable the widgets that need a result, if `arrows` is the layer of a result, not None."""
+        """Enable the widgets that require a result; disable them if `arrows` is None."""
         self._own_arrows = arrows
         self.reference.reset_choices()
         for part in (self.slider, self.play, self.before, self.overlay, self.save):

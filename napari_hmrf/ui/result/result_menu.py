@@ -31,7 +31,7 @@ from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_FORCES, NO_IMAGE, NO_RESULT, SAVING, saved
 
-# Alignment over the full width of the layout.
+# Alignment flag for the full width of the layout.
 _ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
@@ -40,15 +40,15 @@ _BACK = "For SimpleITK, ANTs, elastix and Slicer: maps deformed positions to ori
 _FORTH = "Opposite direction: maps original to deformed positions; the file records the direction"
 _FILM = "Film of the image as it deforms and returns: .gif, or .mp4 with imageio-ffmpeg"
 _WITH_IT = (
-    "New layer, moved with the tissue. In a volume at the same place, only the slice of this "
-    "result moves. In a film, in channels, and in a stack without units, all slices move"
+    "New layer, moved with the tissue. In a volume at the same position, only the slice of this "
+    "result moves. In films, channels and stacks without units, all slices move."
 )
 
 
 class ResultMenu:
     """Menu and buttons for further outputs of the displayed result.
 
-    Long tasks run in the background; their outcome is reported as a message.
+    Long tasks run in the background; the outcome is reported as a message.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class ResultMenu:
         answer = shown.answer
         labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
         layer = tissue_labels(self._viewer.layers, answer) if labels is None else None
-        if layer is not None:  # a result from a file has no labels of its own
+        if layer is not None:  # a result read from a file has no labels
             labels, rows = picture_of(layer, answer), rows_of(layer, TISSUE)
         if labels is None:
             return answer.solution.measure(np.ones(answer.shape, int), names={1: "tissue"})
@@ -140,7 +140,7 @@ class ResultMenu:
         )
 
     def save_film(self, path: str | Path) -> None:
-        """Write a film of the image moving back and forth, as `write_movie`.
+        """Write a film of the image moving back and forth; see `write_movie`.
 
         Raises
         ------
@@ -184,7 +184,7 @@ class ResultMenu:
         return shown
 
     def _add(self, layer: Any, made: LayerData) -> None:
-        """Show a moved layer; it replaces the moved copy of an earlier result."""
+        """Add a moved layer, which replaces the moved copy of an earlier result."""
         layers, name = self._viewer.layers, made.attributes["name"]
         with same_selection(self._viewer):
             if name in layers and metadata_of(layers[name]).get("kind") == MOVED:
@@ -196,7 +196,7 @@ class ResultMenu:
         """Fill the menu with the entries that apply now."""
         menu, shown = self._button.menu(), self._look()
         menu.clear()
-        about = "Displacement, change of area, and strain of each tissue"
+        about = "Displacement, change in area, and strain of each tissue"
         measure = partial(attempt, self._show_measurements, self._show_message)
         add_entry(menu, "Measurements ...", about, measure)
         forces = partial(attempt, self._show_forces, self._show_message)

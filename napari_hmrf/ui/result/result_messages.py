@@ -1,4 +1,4 @@
-"""Messages about a result."""
+"""Messages about the result and its overlays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from napari_hmrf.layers.result_layers import Name, PlacedSolution
 NO_RESULT = "There is no result yet: drag tissue, or press Deform."
 LOST = (
     "The result was in the layer '{layer}', which was deleted. To create it again, press Deform or "
-    "pull tissue. To hide arrows, click the eye of their layer instead."
+    "pull tissue. To hide arrows, click the eye icon of their layer instead."
 )
 NO_IMAGE = (
     "There is no image on the pixel grid of this result. Open the image of the result to deform "
@@ -47,7 +47,7 @@ _ABOUT: dict[Name, str] = {
     "confidence": "input: confidence",
 }
 _FROM_A_FILE = (
-    "A file of a result does not contain the input stiffness, motion and confidence. Press Deform "
+    "A result file does not contain the input stiffness, motion and confidence. Press Deform "
     "to solve again."
 )
 #: Reasons why a requested overlay may be empty.
@@ -59,9 +59,9 @@ LACKING: dict[Name, str] = {
 }
 OVERLAY_TIP = (
     "Overlay on the image that moves with the tissue; its values belong to the visible tissue.\n"
-    "Jacobian: factor of the change of area. Purple: shrinks, orange: grows, yellow: folds.\n"
-    "Strain: elastic strain without growth, in per cent; negative: compression. Equivalent: von\n"
-    "Mises strain in all three directions. The paper's model has total strain within the image.\n"
+    "Jacobian: factor by which area changes. Purple: shrinks, orange: grows, yellow: folds.\n"
+    "Strain: elastic strain without growth, in %; negative: compression. Equivalent: von Mises\n"
+    "strain in all three directions. For the paper's model: total strain within the image.\n"
     "Input motion: lines start at the undeformed tissue; a dot marks tissue that is held."
 )
 
@@ -69,7 +69,7 @@ OVERLAY_TIP = (
 def overlay_choices(
     unit: str, ways: Directions = _UPRIGHT, compared: bool = False
 ) -> list[tuple[str, str]]:
-    """Return (label, name) pairs of all overlays; `compared` includes the difference."""
+    """Return (label, name) pairs for all overlays; `compared` adds the difference."""
     rows, columns = (
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))
@@ -92,5 +92,5 @@ def how_far(
 
 
 def saved(paths: Sequence[Path]) -> str:
-    """Report the names and the folder of written pictures."""
+    """Return a message with the names and the folder of the written pictures."""
     return f"Saved in {paths[0].parent}: {', '.join(path.name for path in paths)}."

@@ -40,7 +40,7 @@ class ResultView:
     Attributes
     ----------
     arrows : napari.layers.Vectors or None
-        Layer of arrows that stores the selected result; by default, the newest result.
+        Arrow layer that stores the selected result; by default, the newest result.
     """
 
     #: Emitted with a message for the user.
@@ -98,12 +98,12 @@ class ResultView:
 
     @property
     def arrows(self) -> Any:
-        """Layer of arrows that stores the selected result, or None."""
+        """Arrow layer that stores the selected result, or None."""
         return None if self.shown is None else self.shown.arrows
 
     @arrows.setter
     def arrows(self, arrows: Any) -> None:
-        """Select the result that is stored in a layer of arrows."""
+        """Select the result that is stored in an arrow layer."""
         before = self.shown
         answer, shown = None if arrows is None else result_of(arrows), None
         if answer is not None:
@@ -142,7 +142,7 @@ class ResultView:
         self.arrows = None if image is None else next(own, None)
 
     def play(self) -> None:
-        """Play back and forth between 0 and 100 % until `player.stop`."""
+        """Play back and forth between 0 and 100 % until `player.stop` is called."""
         if self._can_move():
             self.player.play()
 
@@ -153,7 +153,7 @@ class ResultView:
         self._put_back()
 
     def release(self) -> None:
-        """Stop listening, and drop all jobs."""
+        """Disconnect from all events, and drop all jobs."""
         self._events.release()
         self._jobs.release()
         self.more.release()
@@ -192,7 +192,7 @@ class ResultView:
     # Selection of the result
 
     def _on_changed(self, result: Result) -> None:
-        """Respond to a change of a result, such as another slice or a new solution."""
+        """Respond to a change in a result, such as another slice or a new solution."""
         shown, arrows = self.shown, result.layer("arrows")
         moves = self.player.playing or self._jobs.busy("moment")
         if shown is None or result is not shown.layers:
@@ -205,10 +205,10 @@ class ResultView:
         else:
             self.cursor.append_to_status()
             if moves or self._form.slider.value != words.FULL:
-                self._draw_whole()  # its layers were redrawn at 100 %
+                self._draw_whole()  # the layers were redrawn at 100 %
 
     def _on_active(self, *_: Any) -> None:
-        """Select the result of the active arrows, which may be of another image, slice or file."""
+        """Select the result of the active arrow layer, even of another image, slice or file."""
         active = self._viewer.layers.selection.active
         answer = None if active in (None, self.arrows) else result_of(active)
         if answer is not None and not self._results.of(active).is_away:
@@ -284,7 +284,7 @@ class ResultView:
     # Percentage
 
     def _can_move(self) -> bool:
-        """Prepare the layers to move, or report why no layer can; return whether any can move."""
+        """Prepare the layers to move; if no layer can move, report why and return False."""
         self.before = False
         if self.shown is None:
             self.message.emit(words.NO_RESULT)
@@ -317,7 +317,7 @@ class ResultView:
         self._show_distance()
 
     def _show_distance(self, *_: Any) -> None:
-        """Show the percentage, the slice, and the differences."""
+        """Show the percentage, the largest displacement, the slice and the differences."""
         text = ""
         if (shown := self.shown) is not None:
             percent = self._form.slider.value

@@ -286,7 +286,7 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     how = widget.status
     viewer.dims.ndisplay = 3
     at_rest()
-    assert "2D view only" in widget.status
+    assert "only in the 2D view" in widget.status
     viewer.dims.ndisplay = 2
     settle(widget)
     assert (widget.status, len(widget.drawing.marks)) == (how, 1)
@@ -298,7 +298,7 @@ def test_the_tool_is_restored_after_three_dimensional_display_without_a_drawing(
     person, widget = pulling_beside
     person.viewer.dims.ndisplay = 3
     at_rest()
-    assert "2D view only" in widget.status
+    assert "only in the 2D view" in widget.status
     person.viewer.dims.ndisplay = 2
     qtbot.waitUntil(lambda: widget.active, timeout=LONG_MS)
 
@@ -391,9 +391,7 @@ def test_a_sample_selects_its_tissue_and_hides_its_paint(open_beside, settle):
     assert not layers["Tissue"].visible
     assert not layers["Boundary"].visible
     settle(widget)
-    assert (
-        "Hidden, so that 'Brain' is visible: 'Tissue', 'Boundary'. Click the eye" in widget.status
-    )
+    assert "Hidden to make 'Brain' visible: 'Tissue', 'Boundary'. Click the eye" in widget.status
     widget.boundary = layers["Boundary"]
     settle(widget)
     painted = layers["Boundary"].data == 2
@@ -422,7 +420,7 @@ def test_each_tool_has_a_button_a_key_and_a_name_on_the_canvas(pulling_beside, s
     screen.press("Push")
     assert not widget.active, "a second press of its button did not deactivate the tool"
     assert not badge.visible
-    with pytest.raises(ValueError, match="no tool 'saw'"):
+    with pytest.raises(ValueError, match="unknown tool 'saw'"):
         widget.tool = "saw"
 
 
@@ -603,7 +601,7 @@ def test_a_message_about_three_dimensions_is_cleared_in_two_dimensions(
     settle(widget)
     person.viewer.dims.ndisplay = 3
     assert not widget.start()
-    assert "2D view only" in widget.status
+    assert "only in the 2D view" in widget.status
     person.viewer.dims.ndisplay = 2
     at_rest()
     assert widget.status == widget.invitation

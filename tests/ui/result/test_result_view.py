@@ -677,7 +677,7 @@ def test_a_saved_result_is_displayed_with_and_without_an_image(widget, tmp_path,
     look.percent = 50
     assert look.status.startswith("There is no image on the pixel grid of this result")
     set_to(look, overlay="stiffness")
-    assert look.status.startswith("A file of a result does not contain the input stiffness")
+    assert look.status.startswith("A result file does not contain the input stiffness")
     set_to(look, overlay="magnitude")
     assert "displacement (px), paper" in names(viewer)
     set_to(look, percent=40)

@@ -1,1 +1,1 @@
-"""Compilation of the processor's loops, once per machine, and their cache on disk."""
+"""Compilation of the loops for the processor, once per machine, and their disk cache."""

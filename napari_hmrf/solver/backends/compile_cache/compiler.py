@@ -1,7 +1,7 @@
 """Process that compiles the loops for all other processes: start, progress and waiting.
 
-At most one compiling process runs per machine. A status file contains its process number and
-progress. A request file contains the name of the job that it compiles next.
+At most one compiling process runs per machine. A status file contains its process ID and progress.
+A request file contains the name of the job that it compiles next.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from napari_hmrf.solver.backends.thread import in_child_of_fork
 
 #: Module that the compiling process executes.
 COMPILER = "napari_hmrf.compiling"
-#: Interval between two readings of the progress, in seconds; it limits the delay of cancellation.
+#: Interval between two readings of the progress, in seconds. Cancellation takes at most this long.
 _POLL = 0.1
 
 
 class _State:
     """State of the compilation in this process."""
 
-    #: Compiling process that was started by this process.
+    #: Compiling process started by this process.
 
     compiler: subprocess.Popen[bytes] | None = None
 
@@ -45,7 +45,7 @@ class Stage(NamedTuple):
     job : str
         Current job, as named by `napari_hmrf.compiling`.
     done, of : int
-        Number of loops compiled so far, and expected total at the end of the job.
+        Number of loops compiled so far, and the total expected at the end of the job.
     pace : float
         Seconds per loop; 0 if unknown.
     """
@@ -57,12 +57,12 @@ class Stage(NamedTuple):
 
     @property
     def fraction(self) -> float:
-        """Completed fraction, from 0 to 1."""
+        """Completed fraction of the job, from 0 to 1."""
         return min(self.done / max(self.of, 1), 1.0)
 
     @property
     def words(self) -> str:
-        """Progress and remaining time, in words."""
+        """Progress and remaining time as text."""
         if self.of == 0:
             return "starting to compile loops"
         text = f"compiling loops ({self.done} of {max(self.of, self.done)})"
@@ -120,8 +120,8 @@ def provide(job: str, report: Report) -> None:
     job : str
         Name of the job in `napari_hmrf.compiling`; "" stands for all usual loops.
     report : callable
-        Function called with a `Stage` several times a second; it raises an exception to stop
-        waiting, in which case the compilation continues.
+        Function called with a `Stage` several times a second. It may raise an exception to stop
+        waiting; the compilation then continues.
     """
     if not loops.are_compiled(job):
         request(job)
@@ -141,7 +141,7 @@ def provide(job: str, report: Report) -> None:
 
 
 def _is_compiling() -> bool:
-    """Return whether a compiling process is running, whichever process started it."""
+    """Return whether a compiling process is running, started by this or another process."""
     ours = _State.compiler
     return (ours is not None and ours.poll() is None) or _another_process_compiles()
 
@@ -177,7 +177,7 @@ def lower_priority() -> None:
 
 
 def requested_job() -> str:
-    """Return the latest requested job, or "" if there is no request."""
+    """Return the most recently requested job, or "" if there is no request."""
     with suppress(OSError):
         return _request_file().read_text(encoding="utf-8")
     return ""
@@ -190,7 +190,7 @@ def publish_stage(reached: Stage) -> None:
 
 
 def end(compiled: bool) -> None:
-    """Remove the status file of this process, which `begin` wrote, and any request file.
+    """Remove the status file that `begin` wrote, and any request file.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def _start_time(number: int) -> str:
 
 
 def _status() -> list[Any]:
-    """Return the number, start time and stage of the recorded compiling process, or []."""
+    """Return the ID, start time and stage of the recorded compiling process, or []."""
     with suppress(OSError, ValueError):
         found: list[Any] = json.loads(_status_file().read_text(encoding="utf-8"))
         return found

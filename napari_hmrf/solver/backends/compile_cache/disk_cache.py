@@ -1,4 +1,4 @@
-"""Disk cache of compiled loops: its folder, and the files that mark loops as compiled."""
+"""Disk cache of compiled loops: cache folder, and files that mark loops as compiled."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LOOPS = Path(__file__).parents[1] / "cpu"
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
 #: Environment variable that sets numba's cache folder.
 _CACHE_VARIABLE = "NUMBA_CACHE_DIR"
-#: Required free space of a cache folder, and size of the file that tests writing, in bytes.
+#: Free space required in a cache folder, and size of the file used to test writing, in bytes.
 _ROOM, _PROBE = 2**27, 2**16
 #: Modules of loops that warp pictures, volumes or meshes.
 _MOTION = (
@@ -71,7 +71,7 @@ def compiled(job: str) -> bool:
 
 @cache
 def folder() -> Path:
-    """Return the cache folder, redirecting numba if its default folder is full or read-only."""
+    """Return the cache folder; redirect numba if its default folder is full or read-only."""
     configured, beside = os.environ.get(_CACHE_VARIABLE, ""), _LOOPS / "__pycache__"
     caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     places = [*([Path(configured)] if configured else []), beside, caches / _PACKAGE]
@@ -103,7 +103,7 @@ def _writable(folder: Path) -> bool:
 def _temporary() -> Path:
     """Return a temporary folder to which only the current user can write.
 
-    Other users must not be able to write to it, because numba executes the cached code.
+    Other users must not be able to write to the folder, because numba executes the cached code.
     """
     user = getattr(os, "getuid", lambda: "user")()
     found = Path(tempfile.gettempdir()) / f"napari-hmrf-{user}"
@@ -124,7 +124,7 @@ def _key() -> str:
     for package in ("numba", "llvmlite", "numpy"):
         with suppress(PackageNotFoundError):
             made.update(version(package).encode())
-    # The optimization flag is part of the key, because it removes docstrings and assertions.
+    # The optimization flag matters because optimization removes docstrings and assertions.
     system = (sys.version, str(sys.flags.optimize), platform.machine(), platform.node())
     made.update("\n".join((*system, str(_LOOPS))).encode())
     return made.hexdigest()[:16]

@@ -1,8 +1,8 @@
 """Background thread that loads the cached loops in small steps.
 
-The window and the compute thread continue meanwhile, because each step holds the GIL for less time
-than a frame. The loader does not execute loops, because numba's thread pool must not be entered
-from two threads at once.
+The window and the compute thread continue meanwhile, because each step holds the GIL for less than
+the duration of a frame. The loader does not execute loops, because numba's thread pool must not be
+entered from two threads at once.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 from napari_hmrf.solver.backends.compile_cache import disk_cache
 
 _log = logging.getLogger("napari_hmrf")
-#: Pause after each step, relative to the duration of the step.
+#: Pause after each step, as a multiple of the duration of the step.
 _REST = 1.0
 
 
@@ -83,7 +83,7 @@ def begun() -> bool:
 
 
 def _steps() -> Iterator[str]:
-    """Load modules and loops one after the other, yielding the name of each."""
+    """Load modules and loops one by one, and yield the name of each."""
     before_numba()
     importlib.import_module("numba")
     yield "numba"
@@ -97,12 +97,12 @@ def _steps() -> Iterator[str]:
 
 
 def before_numba() -> None:
-    """Configure numba: its cache folder, tolerance of a full disk, and short waits of threads.
+    """Configure numba: cache folder, tolerance of a full disk, and short spin waits of threads.
 
-    By default, a thread of GNU OpenMP that waits for other threads occupies its core for several
+    By default, a GNU OpenMP thread that waits for other threads occupies its core for several
     milliseconds. If a window uses a core at the same time, a sweep of 0.1 ms then takes 10 ms; with
-    short waits it takes 0.3 ms. Without a window, short waits cost nothing. The environment
-    variable must be set before OpenMP is loaded.
+    short spin waits, the sweep takes 0.3 ms. Without a window, short spin waits cost no time. The
+    environment variable must be set before OpenMP is loaded.
     """
     disk_cache.folder()
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
@@ -110,7 +110,7 @@ def before_numba() -> None:
 
 
 def _tolerate_full_disks() -> None:
-    """Make numba warn once and continue if it cannot write a loop to its cache."""
+    """Make numba warn once, then continue, if it cannot write a loop to its cache."""
     from numba.core.caching import Cache  # heavy: numba
 
     save = Cache.save_overload
@@ -139,7 +139,7 @@ def _tolerate_full_disks() -> None:
 class _Unwritable:
     """State of numba's cache folder in this process."""
 
-    #: True after the first loop that could not be written.
+    #: True once a loop could not be written.
     is_known = False
 
 
@@ -163,7 +163,7 @@ def cached_loops() -> list[Any]:
 
 
 def is_cached(loop: Any) -> bool:
-    """Return whether a loop is cached for any types; False if the cache is unreadable."""
+    """Return whether a loop is cached for any argument types; False if the cache is unreadable."""
     try:
         return bool(_signatures(loop))
     except (AttributeError, OSError):
@@ -171,7 +171,7 @@ def is_cached(loop: Any) -> bool:
 
 
 def _signatures(loop: Any) -> list[Any]:
-    """Return the types for which the current source of a loop is cached for this processor."""
+    """Return the argument types for which a loop's current source is cached on this processor."""
     cache, processor = loop._cache, loop.targetctx.codegen()
     index = cache._cache_file._load_index()
     return [key[0] for key in index if key == cache._index_key(key[0], processor)]

@@ -1,10 +1,10 @@
 """State of the compiled loops in this process.
 
-Compiling all loops takes a minute or more. In the process of a window, compilation would block the
-interpreter's lock, so another process compiles the loops (`compile_cache.compiler`) and numba
-stores them on disk (`compile_cache.disk_cache`). Until the loops are ready, shaders solve, and
-`backends.arrays` performs the host's part in NumPy. A process that has started without loops loads
-them in the background (`compile_cache.loader`) and switches to them between two solves.
+Compiling all loops takes a minute or more. In the process of a window, compilation would hold the
+GIL, so another process compiles the loops (`compile_cache.compiler`) and numba stores them on disk
+(`compile_cache.disk_cache`). Until the loops are ready, shaders solve, and `backends.arrays`
+performs the host's part in NumPy. A process that has started without compiled loops loads them in
+the background (`compile_cache.loader`) and switches to them between two solves.
 
 If the environment contains ``NAPARI_HMRF_COMPILE=here``, no other process is started, and each
 solve compiles the loops that it requires. This mode is for batch jobs and tests.
@@ -38,11 +38,11 @@ HERE = "NAPARI_HMRF_COMPILE"
 
 @dataclass
 class _Part:
-    """Usage of a group of loops by this process."""
+    """State of one group of loops in this process."""
 
-    #: True if this process computes with the loops.
+    #: True if this process computes with the compiled loops.
     in_use: bool = False
-    #: True if this process has started to compute without the loops.
+    #: True if this process has started to compute without the compiled loops.
     begun_without: bool = False
 
 
@@ -51,7 +51,7 @@ class _State:
 
     solver = _Part()
     pictures = _Part()
-    #: True if this process compiles the loops, because no other process can.
+    #: True if this process compiles the loops because no other process can.
     alone = False
 
 
@@ -66,40 +66,40 @@ def compile_alone() -> None:
 
 
 def in_use() -> bool:
-    """Return whether this process solves with loops."""
+    """Return whether this process solves with the compiled loops."""
     return _State.solver.in_use or compile_here()
 
 
 def use() -> None:
-    """Solve with loops from now on, whether or not they are compiled."""
+    """Solve with the loops from now on, compiling them if necessary."""
     _State.solver.in_use = True
 
 
 def ready() -> bool:
-    """Return whether loops can solve now; if so, this process uses them from now on."""
+    """Return whether the loops can solve now; if so, this process uses them from now on."""
     return _ready(_State.solver)
 
 
 def ready_for_pictures() -> bool:
-    """Return whether loops can warp pictures now; if so, this process uses them from now on."""
+    """Return whether loops can warp pictures now; if so, use them in this process from now on."""
     return _ready(_State.pictures, sets.PICTURES)
 
 
 def are_compiled(job: str) -> bool:
-    """Return whether the loops of a job need no compilation by another process."""
+    """Return whether the loops of a job need not be compiled by another process."""
     return compile_here() or disk_cache.compiled(job)
 
 
 def ready_for_volumes() -> bool:
-    """Return whether loops can solve volumes now."""
+    """Return whether the loops can solve volumes now."""
     return are_compiled(sets.VOLUMES)
 
 
 def _ready(part: _Part, job: str = "") -> bool:
     """Return whether a group of loops can be used now, and record the result."""
     # Loading the loops takes as long as computing a few pictures. This delay is acceptable in a
-    # process that has not computed yet. Later it would interrupt a drag, so the loops are loaded in
-    # the background.
+    # process that has not computed yet. Later, the delay would interrupt a drag, so the loops are
+    # loaded in the background.
     if part.in_use or compile_here():
         return True
     if part.begun_without:

@@ -11,11 +11,11 @@ VOLUMES = "volume"
 #: Loops that solve volumes in large motion.
 LARGE_VOLUMES = "volume-large-motion"
 #: Loops for tissue on which cycles converge slowly. No job compiles this set, so a solve compiles
-#: it when required.
+#: the loops when it requires them.
 HARDER = "harder"
-#: Sets that are compiled only on request of a solve.
+#: Sets that are compiled only when a solve requests them.
 ON_REQUEST = (VOLUMES, LARGE_VOLUMES, "volume-schedule", "volume-converged")
-#: Approximate number of loops in each set, for its compilation progress.
+#: Approximate number of loops in each set, used to report compilation progress.
 COUNTS = {
     "elastic": 22,
     PICTURES: 5,

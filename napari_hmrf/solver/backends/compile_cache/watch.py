@@ -26,14 +26,14 @@ class _State:
 def watched(job: str, report: Callable[[Stage], object]) -> Iterator[None]:
     """Report the progress of a job before each loop that this thread compiles.
 
-    Do nothing within another watched job.
+    Nothing is reported within another watched job.
 
     Parameters
     ----------
     job : str
         Key of `sets.COUNTS`.
     report : callable
-        Function called with a `Stage`; it raises an exception to stop the compilation.
+        Function called with a `Stage`. It may raise an exception to stop the compilation.
     """
     if _State.watched:
         yield
@@ -50,7 +50,7 @@ def watched(job: str, report: Callable[[Stage], object]) -> Iterator[None]:
             nonlocal depth
             if threading.get_ident() == here:
                 depth += 1
-                # Report only the outermost loop: inside it, numba would catch an error of `report`.
+                # Report only the outermost loop; numba catches exceptions raised in nested ones.
                 if depth == 1:
                     compiled = _State.compiled - before
                     pace = (time.perf_counter() - begun) / compiled if compiled else 0.0

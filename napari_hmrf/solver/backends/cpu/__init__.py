@@ -1,4 +1,4 @@
-"""CPU backend: kernels as loops that are compiled for the processor."""
+"""CPU backend: kernels as loops compiled for the processor."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.quadtree import Level, nearest_pixels
 
-# Upper bounds of the time per site in seconds, by number of axes. They determine the batch size.
+# Upper bounds on the time per site in seconds, by number of axes; they determine the batch size.
 # Measured on two cores: 1.5 to 4 ns in images, and 10 to 20 ns in volumes.
 _SLOWEST_SITE_SECONDS = {2: 10e-9, 3: 50e-9}
 # Levels with fewer sites than this are swept by a single thread.
@@ -261,7 +261,7 @@ class CpuBackend:
         return self._transfer.padded(len(shape), shape), np.empty(energies, dtype=np.float32)
 
     def release(self, *fields: CpuField) -> None:
-        """Ignore the call: memory is freed when the last reference is dropped."""
+        """Ignore the call, because memory is freed when the last reference is dropped."""
 
     def close(self) -> None:
         """Free the scratch arrays and restore the number of threads."""

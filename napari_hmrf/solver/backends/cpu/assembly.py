@@ -1,7 +1,7 @@
 """Compiled loops that assemble the multigrid levels of elastic tissue.
 
 All arrays have a border of void, two sites wide. An element has the index of its first site
-(lowest row and column), so site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
+(smallest row and column), so site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -16,10 +16,10 @@ from napari_hmrf.solver.backends.cpu.compiled import parallel
 def elements(m, poisson, each, one, strain, scale, lame):
     """Compute the Lame parameters of each element from the means of its sites.
 
-    They are 0 for elements with a void site. If `one`, Poisson's ratio is `poisson` everywhere;
-    otherwise `each` contains the ratio of each site. Lambda is computed for plane strain if
-    `strain`, otherwise for plane stress. Ratios near 0.5 require double precision, because
-    1 - 2 nu loses digits.
+    The parameters are 0 for elements with a void site. If `one` is True, Poisson's ratio is
+    `poisson` everywhere; otherwise `each` contains the ratio at each site. Lambda is computed for
+    plane strain if `strain` is True, otherwise for plane stress. Ratios near 0.5 require double
+    precision, because 1 - 2 nu loses digits.
     """
     for i in prange(m.shape[0] - 1):
         for j in range(m.shape[1] - 1):

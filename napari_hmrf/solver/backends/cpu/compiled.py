@@ -1,8 +1,8 @@
 """Decorators that compile loops and cache them on disk for later processes.
 
-Numba invalidates its cache of a function only when the file of that function changes, even if the
-function inlines others from different files. The decorators in this module invalidate the cache
-when any of the files with compiled loops changes.
+Numba invalidates its cache of a function only when the function's own file changes, even if the
+function inlines functions from other files. The decorators in this module invalidate the cache when
+any file with compiled loops changes.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from numba.core import event
 from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
 
 # Contraction (one rounding for x * y + z) is allowed. Reordering is not, because it could replace
-# differences of displacements by sums in which large terms cancel.
+# differences between displacements by sums in which large terms cancel.
 _ARITHMETIC = {"contract", "nsz"}
-# Options of all loops. They are never called from C, so no C wrapper is needed.
+# Options for all loops. Loops are never called from C, so no C wrapper is needed.
 _ALL = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class _Uncollected(event.Listener):  # type: ignore[misc]
-    """Listener that pauses garbage collection while numba compiles, saving 10 % of the time."""
+    """Listener that pauses garbage collection while numba compiles, to save 10 % of the time."""
 
     _within = 0
     _paused = False
@@ -67,23 +67,23 @@ def _callee(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return made
 
 
-#: Decorator of functions that numba inlines into the source of their callers.
+#: Decorator for functions that numba inlines into the source of their callers.
 inline = numba.njit(inline="always", error_model="numpy")
-#: Decorator of functions that LLVM inlines: as fast as `inline`, with half the compile time.
+#: Decorator for functions that LLVM inlines: as fast as `inline`, with half the compile time.
 shared = _callee(fastmath=_ARITHMETIC, forceinline=True)
-#: Decorator of functions called by other loops, with contraction.
+#: Decorator for functions called by other loops, with contraction.
 callee = _callee(fastmath=_ARITHMETIC)
-#: Decorator of functions called by other loops, with exact IEEE arithmetic.
+#: Decorator for functions called by other loops, with exact IEEE arithmetic.
 strict_callee = _callee()
-#: Decorator of functions that may add terms in any order.
+#: Decorator for functions that may add terms in any order.
 reduction = _callee(fastmath={"reassoc", "nsz"})
-#: Decorator of functions that may add terms in any order, with contraction.
+#: Decorator for functions that may add terms in any order, with contraction.
 contracted_reduction = _callee(fastmath=_ARITHMETIC | {"reassoc"})
-#: Decorator of single-threaded loops called from Python, with contraction.
+#: Decorator for single-threaded loops called from Python, with contraction.
 alone = _cached(fastmath=_ARITHMETIC)
-#: Decorator of single-threaded loops called from Python, with exact IEEE arithmetic.
+#: Decorator for single-threaded loops called from Python, with exact IEEE arithmetic.
 strict = _cached()
-#: Decorator of multithreaded loops called from Python, with exact IEEE arithmetic.
+#: Decorator for multithreaded loops called from Python, with exact IEEE arithmetic.
 strict_parallel = _cached(parallel=True)
-#: Decorator of multithreaded loops called from Python, with contraction.
+#: Decorator for multithreaded loops called from Python, with contraction.
 parallel = _cached(parallel=True, fastmath=_ARITHMETIC)

@@ -4,7 +4,7 @@ Multigrid cycles constrain all rigid bodies like prescribed tissue, so they do n
 in the few rigid motions of the bodies. Each of these motions has a displacement field: the body
 moves, the other bodies stay at rest, and the tissue deforms accordingly. Conjugate gradients are
 *deflated* by these fields (Nicolaides, SIAM J. Numer. Anal., 1987): their search directions are
-conjugate to the fields, so they converge as fast as if the bodies were prescribed.
+conjugate to the fields, so the iteration converges as fast as if the bodies were prescribed.
 """
 
 # mypy: disable-error-code="untyped-decorator"
@@ -20,7 +20,8 @@ from napari_hmrf.solver.backends.cpu.compiled import parallel
 from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
-# Fields count as linearly dependent if an eigenvalue of their scaled stiffness is below this value.
+# Fields are treated as linearly dependent if an eigenvalue of their scaled stiffness is below this
+# value.
 _INDEPENDENT = 1e-4
 
 
@@ -34,12 +35,12 @@ class CpuDeflation:
     lengths : ndarray, shape (motions,)
         Largest displacement of each field, in pixels.
     close : bool
-        True if the small level does not resolve the gap between some of the bodies.
+        True if the small level does not resolve the gap between some bodies.
 
     Attributes
     ----------
     close : bool
-        True if the small level does not resolve the gap between some of the bodies.
+        True if the small level does not resolve the gap between some bodies.
     is_independent : bool
         True if the motions are linearly independent in single precision.
     """
@@ -73,7 +74,7 @@ class CpuDeflation:
         """Compute ``direction = steepest + share * direction``, made conjugate to all fields.
 
         Return the largest displacement, in pixels, of the fields that are subtracted from
-        `steepest` for this purpose.
+        `steepest` to make the direction conjugate.
         """
         shares = -self._compliance @ _products(self._forces, steepest[None])[:, 0]
         _turn(steepest, direction, np.float32(share), self._fields, shares.astype(np.float32))

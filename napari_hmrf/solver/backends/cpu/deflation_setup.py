@@ -14,10 +14,10 @@ from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.linear import Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 
-# Number of cycles on the small level. An approximate field suffices, because deflation is exact for
+# Number of cycles on the small level. Approximate fields suffice, because deflation is exact for
 # any field in which the body moves rigidly.
 _CYCLES = 2
-# A body counts as small if it has fewer sites of the small level than this along a side.
+# Side length below which a body is treated as small, in sites of the small level.
 _SMALL_BODY = 4
 
 
@@ -38,11 +38,12 @@ def build_deflation(
     levels : sequence of CpuElasticLevel
         Levels from the finest to the small level.
     small : CpuElasticLevel or None
-        Copy of the small level with all bodies constrained; None if the model has no small level.
+        Copy of the small level with all bodies constrained, or None if the model has no small
+        level.
     steps, coarsest : Steps
-        Smoothing steps, and the steps on the coarsest level.
+        Smoothing steps on all levels but the coarsest, and on the coarsest level.
     memory : ndarray, shape (2 * motions, 2, H + 4, W + 4)
-        Memory for the fields and their forces.
+        Memory for the fields, followed by their forces.
     """
     finest, above, number = levels[0], levels[-2:0:-1], len(levels) - 1
     shape = levels[-1].inverse.shape
@@ -92,7 +93,7 @@ def build_deflation(
 def _around(
     i: npt.NDArray[np.intp], j: npt.NDArray[np.intp], number: int, shape: tuple[int, ...]
 ) -> npt.NDArray[np.bool_]:
-    """Return the mask, with border, of the coarse sites whose basis functions touch a body."""
+    """Return the mask, with border, of coarse sites with basis functions that touch a body."""
     there: npt.NDArray[np.bool_] = np.zeros(shape[1:], dtype=np.bool_)
     size = (1 << number) - 1
     for row in (i >> number, (i + size) >> number):

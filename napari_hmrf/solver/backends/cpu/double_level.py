@@ -1,7 +1,7 @@
 """Finest level of a volume in double precision, for tissue with high contrast.
 
 With high contrast, an iteration in single precision stagnates before it has reduced the error in
-all soft modes. Only the iteration requires double precision; its multigrid preconditioner still
+all soft modes. Only the iteration itself requires double precision; its multigrid preconditioner
 runs in single precision.
 """
 
@@ -20,7 +20,7 @@ Float64Array = npt.NDArray[np.float64]
 
 
 class DoubleLevel(CpuLevel):
-    """Finest level whose vector operations run in double precision.
+    """Finest level with vector operations in double precision.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class DoubleLevel(CpuLevel):
         self.bodies, self.sums_up = level.bodies, level.sums_up
 
     def rounded(self, rest: Float64Array) -> Vector:
-        """Return the residual in single precision, for cycles; valid until the next call."""
+        """Return the residual in single precision for cycles; valid until the next call."""
         np.copyto(self.load, rest, casting="same_kind")
         return self.load
 

@@ -1,12 +1,12 @@
 """Compiled loops for elastic tissue: the multigrid operations in single precision.
 
-All arrays have a border of void, two sites wide. A component that is prescribed, or that belongs to
-no element, has an inverse diagonal of 0, so its correction stays 0. `weight` is the diagonal of the
-springs W of a coarse level. It is multiplied by `springs`, which is 0 on the finest level and 1 on
-the other levels.
+All arrays have a border of void, two sites wide. A component that is prescribed, or that does not
+belong to an element, has an inverse diagonal of 0, so its correction stays 0. `weight` is the
+diagonal of the springs W of a coarse level. It is multiplied by `springs`, which is 0 on the finest
+level and 1 on the other levels.
 
 Each kernel divides the rows among `count` threads. A thread starts one row above its first row to
-initialize the array `carry`, and discards the result of that row. In each row, kernels write only
+initialize the array `carry`, and discards the result for that row. In each row, kernels write only
 to the span of moving sites (`spans`), so the output must already be 0 outside the spans.
 """
 
@@ -56,7 +56,7 @@ def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
 
 @parallel
 def apply(d, lame, inverse, shape, spans, out, row_totals, count):
-    """Write A d to `out`, 0 at fixed components; store d . A d of each row in `row_totals`."""
+    """Write A d to `out`, or 0 at fixed components; store d . A d per row in `row_totals`."""
     for number in prange(count):
         first, last = part(number, count, len(spans))
         apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
@@ -181,7 +181,7 @@ def _leave_part(d, tissue, weights, spans, coarse, first, last):
 
 @parallel
 def leave(d, load, lame, inverse, weight, springs, shape, spans, coarse, count):
-    """Restrict the residual, load - (A + W) d or 0 at fixed components, to `coarse`."""
+    """Restrict the residual to `coarse`: load - (A + W) d, or 0 at fixed components."""
     for number in prange(count):
         first, last = part(number, count, coarse.shape[1] - 4)
         tissue = load, lame, inverse, shape

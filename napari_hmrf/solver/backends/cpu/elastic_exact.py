@@ -1,7 +1,7 @@
 """Compiled loops in double precision: residual, energy and forces of elastic tissue.
 
 Arrays and threads are used as in `backends.cpu.elastic`, but displacement and load have double
-precision. The convergence criterion is evaluated with these loops.
+precision. These loops evaluate the convergence criterion.
 """
 
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -51,10 +51,10 @@ def _balance_part(d, load, given, tissue, spans, share, out, row_most, row_squar
 
 @parallel
 def balance(d, load, given, lame, inverse, shape, spans, share, out, row_most, row_squares, count):
-    """Write ``share * (given * load - A d)`` to `out` in float32; it is 0 at fixed components.
+    """Write ``share * (given * load - A d)`` to `out` in float32, or 0 at fixed components.
 
-    For each row, `row_most` contains the largest absolute value, and `row_squares` the sum of
-    squares.
+    On return, `row_most` contains the largest absolute value of each row, and `row_squares` the sum
+    of its squares.
     """
     for number in prange(count):
         first, last = part(number, count, len(spans))

@@ -39,7 +39,7 @@ class CpuElasticLevel(SmallLevel):
     lame : ndarray, shape (2, H + 4, W + 4)
         Lame parameters of the elements; 0 in void.
     moving, reach : ndarray
-        Variants of `inverse` and `spans` in which the bodies that cycles constrain are free.
+        Variants of `inverse` and `spans` in which the bodies constrained by cycles are free.
     """
 
     def __init__(
@@ -164,7 +164,7 @@ class CpuElasticModel(HostModel):
         self.assemble(material)
 
     def _small(self, grids: Sequence[tuple[int, ...]]) -> list[CpuElasticLevel]:
-        """Return the small levels, which share their memory and a single-call V-cycle."""
+        """Return the small levels, which share memory and a single-call V-cycle."""
         shape = self._shape
 
         def level(grid: tuple[int, ...], memory: Iterator[Vector]) -> CpuElasticLevel:
@@ -175,7 +175,7 @@ class CpuElasticModel(HostModel):
         return SmallLevels(grids, int(small.PLANES), level, partial(_cycle, shape)).levels
 
     def assemble(self, material: ElasticMaterial) -> None:
-        """Replace the material by another material on the same grid."""
+        """Replace the material with another material on the same grid."""
         self.material = material
         self.bounds = smoother_bounds(material)
         self._shape[:] = material.shape
@@ -217,12 +217,12 @@ class CpuElasticModel(HostModel):
         return moves
 
     def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
-        """Return the deflation by the fields of moving bodies, or None if no body can move."""
+        """Return the deflation by the fields of movable bodies, or None if no body can move."""
         if self.bodies is None or not self.bodies.is_deflated:
             return None
         number = next((k for k, level in enumerate(self.levels) if level.finishes_cycle), 0)
         small = self.levels[number].holding() if number > 0 else None
-        # This runs often while a user draws. Reuse the memory, because allocation is slower.
+        # This method runs often while the user draws. Reuse the memory, because allocation is slow.
         shape = 2 * self.bodies.freedom, *self._rest.shape
         if self._deflation.shape[0] < shape[0]:
             self._deflation = np.zeros(shape, dtype=np.float32)
@@ -250,7 +250,7 @@ class CpuElasticModel(HostModel):
         return float(most.max()), math.sqrt(squares.sum())
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d everywhere, in double precision; valid until the next call."""
+        """Return -A d at all components, in double precision; valid until the next call."""
         elastic_exact.pull(d, self._exact_lame, self._exact_shape, self._pull, self.levels[0].parts)
         return self._pull if low is None else self._pull.copy() + self.pull(low)
 

@@ -15,10 +15,10 @@ from napari_hmrf.solver.backends.cpu.compiled import reduction, strict_parallel
 
 @strict_parallel
 def prescribe(y, observed, share, first, one, second, two, d, held):
-    """Set `d` to share * y and `held` to True at observed components.
+    """Set `d` to ``share * y`` and `held` to True at observed components.
 
-    All other components of `d` are set to one * first + two * second, where both arrays have shape
-    (H, W, 2). An array may contain NaN if its factor is 0.
+    All other components of `d` are set to ``one * first + two * second``. The arrays `first` and
+    `second` have shape (H, W, 2) and may contain NaN if their factor is 0.
     """
     for i in prange(y.shape[0]):
         for j in range(y.shape[1]):
@@ -32,7 +32,7 @@ def prescribe(y, observed, share, first, one, second, two, d, held):
 
 @strict_parallel
 def blend(values, weight, held, d):
-    """Add weight * values, where `values` has shape (H, W, 2), to `d` except at held components."""
+    """Add ``weight * values``, shape (H, W, 2), to `d` except at held components."""
     for i in prange(values.shape[0]):
         for j in range(values.shape[1]):
             for k in range(2):
@@ -54,7 +54,7 @@ def _settle_row(values, tissue, unit):
 
 @strict_parallel
 def settle(values, tissue, unit, row_finite):
-    """Multiply values by `unit` on tissue and by 0 elsewhere; flag the rows that are finite."""
+    """Multiply values by `unit` in tissue and by 0 elsewhere; flag the rows that are finite."""
     flat = values.reshape(values.shape[0], -1)
     for i in prange(values.shape[0]):
         row_finite[i] = _settle_row(flat[i], tissue[i], unit)
@@ -62,7 +62,7 @@ def settle(values, tissue, unit, row_finite):
 
 @strict_parallel
 def add(d, correction, scale):
-    """Add scale * correction to `d` in place."""
+    """Add ``scale * correction`` to `d` in place."""
     for i in prange(d.shape[1]):
         for k in range(2):
             for j in range(d.shape[2]):

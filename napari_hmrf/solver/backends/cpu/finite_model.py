@@ -142,7 +142,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
         self._parts = parts(grid[0])
 
     def assemble(self, material: FiniteMaterial) -> None:
-        """Replace the material by another material on the same grid."""
+        """Replace the material with another material on the same grid."""
         if self.material is not None and self.material == material:
             return
         if self.material is None or not self.material.is_tissue_of(material):
@@ -186,7 +186,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
         return float(finite_tangents.spread(cycled[:13, 2, 2].astype(np.float64)))
 
     def energy(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and the least Jacobian of all element corners."""
+        """Return the energy of a displacement, and the smallest Jacobian at any element corner."""
         self._work(finite_strain.energy, d, self._energies, self._least)
         return float(self._energies.sum()) + self._stored, float(self._least.min())
 
@@ -218,9 +218,9 @@ class CpuFiniteModel(CpuFiniteModelBase):
             coarse.hold_as(fine)
 
     def _add_geometric_stiffness(self, d: Planes, forces: Planes, positive: float) -> None:
-        """Add the rotational stiffness of bodies that results from the present forces on them."""
+        """Add the rotational stiffness of bodies that results from the current forces on them."""
         rigid = self._elements > 0
-        # Remove the terms that make tangents positive, because they would resist rigid rotations.
+        # Remove the terms that make tangents positive, because these terms resist rigid rotations.
         shear = self._solid[finite_strain.SHEAR, 2:-3, 2:-3]
         self._add_isotropic_stress(rigid, -positive * finite_tangents.LEAST * shear[rigid])
         self._stiff = self._solved[:, rigid]

@@ -8,7 +8,7 @@ does not exist; the Lame parameter lambda of a volume; the coefficient of the vo
 the stiffness of the twist, which multiplies half its square; and the components RR, RC and CC of
 the matrix that removes growth from the sides. `about` contains five numbers: 1 / (2 side) for the
 row side and the column side of a pixel; True if tissue may bulge out of the plane; and the strength
-and the threshold of the barrier.
+and threshold of the barrier.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -44,7 +44,7 @@ def deformed(d, i, j, rows, cols):
 
 @inline
 def volumes(a0, a1, b0, b1, x0, x1, rows, cols):
-    """Return the mean Jacobian, and its increments towards the next row and the next column."""
+    """Return the mean Jacobian and its increments toward the next row and the next column."""
     return (
         a0 * b1 - a1 * b0,
         cols * (a0 * x1 - a1 * x0),
@@ -129,9 +129,9 @@ def _energy_part(d, solid, about, row_energy, row_least, first, last):
 
 @parallel
 def energy(d, solid, about, row_energy, row_least, count):
-    """Compute the energy of each row of elements and its least corner Jacobian, including growth.
+    """Compute the energy and the smallest corner Jacobian of each row of elements.
 
-    Folded elements contribute no energy.
+    The Jacobian includes growth. Folded elements contribute no energy.
     """
     height = len(row_energy)
     for number in prange(count):
@@ -212,9 +212,9 @@ def _until(now, slope, bend, part, floor):
     if c <= 0:
         if slope < 0:
             return 0.0
-        # A Jacobian that increases at first may still decrease to zero along the same step.
+        # A Jacobian that increases at first may still decrease to zero later in the step.
         return -slope / bend if bend < 0 else np.inf
-    # Least positive root of c + slope t + bend t^2, in a form without cancellation.
+    # Smallest positive root of c + slope t + bend t^2, in a form without cancellation.
     inside = slope * slope - 4.0 * bend * c
     if inside < 0:
         return np.inf
@@ -265,7 +265,7 @@ def _length_part(d, way, solid, about, part, floor, row_length, first, last, eac
 def length(d, way, solid, about, part, floor, row_length, each, count):
     """Compute the largest valid step along `way` for each row of elements.
 
-    A step is valid if each corner Jacobian stays above `part` times its present value and above
+    A step is valid if each corner Jacobian stays above `part` times its current value and above
     `floor`. If `each` is not empty, the largest step of each element is stored in it.
     """
     height = len(row_length)

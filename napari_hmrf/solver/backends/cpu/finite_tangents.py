@@ -29,9 +29,10 @@ from napari_hmrf.solver.backends.cpu.finite_strain import (
     volumes,
 )
 
-#: Least eigenvalue of a tangent after it is made positive, relative to mu.
+#: Smallest eigenvalue of a tangent after it is made positive, relative to mu.
 LEAST = 0.05
-# Limits for elements without extra damping: least corner Jacobian, largest sum of squared sides.
+# Limits for elements without extra damping: smallest corner Jacobian, and largest sum of squared
+# sides.
 _CALM, _STRETCHED = 0.9, 2.3
 
 
@@ -53,7 +54,7 @@ def _positive(a0, a1, b0, b1, shear, of_mean, bend):
     low, high = middle - apart, middle + apart
     if low < least:
         kept_low, kept_high = max(low, least), max(high, least)
-        # Replace both eigenvalues of the block and preserve its eigenvectors.
+        # Replace both eigenvalues of the block, and preserve the eigenvectors.
         share = (kept_high - kept_low) / (high - low) if high > low else 0.0
         one, two = kept_low + share * (one - low), kept_low + share * (two - low)
         both *= share
@@ -101,7 +102,7 @@ def _exact(a0, a1, b0, b1, shear, of_mean, bend):
 
 @inline
 def _grown(values, rr, rc, cc):
-    """Transform a tangent from sides without growth to the deformed sides, ordered as `_exact`."""
+    """Transform a tangent in the order of `_exact` from sides without growth to deformed sides."""
     r0, r1, r2, c0, c1, c2, m00, m01, m10, m11 = values
     one, two, both, across = rr * rr, cc * cc, rr * rc, rc * rc
     back, mixed = rc * cc, rr * cc

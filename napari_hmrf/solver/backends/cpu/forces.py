@@ -1,9 +1,9 @@
 """Forces of elastic tissue at a site, for the compiled loops in both precisions.
 
 All arrays have a border of void, two sites wide. An element has the index of its first site
-(lowest row and column). Its Lame parameters are 0 if one of its sites is void. Forces are computed
-from differences of displacements within an element; `solver.priors.elements` documents the
-equations and the names.
+(smallest row and column). Its Lame parameters are 0 if one of its sites is void. Forces are
+computed from differences between displacements within an element; `solver.priors.elements`
+documents the equations and the names.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -13,7 +13,7 @@ from numba import get_num_threads, int64
 
 from napari_hmrf.solver.backends.cpu.compiled import inline, shared
 
-# Least number of rows per thread; with fewer rows, too large a share of rows is computed twice.
+# Smallest number of rows per thread; with fewer rows, too many rows would be computed twice.
 _FEW_ROWS = 16
 
 
@@ -89,8 +89,8 @@ def left_of(rows, lame, shape, j):
     """Return the derivatives of element j of a row: E_r, E_x - E_c and E_x + E_c.
 
     E_r, E_c and E_x are derivatives of the energy with respect to D_r, D_c and D_x. The three
-    numbers are returned for each component. `row_force` requires them for the first element of a
-    row, and then passes them on from site to site.
+    numbers are returned for each component. `row_force` requires the numbers of the first element
+    of a row, and then passes them from site to site.
     """
     row, row_below, col, col_below = rows
     first, shear = lame
@@ -108,9 +108,9 @@ def left_of(rows, lame, shape, j):
 def row_force(rows, lame, shape, carry, left, j):
     """Return `force` at site j of a row, and the argument `left` for the next site.
 
-    The sites are visited in order, so that each element is computed only once. Its force on its
-    right sites is passed to the next site in `left`, and its force on its lower sites is passed to
-    the next row in `carry`, shape (2, W + 4).
+    The sites are visited in order, so that each element is computed only once. The force of an
+    element on its right sites is passed to the next site in `left`, and the force on its lower
+    sites is passed to the next row in `carry`, shape (2, W + 4).
 
     Parameters
     ----------

@@ -1,21 +1,21 @@
 """Forces of elements in a volume, computed in blocks of sites, for loops in both precisions.
 
 All arrays have a border of void, two sites wide. An element has the index of its first site
-(lowest plane, row and column). `solver.priors.hexahedra` documents the equations. A face is the
-square of four sites in the same column. Each step is one loop along a line of sites, which
-vectorizes:
+(smallest plane, row and column). `solver.priors.hexahedra` documents the equations. A face is the
+square of four sites in the same column. Each step is one loop along a line of sites, which the
+compiler vectorizes:
 
 1. `_faces` computes for each face the differences of the displacement along the plane axis, along
-   the row axis and along both axes, and the sum over the next face minus the sum over this face.
+   the row axis and along both axes, and the sum over the next face minus the sum over the face.
 2. `_elements` computes the modes of each element from its two faces, and the forces of these modes
    on both faces.
 3. `_gather` adds the forces of the elements before and after a face at the face's four sites. The
-   force at the first site is then complete. The forces at the other sites are carried to the next
+   force at the first site is then complete. The forces at the other sites are passed to the next
    row and plane.
 
-Scratch lines have a constant distance, so that the compiler can exclude overlaps. A few lines
-between the input lines and the output lines of a step are unused, because processors may confuse
-reads and writes at similar addresses.
+The distance between scratch lines is constant, so that the compiler can exclude overlaps. A few
+lines between the input lines and the output lines of a step are unused, because processors may
+treat reads and writes at similar addresses as dependent.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -40,9 +40,9 @@ _MODULI, _PULLS, _FORCES, _LINES = 12, 18, 44, 47
 def constants(shape: Any) -> npt.NDArray[np.float64]:
     """Return the constants of the kernels for the shape of a voxel.
 
-    They are the factors of the derivatives along the three axes; a third of the stiffness of the
-    six modes that vary along two axes; a ninth of the stiffness of the three modes that vary along
-    all axes; and 1/3.
+    The constants are the factors of the derivatives along the three axes; a third of the stiffness
+    of the six modes that vary along two axes; a ninth of the stiffness of the three modes that vary
+    along all axes; and 1/3.
     """
     plane, row, col = squares = np.square(shape)
     along_two = (
@@ -93,7 +93,8 @@ def _moduli(shear, other, share, f, count):
 def _elements(f, c, count):
     """Compute step 2 for `count` elements."""
     # u, v and w are the components. Each digit in a name is 1 if the mode varies along that axis
-    # (plane, row or column). Faces have only two digits, because they lie in one column.
+    # (plane, row or column). Names of face values have only two digits, because the sites of a face
+    # are in one column.
     q0, q1, q2 = c[0], c[1], c[2]
     u_110, u_101, v_110, v_011, w_101, w_011 = c[3], c[4], c[5], c[6], c[7], c[8]
     u_111, v_111, w_111, third = c[9], c[10], c[11], c[12]
@@ -166,7 +167,7 @@ def _elements(f, c, count):
 @shared
 def _gather(f, k, rows, planes, y, begin, count):
     """Compute step 3 for component k."""
-    # Each face is the far face of the element before it and the near face of the next element.
+    # Each face is the far face of the previous element and the near face of the next element.
     past, pulls = begin + count, _PULLS + 7 * k
     row, corner = rows[0, k, begin:past], rows[1, k, begin:past]
     plane, force = planes[k, y, begin:past], _line(f, _FORCES + k)
@@ -187,14 +188,15 @@ def _gather(f, k, rows, planes, y, begin, count):
 
 @callee
 def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
-    """Compute the stiffness matrix times d at `count` sites of a line, for `force_of`.
+    """Compute the stiffness matrix times d at `count` sites of a line; see `force_of`.
 
     Parameters
     ----------
     d : ndarray, shape (3, D + 4, H + 4, W + 4)
         Displacement.
     lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
-        Parameter mu of each element, and also lambda unless lambda is `share` times mu everywhere.
+        Parameter mu of each element, followed by lambda unless lambda is `share` times mu
+        everywhere.
     share : float
         Ratio lambda / mu, or 1 if `lame` contains lambda.
     c : ndarray
@@ -204,9 +206,9 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
     f : ndarray
         Scratch memory.
     rows : ndarray, shape (2, 3, W + 4)
-        Forces of the elements of the previous row on this row, in this plane and in the next plane.
+        Forces of the previous row's elements on this row, in this plane and in the next plane.
     planes : ndarray, shape (3, H + 4, W + 4)
-        Forces of the elements of the previous plane on this plane.
+        Forces of the previous plane's elements on this plane.
     """
     if len(f) < _LINES * _LINE:
         return  # never reached, but it lets the compiler assume that all lines exist

@@ -2,13 +2,13 @@
 
 Every array has a border of void, two sites wide, so loops need no test for the border of the image:
 a clique that extends beyond the image contains void and does not exist. Components are separate
-planes, (C, H + 4, W + 4). Updates are computed from differences of displacements, never from an
-assembled stencil: cancellation in its float32 sums would cause errors of whole pixels in large
-images.
+planes, (C, H + 4, W + 4). Updates are computed from differences between displacements, never
+from an assembled stencil, because cancellation in its float32 sums would cause errors of whole
+pixels in large images.
 
 The loops over a row vectorize for three reasons: they have no branches, they count from zero (numba
 wraps indices that may be negative), and they are inside the parallel loop, where the compiler can
-assume that arrays do not overlap. Check this after a change: the generated code must contain many
+assume that arrays do not overlap. After a change, check that the generated code still contains many
 ``<16 x float>`` or ``<8 x float>``. Row numbers are converted to a signed type, because the counter
 of a parallel loop may be unsigned, and functions would then be compiled for both types.
 """
@@ -66,10 +66,11 @@ def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
 
 @shared
 def square(d, stiffness, i, j):
-    """Return curvature, slope and energy of the cliques centred at (i + 2, j + 2): square pixels.
+    """Return curvature, slope and energy of the cliques centred at (i + 2, j + 2).
 
-    In square pixels, the vertical line contributes only to the row component, and the horizontal
-    line only to the column component. Curvature and slope are returned per component.
+    This function is for square pixels, for which the vertical line contributes only to the row
+    component and the horizontal line only to the column component. Curvature and slope are returned
+    per component.
     """
     si, sj, ui, uj = i + 1, j + 2, i + 3, j + 2
     s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
@@ -100,7 +101,7 @@ def square(d, stiffness, i, j):
 
 @shared
 def _middle_line(d, stiffness, weight_0, weight_1, si, sj, ti, tj, ui, uj):
-    """Return a clique's curvature and slope at its middle site, per component, and its energy."""
+    """Return a clique's curvature and slope per component at its middle site, and its energy."""
     s, u, exists = ratios(stiffness, si, sj, ti, tj, ui, uj)
     w0, w1 = exists * weight_0, exists * weight_1
     a = middle_curvature(s, u)
@@ -132,7 +133,7 @@ def weighted(d, stiffness, weights, i, j):
 
 @inline
 def _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj):
-    """Return a clique's curvature and slope at its end site (i, j), per component."""
+    """Return a clique's curvature and slope per component at its end site (i, j)."""
     s, u, exists = ratios(stiffness, i, j, ti, tj, ui, uj)
     w0, w1 = exists * weight_0, exists * weight_1
     a = u * u + float32(1)
@@ -143,7 +144,7 @@ def _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj):
 
 @shared
 def _both_ends(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj, vi, vj, xi, xj):
-    """Return curvature and slope at (i, j) of the cliques (i, j) - t - u and (i, j) - v - x."""
+    """Return the summed curvature and slope at (i, j) of cliques (i, j)-t-u and (i, j)-v-x."""
     a0, a1, b0, b1 = _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj)
     p0, p1, q0, q1 = _end_line(d, stiffness, weight_0, weight_1, i, j, vi, vj, xi, xj)
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1
@@ -190,7 +191,7 @@ def downhill(slope, penalty, off):
 
 @inline
 def change(step, curvature, twice_slope, penalty, off, now):
-    """Return the change of a component's energy after a downhill step, or 0 if it increases."""
+    """Return the change in a component's energy for a downhill step, or 0 if it would increase."""
     # `now` is p |y - d|. The signs of the slope and of `off` refer to the direction of the step.
     prior = step * (curvature * step - twice_slope)
     return min(prior + (penalty * abs(off - step) - now), float32(0))
@@ -198,7 +199,7 @@ def change(step, curvature, twice_slope, penalty, off, now):
 
 @shared
 def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
-    """Return the displacement of a site after the best move of the candidate set."""
+    """Return the displacement of a site after the best move in the candidate set."""
     p0, p1 = observation[2, i, j], observation[3, i, j]
     off0 = observation[0, i, j] - d[0, i, j]
     off1 = observation[1, i, j] - d[1, i, j]
@@ -262,10 +263,11 @@ def sweeps(
 
     The first sweep reads `even` and writes `odd`, the second does the reverse, and so on. `spans`
     contains the start and stop column of the tissue in each row. `weights` is None for square
-    pixels. If `blanket` is None, a site includes only the cliques centred at it; otherwise it
-    includes all cliques that contain it, which requires `weights`. `steps` is None for the closed
-    form. Numba compiles a special version for each combination of these options. On return,
-    `row_totals` contains U_total before each sweep, per row; `share` is scratch memory.
+    pixels. If `blanket` is None, the energy of a site includes only the cliques centred at it;
+    otherwise, it includes all cliques that contain the site, which requires `weights`. `steps` is
+    None for the closed form. Numba compiles a special version for each combination of these
+    options. On return, `row_totals` contains U_total before each sweep, per row; `share` is scratch
+    memory.
     """
     for sweep in range(len(row_totals)):
         source, target = (even, odd) if sweep % 2 == 0 else (odd, even)

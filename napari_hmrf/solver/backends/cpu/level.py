@@ -1,4 +1,4 @@
-"""Level of a linear model on the processor: the part that does not depend on the model.
+"""Base class of the levels on the processor: the part that does not depend on the model.
 
 Scalars are plain Python numbers, because the processor is the host.
 """
@@ -26,7 +26,8 @@ Spans = npt.NDArray[np.int64]
 class CpuLevel:
     """Base class of the levels on the processor; `LinearLevel` documents the methods.
 
-    In a volume, arrays have shape (3, D + 4, H + 4, W + 4), and spans cover all its `rows`.
+    In a volume, arrays have shape (3, D + 4, H + 4, W + 4), and there is a span for each of its
+    `rows`.
 
     Parameters
     ----------
@@ -42,7 +43,8 @@ class CpuLevel:
     weight : ndarray, shape (2, H + 4, W + 4), or None
         Strength of the springs; None on the finest level.
     pins : ndarray, shape (2, H + 4, W + 4)
-        Prescribed components: 1 or 0 on the finest level, an interpolated count on coarser levels.
+        Prescribed components: 1 or 0 on the finest level, and a restricted count on coarser
+        levels.
     spans : ndarray, shape (H, 2)
         Start and stop column of the moving sites in each row.
     """
@@ -54,7 +56,7 @@ class CpuLevel:
     finishes_cycle: bool = False
     #: True if a second visit within a cycle is worth its cost.
     is_revisited: bool = True
-    #: True if an iteration updates the displacement directly, which saves memory in volumes.
+    #: True if an iteration updates the displacement directly, to save memory in volumes.
     sums_up: bool = False
     #: Rigid bodies on the finest level.
     bodies: Bodies | None = None
@@ -80,7 +82,7 @@ class CpuLevel:
 
     @cached_property
     def _springs(self) -> tuple[Vector, np.float32]:
-        """Strength of the springs for kernels, and its factor 0 or 1."""
+        """Strength of the springs for the kernels, and its factor, 0 or 1."""
         # If there are no springs, the kernel reads another array and multiplies it by 0.
         if self.weight is None:
             return self.inverse, np.float32(0)
@@ -93,7 +95,7 @@ class CpuLevel:
 
     @cached_property
     def _step(self) -> Vector:
-        """Latest Chebyshev step, for models with kernels that store it."""
+        """Latest Chebyshev step, for models with kernels that store the step."""
         return self.vector()
 
     def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
@@ -129,7 +131,7 @@ class CpuLevel:
             self._restrict_residual(coarse)
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Smooth from zero with `coarsest` steps."""
+        """Smooth from zero with the steps `coarsest`."""
         self.descend(coarsest, None)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
@@ -172,7 +174,7 @@ class CpuLevel:
         return self.vector()
 
     def free(self, *vectors: Vector) -> None:
-        """Store vectors for reuse, because allocation takes longer than clearing."""
+        """Store vectors for reuse, because allocation takes longer than clearing a vector."""
         self._spare += vectors
 
     def planes(self, vector: Vector) -> Vector:
@@ -185,12 +187,12 @@ class CpuLevel:
         return float(self._rows.sum())
 
     def largest(self, a: Vector) -> float:
-        """Return the largest absolute value of a vector."""
+        """Return the largest absolute value in a vector."""
         vectors.largest(rows(a), self._most)
         return float(self._most.max())
 
     def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
-        """Return the largest absolute value of `a`, and the scalar product of `a` and `b`."""
+        """Return the largest absolute value in `a`, and the scalar product of `a` and `b`."""
         vectors.weigh(rows(a), rows(b), self._most, self._rows)
         return float(self._most.max()), float(self._rows.sum())
 
@@ -209,7 +211,7 @@ class CpuLevel:
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Add ``length * direction`` to `d`, subtract ``length * image`` from `rest`.
+        """Add ``length * direction`` to `d`, and subtract ``length * image`` from `rest`.
 
         Return ``rest . rest``.
         """
@@ -218,7 +220,7 @@ class CpuLevel:
     def advance_by(
         self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Add ``share * direction`` to `d`, subtract ``length * image`` from `rest`.
+        """Add ``share * direction`` to `d`, and subtract ``length * image`` from `rest`.
 
         Return ``rest . rest``.
         """
@@ -263,7 +265,7 @@ def rows(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def paces_of(steps: Steps, from_zero: bool) -> Vector:
     """Return (scale, ahead, back) of each step, for kernels that store displacements, not steps.
 
-    Such a kernel computes ``out = d + scale * D^-1 (load - A d) + ahead * d - back * out``, where
+    These kernels compute ``out = d + scale * D^-1 (load - A d) + ahead * d - back * out``, where
     `out` on the right-hand side is the displacement before the previous step.
     """
     # The momentum multiplies the previous step, d - out. The first step has no momentum. In an

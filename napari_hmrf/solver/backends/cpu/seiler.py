@@ -2,16 +2,16 @@
 
 All arrays have a border of void, two sites wide. `stiffness` is (m, 1/m), and 0 in void. `lines`
 contains the weight of each line of cliques for each component; None selects the faster kernels for
-square pixels. `blanket` is True if a site includes all cliques that contain it, otherwise None.
-True requires `lines`, and numba compiles special kernels for it. `weight` is the diagonal of the
-springs W of a coarse level. It is multiplied by `springs`, which is 0 on the finest level and 1 on
-the other levels.
+square pixels. `blanket` is True if the energy of a site includes all cliques that contain the site,
+otherwise None. With True, `lines` is required, and numba compiles special kernels. `weight` is the
+diagonal of the springs W of a coarse level. It is multiplied by `springs`, which is 0 on the finest
+level and 1 on the other levels.
 
-With centred cliques, where a site includes only the cliques centred at it, the model is
-A d = d - q(d): the distance of a site from the minimum of its local energy. Its diagonal is 1. With
-blanket cliques, A d is half the gradient of the clique energy in U_total; doubled `lines` yield the
-full gradient. Both models are computed from differences of displacements. `inverse` is the
-reciprocal of the diagonal with springs, and 0 where a component does not move.
+With centred cliques, where the energy of a site includes only the cliques centred at the site, the
+model is A d = d - q(d): the distance of a site from the minimum of its local energy. The diagonal
+of A is 1. With blanket cliques, A d is half the gradient of the clique energy in U_total; doubled
+`lines` yield the full gradient. Both models are computed from differences between displacements.
+`inverse` is the reciprocal of the diagonal with springs, and 0 where a component does not move.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -70,9 +70,9 @@ def residual(
     d, load, given, stiffness, inverse, weight, springs, lines, blanket, spans, share, out,
     row_totals,
 ):  # fmt: skip
-    """Write ``share * (given * load - (A + W) d)`` to `out`; it is 0 at fixed components.
+    """Write ``share * (given * load - (A + W) d)`` to `out`, or 0 at fixed components.
 
-    `row_totals`, unless empty, receives the scalar product d . out of each row.
+    Also store the scalar product d . out of each row in `row_totals`, unless it is empty.
     """
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -102,10 +102,10 @@ def pull(d, stiffness, lines, blanket, spans, out):
 
 @parallel
 def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
-    """Write ``share * (pulls + given * load)`` to `out` in float32; it is 0 at fixed components.
+    """Write ``share * (pulls + given * load)`` to `out` in float32, or 0 at fixed components.
 
-    For each row, `row_most` receives the largest absolute value, and `row_squares` the sum of
-    squares.
+    On return, `row_most` contains the largest absolute value of each row, and `row_squares` the sum
+    of its squares.
     """
     for number in prange(out.shape[1] - 4):
         i = int64(number) + 2
@@ -170,8 +170,8 @@ def curvature(stiffness, lines, blanket, out):
 def coarsen(fine, coarse, even):
     """Compute the stiffness of coarse sites as the weighted mean of the tissue around them.
 
-    A coarse site without tissue around it is void. `even` receives the factor that scales a sum
-    over this tissue to the size of a sum over complete surroundings.
+    A coarse site without tissue around it is void. On return, `even` contains the factor that
+    scales a sum over the tissue around a site to a sum over complete surroundings.
     """
     for i in prange(coarse.shape[1] - 4):
         for j in range(coarse.shape[2] - 4):

@@ -97,7 +97,7 @@ class CpuSeilerLevel(CpuLevel):
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
         """Smooth from zero, or continue if `again`; restrict the residual to `coarse.load`.
 
-        With centred cliques, the coarse load is a mean over the sites in tissue.
+        With centred cliques, the coarse load is a mean over tissue sites.
         """
         numba.set_num_threads(self.threads)
         super().descend(steps, coarse, again)
@@ -148,9 +148,9 @@ class CpuSeilerLevel(CpuLevel):
     ) -> None:
         """Compute ``image = A @ direction``; store ``direction . image`` per row in `totals`.
 
-        An empty array `totals` is ignored.
+        Nothing is stored if `totals` is empty.
         """
-        # Unused terms have the factor 0 and refer to arrays that the kernel reads anyway.
+        # Unused terms have a factor of 0 and refer to arrays that the kernel reads anyway.
         nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
         self._residual(direction, nothing, no_springs, (-1, image), totals)
 
@@ -203,8 +203,8 @@ class CpuSeilerModel(HostModel):
         inverse = np.divide(1.0, m, out=np.zeros_like(m), where=m > 0)
         self.levels = []
         for number, grid in enumerate(grids(m.shape)):
-            # On the next coarser level, the same curvature of the displacement gives a clique
-            # sixteen times the energy, but there are only a quarter as many cliques.
+            # On the next coarser level, the same curvature of the displacement yields sixteen
+            # times the energy per clique, but there are only a quarter as many cliques.
             share = 0.25**number if material.blanket else 1.0
             lines = (share * self._lines).astype(np.float32)
             self.levels.append(self.level(grid, lines, square, material.blanket, number == 0))
@@ -240,7 +240,7 @@ class CpuSeilerModel(HostModel):
         return float(most.max()), math.sqrt(squares.sum())
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d everywhere, in double precision; valid until the next call."""
+        """Return -A d at all components, in double precision; valid until the next call."""
         if low is not None and self._blanket:
             pulls: Planes = self.material.pull(d, low)
             return pulls

@@ -1,9 +1,9 @@
 """V-cycle over the small levels of elastic tissue.
 
-The last sites of a row do not fill a vector instruction. In a short row, they take as long as all
-other sites together. This module therefore treats a level as one long row from its first site to
-its last. The row includes the border of void between the rows of the level, where all forces and
-corrections are zero.
+The last sites of a row do not fill a vector instruction. In a short row, these sites take as long
+as all other sites together. This module therefore treats a level as one long row from its first
+site to its last site. The long row includes the border of void between the rows of the level, where
+all forces and corrections are zero.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -17,7 +17,7 @@ from napari_hmrf.solver.backends.cpu.compiled import callee, strict
 
 #: Number of model planes per level: the two Lame parameters.
 PLANES = np.int64(2)
-# Index of the first site of a row in padded arrays, and of the row that contains the first site.
+# Index of the first site of a row in padded arrays, and of the first row.
 _FIRST = 2
 
 
@@ -43,7 +43,7 @@ def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
 
 @callee
 def _residual(d, load, lame, inverse, weight, shape, out):
-    """Compute out = load - (A + W) d; 0 at components that do not move."""
+    """Write load - (A + W) d to `out`, or 0 at components that do not move."""
     for k in range(_length(d)):
         j = _FIRST + k
         row, col = forces.rest(d, load, lame, weight, shape, _FIRST, j)

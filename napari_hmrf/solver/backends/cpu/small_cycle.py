@@ -13,7 +13,7 @@ import numpy as np
 from napari_hmrf.solver.backends.cpu import vectors
 from napari_hmrf.solver.backends.cpu.compiled import callee
 
-# Indices of a level's arrays, which have two planes each; the planes of its model are last. They
+# Indices of a level's arrays, which have two planes each; the model planes are last. The indices
 # are NumPy integers, because numba would compile a function again for each Python constant.
 INVERSE, LOAD, CORRECTION, OTHER, PINS, WEIGHT, REST, MODEL = np.arange(8)
 
@@ -54,7 +54,8 @@ def cycle_of(planes: Any, smooth: Any, rest: Any) -> Any:
         Number of model planes per level.
     smooth : callable
         Chebyshev step: ``smooth(d, load, own, inverse, weight, about, out, scale, ahead, back)``.
-        `own` contains the model planes of the level, and `about` the parameters of all levels.
+        `own` contains the model planes of the level, and `about` the parameters common to all
+        levels.
     rest : callable
         Residual: ``rest(d, load, own, inverse, weight, about, out)``.
 
@@ -85,11 +86,11 @@ def cycle_of(planes: Any, smooth: Any, rest: Any) -> Any:
     def cycle(values, table, about, down, up, coarsest):
         """Run a V-cycle over levels, finest first, for the load of the first level.
 
-        `values` contains the arrays of all levels, each level in the order of the indices above. A
-        row of `table` contains the height and width of a level, and the index at which its arrays
-        start. `down`, `up` and `coarsest` contain (scale, ahead, back) of each smoothing step. The
-        correction of a level is in `CORRECTION` after an odd total number of steps, otherwise in
-        `OTHER`.
+        `values` contains the arrays of all levels. The arrays of a level are in the order of the
+        indices above. A row of `table` contains the height and width of a level, and the index at
+        which its arrays start. `down`, `up` and `coarsest` contain (scale, ahead, back) for each
+        smoothing step. The correction of a level is in `CORRECTION` after an odd total number of
+        steps, otherwise in `OTHER`.
         """
         last = len(table) - 1
         for k in range(last + 1):

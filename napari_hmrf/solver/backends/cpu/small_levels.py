@@ -1,4 +1,4 @@
-"""Small levels, which share memory and run V-cycles on one thread (see `small_cycle`)."""
+"""Small levels, which share memory and run V-cycles on one thread; see `small_cycle`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from napari_hmrf.solver.backends.linear import Steps
 
 Grids = Sequence[tuple[int, ...]]
 
-# Number of sites below which a level is small, and number of finest levels that never count as
-# small, so that a small problem compiles all kernels that a large problem needs.
+# Number of sites below which a level is small, and number of finest levels that are never treated
+# as small, so that a small problem compiles all kernels that a large problem requires.
 _SMALL, _LARGE = 8000, 2
 
 
@@ -43,7 +43,7 @@ class SmallLevel(CpuLevel):
         return self._other
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Compute the correction, including all coarser levels if there are any."""
+        """Compute the correction, using all coarser levels if there are any."""
         if self.together is None:
             super().finish(steps, coarsest)
         else:

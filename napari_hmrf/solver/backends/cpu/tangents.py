@@ -2,7 +2,7 @@
 
 Arrays have the layout of `backends.cpu.elastic`, but each element has a tangent instead of Lame
 parameters (see `backends.cpu.finite_tangents`). The full system uses all 21 numbers of a tangent,
-while cycles use the first 13. Each row requires two loops, which both vectorize: the first loop
+while cycles use the first 13. Each row requires two loops, both of which vectorize: the first loop
 computes the forces of the elements, and the second loop adds them at the sites.
 """
 
@@ -109,7 +109,7 @@ def _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, 
 
 @parallel
 def apply(d, tangent, inverse, coupled, weight, springs, out, row_totals, count):
-    """Write (A + W) d to `out`, 0 at fixed components; store d . out per row in `row_totals`."""
+    """Write (A + W) d to `out`, or 0 at fixed components; store d . out per row in `row_totals`."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -169,7 +169,7 @@ def _rest_part(d, load, tangent, inverse, weight, springs, out, first, last):
 
 @parallel
 def rest(d, load, tangent, inverse, weight, springs, out, count):
-    """Write load - (A + W) d to `out`; it is 0 at fixed components."""
+    """Write load - (A + W) d to `out`, or 0 at fixed components."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -206,7 +206,7 @@ def coarsen(fine, coarse):
 
 @parallel
 def diagonal(tangent, out):
-    """Compute the diagonal of the matrix for cycles, multiplied by the elements' damping."""
+    """Compute the diagonal of the matrix for cycles, scaled by the damping of each element."""
     for n in prange(tangent.shape[1] - 4):
         i = n + 2
         for component in range(2):

@@ -23,7 +23,7 @@ def padded(components: int, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[
 def prolong(coarse, coarse_stiffness, target, stiffness):
     """Interpolate a displacement bilinearly to the next finer level.
 
-    Coarse sites in void have weight 0, and border sites are repeated outwards.
+    Coarse sites in void have weight 0, and border sites are repeated outward.
     """
     height, width = target.shape[1] - 2 * PAD, target.shape[2] - 2 * PAD
     coarse_height, coarse_width = coarse.shape[1] - 2 * PAD, coarse.shape[2] - 2 * PAD

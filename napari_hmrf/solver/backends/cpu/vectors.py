@@ -2,7 +2,7 @@
 
 All arrays have a border of void, two sites wide. `inverse` is the reciprocal of the model's
 diagonal, and 0 where a component does not move. Scalar products are returned per row. Loops that
-treat rows independently also accept volumes, as views of all their rows (`level.rows`).
+treat rows independently also accept volumes as views of all rows (`level.rows`).
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -48,7 +48,7 @@ def span(inverse, spans, i):
 
 @parallel
 def hold(inverse, held, pins, spans):
-    """Replace a diagonal by its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0."""
+    """Replace a diagonal with its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0."""
     for i in prange(inverse.shape[1] - 4):
         for k in range(len(inverse)):
             for j in range(2, inverse.shape[2] - 2):
@@ -61,7 +61,7 @@ def hold(inverse, held, pins, spans):
 
 @parallel
 def spring(inverse, pins, most, strength, weight, spans):
-    """Set the springs of a coarser level; replace its diagonal by the reciprocal with springs.
+    """Set the springs of a coarser level, and replace its diagonal D with 1 / (D + springs).
 
     The strength of a spring is ``strength * min(pins, most) * diagonal``.
     """
@@ -133,7 +133,7 @@ def interpolate(coarse, fine, inverse):
 
 @parallel
 def advance(d, share, rest, direction, image, length, row_totals):
-    """Add ``share * direction`` to `d`, subtract ``length * image`` from `rest`.
+    """Add ``share * direction`` to `d`, and subtract ``length * image`` from `rest`.
 
     Store ``rest . rest`` of each row in `row_totals`.
     """

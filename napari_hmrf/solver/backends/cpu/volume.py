@@ -1,13 +1,14 @@
 """Compiled loops for elastic volumes: the multigrid operations on their levels.
 
-All arrays have a border of void, two sites wide on every side. An element has the index of
-its first site, and `backends.cpu.hexahedra` documents its parameters. A component that is
-prescribed, or that belongs to no element, has an inverse diagonal of 0, so its correction stays 0.
+All arrays have a border of void, two sites wide on every side. An element has the index of its
+first site, and `backends.cpu.hexahedra` documents its parameters. A component that is prescribed,
+or that does not belong to an element, has an inverse diagonal of 0, so its correction stays 0.
 `weight` is the diagonal of the springs W of a coarse level. It is multiplied by `springs`, which is
 0 on the finest level and 1 on the other levels.
 
 Each kernel divides the planes among `count` threads. A thread starts one plane above its first
-plane to compute the forces of that plane on the next plane, and discards the other results there.
+plane to compute the forces of that plane on the next plane, and discards its other results for that
+plane.
 In each padded row, kernels write only to the span of moving sites (`spans`), so the output must
 already be 0 outside the spans.
 """
@@ -29,7 +30,7 @@ from napari_hmrf.solver.backends.cpu.forces import part
 from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
 from napari_hmrf.solver.backends.cpu.vectors import restrict_row
 
-# Least number of planes per thread; with fewer planes, too large a share is computed twice.
+# Smallest number of planes per thread; with fewer planes, too many planes would be computed twice.
 _FEW_PLANES = 8
 
 
@@ -157,7 +158,7 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
 
 @parallel
 def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
-    """Write ``scale * (given * load - (A + W) d)`` to `out`; it is 0 at fixed components."""
+    """Write ``scale * (given * load - (A + W) d)`` to `out`, or 0 at fixed components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
@@ -226,7 +227,7 @@ def work(d, lame, share, shape, products, squares, count):
 
 @shared
 def _between(above, here, below, line):
-    """Compute line = here + (above + below) / 2, the restriction along the plane axis."""
+    """Compute ``line = here + (above + below) / 2``, the restriction along the plane axis."""
     half = float32(0.5)
     for x in range(len(line)):
         line[x] = here[x] + half * (above[x] + below[x])
@@ -296,8 +297,9 @@ def _sum_line(near, right, far, across, line):
 def elements(m, each, one, scale, lame):
     """Compute the parameters of each element from the means of its sites; 0 if a site is void.
 
-    If `one`, Poisson's ratio is uniform, and mu is `scale` times the sum of `m` over the corners.
-    Otherwise `each` contains the ratio of each site, and `scale` times the sum is Young's modulus.
+    If `one` is True, Poisson's ratio is uniform, and mu is `scale` times the sum of `m` over the
+    corners. Otherwise, `each` contains the ratio at each site, and `scale` times the sum is Young's
+    modulus.
     """
     for n in prange(m.shape[0] - 1):
         total, ratio = np.empty(m.shape[2] - 1), np.empty(m.shape[2] - 1)

@@ -6,8 +6,8 @@ are H + 4 rows apart. The direction of a line of cliques is given as an offset i
 `offsets`, shape (13, 2). `lines` contains the weight of each line for each component. Border rows
 have empty spans.
 
-Sites are computed in blocks. Each step is one loop along a block, which vectorizes as in
-`hexahedra` because scratch lines have a constant distance.
+Sites are computed in blocks. Each step is one loop along a block. The loop vectorizes as in
+`hexahedra`, because the distance between scratch lines is constant.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -24,12 +24,12 @@ from napari_hmrf.solver.backends.cpu.compiled import callee, inline, parallel, r
 from napari_hmrf.solver.backends.cpu.kernels import change, downhill, middle_curvature, minimiser
 from napari_hmrf.solver.priors import line_steps
 
-#: Number of sites per block; a scratch line is longer, which is faster.
+#: Number of sites per block. Scratch lines are longer than a block, which makes the loops faster.
 BLOCK = 128
 _LINE = BLOCK + 16
 # Indices of the scratch lines. The first three lines contain ratios. Curvature and slope have one
-# line per component. They are followed by the energy, its change by a step, its change by the best
-# step, and the best step. The last constant is the number of lines.
+# line per component. These lines are followed by the energy, the change in energy for a step and
+# for the best step, and the best step. The last constant is the number of lines.
 _CURVATURE, _SLOPE, _ENERGY, _CHANGE, _LEAST, _BEST, _LINES = 3, 6, 9, 10, 11, 12, 13
 # Displacements below this value, in pixels, are set to 0, as in `kernels`.
 _FLUSH = float32(1e-18)
@@ -37,7 +37,7 @@ _FLUSH = float32(1e-18)
 
 @lru_cache(maxsize=16)
 def offsets(grid: tuple[int, ...]) -> npt.NDArray[np.int64]:
-    """Return the offset (rows, sites) to the next site on each line, for a grid (D, H, W)."""
+    """Return the offset (rows, sites) to the next site on each line, for a (D, H, W) grid."""
     plane, row, col = np.array(line_steps(3), dtype=np.int64).T
     return np.stack([plane * (grid[1] + 4) + row, col], axis=1)
 
@@ -68,7 +68,7 @@ def slope_of(f, k):
 
 @shared
 def _ratios(stiffness, row, x, down, right, count, f):
-    """Compute m_t/m_s, m_t/m_u and whether the clique exists (1 or 0), for a line's cliques."""
+    """Compute m_t/m_s, m_t/m_u, and 1 or 0 for an existing or missing clique, for one line."""
     s, u, exists = _line(f, 0), _line(f, 1), _line(f, 2)
     before = stiffness[1, row - down, x - right : x - right + count]
     here = stiffness[0, row, x : x + count]
@@ -82,7 +82,7 @@ def _ratios(stiffness, row, x, down, right, count, f):
 
 @shared
 def _add(d, k, weight, row, x, down, right, count, f):
-    """Add the curvature, slope and energy of a line's cliques for component k."""
+    """Add the curvature, slope and energy of component k for the cliques of one line."""
     s, u, exists, energy = _line(f, 0), _line(f, 1), _line(f, 2), _line(f, _ENERGY)
     curvature, slope = curvature_of(f, k), slope_of(f, k)
     before = d[k, row - down, x - right : x - right + count]
@@ -150,7 +150,7 @@ def _observe(d, y, p, count, f):
 
 @shared
 def _try(d, y, p, k, step, relaxation, count, f):
-    """Add the energy change of a downhill step of component k, or 0 if the energy increases."""
+    """Add the change in energy for a downhill step of component k, or 0 if it would increase."""
     curvature, slope, lost = curvature_of(f, k), slope_of(f, k), _line(f, _CHANGE)
     for j in range(count):
         off = y[j] - d[j]
@@ -162,7 +162,7 @@ def _try(d, y, p, k, step, relaxation, count, f):
 
 @shared
 def _compare(step, count, f):
-    """Record the step at sites where its change of energy is the least so far."""
+    """Record the step at sites where it reduces the energy more than all previous steps."""
     lost, least, best = _line(f, _CHANGE), _line(f, _LEAST), _line(f, _BEST)
     for j in range(count):
         best[j] = step if lost[j] < least[j] else best[j]
@@ -227,11 +227,11 @@ def _sweep_row(source, target, stiffness, observation, span, lines, offsets, ste
 def sweeps(even, odd, stiffness, observation, spans, lines, offsets, steps, relaxation, row_totals):
     """Update all sites simultaneously, once per row of `row_totals`.
 
-    A site includes only the cliques centred at it. The first sweep reads `even` and writes `odd`,
-    the second does the reverse, and so on. `spans` contains the start and stop column of the tissue
-    in each row, and `observation` is (y, p) with three components each. If `steps` is empty, a site
-    moves to the minimum of its local energy. On return, `row_totals` contains U_total before each
-    sweep, per row.
+    The energy of a site includes only the cliques centred at it. The first sweep reads `even` and
+    writes `odd`, the second does the reverse, and so on. `spans` contains the start and stop column
+    of the tissue in each row, and `observation` is (y, p) with three components each. If `steps` is
+    empty, a site moves to the minimum of its local energy. On return, `row_totals` contains U_total
+    before each sweep, per row.
     """
     for sweep in range(len(row_totals)):
         source, target = (even, odd) if sweep % 2 == 0 else (odd, even)

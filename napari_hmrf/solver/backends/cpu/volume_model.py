@@ -69,14 +69,14 @@ class CpuVolumeLevel(CpuLevel):
     def pins(self) -> Vector:  # type: ignore[override]
         """Pins for the next coarser level, which reads them only once.
 
-        They share memory with a correction, so `clear` must be called afterwards.
+        The pins share memory with a correction, so `clear` must be called afterwards.
         """
         return self._other
 
     def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components of the finest level."""
         # The operating system allocates new memory at the first write, which is slow. Fill the
-        # arrays one by one first, because a single kernel could not be cancelled in between.
+        # arrays one by one first, so that the solve can be cancelled between two arrays.
         self.clear()
         for component in self.inverse:
             component.fill(0)
@@ -106,12 +106,12 @@ class CpuVolumeLevel(CpuLevel):
             self.checkpoint()
 
     def _restrict_residual(self, coarse: CpuVolumeLevel) -> None:
-        # `_other` is free for the residual: the next step has no momentum and does not read it.
+        # `_other` can store the residual: the next step has no momentum and does not read `_other`.
         self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
         self._restrict(self._other, coarse.load)
 
     def scratch_vector(self) -> Vector:
-        """Return a vector that the cycle does not use between cycles, which saves memory."""
+        """Return a vector that is in use only during cycles, to save memory."""
         return self._other
 
     def free(self, *vectors: Vector) -> None:
@@ -163,7 +163,7 @@ class CpuVolumeModel(HostModel):
             level.checkpoint = checkpoint
 
     def assemble(self, material: ElasticMaterial) -> None:
-        """Replace the material by another with the same grid and number of parameters."""
+        """Replace the material with one that has the same grid and number of parameters."""
         self.material = material
         self.bounds = smoother_bounds(material)
         self._held = self.bodies = self.levels[0].bodies = None
@@ -211,7 +211,7 @@ class CpuVolumeModel(HostModel):
         return DoubleLevel(self.levels[0], *self._exact)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d everywhere, in double precision."""
+        """Return -A d at all components, in double precision."""
         finest, out = self.levels[0], np.zeros(d.shape)
         exactly = d if low is None else d + low
         volume.pull(exactly, finest.lame, *self._exact, out, finest.parts)

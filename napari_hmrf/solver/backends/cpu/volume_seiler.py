@@ -1,9 +1,9 @@
 """Compiled loops for the linear model of the paper's cliques in a volume; see also `seiler`.
 
 Arrays are views of all rows, as in `volume_cliques`. The model is A d = d - q(d): the distance of a
-site from the minimum of its local energy. Its diagonal is 1. `inverse`, `weight` and `springs` are
-documented in `seiler`. Kernels write only within the spans, so the output must already be 0 outside
-the spans.
+site from the minimum of its local energy. The diagonal of A is 1. `inverse`, `weight` and `springs`
+are documented in `seiler`. Kernels write only within the spans, so the output must already be 0
+outside the spans.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -105,7 +105,7 @@ def _rest_row(d, load, given, tissue, inverse, weights, span, share, out, i):
 def residual(
     d, load, given, stiffness, lines, offsets, inverse, weight, springs, spans, share, out
 ):
-    """Write ``share * (given * load - (A + W) d)`` to `out`; it is 0 at fixed components."""
+    """Write ``share * (given * load - (A + W) d)`` to `out`, or 0 at fixed components."""
     tissue, weights = (stiffness, lines, offsets), (weight, springs)
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -142,7 +142,7 @@ def _curvature_row(tissue, span, out, i):
     f = scratch(out)
     for x in range(max(span[0], 0) + 2, span[1] + 2, BLOCK):
         end = min(x + BLOCK, span[1] + 2)
-        look(out, stiffness, lines, offsets, i, x, end - x, f)  # independent of displacement
+        look(out, stiffness, lines, offsets, i, x, end - x, f)  # curvature ignores displacement
         for k in range(3):
             out[k, i, x:end] = curvature_of(f, k)[: end - x]
 

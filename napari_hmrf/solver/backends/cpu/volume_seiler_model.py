@@ -21,11 +21,11 @@ from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 
 class CpuVolumeSeilerLevel(CpuSeilerLevel):
-    """Level with cliques and springs, where a site includes only the cliques centred at it."""
+    """Level with centred cliques and springs."""
 
     @property
     def _tissue(self) -> tuple[Vector, Vector, npt.NDArray[np.int64]]:
-        """Arrays that describe the tissue to the kernels."""
+        """Arrays that describe the tissue for the kernels."""
         return rows(self.stiffness), self._lines, offsets(self.grid)
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
@@ -83,7 +83,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
             self.correction, self._other = self._other, self.correction
 
     def _restrict_residual(self, coarse: CpuSeilerLevel) -> None:
-        # `_other` is free for the residual: the next step has no momentum and does not read it.
+        # `_other` can store the residual: the next step has no momentum and does not read `_other`.
         out = 1, self._other
         self._residual(self.correction, (self.load, 1), self._springs, out, np.zeros(0))
         volume.restrict(self._other, coarse.load)

@@ -99,7 +99,7 @@ class OpenGLBackend:
         self._tissue_of_grid: dict[tuple[int, ...], Tissue] = {}
 
     def supports(self, job: SolveJob) -> str | None:
-        """Return the reason why the shaders cannot solve a job, or None if they can."""
+        """Return the reason why the shaders cannot solve a job, or None if they can solve it."""
         missing = missing_shaders(job)
         if missing is not None:
             return f'{missing}. Use backend="cpu" or "auto".'
@@ -226,7 +226,7 @@ class OpenGLBackend:
             released.ratios.clear()
 
     def close(self) -> None:
-        """Free all textures, but keep the context and the compiled kernels for the next solve."""
+        """Free all textures; the context and the compiled kernels remain for the next solve."""
         for passes in (*self._model_passes, self._passes):
             passes.close()
         self._model_passes.clear()
@@ -235,7 +235,7 @@ class OpenGLBackend:
         self._pool = Pool(self._device.texture)
 
     def _passes_for(self, stiffness: FloatArray) -> Passes:
-        """Return new passes for a model; raise `BackendError` if its image is too large."""
+        """Return new passes for a model; raise `BackendError` if the image is too large."""
         self._refuse(image_refusal(self._device, stiffness.shape))
         made = Passes(self._device, self._stage, self._pace)
         self._model_passes.append(made)
@@ -249,7 +249,7 @@ class OpenGLBackend:
         return stored.reshape(*field.grid, 4)
 
     def _ratios(self, stiffness: GLField) -> list[Any]:
-        """Return the textures of a level's stiffness ratios, computed on first use."""
+        """Return the textures of a level's stiffness ratios, which are computed on first use."""
         if not stiffness.ratios:
             grid = singles(stiffness.shape)
             made = [self._pool.acquire(grid, 4, use="singles") for _ in range(2)]
@@ -258,7 +258,7 @@ class OpenGLBackend:
         return stiffness.ratios
 
     def _tissue(self, stiffness: GLField) -> Tissue:
-        """Return the region of a level that contains tissue, computed on first use."""
+        """Return the region of a level that contains tissue, which is computed on first use."""
         if stiffness.tissue is None:
             shown = pairs_with_tissue(self._read(stiffness))
             stiffness.tissue = self._passes.tissue(shown)
@@ -286,7 +286,7 @@ class OpenGLBackend:
 
 
 def _is_square(rule: SiteRule) -> int:
-    """Return 1 if the line weights are those of square pixels, else 0.
+    """Return 1 if the line weights are those of square pixels, otherwise 0.
 
     The kernels have a variant for square pixels.
     """
@@ -294,7 +294,7 @@ def _is_square(rule: SiteRule) -> int:
 
 
 def _use(components: int) -> str:
-    """Return the use of a field's texture, which is a key of the pool.
+    """Return the intended use of a field's texture, which is part of its key in the pool.
 
     Only textures for "pairs" are reused for displacement fields.
     """

@@ -1,4 +1,4 @@
-"""Operations of a V-cycle that the levels of images and volumes share."""
+"""V-cycle operations shared by the levels of images and volumes."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ ScalarType = TypeVar("ScalarType")
 class CycleLevel(Generic[ScalarType]):
     """Base class of levels on the device; `LinearLevel` documents the methods."""
 
-    #: False, because `finish` does not visit coarser levels.
+    #: False because `finish` does not visit coarser levels.
     finishes_cycle = False
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
         """Smooth the correction, and restrict the residual to the load of `coarse`.
 
-        The correction starts from zero, or from its present value if `again` is True.
+        The correction starts from zero, or from its current value if `again` is True.
         """
         self._relax(steps, from_zero=not again)
         if coarse is not None:
@@ -30,7 +30,7 @@ class CycleLevel(Generic[ScalarType]):
         self.descend(coarsest, None)
 
     def ratio(self, a: ScalarType, b: ScalarType) -> Ratio[ScalarType]:
-        """Return a / b if both scalars are positive, else 0."""
+        """Return a / b if both scalars are positive, otherwise 0."""
         return Ratio(a, b)
 
     def free(self, *vectors: Any) -> None:
@@ -40,7 +40,7 @@ class CycleLevel(Generic[ScalarType]):
         """Ignore the call; problems with rigid tissue are solved on the host."""
 
     def _relax(self, steps: Steps, from_zero: bool) -> None:
-        """Smooth the correction, from zero or from its present value."""
+        """Smooth the correction, from zero or from its current value."""
         raise NotImplementedError
 
     def _restrict_residual(self, coarse: Self) -> None:

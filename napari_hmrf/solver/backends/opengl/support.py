@@ -1,4 +1,4 @@
-"""Limits of the shaders: reasons why a job, an image or a volume is not supported."""
+"""Limits of the shaders: reasons why they do not support a job, an image or a volume."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from napari_hmrf.solver.backends.opengl.volumes.volume_passes import BYTES_PER_V
 from napari_hmrf.solver.priors import SeilerPrior
 
 #: Memory per pixel, in bytes: stiffness 8, stiffness ratios 32, mask 2, observation 16,
-#: displacement 2 x 8, energy 2; and a third more for the coarser levels.
+#: displacement 2 x 8, energy 2; plus one third for the coarser levels.
 BYTES_PER_PIXEL = 76 * 4 / 3
 
 
 def missing_shaders(job: SolveJob) -> str | None:
-    """Return the reason why no shaders exist for a job, or None if they exist.
+    """Return the reason why no shaders exist for a job, or None if shaders exist.
 
     This function does not use OpenGL.
     """
@@ -49,7 +49,7 @@ def volume_refusal(device: Device, stage: str, shape: tuple[int, ...]) -> str | 
     renderer, most = device.renderer, device.largest_buffer
     if "compute" not in device.stages:
         return (
-            f"volumes need compute shaders, which need OpenGL 4.3, but this is {renderer}. Use "
+            f"volumes require compute shaders (OpenGL 4.3), but the device is {renderer}. Use "
             'backend="cpu".'
         )
     if stage != "compute":

@@ -302,7 +302,7 @@ def test_running_out_of_memory_raises_an_error(opengl):
     def job() -> None:
         device = the_device()
         device.largest = 2**30  # so that the driver reports the error
-        with pytest.raises(BackendError, match="failed while making an image"):
+        with pytest.raises(BackendError, match="failed while allocating an image"):
             device.texture((2**20, 2**20), 4)
         assert device.lost
 

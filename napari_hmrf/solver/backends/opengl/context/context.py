@@ -1,4 +1,4 @@
-"""Creation of a separate OpenGL context, and advice if none can be created.
+"""Creation of a separate OpenGL context, and advice if no context can be created.
 
 Existing contexts are not used or changed, because napari's context belongs to the GUI thread.
 """
@@ -47,8 +47,8 @@ class Opened:
         Function that calls glFinish. Unlike moderngl's function, it releases the GIL.
     dispatch : callable
         Function that runs a compute program, given its OpenGL name and the number of work groups
-        along columns and rows. It releases the GIL, because the driver may compile the program
-        first.
+        along the column and row axes. It releases the GIL, because the driver may compile the
+        program first.
     clear : callable
         Function that fills a buffer with zeros, given its OpenGL name.
     way : str
@@ -104,12 +104,12 @@ def open_context() -> Opened:
 
 @dataclass(frozen=True)
 class _Way:
-    """Method of creating a context: a glcontext backend with its settings."""
+    """Way to create a context: a glcontext backend and its settings."""
 
     name: str
     make: Callable[..., Any]
     settings: dict[str, Any]
-    #: True if there are several devices, so another device may be better.
+    #: True if there are several devices, so that another device may be better.
     others: bool = False
 
 
@@ -120,7 +120,7 @@ def _ways() -> Iterator[_Way]:
         yield _Way("the system's OpenGL", glcontext.default_backend(), {})
         return
     egl = glcontext.get_backend_by_name("egl")
-    # The names with a version belong to run-time packages, for systems without development files.
+    # The versioned names are those of the run-time packages, for systems without development files.
     for libraries in ({}, {"libegl": "libEGL.so.1", "libgl": "libGL.so.1"}):
         chosen = os.environ.get("GLCONTEXT_DEVICE_INDEX")  # overrides the setting below
         devices = 1 if chosen else max(1, _device_count(egl, libraries))
@@ -177,7 +177,7 @@ def _loader(way: _Way) -> Any:
 
 
 def _dispatch(loader: Any) -> Callable[[int, int, int], None]:
-    """Return a function that runs a compute shader, which requires OpenGL 4.3."""
+    """Return a function that runs a compute shader; requires OpenGL 4.3."""
     use, run = loader.load("glUseProgram"), loader.load("glDispatchCompute")
     use_program = _function(use, ctypes.c_uint)
     dispatch_compute = _function(run, *[ctypes.c_uint] * 3)
@@ -194,7 +194,7 @@ _STORAGE, _SINGLES = 0x90D2, (0x822E, 0x1903, 0x1406)
 
 
 def _clear(loader: Any) -> Callable[[int], None]:
-    """Return a function that fills a buffer with zeros, which requires OpenGL 4.3."""
+    """Return a function that fills a buffer with zeros; requires OpenGL 4.3."""
     bind, fill = loader.load("glBindBuffer"), loader.load("glClearBufferData")
     bind_buffer = _function(bind, *[ctypes.c_uint] * 2)
     clear_data = _function(fill, *[ctypes.c_uint] * 4, ctypes.c_void_p)
@@ -213,7 +213,7 @@ def _function(address: int, *kinds: Any) -> Callable[..., None]:
     return ctypes.CFUNCTYPE(None, *kinds)(address)
 
 
-# Advice for each error message of a driver, the most specific first.
+# Advice for each driver error message, most specific first.
 _ADVICE = {
     r"found OpenGL|eglCreateContext failed|glXCreateContext|CreateContextAttribs": (
         "the driver offers no OpenGL 3.3 core profile, which the shaders need; update the graphics "
@@ -241,7 +241,7 @@ _ADVICE = {
 
 
 def _no_context(refused: list[tuple[str, str]]) -> str:
-    """Return an error message with advice for the most specific error, and all errors."""
+    """Return an error message with advice for the most specific error and a list of all errors."""
     answers = [answer for _, answer in refused]
     advice = next(
         (

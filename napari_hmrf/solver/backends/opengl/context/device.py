@@ -47,13 +47,13 @@ class Device:
     largest : int
         Largest number of sites along an axis of a texture.
     largest_buffer, most_buffers : int
-        Largest size of a storage buffer in bytes, and largest number of storage buffers of a
-        compute shader; 0 without compute shaders.
+        Largest size of a storage buffer in bytes, and largest number of storage buffers in a
+        compute shader; 0 if compute shaders are not supported.
     software : bool
         True for a software renderer.
     rows : int
         Number of texels that an invocation computes in the compute stage (see `source.compose`);
-        1 on a GPU, which needs many invocations.
+        1 on a GPU, because a GPU needs many invocations.
     lost : bool
         True after the device was released, for example after an error.
     """
@@ -81,8 +81,8 @@ class Device:
         # it has been released. Therefore bind a permanent framebuffer before each release.
         self._idle_framebuffer = self.ctx.simple_framebuffer((1, 1))
         self._idle_framebuffer.use()
-        # The triangle has depth 0.5, so the depth test passes where the mask is 1. Without a mask
-        # it passes everywhere.
+        # The triangle has depth 0.5, so the depth test passes where the mask is 1. Without a mask,
+        # the depth test always passes.
         self.ctx.enable_only(self.ctx.DEPTH_TEST)
         self.ctx.depth_func = "<"
 
@@ -97,7 +97,7 @@ class Device:
     def best_stage(self) -> Stage:
         """Default stage: compute if available, even on a software renderer.
 
-        Mesa's llvmpipe synchronises its threads twice in each pass of a fragment shader, which
+        Mesa's llvmpipe synchronizes its threads twice in each pass of a fragment shader, which
         takes longer than the computation of a small pass.
         """
         return "compute" if "compute" in self.stages else "fragment"
@@ -128,14 +128,14 @@ class Device:
         try:
             made = self.ctx.buffer(reserve=size)
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
-            self.lose(f"making {description}: {error}")
+            self.lose(f"allocating {description}: {error}")
         self.clear_buffer(made)
         failure = self.ctx.error
         if failure != "GL_NO_ERROR":
             made.release()
             self.lose(
-                f"making {description}: {failure}. It is probably out of memory: downsample the "
-                "volume, or close other programs that use the graphics card"
+                f"allocating {description}: {failure}. The device is probably out of memory: "
+                "downsample the volume, or close other programs that use the graphics card"
             )
         return made
 
@@ -157,26 +157,26 @@ class Device:
         try:
             texture = self.ctx.texture((width, height), components, dtype="f4")
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
-            self.lose(f"making {description}: {error}")
+            self.lose(f"allocating {description}: {error}")
         failure = self.ctx.error
         if failure != "GL_NO_ERROR":
             texture.release()
             self.lose(
-                f"making {description}: {failure}. It is probably out of memory: downsample the "
-                "image, or close other programs that use the graphics card"
+                f"allocating {description}: {failure}. The device is probably out of memory: "
+                "downsample the image, or close other programs that use the graphics card"
             )
         texture.filter = (self.ctx.NEAREST, self.ctx.NEAREST)
         return texture
 
     def mask(self, shown: npt.NDArray[np.bool_]) -> Any:
-        """Create a depth texture that limits passes to True texels of a mask (rows, cols)."""
+        """Create a depth texture that limits passes to the True texels of a mask (rows, cols)."""
         self.check("computing")
         try:
             made = self.ctx.depth_texture(shown.shape[::-1])
             made.write(shown.astype(np.float32))
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
-            self.lose(f"making a mask of {shown.shape[0]} x {shown.shape[1]} texels: {error}")
-        self.check("making a mask")
+            self.lose(f"allocating a mask of {shown.shape[0]} x {shown.shape[1]} texels: {error}")
+        self.check("allocating a mask")
         return made
 
     def framebuffer(self, textures: Sequence[Any], mask: Any = None) -> Any:
@@ -223,8 +223,8 @@ class Device:
         """
         self.release()
         raise BackendError(
-            f"{self.renderer} failed while {doing}. The result was dropped; the next solve starts "
-            'a new context. If it happens again, update the driver or use backend="cpu".'
+            f"{self.renderer} failed while {doing}. The result was discarded; the next solve "
+            'starts a new context. If it happens again, update the driver or use backend="cpu".'
         )
 
     def release(self) -> None:
@@ -244,7 +244,7 @@ class Device:
         """Check that a stage is available, and run its test kernel once (`canary`)."""
         if stage not in self.stages:
             raise BackendError(
-                f"compute shaders need OpenGL 4.3, but this is {self.renderer}. Use "
+                f"compute shaders require OpenGL 4.3, but the device is {self.renderer}. Use "
                 'backend="opengl:fragment" or backend="cpu".'
             )
         if stage not in self._checked:

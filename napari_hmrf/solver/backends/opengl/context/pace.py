@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterator
 
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
 
-#: Longest time of a pass, in seconds; a longer pass is split into strips of rows. Windows resets a
-#: device that does not respond for two seconds, and a desktop on the same GPU stutters earlier.
+#: Longest duration of a pass, in seconds. A longer pass is split into strips of rows. Windows
+#: resets a device that does not respond for two seconds, and a desktop on the same GPU stutters
+#: even earlier.
 MAX_PASS_SECONDS = 0.25
 
-# Overhead of a pass, as an equivalent number of sites; and assumed time per site before the first
-# measurement, in seconds.
+# Overhead of a pass, as an equivalent number of sites, and the assumed time per site before the
+# first measurement, in seconds.
 _PASS_SITES = 1000
 _FIRST_GUESS = 1e-7
 
@@ -20,7 +21,7 @@ _FIRST_GUESS = 1e-7
 class Pace:
     """Scheduler that divides device work into batches and waits after each batch.
 
-    The work is measured in sites. A pair of sites in one texel counts as one site.
+    Work is measured in sites. A pair of sites in one texel counts as one site.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ class Pace:
     checkpoint : callable
         Function called after each wait. It raises an exception to cancel the solve.
     longest : float
-        Longest time of a pass, in seconds; a longer pass is split into strips.
+        Longest duration of a pass, in seconds; a longer pass is split into strips.
     """
 
     def __init__(

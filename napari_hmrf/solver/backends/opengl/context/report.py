@@ -79,9 +79,9 @@ def _is_exact(device: Device, components: int) -> bool:
 
 
 def _canary(stage: Any) -> str:
-    """Return "exact" if the test kernel passes, else the error message.
+    """Return "exact" if the test kernel passes, otherwise the error message.
 
-    After an error the device has been released.
+    After an error, the device has been released.
     """
     try:
         the_device().canary(stage)

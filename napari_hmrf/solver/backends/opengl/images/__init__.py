@@ -1,1 +1,1 @@
-"""Linear models of images on the device: textures, and passes of shaders over them."""
+"""Linear models of images on the device: textures, and shader passes over the textures."""

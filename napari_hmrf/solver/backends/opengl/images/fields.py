@@ -2,7 +2,7 @@
 
 In a field of two components, each texel stores a pair of neighbouring sites. In other fields, each
 texel stores one site (``common.glsl``). A row with an odd number of sites is padded with a void
-site. A texture has the same bytes as the padded array.
+site. A texture contains the same bytes as the padded array.
 """
 
 from __future__ import annotations
@@ -92,9 +92,9 @@ class Pool:
         self.all: list[Any] = []
 
     def acquire(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
-        """Return a texture from the pool; a texture for the use ``pairs`` is 0 outside tissue.
+        """Return a texture from the pool; textures for the use ``pairs`` are 0 outside tissue.
 
-        Kernels that skip void rely on these zeros. Therefore a texture with nonzero values outside
+        Kernels that skip void rely on these zeros. Therefore, a texture with nonzero values outside
         tissue must not be returned to the pool for the use ``pairs``.
         """
         spare = self._spare.get((grid, components, use))
@@ -109,11 +109,11 @@ class Pool:
     def recycle(
         self, grid: tuple[int, ...], components: int, texture: Any, use: str = "pairs"
     ) -> None:
-        """Return a texture to the pool, for later requests with the same size and use."""
+        """Return a texture to the pool for later requests with the same size and use."""
         self._spare.setdefault((grid, components, use), []).append(texture)
 
     def blank(self, grid: tuple[int, ...]) -> None:
-        """Fill all free textures of a grid and of the use ``pairs`` with zeros."""
+        """Fill all free textures with this grid and the use ``pairs`` with zeros."""
         for (size, components, use), waiting in self._spare.items():
             if size == grid and use == "pairs":
                 for texture in waiting:

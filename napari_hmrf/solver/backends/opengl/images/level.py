@@ -1,6 +1,6 @@
 """Base class of the levels of all image models, with its vectors and scalars.
 
-A vector has two textures: a kernel reads the first texture and writes the second. A scalar is a
+A vector has two textures: a kernel reads the first texture and writes to the second. A scalar is a
 texture of one texel. When a vector or scalar is deleted, its textures become free for reuse, so
 iterations do not allocate memory.
 """
@@ -39,12 +39,12 @@ class Vector:
 
     def __init__(self, acquire: Callable[[], Any], spare: list[Any]) -> None:
         self._zero_texture, self._spare = acquire, spare
-        self._textures: list[Any] = []  # `__del__` needs the list even if `acquire` fails
+        self._textures: list[Any] = []  # `__del__` uses the list even if `acquire` fails
         self._textures.append(acquire())
 
     @property
     def texture(self) -> Any:
-        """Texture of the present values."""
+        """Texture with the current values."""
         return self._textures[0]
 
     @property
@@ -55,7 +55,7 @@ class Vector:
         return self._textures[1]
 
     def turn(self) -> None:
-        """Swap the two textures, so that the next values become the present values."""
+        """Swap the two textures, so that the next values become the current values."""
         self._textures.reverse()
 
     def __del__(self) -> None:
@@ -223,7 +223,7 @@ class GLLevel(CycleLevel[Scalar]):
         self._passes.run(program, inputs, outputs, self._pairs, tissue=self._tissue)
 
     def _zero_texture(self) -> Any:
-        """Return a texture of zeros, which is reused if possible."""
+        """Return a texture of zeros, reusing a free texture if possible."""
         if not self._spare:
             return self._passes.blank(self._pairs, 4)
         texture = self._spare.pop()
@@ -247,7 +247,7 @@ class GLLevel(CycleLevel[Scalar]):
         then: str,
         then_defines: dict[str, int],
     ) -> Scalar:
-        """Reduce blocks of texels by the kernel `first`, then by `then` until one value remains."""
+        """Reduce blocks of texels with the kernel `first`, then repeatedly with `then`."""
         name, defines, grid = first, first_defines, self._pairs
         while True:
             rows, cols = (-(-size // BLOCK) for size in grid)

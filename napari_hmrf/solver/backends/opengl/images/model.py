@@ -43,7 +43,7 @@ class GLModel:
 
     @property
     def mild(self) -> bool:
-        """True if a V-cycle reduces every error component in this material."""
+        """True if a V-cycle is known to reduce every error component in this material."""
         return self._host.mild
 
     @property
@@ -53,7 +53,7 @@ class GLModel:
 
     @property
     def double_level(self) -> Any:
-        """Always None, because only volumes iterate in double precision."""
+        """Always None, because only models of volumes iterate in double precision."""
         return None
 
     @property
@@ -68,17 +68,17 @@ class GLModel:
 
     @property
     def bodies(self) -> Bodies | None:
-        """Rigid bodies for the present prescribed components, or None without rigid tissue."""
+        """Rigid bodies for the current prescribed components, or None if no tissue is rigid."""
         return self._host.bodies
 
     @property
     def iterates(self) -> bool:
-        """True if V-cycles can be used on the device, where rigid bodies are not supported."""
+        """True unless there are rigid bodies, which V-cycles on the device do not support."""
         return self.bodies is None
 
     @property
     def earlier(self) -> EarlierResults:
-        """Results of earlier solves with the present prescribed components."""
+        """Results of earlier solves with the same prescribed components."""
         return self._host.earlier
 
     def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
@@ -103,7 +103,7 @@ class GLModel:
         return self._host.steepness
 
     def clear(self) -> None:
-        """Ignore the call, which is needed only for rigid tissue and double precision."""
+        """Ignore the call, because only rigid tissue and double precision require this method."""
 
     def clear_cache(self) -> None:
         """Ignore the call, because no vector on the device outlives a solve."""

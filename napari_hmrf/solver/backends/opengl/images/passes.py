@@ -1,4 +1,4 @@
-"""Passes of kernels over textures, in batches that leave time for other programs."""
+"""Kernel passes over textures, in batches that leave time for other programs."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Passes(DeviceResources):
             program.run(inputs, outputs, target, part, first_row)
 
     def tissue(self, shown: npt.NDArray[np.bool_]) -> Tissue:
-        """Return the region for passes on the True texels of a mask, shape (rows, cols)."""
+        """Return the region that limits passes to the True texels of a mask (rows, cols)."""
         if self.stage == "fragment":
             made = self.device.mask(shown)
             tissue = Tissue(window_around(shown), made)
@@ -81,7 +81,7 @@ class Passes(DeviceResources):
         return made
 
     def empty(self, grid: tuple[int, ...], components: int) -> Any:
-        """Create an uninitialised texture."""
+        """Create an uninitialized texture."""
         made = self.device.texture(grid, components)
         self._own.append(made)
         return made
@@ -111,7 +111,7 @@ class Passes(DeviceResources):
         super().close()
 
     def _target(self, outputs: Sequence[Any], tissue: Tissue | None) -> Any:
-        """Return the framebuffer for textures and a tissue mask, created on first use."""
+        """Return the framebuffer for textures and a tissue mask, creating it on first use."""
         key = (*outputs, tissue)
         if key not in self._targets:
             mask = None if tissue is None else tissue.mask

@@ -1,4 +1,4 @@
-"""Level of an image with the passes of the V-cycle, for any prior.
+"""Level of an image with the V-cycle passes, for any prior.
 
 A subclass for each prior adds the kernels that compute forces, the textures that these kernels
 read, and the restriction of the residual.
@@ -20,8 +20,8 @@ from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 
 Float64Array = npt.NDArray[np.float64]
 
-# On a level with at most `_FEW_VALUES` values, a single pass with a dense matrix replaces the
-# smoothing steps if there are more than `_FEW_STEPS` steps, because the single pass is faster.
+# On a level with at most `_FEW_VALUES` values, more than `_FEW_STEPS` smoothing steps are run as a
+# single pass with a dense matrix, which is faster.
 _FEW_VALUES = 128
 _FEW_STEPS = 2
 
@@ -31,7 +31,7 @@ WORTH_AGAIN = 40_000
 # (scale, momentum) of a step that changes nothing.
 _NO_STEP = (0.0, 0.0)
 
-# Values of START in smooth.glsl: start from the present correction, from zero, or from the present
+# Values of START in smooth.glsl: start from the current correction, from zero, or from the current
 # correction plus the coarse correction.
 AS_IS, FROM_ZERO, FROM_COARSE = 0, 1, 2
 
@@ -76,7 +76,7 @@ class RelaxingLevel(GLLevel):
         self._inverse = passes.blank(self._pairs, 4)
         self._springs = None if host.weight is None else passes.blank(self._pairs, 4)
         self._defines = {"SPRINGS": int(self._springs is not None), **model.defines}
-        # Textures of the tissue, and of the prescribed components.
+        # Textures that depend on the tissue, and on the prescribed components.
         self._tissue_textures: list[Any] = []
         self._held_textures = [self._inverse, self._springs or self._inverse]
         self.load, self.correction, self._last = self.vector(), self.vector(), self.vector()
@@ -107,9 +107,9 @@ class RelaxingLevel(GLLevel):
         self._relax(steps[1:], from_zero=False)
 
     def _relax(self, steps: Steps, from_zero: bool) -> None:
-        """Smooth the correction.
+        """Smooth the correction, from zero or from its current value.
 
-        From zero, a single pass computes the first two steps, or all steps of a small level.
+        From zero, a single pass computes the first two steps, or all steps on a small level.
         """
         if from_zero:
             if len(steps) > _FEW_STEPS and 4 * math.prod(self._pairs) <= _FEW_VALUES:
@@ -141,7 +141,7 @@ class RelaxingLevel(GLLevel):
         first: float = 0.0,
         coarse: RelaxingLevel | None = None,
     ) -> None:
-        """Run one step of the smoother, or two steps from zero."""
+        """Run one step of the smoother, or two steps if it starts from zero."""
         d, last, unused = self.correction, self._last, self._inverse
         inputs = [
             unused if start == FROM_ZERO else d.texture,
@@ -175,7 +175,7 @@ class RelaxingLevel(GLLevel):
     def _smoother(self, steps: Steps) -> Float64Array:
         """Return the matrix that maps a load to the correction after all steps from zero."""
         # Use matrix products, because a decomposition would start the threads of LAPACK, which
-        # then busy-wait on the cores that a software rasteriser needs.
+        # then busy-wait on the cores that a software rasterizer needs.
         host, matrix = self._host, self._matrix()
         if host.weight is not None:
             matrix += np.diag(stored_planes(host.weight).astype(np.float64).ravel())

@@ -42,7 +42,7 @@ class GLSeilerLevel(RelaxingLevel):
         stiffness = [passes.texture(stored_planes(host.stiffness))]
         passes.run(passes.program("ratios"), stiffness, self._tissue_textures, singles(host.grid))
         self._left = passes.blank(self._pairs, 4)
-        # With centred cliques, a load is a mean over sites. `even` normalises the restricted load.
+        # With centred cliques, a load is a mean over sites. `even` normalizes the restricted load.
         self._even = None
         if not host.blanket:
             self._even = passes.texture(stored_planes(np.stack([host.even] * 2)))
@@ -82,7 +82,7 @@ class GLSeilerLevel(RelaxingLevel):
         super()._smooth(start, scale, momentum, first, coarse)
 
     def _matrix(self) -> Float64Array:
-        """Assemble the matrix by columns, which are the host's forces for unit displacements."""
+        """Assemble the matrix by columns from the host's forces for unit displacements."""
         host = self._cliques
         count = 4 * self._pairs[0] * self._pairs[1]
         grid = (*self._pairs, 2, 2)
@@ -120,7 +120,7 @@ class GLSeilerModel(GLModel):
 
         Blanket cliques need many V-cycles, and their kernels read many texels. On a software
         renderer, V-cycles take twice as long as a direct factorization for any image size, plus
-        the time to compile the shaders.
+        the time for compiling the shaders.
         """
         return bool(self.material.blanket and self._passes.device.software)
 

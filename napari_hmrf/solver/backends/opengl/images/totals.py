@@ -1,4 +1,4 @@
-"""Energies of many sweeps, which are accumulated on the device and read in groups.
+"""Energies of many sweeps, accumulated on the device and read in groups.
 
 If the host read the energy after each sweep, the host and the device would wait for each other up
 to 700 times.
@@ -17,8 +17,8 @@ from napari_hmrf.solver.backends.opengl.programs.programs import Program
 #: Side of the square block of texels that one invocation of the kernel ``sum`` adds.
 BLOCK = 8
 
-#: Largest number of shares per sweep that the host adds instead of a software renderer, which takes
-#: at least 30 microseconds for a pass, but only one microsecond to read a small image.
+#: Largest number of shares per sweep that the host adds in place of a software renderer. A software
+#: renderer takes at least 30 microseconds for a pass, but reads a small image in one microsecond.
 KEPT_SHARES = 2**16
 
 # Number of sweeps between two reads by the host.
@@ -32,13 +32,13 @@ class Textures(Protocol):
     """Pool of textures; see `fields.Pool`."""
 
     def acquire(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
-        """Return a texture from the pool; a texture for the use ``pairs`` is 0 outside tissue."""
+        """Return a texture from the pool; textures for the use ``pairs`` are 0 outside tissue."""
         ...
 
     def recycle(
         self, grid: tuple[int, ...], components: int, texture: Any, use: str = "pairs"
     ) -> None:
-        """Return a texture to the pool, for later requests with the same size and use."""
+        """Return a texture to the pool for later requests with the same size and use."""
         ...
 
 
@@ -114,7 +114,7 @@ class BlockTotals:
         self._used += 1
 
     def read(self) -> EnergyArray:
-        """Add the block sums in double precision; return the total of each sweep."""
+        """Add the block sums in double precision, and return the total of each sweep."""
         self._flush()
         self._textures.recycle(self._atlas_shape, 1, self._atlas, use="atlas")
         self._textures.recycle(self._grid, 1, self._share)
@@ -162,9 +162,9 @@ class PairTotals:
         self._used += 1
 
     def read(self) -> EnergyArray:
-        """Add the shares of each sweep; return the totals.
+        """Add the shares of each sweep, and return the totals.
 
-        The shares of a row are added in single precision, the rows in double precision.
+        The shares of a row are added in single precision, and the rows in double precision.
         """
         self._flush()
         for share in reversed(self._shares):

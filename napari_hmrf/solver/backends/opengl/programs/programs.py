@@ -26,7 +26,7 @@ class Program(Protocol):
     """Compiled kernel."""
 
     def set(self, values: Uniforms) -> None:
-        """Set uniforms, which keep their values until they are set again."""
+        """Set uniforms; they retain their values until they are set again."""
         ...
 
     def run(
@@ -45,9 +45,9 @@ class Program(Protocol):
             Textures in the kernel's order. A texture must not be both an input and an output.
         target : moderngl.Framebuffer or None
             Framebuffer of the outputs, for the fragment stage. If it has a mask (`Device.mask`),
-            only texels in the mask are computed, and all other texels keep their values.
+            only texels in the mask are computed, and all other texels remain unchanged.
         region : Window or Groups
-            Texels to compute: `Groups` for tissue kernels in the compute stage, otherwise `Window`.
+            Texels to compute: `Groups` for tissue kernels in the compute stage, else a `Window`.
         first_row : int
             Row of the outputs at which the grid of texels begins.
         """
@@ -72,7 +72,7 @@ def compile_program(
     rows: int = 1,
     dispatch: Callable[[int, int, int], None] | None = None,
 ) -> Program:
-    """Compile a kernel for a stage; most parameters are those of `source.compose`.
+    """Compile a kernel for a stage; see `source.compose` for the other parameters.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def compile_program(
 
 
 class Compiled:
-    """Base class of compiled kernels, which writes only uniforms that have changed."""
+    """Base class of compiled kernels; writes only uniforms that have changed."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
         self._ctx = ctx
@@ -137,7 +137,7 @@ class Compiled:
 
 
 class _Fragment(Compiled):
-    """Fragment shader, which runs by drawing a triangle that covers the window."""
+    """Fragment shader; runs by drawing a triangle that covers the window."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
         super().__init__(ctx, program)
@@ -167,7 +167,7 @@ class _Fragment(Compiled):
 
 
 class _Compute(Compiled):
-    """Compute shader, which runs on listed work groups for tissue kernels, else on a window."""
+    """Compute shader; runs on listed work groups for tissue kernels, otherwise on a window."""
 
     def __init__(
         self,
@@ -190,7 +190,7 @@ class _Compute(Compiled):
         first_row: int = 0,
     ) -> None:
         if isinstance(region, Groups) != self._listed:
-            raise TypeError("tissue kernels run on listed groups, all other kernels in a window")
+            raise TypeError("tissue kernels run on listed groups, and other kernels in a window")
         for unit, texture in enumerate(inputs):
             texture.use(unit)
         for unit, texture in enumerate(outputs):

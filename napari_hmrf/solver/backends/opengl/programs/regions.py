@@ -1,4 +1,4 @@
-"""Regions of texels for passes: a rectangle, or the work groups that contain tissue."""
+"""Regions of texels for passes: rectangles, or work groups that contain tissue."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ACROSS = 256
 class Window(NamedTuple):
     """Rectangle of texels: rows ``top`` to ``bottom``, and columns ``left`` to ``right``.
 
-    The row ``bottom`` and the column ``right`` are excluded.
+    Both ``bottom`` and ``right`` are exclusive.
     """
 
     top: int
@@ -32,7 +32,7 @@ class Window(NamedTuple):
         return self.bottom - self.top, self.right - self.left
 
     def strip(self, begin: int, end: int) -> Window:
-        """Return the part of the window in rows `begin` to `end` (excluded), relative to `top`."""
+        """Return the part of the window in rows `begin` to `end` (exclusive), relative to `top`."""
         return self._replace(top=self.top + begin, bottom=self.top + end)
 
 
@@ -46,7 +46,7 @@ class Groups(NamedTuple):
     grid : (int, int)
         Grid of texels of the level, (rows, cols).
     top, bottom : int
-        Range of rows of the list to run; `bottom` is excluded.
+        Range of list rows to run; `bottom` is exclusive.
     """
 
     places: Any
@@ -56,11 +56,11 @@ class Groups(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Number of rows of the list, and number of texels in the groups of each row."""
+        """Number of list rows, and number of texels in the groups of each row."""
         return self.bottom - self.top, self.places.width * GROUP[0] * GROUP[1]
 
     def strip(self, begin: int, end: int) -> Groups:
-        """Return rows `begin` to `end` (excluded) of the list, relative to `top`."""
+        """Return rows `begin` to `end` (exclusive) of the list, relative to `top`."""
         return self._replace(top=self.top + begin, bottom=self.top + end)
 
 
@@ -73,7 +73,8 @@ class Tissue:
     region : Window or Groups
         Rectangle around all tissue (fragment stage), or work groups that contain tissue.
     mask : moderngl.Texture or None
-        Depth texture for the fragment stage: 1 if a pair has tissue, else 0 (``triangle.glsl``).
+        Depth texture for the fragment stage: 1 where a pair has tissue, otherwise 0; see
+        ``triangle.glsl``.
     """
 
     region: Window | Groups

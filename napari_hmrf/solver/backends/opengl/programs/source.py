@@ -28,7 +28,8 @@ GROUP = (8, 8)
 #: GLSL version of each stage.
 VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
 _TYPES = {1: "float", 2: "vec2", 4: "vec4"}
-# Line numbers of file k begin at 1000 k + 1, because some compilers do not report the file.
+# Line numbers of file k begin at 1000 k + 1 so that they identify the file, which some compilers do
+# not report.
 _FILE_LINES = 1000
 # Position in a log: "0:2014(3): error", "2(2014) : error" or "ERROR: 2:2014: ...".
 _PLACE = re.compile(r"\b\d+([:(])(\d+)\b")
@@ -44,8 +45,7 @@ class Kernel:
     inputs : tuple of str
         Names of the textures that the kernel reads, in the order of their texture units.
     outputs : mapping of str to int
-        Number of components (1, 2 or 4) of each variable that the kernel assigns, in the order of
-        the targets.
+        Number of components (1, 2 or 4) of each variable that the kernel assigns, in target order.
     defines : tuple of str
         Names of preprocessor definitions that require a value.
     shared : tuple of str
@@ -53,11 +53,11 @@ class Kernel:
     tissue : bool
         True if the kernel runs only in tissue, because its outputs are 0 elsewhere.
     carries : bool
-        True if an invocation may compute several vertically adjacent texels, and reuse values of
-        each texel for the next. Such a kernel has a function ``enter``.
+        True if an invocation may compute several vertically adjacent texels and reuse values of
+        each texel for the next. These kernels have a function ``enter``.
     of : str
-        Name of another kernel with the same file but other included files; empty if the kernel
-        has a separate file.
+        Name of another kernel that uses the same file but includes other files; empty if the
+        kernel has a separate file.
     """
 
     name: str
@@ -191,7 +191,7 @@ KERNELS: Mapping[str, Kernel] = {
 
 @dataclass(frozen=True)
 class Source:
-    """Full text of a shader, with the names of its files.
+    """Full text of a shader, with the names of the source files.
 
     Attributes
     ----------
@@ -307,7 +307,7 @@ def _outputs(kernel: Kernel, stage: Stage) -> list[str]:
 
 
 def joined(version: int, head: list[str], names: list[str]) -> Source:
-    """Join header lines and files to a source, with ``#line`` directives for each file."""
+    """Join header lines and files into a source, with ``#line`` directives for each file."""
     files = ["(declarations)", *(f"{name}.glsl" for name in names)]
     parts = [f"#version {version} core", "#line 1 0", *head]
     for number, name in enumerate(names, start=1):
@@ -327,5 +327,5 @@ def _text(name: str) -> str:
     if not text.isascii():
         raise BackendError(f"the shader {path.name} contains characters other than ASCII")
     if "#version" in text:
-        raise BackendError(f"the shader {path.name} must not contain #version: the loader adds it")
+        raise BackendError(f"the shader {path.name} must not contain #version; the loader adds it")
     return text

@@ -24,9 +24,9 @@ Buffers = Mapping[str, Sequence[Any]]
 
 # Largest number of work groups along the first axis of a dispatch; all drivers allow 65535.
 _ACROSS = 2**15
-# Largest number of planes of a work group, and number of invocations that keep a GPU busy. With
-# more planes per group, fewer elements are computed by two groups. With fewer planes, the groups
-# contain less void.
+# Largest number of planes in a work group, and number of invocations that keep a GPU busy. With
+# more planes per group, fewer elements are computed twice, by two groups. With fewer planes, the
+# groups contain less void.
 _MOST_PLANES = 8
 _ENOUGH = 2**16
 
@@ -60,7 +60,7 @@ class Groups:
 
 
 def groups_of(grid: tuple[int, ...], software: bool) -> Groups:
-    """Divide a level into work groups: a few large groups for a software renderer."""
+    """Divide a level into work groups; use a few large groups on a software renderer."""
     planes = _MOST_PLANES if software else math.prod(grid) // _ENOUGH
     return Groups(grid, max(1, min(planes, _MOST_PLANES)))
 
@@ -129,7 +129,7 @@ class VolumeProgram(Compiled):
                 place += 1
 
     def run(self, first: int, past: int) -> None:
-        """Start the groups from `first` to `past` (excluded), without waiting for the device."""
+        """Start the groups `first` to `past` (exclusive), without waiting for the device."""
         self._set_integers("first", first)
         self._set_integers("past", past)
         groups = past - first
@@ -144,7 +144,7 @@ def compile_volume(
     defines: Mapping[str, int] | None,
     dispatch: Callable[[int, int, int], None],
 ) -> VolumeProgram:
-    """Compile a kernel for volumes; the parameters are those of `compose_volume`.
+    """Compile a kernel for volumes; see `compose_volume` for the parameters.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Kernels for volumes: their fields, and the source text of their shaders.
 
 The kernels are compute shaders (OpenGL 4.3) on storage buffers. Each component of a field has a
-separate buffer, because drivers limit the size of a buffer, and a component of 256^3 sites takes
+separate buffer, because drivers limit the size of a buffer and a component on 256^3 sites requires
 67 MiB. A kernel is a function ``kernel(int)`` of a site's index (``volume.glsl``) that reads and
 writes buffers. This module handles only text and does not use OpenGL.
 """
@@ -18,10 +18,10 @@ from napari_hmrf.solver.backends.opengl.programs.source import VERSIONS, Source,
 GROUP = (32, 4)
 #: Number of invocations of the single work group that adds the totals of all groups.
 TOGETHER = 256
-#: Limits of the kernel in which one work group smooths a level in one pass: number of sites, number
-#: of steps, and number of values of a component (a level of 5^3 sites with its border).
+#: Limits of the kernel that smooths a level in one pass with a single work group: number of sites,
+#: number of steps, and number of values of a component (a level of 5^3 sites with its border).
 SITES, MOST_STEPS, TILE = 128, 128, 9**3
-#: Largest number of storage buffers of a kernel.
+#: Largest number of storage buffers used by a kernel.
 MOST_BUFFERS = 16
 
 
@@ -40,7 +40,7 @@ class Field:
         GLSL type of the values.
     where : str
         Name of a preprocessor definition that is 0 if the kernel does not have the field; "" if
-        the kernel always has the field.
+        it always has the field.
     """
 
     name: str
@@ -199,7 +199,7 @@ VOLUME_KERNELS: Mapping[str, VolumeKernel] = {
 
 
 def bindings(kernel: VolumeKernel, defines: Mapping[str, int]) -> list[tuple[Field, int]]:
-    """Return each field that a kernel has for given definitions, and its number of buffers."""
+    """Return the fields of a kernel for given definitions, with the number of buffers of each."""
     found = []
     for field in kernel.all_fields:
         if not field.where or defines[field.where]:
@@ -221,7 +221,7 @@ def compose_volume(name: str, defines: Mapping[str, int] | None = None) -> Sourc
     Raises
     ------
     BackendError
-        If the definitions do not match those of the kernel, or a file is missing.
+        If the definitions do not match those of the kernel, or if a file is missing.
     """
     kernel, given = VOLUME_KERNELS[name], dict(defines or {})
     if set(given) != set(kernel.defines):

@@ -1,1 +1,1 @@
-"""Linear models of volumes on the device: storage buffers, and passes of compute shaders."""
+"""Linear models of volumes on the device: storage buffers, and compute shader passes."""

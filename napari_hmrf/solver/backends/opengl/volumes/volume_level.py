@@ -1,7 +1,7 @@
-"""Level of an elastic volume on the device, with the multigrid operations as compute shaders.
+"""Level of an elastic volume on the device; compute shaders run the multigrid operations.
 
 Each buffer stores one component of an array in the layout of the compiled loops
-(`backends.cpu.volume`): with a border of void, two sites wide on every side.
+(`backends.cpu.volume`), with a border of void that is two sites wide on every side.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         Reciprocal of the diagonal; 0 where a component is fixed.
     """
 
-    #: True, because a second visit within a cycle is worth its cost on every level.
+    #: True because a second visit within a cycle is worth its cost on every level.
     is_revisited = True
 
     def __init__(
@@ -108,7 +108,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         self.shape = {"shape": np.array(shape, np.float32), "share": np.array([share], np.float32)}
 
     def coarsen(self, finer: Self) -> None:
-        """Compute the parameters of the elements from those of the next finer level."""
+        """Compute the parameters of the elements from the elements of the next finer level."""
         _, height, width = finer.grid
         sizes = _integers(fine_height=height, fine_width=width)
         for fine, coarse in zip(finer.lame, self.lame, strict=True):
@@ -154,7 +154,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     # The cycle
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Smooth from zero with the steps `coarsest`, in a single pass on small levels."""
+        """Smooth from zero with the steps `coarsest`, in a single pass if the level is small."""
         if math.prod(self.grid) > SITES or len(coarsest) > MOST_STEPS:
             super().finish(steps, coarsest)
             return
@@ -208,7 +208,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         about |= {"lame": self.lame, "springs": self._springs}
         for number, (scale, momentum) in enumerate(steps[begun:], begun):
             # `back` multiplies the correction before the previous step. The first step has no such
-            # correction, and at the second step after a start from zero it is zero.
+            # correction, and for the second step after a start from zero, the correction is zero.
             back = momentum if number > begun else 0.0
             pace = _numbers(scale=scale, ahead=momentum, back=back)
             taken = {"displacement": self.correction.buffers, "other": self._other.buffers}

@@ -79,7 +79,7 @@ class GLVolumeModel(HostModel):
         scale = 0.125 / stiffest(material.m)
         if isinstance(material.poisson, float):
             scale /= 2 + 2 * material.poisson
-        # Upload the values of sites to the buffers of a vector that is not used yet.
+        # Upload the values of sites to the buffers of a vector that is not in use yet.
         passing = finest.correction.buffers
         for buffer, values in zip(passing, (material.m, material.poisson), strict=False):
             if not isinstance(values, float):
@@ -162,7 +162,7 @@ class GLVolumeModel(HostModel):
         self._passes.device.check("uploading a displacement")
 
     def _add_up(self, name: str, buffers: Buffers, uniforms: Uniforms) -> npt.NDArray[np.float64]:
-        """Run a double-precision kernel; return (total, largest value) of each work group."""
+        """Run a double-precision kernel, and return (total, largest value) for each work group."""
         finest = self.levels[0]
         about = {"displacement": self._exactly, "lame": finest.lame, "shares": [self._shares]}
         defines = {"PARAMETERS": len(finest.lame)}
@@ -173,7 +173,7 @@ class GLVolumeModel(HostModel):
 
 
 def _padded(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Return values of sites with a border of zeros, two sites wide."""
+    """Return the values of sites with a border of zeros that is two sites wide."""
     made = np.zeros([size + 4 for size in values.shape], np.float32)
     made[_INSIDE] = values
     return made

@@ -1,4 +1,4 @@
-"""Passes of kernels over storage buffers, for volumes."""
+"""Kernel passes over storage buffers, for volumes."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from napari_hmrf.solver.backends.opengl.programs.volume_programs import (
 )
 
 #: Approximate memory per voxel, in bytes: parameters, inverse diagonal and five vectors in single
-#: precision, a displacement in double precision, and a tenth more for the coarser levels.
+#: precision, a displacement in double precision, plus one tenth for the coarser levels.
 BYTES_PER_VOXEL = 112
 
-# Number of pairs of scalars in the buffer of scalars.
+# Number of pairs in the buffer of scalars.
 _PAIRS = 64
 
 
@@ -121,7 +121,7 @@ class VolumePasses(DeviceResources):
         return program
 
     def total(self, shares: Any, count: int) -> tuple[Scalar, Scalar]:
-        """Return the sum of the totals, and the largest value, of `count` groups."""
+        """Return the sum of the totals of `count` groups, and their largest value."""
         pair = _Pair(self._spare_slots.pop(), self._spare_slots)
         program = self.device.volume_program("volume_total")
         program.set({"count": np.array([count], np.int32), "slot": np.array([pair.slot], np.int32)})
