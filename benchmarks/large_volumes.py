@@ -22,7 +22,7 @@ import numpy.typing as npt
 import psutil
 
 from benchmarks import random_large_volumes
-from napari_hmrf import ElasticPrior, LiveSolver, Multigrid, NeoHookeanPrior, Problem, solve
+from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
 from napari_hmrf.solver.solution import Solution
 from tests.support.finite_volume_oracle import (
     framed_volume,
@@ -34,10 +34,12 @@ from tests.support.finite_volume_oracle import (
 Field = npt.NDArray[np.float64]
 # Default number of random problems.
 _FEW = 40
-# Number of frames of a drag, and length of each frame in voxels.
-_FRAMES, _FRAME = 10, 1.0
-# Least deformed tissue has as many frames before the measured ones.
-_WARM = 2
+# Number of frames of a drag.
+_FRAMES = 10
+# Distance of each frame, in voxels.
+_FRAME = 0.5
+# Tolerance of a frame, in voxels.
+_LIVE = 0.1
 
 
 def main() -> None:
@@ -135,19 +137,26 @@ def _reached(found: Solution) -> str:
 
 
 def drag(sizes: list[int]) -> None:
-    """Print the cost of one frame of a drag relative to a linear solve."""
+    """Print the cost of each frame of a drag relative to a linear solve, and its error."""
+    prior, live = NeoHookeanPrior(), Multigrid(_LIVE)
     for size in sizes[:2]:
-        linear, _ = _seconds(
-            lambda size=size: solve(dragged_patch(size, 1.0), ElasticPrior(), backend="cpu")
-        )
-        frames = []
-        with LiveSolver(prior=NeoHookeanPrior(), optimizer=Multigrid(0.1), backend="cpu") as live:
-            for number in range(_WARM + _FRAMES):
-                problem = dragged_patch(size, _FRAME * (number + 1))
-                taken, _ = _seconds(lambda problem=problem: live.submit(problem).result())
-                frames.append(taken)
-        usual = float(np.median(frames[_WARM:]))
-        print(f"{size:4} frame of a drag: {usual:.2f} s = {usual / linear:.1f} linear solves")
+        first = dragged_patch(size, _FRAME)
+        solve(first, ElasticPrior(), backend="cpu")
+        linear, _ = _seconds(lambda first=first: solve(_anew(first), ElasticPrior(), backend="cpu"))
+        last: list[Solution] = []
+        for frame in range(1, _FRAMES + 1):
+            problem = dragged_patch(size, _FRAME * frame)
+            begun = time.process_time()
+            found = solve(problem, prior, optimizer=live, backend="cpu", initial=last[:2] or None)
+            ratio = (time.process_time() - begun) / linear
+            last.insert(0, found)
+            tight = solve(problem, prior, optimizer=Multigrid(1e-4), backend="cpu", initial=found)
+            off = float(np.abs(found.displacement - tight.displacement).max())
+            print(
+                f"{size:4} frame {frame:2}: {ratio:4.1f} linear solves, {found.iterations} steps, "
+                f"error {off:.4f} voxel, {_reached(found)}",
+                flush=True,
+            )
 
 
 def memory(sizes: list[int]) -> None:
