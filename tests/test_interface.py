@@ -331,7 +331,7 @@ def test_any_wrong_argument_is_refused_with_a_short_error_of_the_package(
         (lambda: LiveSolver(3), "deliver is 3, of type int. Pass a function to call"),
         (lambda: Multigrid("x"), "tolerance must be a positive number, in pixels, not 'x'"),
         (lambda: ICM(steps=3), r"steps must be positive numbers, such as \(1, 0.1\).*, not 3"),
-        (lambda: ICM("many"), "iterations must be a whole number of at least 1, not 'many'"),
+        (lambda: ICM("many"), "iterations must be a positive whole number, not 'many'"),
         (lambda: SeilerPrior(conditional="both"), 'must be "centred" or "blanket", not \'both\''),
         (lambda: ElasticPrior("a"), "poisson: is 'a', of type str. Use real numbers"),
         (lambda: ElasticPrior(0.6), "poisson must be from 0 to 0.499, not 0.6"),

@@ -346,8 +346,8 @@ def _check_confidence(c: FloatArray) -> None:
         outside = np.asarray(((c < 0) | (c > 1)).any(axis=-1))
         raise ProblemError(
             "confidence",
-            f"has {how_many(outside)} outside 0 to 1, the first at {first_index(outside)}. Scale the "
-            "confidence to the range from 0 (none) to 1 (complete).",
+            f"has {how_many(outside)} outside 0 to 1, the first at {first_index(outside)}. Scale "
+            "the confidence to the range from 0 (none) to 1 (complete).",
         )
     if not c.any():
         raise ProblemError(

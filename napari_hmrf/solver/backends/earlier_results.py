@@ -1,4 +1,4 @@
-"""Start of a solve, and the known quality of this start.
+"""Warm start of a solve, and the known quality of this start.
 
 The system is linear. A weighted sum of solutions is therefore the solution for the same weighted
 sum of observations and loads, and its error is at most the weighted sum of the errors.
@@ -26,7 +26,7 @@ class StartQuality(NamedTuple):
     Attributes
     ----------
     least : float
-        Least eigenvalue of the preconditioned system found by the iterations; at most 1.
+        Smallest eigenvalue of the preconditioned system found by the iterations; at most 1.
     error : float
         Estimated largest distance of the start from the converged field, in pixels.
     """
@@ -66,7 +66,7 @@ def start_quality_of(start: WarmStart) -> StartQuality:
     Returns
     -------
     StartQuality
-        Least eigenvalue of all parts, and weighted sum of their errors.
+        Smallest eigenvalue of all parts, and weighted sum of their errors.
     """
     least, error = 1.0, 0.0
     for share, part in zip(start.shares, start.displacements, strict=True):
@@ -76,7 +76,7 @@ def start_quality_of(start: WarmStart) -> StartQuality:
     return StartQuality(least, error)
 
 
-# Largest accepted ratio of a residual to its stored value; stored fields are rounded.
+# Largest accepted ratio of a residual to its stored value, because stored fields are rounded.
 _ROUNDED = 4.0
 _TINY = 1e-300
 
@@ -146,7 +146,7 @@ class EarlierResults:
     underestimate : float or None
         Factor by which cycles underestimate the error, or None if it is unknown.
     least : float
-        Least eigenvalue of the preconditioned system found by the iterations.
+        Smallest eigenvalue of the preconditioned system found by the iterations.
     slow : bool
         True if the iterations have found a motion that cycles hardly reduce.
     care : int

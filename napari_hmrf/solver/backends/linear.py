@@ -95,7 +95,7 @@ class LinearLevel(Protocol):
         ...
 
     def scratch_vector(self) -> Any:
-        """Return an uninitialised vector that is valid until the next cycle."""
+        """Return an uninitialized vector that is valid until the next cycle."""
         ...
 
     def free(self, *vectors: Any) -> None:
@@ -164,7 +164,7 @@ class UnsymmetricLevel(LinearLevel, Protocol):
 
 
 class Hierarchy(Protocol):
-    """Levels of a model, and upper bounds of its spectrum."""
+    """Levels of a model, and upper bounds on its spectrum."""
 
     @property
     def levels(self) -> Sequence[Any]:
@@ -173,7 +173,7 @@ class Hierarchy(Protocol):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Upper bounds of the spectrum of D^-1 A: for usual materials, and for all materials."""
+        """Upper bounds on the spectrum of D^-1 A: for usual materials, and for all materials."""
         ...
 
 
@@ -192,7 +192,7 @@ class LinearModel(Protocol):
 
     @property
     def mild(self) -> bool:
-        """True if a cycle reduces every motion of such tissue."""
+        """True if a cycle reduces every motion of this tissue."""
         ...
 
     @property
@@ -222,7 +222,7 @@ class LinearModel(Protocol):
 
     @property
     def iterates(self) -> bool:
-        """True if cycles can be used with such tissue."""
+        """True if cycles can be used with this tissue."""
         ...
 
     @property
@@ -232,7 +232,7 @@ class LinearModel(Protocol):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Upper bounds of the spectrum of D^-1 A: for usual materials, and for all materials."""
+        """Upper bounds on the spectrum of D^-1 A: for usual materials, and for all materials."""
         ...
 
     def hold(self, held: HeldPlanes) -> None:

@@ -142,7 +142,7 @@ class ComputeThread:
         """Describe the work that delays a queued job, and how to stop it; "" once the job runs."""
         if future.running() or future.done():
             return ""
-        doing = self._doing  # read only once, as the compute thread may reset it
+        doing = self._doing  # read only once, because the compute thread may reset it
         doing = doing() if callable(doing) else doing
         # Only compilation is so slow that a waiting caller needs its progress.
         stage = f" ({self.stage})" if self.stage.startswith("compiling") else ""

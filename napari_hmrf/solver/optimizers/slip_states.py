@@ -7,7 +7,7 @@ components that contradict their state, and solves again (a semismooth Newton me
 no progress, a few proximal gradient steps set the states, and the field is moved towards the
 solution for these states only while the energy decreases (a truncated nonsmooth Newton method:
 Gräser and Kornhuber, J. Comput. Math. 27, 2009). The second method always ends, because the energy
-is convex and has one least value for each set of states.
+is convex and has one minimum value for each set of states.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from napari_hmrf.solver.optimizers.loading import work_of
 #: Function that returns a free motion (planes) for a mask of constrained components, or None.
 FreeMotion = Callable[[HeldPlanes], Planes | None]
 
-#: Number of exchanges without a new minimum of the number of contradictions, after which another
-#: method is used.
+#: Number of exchanges without a decrease in the smallest number of contradictions, after which
+#: another method is used.
 PATIENCE = 6
 # Distance from its observed position, in pixels, up to which a component is held.
 _AT_POSITION = 1e-7
@@ -121,7 +121,7 @@ class ActiveSet(States):
     given : ndarray, planes, optional
         Forces that do not depend on the observations.
     stored : float
-        Energy of tissue that does not move.
+        Energy of the tissue at rest.
     """
 
     def __init__(
@@ -213,8 +213,8 @@ class ActiveSet(States):
     ) -> bool:
         """Return whether any component contradicts its state; parameters as for `exchange`.
 
-        A force that exceeds its limit by the fraction `share` is a contradiction, however stiff the
-        tissue is.
+        A force that exceeds its limit by the fraction `share` is a contradiction, regardless of the
+        stiffness of the tissue.
         """
         more = np.abs(pull.ravel()[self.at]) - self.limit
         over = (self._slips == 0) & (more > share * self.limit)
@@ -293,8 +293,9 @@ class ActiveSet(States):
         """Exchange components that contradict their state; return whether there were any.
 
         A held component contradicts its state if its force exceeds the limit by the fraction
-        `share`; a slipping one, if it has passed y by `tolerance` pixels. If `singly`, only the
-        last such component is exchanged, so that the exchanges always end (Murty's rule).
+        `share`. A slipping component contradicts its state if it has passed y by `tolerance`
+        pixels. If `singly`, only the last such component is exchanged, so that the exchanges always
+        end (Murty's rule).
         """
         force, held = -pull.ravel()[self.at], self._slips == 0
         passed = self._slips * (d.ravel()[self.at] - self.y)
@@ -313,7 +314,7 @@ class ActiveSet(States):
         return off, side
 
     def step(self, d: Planes, before: Planes, way: Planes, pull: Planes, change: Planes) -> bool:
-        """Move `d` from `before` along `way` to the least energy, within the step.
+        """Move `d` from `before` along `way` to the lowest energy within the step.
 
         Returns True if `d` is at the end of the step. `d` is changed in place.
 
@@ -326,7 +327,7 @@ class ActiveSet(States):
         pull : ndarray, planes
             Force of the tissue at `before`, plus the given forces.
         change : ndarray, planes
-            Change of this force over the step.
+            Change in this force over the step.
         """
         slope, bend = -float((pull * way).sum()), -float((change * way).sum())
         part = self._lowest(before, way, slope, bend)
@@ -345,7 +346,7 @@ class ActiveSet(States):
         self.place(d)
 
     def slide(self, d: Planes, motion: Planes) -> bool:
-        """Move tissue along a free motion to the least energy, in place; return whether it moved.
+        """Move tissue along a free motion to the lowest energy, in place; return whether it moved.
 
         Afterwards, an observation holds the tissue. If the energy has no minimum along the motion,
         components at their observed position are held again instead.
@@ -361,7 +362,7 @@ class ActiveSet(States):
         return False
 
     def _lowest(self, d: Planes, way: Planes, slope: float, bend: float) -> float:
-        """Return the multiple of `way` from `d` at which the energy is least."""
+        """Return the multiple of `way` from `d` at which the energy is lowest."""
         # `slope` and `bend` are the first and second derivative of the energy without observations.
         off, moves = d.ravel()[self.at] - self.y, way.ravel()[self.at]
         off[self._slips == 0] = 0

@@ -48,7 +48,7 @@ Progress = Callable[[float], None]
 # Number of tiles condensed at once, chosen so that their matrices fit into the processor's cache.
 _AT_ONCE = 16
 _THREADS = os.cpu_count() or 1
-#: Least pivot of a component, relative to its diagonal entry, of a system that is not singular.
+#: Smallest pivot of a component, relative to its diagonal entry, in a nonsingular system.
 HELD = 1e-13
 
 
@@ -57,7 +57,7 @@ class Singular(ArithmeticError):
 
 
 _Steps = list[Step | SymmetricStep]
-#: Range of tiles: first row, end row, first column, end column; the ends are excluded.
+#: Range of tiles: first row, end row, first column, end column; the ends are exclusive.
 _Range = tuple[int, int, int, int]
 
 
@@ -108,13 +108,13 @@ class Dissection:
         self._tiles = tuple(-(-size // TILE) for size in self._span)
         self._progress, self._done, self._work = progress, 0.0, work(moves.shape)
         self._number_components()
-        # Diagonal of the matrix: sum over the elements that have been assembled up to now.
+        # Diagonal of the matrix: sum over the elements that have been assembled so far.
         self._diagonal, self._lock = np.zeros(moves.size + 1), threading.Lock()
         self._springs = np.zeros(moves.size + 1)
         self._least = HELD if springs is None else 0.0
         if springs is not None:
             self._springs[:-1] = springs.ravel()
-        # Each thread makes its own calls of BLAS. More threads within a call do not speed up small
+        # Each thread makes its own calls to BLAS. More threads within a call do not speed up small
         # matrices, and would be very slow if other programs use the cores.
         with _one_thread(), ThreadPoolExecutor(_THREADS) as pool:
             self._steps, rest = self._condense((0, self._tiles[0], 0, self._tiles[1]), pool)
@@ -157,7 +157,7 @@ class Dissection:
         threads: int = _THREADS,
         shares: dict[tuple[int, int], _Share] | None = None,
     ) -> tuple[_Steps, _Share]:
-        """Condense a box of tiles; `shares` has the tiles that are already condensed."""
+        """Condense a box of tiles; `shares` contains the tiles that are already condensed."""
         top, bottom, left, right = tiles
         high, wide = bottom - top, right - left
         steps: _Steps = []
@@ -343,5 +343,5 @@ def _pools() -> ThreadpoolController:
 
 
 def _one_thread() -> Any:
-    """Return a context manager in which each call of BLAS uses one thread."""
+    """Return a context manager in which each call to BLAS uses one thread."""
     return _pools().limit(limits=1, user_api="blas")

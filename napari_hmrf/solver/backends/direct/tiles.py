@@ -80,7 +80,7 @@ def components(sites: Index, fields: int) -> Index:
 
 @lru_cache(maxsize=8)
 def merges(patch: int, fields: int) -> tuple[Merge, ...]:
-    """Return the merges from the smallest boxes to a tile, in their order."""
+    """Return the merges from the smallest boxes to a tile, in the order of their execution."""
     made, size, over = [], [LEAF, LEAF], patch - 1
     while size != [TILE, TILE]:
         axis = int(size[1] == size[0])

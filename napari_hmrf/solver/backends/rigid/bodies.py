@@ -30,7 +30,7 @@ BodySites = tuple[npt.NDArray[np.intp], ...]
 # deflation fields.
 _MOST_BODIES, _MOST_VALUES = 8, 4e7
 
-# Eigenvalue below which a motion is free, times the number of components of the body.
+# Eigenvalue, times the number of components of the body, below which a motion is free.
 _NOTHING = 1e-9
 # Largest distance of observations from a rigid motion: in pixels, and relative to the largest
 # observed value.
@@ -185,7 +185,7 @@ class Bodies:
     def carry(self, forces: Planes) -> None:
         """Transfer the total force on each body to its constrained components, in place.
 
-        Many distributions of the force are equivalent for a rigid body; the result has the least
+        Many distributions of the force are equivalent for a rigid body; the result has the smallest
         norm.
         """
         flat = forces.reshape(-1)

@@ -19,7 +19,7 @@ _Index = tuple[slice, npt.NDArray[np.intp], npt.NDArray[np.intp]]
 _STEPS, _EXACT = 30, 1e-12
 # Largest rotation of a body in one step, in radians.
 _TURN = 0.25
-# Relative singular value below which a motion is free.
+# Singular value, relative to the largest, below which a motion is free.
 _NOTHING = 1e-9
 # Largest distance of observations from a rigid motion: in pixels, and relative to the largest
 # observed value.
@@ -143,7 +143,7 @@ class Poses:
 
 
 def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> Float64Array:
-    """Return all positions after the rigid motion that brings `some` nearest to their targets."""
+    """Return all positions after the rigid motion that moves `some` nearest to their targets."""
     if not some.size:
         return places
     middle, goal = some.mean(axis=1, keepdims=True), wanted.mean(axis=1, keepdims=True)
