@@ -98,7 +98,7 @@ def rigid_caveat(problem: Problem, prior: Prior) -> str:
     ----------
     problem : Problem
     prior : Prior
-        Prior, before a call of its method `resolved`.
+        Prior, before its method `resolved` is called.
     """
     if not isinstance(prior, Elastic) or prior.penalty is not None or not problem.rigid.any():
         return ""

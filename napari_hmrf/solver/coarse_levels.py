@@ -39,7 +39,7 @@ def grids(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def smoother_bounds(material: ElasticMaterial) -> tuple[float, float]:
-    """Return upper bounds on the spectrum of D^-1 A, for usual materials and for any materials.
+    """Return upper bounds on the spectrum of D^-1 A, for usual materials and for all materials.
 
     The first bound is computed from the symbol of a uniform grid; mixtures of materials hardly
     exceed this bound. The second bound is the largest eigenvalue for a single element, which no
@@ -72,7 +72,7 @@ def _bounds(ratio: float, shape: Any) -> tuple[float, float]:
 
 
 def _largest(matrices: npt.NDArray[Any], of_diagonal: npt.NDArray[Any]) -> float:
-    """Return the largest eigenvalue of D^-1/2 A D^-1/2, for each Hermitian matrix A.
+    """Return the largest eigenvalue of D^-1/2 A D^-1/2 over all given Hermitian matrices A.
 
     D is the diagonal of the matrix `of_diagonal`.
     """

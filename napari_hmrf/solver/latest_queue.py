@@ -22,7 +22,7 @@ _log = logging.getLogger("napari_hmrf")
 
 
 class Turn:
-    """State of a job of a `LatestQueue`; also the flag that cancels its solve.
+    """State of a job in a `LatestQueue`, which also serves as the cancel flag of its solve.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class LatestQueue:
         """
         with self._changed:
             if self._closed:
-                raise RuntimeError("the queue is closed. Make a new one.")
+                raise RuntimeError("the queue is closed. Create a new queue.")
             self._generation += 1
             turn = Turn(self, self._generation, self.series, patience)
             self._waiting = job, turn
@@ -210,7 +210,7 @@ class LatestQueue:
         except Cancelled:
             pass
         except Exception:  # noqa: BLE001 - the result of the job is not awaited anywhere
-            _log.exception("a job in the background failed")
+            _log.exception("a background job failed")
         finally:
             del waiting
             with self._changed:

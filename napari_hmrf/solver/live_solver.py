@@ -193,7 +193,7 @@ class LiveSolver:
         right = patience is None or real(patience) >= 0
         refuse_unless(right, "patience", patience, "a time in seconds, such as 0.2, or None")
         if self._queue.closed:
-            raise RuntimeError("the live solver is closed. Make a new LiveSolver.")
+            raise RuntimeError("the live solver is closed. Create a new LiveSolver.")
         edit = _Edit(problem, self.prior, self.optimizer, self.backend, preview)
         patience = math.inf if patience is None else patience
         return self._queue.submit(partial(self._answer, edit), patience).generation

@@ -50,7 +50,7 @@ class Loads:
         stiffness times length squared. The force stays constant while the site moves (dead load).
     spacing : sequence of float, shape (n,), optional
         Pixel size along each axis for which the forces were computed; set by `pressure`, `traction`
-        and `weight`. A `Problem` with another spacing does not accept the loads. By default the
+        and `weight`. A `Problem` with a different spacing rejects the loads. By default the
         spacing is unknown, and is not checked.
 
     Raises

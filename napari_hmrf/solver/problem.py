@@ -54,8 +54,8 @@ class Problem:
         no displacement. ``inf`` means rigid tissue, for `ElasticPrior` and `NeoHookeanPrior`:
         connected rigid sites move as one body.
     spacing : sequence of float, shape (2,) or (3,)
-        Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction, in
-        any unit of length; by default 1 along each axis.
+        Size of a pixel along each axis, in (row, col) order, or of a voxel, in (plane, row, col)
+        order, in any unit of length; by default 1 along each axis.
     loads : Loads, optional
         Growth and forces, for `ElasticPrior` and `NeoHookeanPrior`. In an image, forces per
         thickness are in the unit of stiffness times length; in a volume, forces are in the unit of
@@ -172,7 +172,7 @@ class Problem:
 class _Digests(Mapping[str, str]):
     """SHA-256 digests of read-only arrays, computed on first access.
 
-    Each digest takes milliseconds, and most digests are never read.
+    A digest takes milliseconds, so no digest is computed before it is needed.
     """
 
     def __init__(self, arrays: dict[str, FloatArray]) -> None:
@@ -294,7 +294,7 @@ def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
 
 
 def _shown(length: float) -> str:
-    """Format a length with three digits, without an exponent if possible."""
+    """Format a length with three significant digits, without an exponent if possible."""
     return f"{float(f'{length:.3g}'):g}"
 
 

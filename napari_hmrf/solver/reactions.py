@@ -24,8 +24,8 @@ def reactions(
 
     The reactions and the forces of the problem's loads add up to zero. The sum over a mark is the
     force that constrains or pulls this mark: ``reactions(problem, solution)[mark].sum(axis=0)``.
-    Their accuracy depends on the accuracy of the field: for accurate reactions, solve to a smaller
-    tolerance than for displacements.
+    The accuracy of the reactions depends on the accuracy of the field: for accurate reactions,
+    solve to a smaller tolerance than for displacements.
 
     Parameters
     ----------

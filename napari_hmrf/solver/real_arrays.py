@@ -77,11 +77,11 @@ def check_finite(field: str, array: FloatArray) -> None:
 
 
 def how_many(bad: npt.NDArray[np.bool_]) -> str:
-    """Describe the number of pixels in a mask for an error message: "values at 3 pixels"."""
+    """Describe the number of marked pixels for an error message: "values at 3 pixels"."""
     count = int(bad.sum())
     return f"values at {count} pixel{'s' if count > 1 else ''}"
 
 
 def first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
-    """Return the index of the first pixel in a mask, in row-major order."""
+    """Return the index of the first marked pixel, in row-major order."""
     return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))

@@ -1,9 +1,9 @@
 """Check that the observations determine the motion of elastic tissue.
 
 A piece of tissue has three rigid motions without energy in an image (two translations and a
-rotation), and six in a volume. Its observations must prevent all of them; otherwise the solution is
-not unique. Two pieces that share only a single site, or in a volume only an edge, are hinged there:
-each piece can still rotate by itself.
+rotation), and six in a volume. The observations of each piece must prevent all of these motions;
+otherwise the solution is not unique. Two pieces that share only a single site, or in a volume only
+an edge, are hinged there: each piece can still rotate by itself.
 """
 
 from __future__ import annotations
@@ -300,7 +300,7 @@ def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[
 
 
 def _sites(pieces: Labels) -> Labels:
-    """Return the piece of each site, from the elements around the site; 0 if there is none."""
+    """Return the number of each site's piece, from the elements around the site; 0 without any."""
     return around_sites(pieces, np.maximum)
 
 
@@ -324,7 +324,7 @@ def _turns(axes: int) -> list[tuple[int, int]]:
 
 
 def _motions(sites: tuple[npt.NDArray[Any], ...], along: int, shape: tuple[int, ...]) -> Ways:
-    """Return the displacement of sites along an axis in each rigid motion that affects it."""
+    """Return the displacement of sites along an axis, for each rigid motion that has one."""
     from_middle = [index - size / 2 for index, size in zip(sites, shape, strict=True)]
     motions = {along: np.ones(np.shape(sites[0]))}
     for number, (first, second) in enumerate(_turns(len(shape)), start=len(shape)):

@@ -92,7 +92,7 @@ class Solution:
     tissue : ndarray, shape (H, W), bool
         Mask of tissue.
     spacing : tuple of float
-        Size of a pixel in (row, col) direction.
+        Size of a pixel along each axis, in (row, col) order.
     provenance : Provenance
     convergence : Convergence, optional
         Distance from the converged field, if the optimizer measures it.
@@ -429,7 +429,7 @@ class Solution:
 
 
 def is_solution_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is marked as a saved solution; reads only its first bytes.
+    """Return whether the first bytes of a file mark it as a saved solution.
 
     Parameters
     ----------

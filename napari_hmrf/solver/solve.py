@@ -94,13 +94,13 @@ def solve(
         Flag that cancels the solve once it is set. The call then returns within half a second, even
         while loops are compiled.
     initial : Solution or sequence of Solution, optional
-        Warm start from earlier solutions on the same grid. After a small edit of the problem,
+        Warm start from earlier solutions on the same grid. After a small edit to the problem,
         multigrid then needs fewer cycles. Several solutions are combined linearly to match the
         observations and loads as closely as possible. Displacements are proportional to
         observations and loads, so moving the same patch again takes one cycle, or no cycle if the
         errors of the solutions add up to less than the tolerance. The result is the same within the
-        tolerance. The paper's schedule starts from zero on its coarsest level, and does not
-        accept `initial`.
+        tolerance. The paper's schedule starts from zero on its coarsest level, and does not accept
+        `initial`.
 
     Returns
     -------

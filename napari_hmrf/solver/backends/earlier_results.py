@@ -94,8 +94,8 @@ class WarmStart:
     unit : float
         Length of a pixel in the unit of the displacements.
     missing : float
-        Largest deviation of the weighted sum from the observations, in pixels, or of its loads from
-        the given loads, relative to the largest motion.
+        Largest deviation of the weighted sum from the observations, in pixels, or from the loads,
+        which are scaled to the largest displacement.
     """
 
     displacements: tuple[FloatArray, ...]

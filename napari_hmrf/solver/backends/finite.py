@@ -129,7 +129,7 @@ class FiniteModel(Protocol):
             Smallest Jacobian of a corner after the step. A corner that is already below must keep
             at least its present value.
         each : bool
-            True to compute the largest step of each element, too.
+            True to compute the largest step of each element as well.
 
         Returns
         -------

@@ -202,7 +202,7 @@ class ComputeThread:
                     self._working = False
                     future.set_exception(error)
                 else:
-                    # Set before the result, because the caller may fork as soon as it has it.
+                    # Reset before the result is set, because the caller may then fork at once.
                     self._working = False
                     future.set_result(result)
                     del result

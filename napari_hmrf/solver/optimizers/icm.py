@@ -20,7 +20,7 @@ from napari_hmrf.solver.quadtree import Level, levels, sampled
 
 #: Number of sweeps between two checks of the mean energy, and between two progress reports.
 BLOCK = 10
-# Number of sites of a level below which all its sweeps run in one call.
+# Number of sites of a level below which all of its sweeps run in one call.
 _SMALL = 10_000
 # Largest number of sweeps in one call.
 _MOST = 1000
@@ -35,7 +35,7 @@ class ICM:
     Parameters
     ----------
     iterations : int
-        Number of sweeps on each level; the largest number if `energy_change` is given.
+        Number of sweeps on each level; the maximum number if `energy_change` is given.
     steps : tuple of float or None
         Step sizes of the candidate set Gamma, in pixels. For each step e, each component of a site
         may change by -e, 0 or e. If None, a site moves to the exact minimizer of its local energy,

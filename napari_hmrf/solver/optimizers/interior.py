@@ -29,7 +29,7 @@ Vector = npt.NDArray[np.float64]
 
 # Largest number of steps.
 _MOST_STEPS = 100
-# Fraction of the distance to the boundary of the feasible set that limits a step.
+# Largest length of a step, as a fraction of the distance to the boundary of the feasible set.
 _FRACTION = 0.9995
 # Largest product at which the iteration ends, relative to the limit times the displacement scale.
 _GAP = 1e-19

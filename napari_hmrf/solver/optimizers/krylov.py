@@ -53,7 +53,7 @@ class Step:
     rest : float
         Norm of the residual after the step.
     gain : float
-        Decrease of the energy in the step.
+        Decrease in energy during the step.
     """
 
     reach: float

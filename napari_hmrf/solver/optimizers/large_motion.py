@@ -38,7 +38,7 @@ _EXTRAPOLATION_PART = 0.25
 # Smallest Jacobian of a returned field, after its conversion to the unit of the spacing, relative
 # to `LEAST_JACOBIAN`.
 _RETURNED_PART = 0.5
-# Distance up to which an observation is satisfied, as a fraction of the tolerance.
+# Distance up to which an observation counts as satisfied, as a fraction of the tolerance.
 _MET = 1.0
 # Value of `holding_strength` below which cycles reduce rotations slowly.
 _WEAK_GRIP = 5e-3

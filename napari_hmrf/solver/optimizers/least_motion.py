@@ -3,9 +3,9 @@
 The force of an observation at its limit stays constant if tissue moves a little. If all
 observations of a piece are at their limits and their forces cancel, the energy is the same at any
 position of the piece between the observed positions. The field with the smallest sum of squares is
-chosen, so that the result does not depend on the iteration. This field is the point of a polyhedron
-that is nearest to the origin, with one dimension for each free motion (least distance programming
-by non-negative least squares: Lawson and Hanson, Solving Least Squares Problems, 1974).
+chosen, so that the result does not depend on the iteration. It corresponds to the point nearest to
+the origin in a polyhedron with one dimension for each free motion (least distance programming by
+non-negative least squares: Lawson and Hanson, Solving Least Squares Problems, 1974).
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from napari_hmrf.solver.rigid_modes import free_motions
 
 # Fraction of the sum of all forces up to which a force is rounding error.
 _ROUNDING = 1e-9
-# Fraction by which loads may exceed the limits of observations, because a linear program has a
+# Fraction by which loads may exceed the limits of observations, because the linear program has
 # limited accuracy.
 _AT_LIMIT = 1e-6
 

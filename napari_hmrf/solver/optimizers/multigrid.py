@@ -52,7 +52,7 @@ class Multigrid:
     The iteration runs in single precision. The residual that decides when the solve ends is
     computed in double precision. Priors with an energy, `ElasticPrior` and `SeilerPrior` in its
     blanket reading, are solved by conjugate gradients. The centred reading is not symmetric, and is
-    solved by stabilised biconjugate gradients (`napari_hmrf.solver.optimizers.centred`). For
+    solved by stabilized biconjugate gradients (`napari_hmrf.solver.optimizers.centred`). For
     `NeoHookeanPrior`, conjugate gradients solve the steps of Newton's method
     (`napari_hmrf.solver.optimizers.newton`).
 
@@ -187,7 +187,7 @@ class Multigrid:
 def _reset_idle(problem: Problem, model: LinearModel, observed: HeldPlanes, d: Planes) -> None:
     """Set unobserved tissue without any force to zero, in place, as after a cold start.
 
-    Cycles do not move such tissue, so it would keep the displacement of the warm start.
+    Cycles do not move this tissue, so it would keep the displacement of the warm start.
     """
     earlier = model.earlier
     if earlier.idle is None:

@@ -61,11 +61,11 @@ _INNER_REDUCTION = 0.03
 _INNER_TOLERANCE = 0.3
 #: Residual, relative to the load, that cannot be reduced in single precision.
 _SINGLE_RESIDUAL = 2e-5
-#: Number of cycles after which a small system is factorised.
+#: Number of cycles after which a small system is factorized.
 _CYCLE_LIMIT = 40
 #: Largest number of sites of a small system, for which a factorization is faster than many cycles.
 _SMALL_GRID = 20_000
-#: Number of cycles after which a larger system is factorised.
+#: Number of cycles after which a larger system is factorized.
 _LARGE_CYCLE_LIMIT = 200
 #: Smallest nonzero fraction of the buckling terms that is left out.
 _FIRST_SHARE = 0.05
@@ -90,7 +90,7 @@ _STUCK_DISTANCE = 0.1
 _STUCK_LIMIT = 2
 #: An element obstructs a pull if the element limits the pull to less than this fraction.
 _OBSTRUCTION = 0.3
-#: Largest relative deviation from their mean motion of sites that are pulled as one piece.
+#: Sites are pulled as one piece if their relative deviation from the mean motion is at most this.
 _PIECE_SPREAD = 0.2
 
 # The end of a run
@@ -380,7 +380,7 @@ class Newton:
         return None
 
     def _iterate(self, load: Planes) -> _Linear | None:
-        """Solve the tangent system by cycles; return None if they did not converge."""
+        """Solve the tangent system by cycles; return None if the cycles did not converge."""
         self._buckles = False
         balance, way = self._model.balance(load), np.zeros_like(load)
         if balance.most == 0:

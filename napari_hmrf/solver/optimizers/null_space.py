@@ -39,8 +39,8 @@ _EXACT = 1e-12
 _FLOOR = 1e-14
 # Largest number of corrections of the soft motions in a field.
 _BALANCINGS = 4
-# Largest accepted final correction of the soft motions, relative to the largest displacement or
-# 1 pixel.
+# Largest accepted final correction of the soft motions, relative to the largest displacement, or to
+# 1 pixel if that is larger.
 _UNBALANCED = 1e-6
 # Largest work done by a load over a free motion that is rounding error, relative to the sum of the
 # absolute values of its terms.

@@ -62,11 +62,11 @@ _FEW = 1024
 _MOST_HINGES = 40
 # Largest ratio of successive direct-solve corrections that still counts as progress.
 _FALL = 0.25
-# Correction, relative to the largest displacement or 1 pixel, up to which any decrease counts as
-# progress.
+# Correction, relative to the largest displacement (at least 1 pixel), up to which any decrease
+# counts as progress.
 _ROUNDING = 1e-15
-# Correction, relative to the largest displacement or 1 pixel, up to which the solve may end without
-# progress.
+# Correction, relative to the largest displacement (at least 1 pixel), up to which the solve may end
+# without progress.
 _STALLED = 1e-7
 
 
@@ -456,7 +456,7 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
 
 
 def _double_level_of(model: LinearModel) -> Any:
-    """Return the finest level in double precision, or None if a factorization is available."""
+    """Return the finest level in double precision, or None if it is not needed or too large."""
     if factors_fit(model) or not fits(model.shape, IN_DOUBLE - ORDINARY):
         return None
     return model.double_level
@@ -471,7 +471,7 @@ def factors_fit(model: LinearModel) -> bool:
 def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     """Return the factorization of a model with its current constraints; the result is cached.
 
-    The text `known` is appended to the first error message.
+    The text `known` is appended to the error message for volumes.
 
     Raises
     ------

@@ -34,7 +34,7 @@ Float64Array = npt.NDArray[np.float64]
 
 # Factor on the tolerance for the first exchanges, which are followed by exchanges at the tolerance.
 _ROUGH_FACTOR = 10.0
-# Accuracy of the final exchange, relative to the largest displacement or 1 pixel.
+# Accuracy of the final exchange, relative to the largest displacement, or to 1 pixel if larger.
 _EXACT = 1e-11
 # Largest accepted contradiction of a state in the final exchange, as a multiple of the accuracy.
 _CONTRADICTION = 10.0

@@ -97,7 +97,7 @@ class States:
         self._slips = np.zeros_like(self._slips)
 
     def slip_as(self, sides: npt.NDArray[Any]) -> None:
-        """Set the states: the sign of ``y - d`` if a component slips, and 0 if it is held."""
+        """Set the states of all components: the sign of ``y - d`` if slipping, and 0 if held."""
         self._slips = sides
 
     def place(self, d: Planes) -> None:
@@ -153,7 +153,7 @@ class ActiveSet(States):
         return self._patience == 0
 
     def cost(self, d: Planes) -> float:
-        """Return the energy ``sum(p |y - d|)`` of observations, minus the work of given forces."""
+        """Return ``sum(p |y - d|)`` plus the energy at rest, minus the work of the given forces."""
         of_observations = float((self.limit * np.abs(self.y - d.ravel()[self.at])).sum())
         return of_observations + self._stored - work_of(self.given, d)
 
@@ -174,7 +174,8 @@ class ActiveSet(States):
         tolerance : float
             Contradiction, in pixels, up to which a component keeps its state.
         free : callable
-            Returns a free motion of tissue for a mask of constrained components, or None.
+            Function that returns a free motion of tissue for a mask of constrained components, or
+            None.
 
         Returns
         -------
@@ -237,10 +238,10 @@ class ActiveSet(States):
         d : ndarray, planes
             Displacement.
         pull_at : callable
-            Returns the force of the tissue on each component, plus the given forces, for a
-            displacement.
+            Function that returns the force of the tissue on each component, plus the given forces,
+            for a displacement.
         steepness : ndarray, planes
-            Diagonal D of the model, times an upper bound of the spectrum of D^-1 A.
+            Diagonal D of the model, times an upper bound on the spectrum of D^-1 A.
         free : callable
             As for `exchange`.
 
@@ -264,7 +265,7 @@ class ActiveSet(States):
         return True
 
     def _excess(self, pull: Planes, steepness: Planes) -> npt.NDArray[Any]:
-        """Return the excess force over the limit, divided by the diagonal, in pixels."""
+        """Return the excess of each force over its limit, divided by the diagonal, in pixels."""
         more = np.abs(pull.ravel()[self.at]) - self.limit
         return np.asarray(more / steepness.ravel()[self.at])
 
@@ -306,7 +307,7 @@ class ActiveSet(States):
         return bool(wrong.any())
 
     def sides(self, d: Planes, pull: Planes) -> tuple[Planes, Planes]:
-        """Return ``y - d`` of each component (0 if held), and the sign that it must keep."""
+        """Return ``y - d`` of each component (0 if held), and the required sign of ``y - d``."""
         off, side = np.zeros((2, *self._grid))
         off.ravel()[self.at] = np.where(self._slips == 0, 0.0, self.y - d.ravel()[self.at])
         needed = -pull.ravel()[self.at]

@@ -32,7 +32,7 @@ class ArraySeilerLevel(ArrayLevel):
         (m, 1/m), 0 in void.
     even : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
         Factor that converts a weighted sum over the tissue around a site of the finer level to four
-        times its mean.
+        times the weighted mean.
     material : SeilerMaterial
     share : float
         Weight of all cliques on this level.

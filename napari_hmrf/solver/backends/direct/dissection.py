@@ -11,7 +11,7 @@ S:
 The matrices S of two neighbouring boxes add up to the matrix F of their union (nested dissection:
 George, SIAM J. Numer. Anal. 10, 1973). Boxes within tiles of 16 x 16 elements have few different
 shapes, so many boxes are condensed at once; their fixed components have 1 on the diagonal.
-Larger boxes contain free components only. On n x n sites, the work is about n^3 and the memory
+Larger boxes contain only free components. On n x n sites, the work is about n^3 and the memory
 about n^2 log n, independent of the materials.
 """
 
@@ -74,7 +74,7 @@ class Dissection:
     Parameters
     ----------
     elements : callable
-        Returns the matrices of the elements; see `Elements`.
+        Function that returns the matrices of the elements; see `Elements`.
     patch : int
         Number of sites along a side of an element.
     moves : ndarray of bool, shape (H, W, C)
@@ -294,7 +294,7 @@ class Dissection:
     def _factorise(
         self, a: Float64Array, b: Float64Array, places: tuple[Index, Index]
     ) -> SymmetricStep:
-        """Condense symmetric matrices by Cholesky factorization, for better accuracy than A^-1."""
+        """Condense symmetric matrices by Cholesky factorization, more accurately than by A^-1."""
         pivots = a.diagonal(axis1=-2, axis2=-1)
         if not (pivots > 0).all():
             raise Singular

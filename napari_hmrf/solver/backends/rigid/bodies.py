@@ -40,9 +40,9 @@ _OFF, _PART = 1e-3, 1e-5
 class _Body(NamedTuple):
     """Components of a body as indices into flattened planes, and its rigid and free motions."""
 
-    # The columns of `motions` are orthonormal. `free` and `single` have the free motions in double
-    # and in single precision. `ways` has the coefficients of the free motions with respect to the
-    # translations along the axes and the rotations around `centre`.
+    # The columns of `motions` are orthonormal. `free` and `single` contain the free motions in
+    # double and in single precision. `ways` contains the coefficients of the free motions with
+    # respect to the translations along the axes and the rotations around `centre`.
 
     at: npt.NDArray[np.intp]
     held: npt.NDArray[np.bool_]

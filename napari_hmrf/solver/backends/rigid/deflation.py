@@ -13,7 +13,7 @@ class Deflation(Protocol):
     close : bool
         True if bodies are so close together that cycles reduce errors between them slowly.
     is_independent : bool
-        True if single precision separates the motions.
+        True if the motions can be separated in single precision.
     """
 
     close: bool

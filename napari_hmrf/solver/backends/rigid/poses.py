@@ -55,7 +55,7 @@ class Poses:
             self._bodies.append(_Body(at, places - places.mean(axis=1, keepdims=True), held[at]))
 
     def hold(self, y: Planes, held: HeldPlanes) -> None:
-        """Constrain all components of each body whose pose is determined already, in place.
+        """Constrain all components of each body whose pose is already determined, in place.
 
         The constrained components in `y` are replaced by the values of the fitted pose.
 
@@ -128,8 +128,8 @@ class Poses:
     def extend(self, gap: Planes) -> Planes:
         """Extend a displacement of constrained components to all components of their bodies.
 
-        Other components of a partly constrained body get the small rigid motion that is nearest to
-        the displacement of the constrained components.
+        Other components of a partly constrained body receive the small rigid motion that is nearest
+        to the displacement of the constrained components.
         """
         made = gap.copy()
         for body in self._bodies:
@@ -151,7 +151,7 @@ def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> 
 
 
 def _angle(places: Float64Array, goals: Float64Array) -> float:
-    """Return the rotation around 0, in radians, that brings positions nearest to their targets."""
+    """Return the rotation around 0, in radians, that moves positions nearest to their targets."""
     (row, col), (to_row, to_col) = places, goals
     across, along = (row * to_col - col * to_row).sum(), (row * to_row + col * to_col).sum()
     return float(np.arctan2(across, along))
@@ -168,7 +168,7 @@ def _fit_pose(
     held: npt.NDArray[np.bool_],
     nearest: bool = True,
 ) -> Float64Array:
-    """Return the positions in a pose that has the constrained components at their targets.
+    """Return the positions in a pose that moves the constrained components to their targets.
 
     The search starts at the positions `begin`. If `nearest`, the other components are as near to
     their targets as possible.
