@@ -60,7 +60,7 @@ def _construct(kinds: Mapping[str, type[_Kind]], parameters: Mapping[str, Any]) 
     values = dict(parameters)
     name = values.pop("name", None)
     if name not in kinds:
-        raise ArgumentError(f"name is {name!r}. Use one of {', '.join(kinds)}.")
+        raise ArgumentError(f"name is {name!r}. Pass one of {', '.join(kinds)}.")
     try:
         return kinds[name](**values)
     except TypeError as error:

@@ -237,7 +237,7 @@ def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
     if not all(0 < size < math.inf for size in values):
         raise ProblemError(
             "spacing",
-            f"is {shown(spacing)}. Use {ndim} positive, finite pixel sizes, in the order of the "
+            f"is {shown(spacing)}. Pass {ndim} positive, finite pixel sizes, in the order of the "
             "axes.",
         )
     if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):

@@ -25,10 +25,10 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
         raise ProblemError(field, f"is not an array of numbers ({error}).") from None
     if array.dtype.kind not in "biuf" and not array.ndim:
         kind = type(value).__name__
-        raise ProblemError(field, f"is {shown(value)}, of type {kind}. Use real numbers.")
+        raise ProblemError(field, f"is {shown(value)}, of type {kind}. Pass real numbers.")
     if array.dtype.kind not in "biuf":
         raise ProblemError(
-            field, f"has values of type {array.dtype}. Use real numbers (integer or float)."
+            field, f"has values of type {array.dtype}. Pass real numbers (integer or float)."
         )
     return array
 
@@ -63,7 +63,7 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
         first = first_index(wrong)
         raise ProblemError(
             field,
-            f"have the value {array[first]:g} at {first}. Use whole numbers, one for each tissue.",
+            f"have the value {array[first]:g} at {first}. Pass whole numbers, one for each tissue.",
         )
     return array.astype(np.int32)
 
