@@ -489,10 +489,7 @@ MASK = np.ones((6, 6), bool)
         ("has shape", lambda m: Loads(force=np.ones((6, 6)))),
         ("without tissue that is two pixels wide", lambda m: Loads(force=np.ones((6, 6, 2)))),
         ("type float", lambda m: 0.1),
-        (
-            "the same grid",
-            lambda m: growth(np.ones((6, 6))) + growth(np.ones((6, 5)), along=(1, 0)),
-        ),
+        ("same grid", lambda m: growth(np.ones((6, 6))) + growth(np.ones((6, 5)), along=(1, 0))),
         ("no face of", lambda m: pressure(m, MASK & False, 1.0, spacing=1)),
         ("same pixel grid", lambda m: pressure(m, MASK[1:], 1.0, spacing=1)),
         ("Pass one number", lambda m: pressure(m, MASK, (1.0, 2.0), spacing=1)),
