@@ -36,7 +36,7 @@ def weight(
     density: npt.ArrayLike = 1.0,
     spacing: float | Sequence[float],
 ) -> Loads:
-    """Return the loads due to the weight of the tissue, or due to another body force.
+    """Return the loads due to the weight of the tissue or another body force.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def weight(
         is a force per volume, in the unit of stiffness per unit of length; for water, it is 0.00981
         kPa / mm.
     density : float or array_like, shape (H, W) or (D, H, W)
-        Density of all tissue, or of each site.
+        Density of all tissue or of each site.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel, as in the problem; a single number applies to all axes.
 

@@ -66,7 +66,7 @@ def shortfall(reach: Reach | None, unit: str) -> str:
 
 
 def missing_constraint(problem: Problem) -> str:
-    """Return a clause if no tissue moves, or if the tissue is not constrained; otherwise "".
+    """Return a clause if no tissue moves or the tissue is not constrained; otherwise "".
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ class Elasticity:
     Attributes
     ----------
     poisson : float or ndarray, shape ([D,] H, W), float32
-        Poisson's ratio of all tissue, or of each site.
+        Poisson's ratio of all tissue or of each site.
     plane : {"stress", "strain"}
         As for `ElasticPrior`; ignored in a volume.
     finite : bool
@@ -73,7 +73,7 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
     Raises
     ------
     Invalid
-        If the properties are invalid, or do not match the grid of the file.
+        If the properties are invalid or do not match the grid of the file.
     """
     grid, poisson, growth = arrays["tissue"].shape, arrays.get("poisson"), arrays.get("growth")
     given, rigid = header.get("elasticity"), arrays.get("rigid")

@@ -1,8 +1,8 @@
 """Queue of the compute thread in which the latest job replaces the pending job.
 
 Edits arrive faster than they can be solved, and a slider moves faster than images can be drawn. A
-`LatestQueue` runs one job at a time. A job that is submitted in the meantime is pending until the
-running job ends, and replaces the previous pending job. Each job is called with a `Turn`, which
+`LatestQueue` runs one job at a time. A job that is submitted in the meantime replaces the previous
+pending job and is pending until the running job ends. Each job is called with a `Turn`, which
 reports whether the job is out of date.
 """
 
@@ -178,7 +178,7 @@ class LatestQueue:
 
     @property
     def delay(self) -> str:
-        """Description of the work that delays the pending job, and how to stop it; "" if none."""
+        """Description of the work that delays the pending job and how to stop it; "" if none."""
         with self._changed:
             return "" if self._scheduled is None else compute_thread.delays(self._scheduled)
 

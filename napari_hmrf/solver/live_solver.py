@@ -90,14 +90,14 @@ class LiveSolver:
         but should return soon, because the solver waits for it.
     prior : Prior, optional
         Energy of the tissue; by default elastic tissue. The attribute `prior` may be set at any
-        time, and applies to later edits.
+        time and applies to later edits.
     optimizer : Optimizer, optional
-        Schedule; by default multigrid, to `TOLERANCE`. The paper's schedule is possible, but always
-        makes a cold start. The attribute `optimizer` may be set at any time, and applies to later
+        Schedule; by default multigrid, to `TOLERANCE`. The paper's schedule is possible but always
+        makes a cold start. The attribute `optimizer` may be set at any time and applies to later
         edits.
     backend : str
-        Backend, as for `solve`. The attribute `backend` may be set at any time, and applies to
-        later edits.
+        Backend, as for `solve`. The attribute `backend` may be set at any time and applies to later
+        edits.
     progress : callable, optional
         Called with a `Monitor` on the compute thread. The first solve on a machine compiles for
         half a minute.
@@ -250,7 +250,7 @@ class LiveSolver:
 
     @property
     def delay(self) -> str:
-        """Description of the work that delays the pending edit, and how to stop it; "" if none."""
+        """Description of the work that delays the pending edit and how to stop it; "" if none."""
         return self._queue.delay
 
     def __enter__(self) -> LiveSolver:
@@ -295,7 +295,7 @@ class LiveSolver:
         *,
         stop: CancelFlag,
     ) -> Solution:
-        """Solve with a warm start, and store the solution for the next solve."""
+        """Solve with a warm start and store the solution for the next solve."""
         earlier = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
         initial = [solution for solution in earlier if not _is_crushed(solution)] or None
         solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
@@ -310,7 +310,7 @@ class LiveSolver:
         error: Exception | None = None,
         final: bool = True,
     ) -> None:
-        # A newer edit either corrects this error, or raises the error again.
+        # A newer edit either corrects this error or raises the error again.
         if turn.dropped or (error is not None and self._queue.has_pending):
             return
         seconds = time.perf_counter() - turn.submitted

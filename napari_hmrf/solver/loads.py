@@ -50,8 +50,8 @@ class Loads:
         stiffness times length squared. The force stays constant while the site moves (dead load).
     spacing : sequence of float, shape (n,), optional
         Pixel size along each axis for which the forces were computed; set by `pressure`, `traction`
-        and `weight`. A `Problem` with a different spacing rejects the loads. By default the
-        spacing is unknown, and is not checked.
+        and `weight`. A `Problem` with a different spacing rejects the loads. By default the spacing
+        is unknown and is not checked.
 
     Raises
     ------
@@ -231,7 +231,7 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
 
 
 def _check_growth(strain: FloatArray | None) -> None:
-    """Raise an error if a tensor is not symmetric, or if tissue would shrink to nothing."""
+    """Raise an error if a tensor is not symmetric or tissue would shrink to nothing."""
     if strain is None:
         return
     stretch = strain
@@ -290,7 +290,7 @@ def _sum_of_forces(
 
 
 def _is_close(one: tuple[float, ...] | None, other: tuple[float, ...] | None) -> bool:
-    """Return whether two spacings are equal up to rounding errors, or at least one is unknown."""
+    """Return whether two spacings are equal up to rounding errors or at least one is unknown."""
     if one is None or other is None:
         return True
     pairs = zip(one, other, strict=False)
@@ -304,12 +304,12 @@ def _sizes(spacing: tuple[float, ...] | None) -> str:
 
 
 def are_same(one: Loads | None, other: Loads | None) -> bool:
-    """Return whether two problems have the same loads, or both have no loads."""
+    """Return whether two problems have the same loads or both have no loads."""
     return one is other or (one is not None and one.same_as(other))
 
 
 def is_equal(one: FloatArray | None, other: FloatArray | None) -> bool:
-    """Return whether two parts of loads have the same values, or both are missing."""
+    """Return whether two parts of loads have the same values or both are missing."""
     if one is None or other is None:
         return one is other
     return one is other or np.array_equal(one, other)

@@ -325,7 +325,7 @@ def _check_stiffness(m: FloatArray) -> None:
 
 
 def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
-    """Raise an error for stiffnesses that would lose digits, or have an inverse that overflows."""
+    """Raise an error for stiffnesses that would lose digits or have an inverse that overflows."""
     array = np.asarray(given)
     extreme = (m > 1 / _SMALLEST_STIFFNESS) | ((m < _SMALLEST_STIFFNESS) & (array > 0))
     extreme &= array != np.inf

@@ -134,7 +134,7 @@ def holding_strength(problem: Problem) -> float:
 
 
 def refusal(free: FreeMotion) -> ProblemError:
-    """Return an error that describes the piece that can move, and its motion."""
+    """Return an error that describes the piece that can move and its motion."""
     return ProblemError(
         "confidence",
         f"leaves a piece of tissue free: the piece of {int(free.piece.sum())} pixels around "
@@ -341,7 +341,7 @@ def _tie(
     ways: Ways,
     other: npt.NDArray[Any] | None = None,
 ) -> None:
-    """Add the costs of motions of pieces, or of relative motions of two pieces, in place."""
+    """Add the costs of motions of pieces or of relative motions of two pieces, in place."""
     count = len(costs)
     pairs = [(piece, piece, 1.0)]
     if other is not None:

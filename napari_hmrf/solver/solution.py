@@ -273,8 +273,8 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points and the field have different numbers of axes, or all points are outside
-            the grid.
+            If the points and the field have different numbers of axes or all points are outside the
+            grid.
         """
         moved = self.move(points) - np.asarray(points)
         step: npt.NDArray[np.float64] = moved * np.array(self.spacing)
@@ -297,8 +297,8 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points and the field have different numbers of axes, or all points are outside
-            the grid.
+            If the points and the field have different numbers of axes or all points are outside the
+            grid.
         """
         from napari_hmrf.field.moved_points import moved_points, refuse_outside  # above: field
 
@@ -350,7 +350,7 @@ class Solution:
             points. By default, it maps new positions to old positions, like transforms of images.
         grid : Grid, optional
             Grid of the image, as returned by `Grid.from_image`. Required if the solution has no
-            position in world coordinates, because it was computed from a `Problem`, or from a study
+            position in world coordinates, because it was computed from a `Problem` or from a study
             with a grid that has no such position.
         placed : bool
             If False, a solution without a position in world coordinates is written at the origin,
@@ -421,7 +421,7 @@ class Solution:
         Raises
         ------
         FileFormatError
-            If the file does not contain a solution, or is damaged.
+            If the file does not contain a solution or is damaged.
         OSError
             If the file cannot be opened.
         """

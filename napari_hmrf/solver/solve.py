@@ -99,7 +99,7 @@ def solve(
         observations and loads as closely as possible. Displacements are proportional to
         observations and loads, so moving the same patch again takes one cycle, or no cycle if the
         errors of the solutions add up to less than the tolerance. The result is the same within the
-        tolerance. The paper's schedule starts from zero on its coarsest level, and does not accept
+        tolerance. The paper's schedule starts from zero on its coarsest level and does not accept
         `initial`.
 
     Returns
@@ -111,7 +111,7 @@ def solve(
     ArgumentError
         If an argument has the wrong type, or the optimizer does not support the prior.
     BackendError
-        If the backend is not available, or returns values that are not finite.
+        If the backend is not available or returns values that are not finite.
     ProblemError
         If the solution is not unique, because some tissue can move freely.
     ConvergenceError

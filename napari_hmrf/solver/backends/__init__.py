@@ -122,7 +122,7 @@ def open_backend(
 
 
 def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], None]) -> Choice:
-    """Choose between shaders and loops, which both support the job, but perhaps not its size."""
+    """Choose between shaders and loops, which both support the job but perhaps not its size."""
     from napari_hmrf.solver.backends.opengl import (  # heavy: opengl
         OpenGLBackend,
         is_software_renderer,

@@ -66,7 +66,7 @@ def start_quality_of(start: WarmStart) -> StartQuality:
     Returns
     -------
     StartQuality
-        Smallest eigenvalue of all parts, and weighted sum of their errors.
+        Smallest eigenvalue of all parts and weighted sum of their errors.
     """
     least, error = 1.0, 0.0
     for share, part in zip(start.shares, start.displacements, strict=True):
@@ -127,7 +127,7 @@ class Quality(NamedTuple):
     def suffices(self, tolerance: float, residual: float) -> bool:
         """Return whether the error is at most a tolerance, in pixels.
 
-        The result is False if the present residual exceeds the stored residual by more than
+        The result is False if the current residual exceeds the stored residual by more than
         rounding errors.
         """
         if residual > _ROUNDED * self.residual:

@@ -1,4 +1,4 @@
-"""Protocol of a model of large motion: an energy, and its linearization at a displacement."""
+"""Protocol of a model of large motion: an energy and its linearization at a displacement."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class FiniteModel(Protocol):
 
     @property
     def springs(self) -> Planes | None:
-        """Values added to the diagonal of the present linear model."""
+        """Values added to the diagonal of the current linear model."""
         ...
 
     @property
@@ -124,10 +124,10 @@ class FiniteModel(Protocol):
         d, way : ndarray, planes
             Displacement and search direction, in pixels.
         part : float
-            Smallest allowed ratio of a corner's Jacobian after the step to its present value.
+            Smallest allowed ratio of a corner's Jacobian after the step to its current value.
         floor : float
             Smallest Jacobian of a corner after the step. A corner that is already below must keep
-            at least its present value.
+            at least its current value.
         each : bool
             True to compute the largest step of each element as well.
 

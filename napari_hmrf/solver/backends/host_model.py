@@ -27,11 +27,11 @@ class HostModel:
     levels : sequence
         Levels, finest first. The finest level has ``hold(held)``, the others ``hold_as(finer)``.
     bodies : Bodies or None
-        Rigid bodies under the present constraints; None without rigid tissue.
+        Rigid bodies under the current constraints; None without rigid tissue.
     iterates : bool
         True if cycles can be used with this tissue.
     earlier : EarlierResults
-        Results of earlier solves with the present constraints.
+        Results of earlier solves with the current constraints.
     """
 
     levels: Sequence[Any]

@@ -54,7 +54,7 @@ class ComputeThread:
         self._stops: list[Callable[[], bool]] = []
 
     def submit(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> Future[T]:
-        """Queue a job, and return a future for its result or error.
+        """Queue a job and return a future for its result or error.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class ComputeThread:
         return future
 
     def result_of(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> T:
-        """Run a job like `submit`, and wait for its result.
+        """Run a job like `submit` and wait for its result.
 
         If the caller is the compute thread, the job runs immediately. If the wait is interrupted,
         for example by Ctrl-C, the job stops at its next `check_cancelled`.
@@ -139,7 +139,7 @@ class ComputeThread:
             raise Cancelled
 
     def delays(self, future: Future[Any]) -> str:
-        """Describe the work that delays a queued job, and how to stop it; "" once the job runs."""
+        """Describe the work that delays a queued job and how to stop it; "" once the job runs."""
         if future.running() or future.done():
             return ""
         doing = self._doing  # read only once, because the compute thread may reset it
@@ -157,7 +157,7 @@ class ComputeThread:
         self._at_end.append(release)
 
     def stop(self, timeout: float = 2.0) -> bool:
-        """End the thread after its queued jobs, and call the callbacks of `at_end`.
+        """End the thread after its queued jobs and call the callbacks of `at_end`.
 
         Parameters
         ----------

@@ -90,7 +90,7 @@ def converge(
     Raises
     ------
     ConvergenceError
-        If the error bound exceeds the tolerance, or no consistent states are found.
+        If the error bound exceeds the tolerance or no consistent states are found.
     """
     model = backend.seiler_model(prior.material(problem))
     refinement = _Refinement(tolerance, max_iterations, model, report)

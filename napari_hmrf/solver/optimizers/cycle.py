@@ -23,7 +23,7 @@ class Smoothing(NamedTuple):
     visits : int
         Number of visits to the second level and all coarser levels in each cycle, on devices where
         a second visit is worth its cost. A second visit compensates for the slower convergence of
-        V-cycles with many levels, and adds a fifth to the work.
+        V-cycles with many levels and adds a fifth to the work.
     patience : int
         Number of cycles after which a factorization is faster.
     careful : Smoothing or None

@@ -18,7 +18,7 @@ from napari_hmrf.solver.priors import Prior, SeilerPrior, line_weights
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import Level, levels, sampled
 
-#: Number of sweeps between two checks of the mean energy, and between two progress reports.
+#: Number of sweeps between checks of the mean energy and between progress reports.
 BLOCK = 10
 # Number of sites of a level below which all of its sweeps run in one call.
 _SMALL = 10_000

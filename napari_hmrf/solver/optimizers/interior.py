@@ -48,7 +48,7 @@ _SHORT = 0.1
 # Target of a centring step for all products, as a fraction of their mean.
 _CENTRING = 0.5
 # Stiffness of springs on all components, as a fraction of the diagonal. The weakest springs with
-# which the factorization succeeds are used. They affect the steps, but not the result.
+# which the factorization succeeds are used. These springs affect the steps but not the result.
 _PROXIMAL = tuple(10.0**power for power in range(-16, -10))
 # Largest number of refinements of a step.
 _CORRECTIONS = 10
@@ -59,7 +59,7 @@ _SIDE = np.array([[1.0], [-1.0]])
 
 
 def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> None:
-    """Minimize the energy over `d`, in place, and set the states accordingly.
+    """Minimize the energy over `d` in place, and set the states accordingly.
 
     Raises
     ------

@@ -134,7 +134,7 @@ class ConjugateGradients:
 
     @property
     def run_least(self) -> float:
-        """Smallest eigenvalue found in the present run."""
+        """Smallest eigenvalue found in the current run."""
         return self._spectrum.run_least
 
     def expect(self, least: float) -> None:
@@ -253,9 +253,9 @@ class ConjugateGradients:
 
 
 class StabilisedGradients:
-    """Stabilized biconjugate gradients (BiCGSTAB) for unsymmetric models.
+    """Stabilized biconjugate gradients (BiCGSTAB) for nonsymmetric models.
 
-    Each step runs two cycles, and reports the largest absolute value of the residual. The iteration
+    Each step runs two cycles and reports the largest absolute value of the residual. The iteration
     does not estimate the error of the solution.
 
     Parameters
@@ -321,15 +321,15 @@ class _Spectrum:
 
     @property
     def steps(self) -> int:
-        """Number of steps in the present run."""
+        """Number of steps in the current run."""
         return len(self._diagonal)
 
     def restart(self) -> None:
-        """Start a new run, and retain the smallest eigenvalue of all runs."""
+        """Start a new run, retaining the smallest eigenvalue of all runs."""
         self._diagonal: list[float] = []
         self._beside: list[float] = []
         self._length = 0.0
-        #: Smallest eigenvalue found in the present run.
+        #: Smallest eigenvalue found in the current run.
         self.run_least = 1.0
 
     def add(self, length: float, turn: float) -> None:

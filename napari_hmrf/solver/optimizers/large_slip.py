@@ -2,7 +2,7 @@
 
 The energy of each observation has a kink at the observed position. At first the kink is smoothed,
 and the width of the smoothing is reduced in steps. The result shows which observations are held and
-which slip, and the problem with these states is solved without smoothing.
+which slip. The problem with these states is then solved without smoothing.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class LargeSlip:
         Raises
         ------
         ConvergenceError
-            If Newton's method fails, or no consistent set of slipping observations is found.
+            If Newton's method fails or no consistent set of slipping observations is found.
         """
         begun = d.copy()
         if warm:

@@ -51,7 +51,7 @@ class Multigrid:
 
     The iteration runs in single precision. The residual that decides when the solve ends is
     computed in double precision. Priors with an energy, `ElasticPrior` and `SeilerPrior` in its
-    blanket reading, are solved by conjugate gradients. The centred reading is not symmetric, and is
+    blanket reading, are solved by conjugate gradients. The centred reading is not symmetric and is
     solved by stabilized biconjugate gradients (`napari_hmrf.solver.optimizers.centred`). For
     `NeoHookeanPrior`, conjugate gradients solve the steps of Newton's method
     (`napari_hmrf.solver.optimizers.newton`).
@@ -178,7 +178,7 @@ class Multigrid:
         )
 
     def _quality(self, start: WarmStart | None, model: LinearModel) -> Quality | None:
-        """Return the quality of the start; None if unknown, or if the start misses observations."""
+        """Return the quality of the start, or None if it is unknown or observations are not met."""
         if start is None or start.missing > _NEGLIGIBLE * self.tolerance:
             return None
         return model.earlier.quality(start)

@@ -214,7 +214,7 @@ class Newton:
         self._buckles = False
 
     def run(self, d: Planes, y: Planes, held: HeldPlanes, tolerance: float) -> None:
-        """Solve for equilibrium, and move constrained components as close to `y` as possible.
+        """Solve for equilibrium and move constrained components as close to `y` as possible.
 
         Parameters
         ----------
@@ -270,7 +270,7 @@ class Newton:
                 step, taken = self._relax(d, held, step)
                 relaxations = max(relaxations - 1, 0)
             if not self._judge(d, step):
-                # Return to the last valid field, and end the run.
+                # Return to the last valid field and end the run.
                 np.copyto(d, before)
                 self.distance = distance_before
                 self._is_converged = self._is_converged and left == 0
@@ -484,7 +484,7 @@ class Newton:
         return step, taken
 
     def _descend(self, d: Planes, way: Planes) -> float:
-        """Take a descent step in place, and update the loads; return the fraction taken."""
+        """Take a descent step in place and update the loads; return the fraction taken."""
         before = d.copy()
         taken = self._fall(d, way)
         if self.external_forces is not None and taken > 0:

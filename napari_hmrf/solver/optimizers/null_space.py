@@ -62,7 +62,7 @@ _PARTICIPATION = 0.1
 
 
 class SoftMotions(NamedTuple):
-    """Soft motions of tissue, and components that prevent these motions if constrained.
+    """Soft motions of tissue, with components that prevent these motions if constrained.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ def explain_singular(
 ) -> ProblemError | ConvergenceError:
     """Return an error that explains why a system could not be factorized.
 
-    Either a motion is free, or its energy is so small that double precision cannot resolve it.
+    Either a motion is free or its energy is so small that double precision cannot resolve it.
 
     Parameters
     ----------

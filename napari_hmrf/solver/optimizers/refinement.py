@@ -47,7 +47,7 @@ _VOLUME_MARGIN = 1.5
 _MILD_LEAST = 0.1
 # Smallest eigenvalue that cycles find in images of mild, nearly incompressible tissue.
 _MILD_LEAST_INCOMPRESSIBLE = 0.05
-# Smallest safety factor of any error estimate, because an estimate is for a single component, and
+# Smallest safety factor of any error estimate, because an estimate is for a single component and
 # depends on the eigenvalues found so far.
 _LEAST_MARGIN = 1.5
 # Additional safety factor for a warm start where tissue is not mild, because only the slowest
@@ -278,7 +278,7 @@ class Refinement:
 
     @property
     def _is_slow(self) -> bool:
-        """True if the present run has found a motion that does not occur in mild tissue."""
+        """True if the current run has found a motion that does not occur in mild tissue."""
         mild = self._model.material.compressible
         return self._iteration.run_least < (_MILD_LEAST if mild else _MILD_LEAST_INCOMPRESSIBLE)
 
@@ -301,7 +301,7 @@ class Refinement:
         return max(reported, left)
 
     def _take_care(self) -> bool:
-        """Switch to a better iteration, and clear its arrays; return False if there is none."""
+        """Switch to a better iteration and clear its arrays; return False if there is none."""
         more = self._iteration.take_care()
         if more:
             self._model.clear()
@@ -320,7 +320,7 @@ class Refinement:
 
     @property
     def _factors_first(self) -> bool:
-        """True if cycles would fail, or would be slower than a factorization."""
+        """True if cycles would fail or be slower than a factorization."""
         few, laced = math.prod(self._model.shape) <= _FEW, self._model.material.laced
         # With slipping observations, similar systems are solved in sequence. Later systems need
         # fewer cycles, but each factorization takes the same time.
@@ -430,7 +430,7 @@ class _Directions:
         return self._left <= 0
 
     def next(self, correction: Planes, rest: Planes) -> Planes:
-        """Make a correction conjugate to the previous correction, and scale it by a line search."""
+        """Make a correction conjugate to the previous one and scale it by a line search."""
         self._left -= 1
         if self._last is not None:
             way, image, bend = self._last
@@ -476,8 +476,7 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     Raises
     ------
     ConvergenceError
-        If the factorization needs too much memory, or if the system is singular in double
-        precision.
+        If the factorization needs too much memory or the system is singular in double precision.
     """
     if model.earlier.factors is None:
         if len(model.shape) == 3 and not factors_fit(model):

@@ -55,7 +55,7 @@ _BLOCK_EXCHANGES = 30
 
 
 class Slip:
-    """Search for the states of observations (held or slipping), and for the resulting field.
+    """Search for the states of observations (held or slipping) and for the resulting field.
 
     With many slipping observations or a small penalty, a single wrong state can change the field
     considerably, even if its contradiction is small. At the end, all states must therefore be right
@@ -210,7 +210,7 @@ class Slip:
         )
 
     def _confirm(self, d: Planes, exact: float) -> None:
-        """Solve for the present states, and exchange components that contradict their state."""
+        """Solve for the current states and exchange components that contradict their state."""
         states, model, refinement = self._states, self._model, self._refinement
         for number in range(_MOST_EXCHANGES):
             play = self._soft_motions(states.held)

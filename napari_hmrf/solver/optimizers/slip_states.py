@@ -2,12 +2,12 @@
 
 The force of an observation is at most ``p = K c``. If a smaller force is enough to keep a component
 at its observed position, the component is *held*. Otherwise the component *slips*: it is away from
-this position, and is pulled towards it with the force p. The search exchanges the states of all
-components that contradict their state, and solves again (a semismooth Newton method). If this makes
-no progress, a few proximal gradient steps set the states, and the field is moved towards the
-solution for these states only while the energy decreases (a truncated nonsmooth Newton method:
-Gräser and Kornhuber, J. Comput. Math. 27, 2009). The second method always ends, because the energy
-is convex and has one minimum value for each set of states.
+this position and is pulled towards it with the force p. The search exchanges the states of all
+components that contradict their state and solves again (a semismooth Newton method). If the
+exchanges make no progress, a few proximal gradient steps set the states, and the field is moved
+towards the solution for these states only while the energy decreases (a truncated nonsmooth Newton
+method: Gräser and Kornhuber, J. Comput. Math. 27, 2009). The second method always ends, because the
+energy is convex and has one minimum value for each set of states.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class States:
 
 
 class ActiveSet(States):
-    """States of the observations of a model with an energy.
+    """States of the observations, for a model with an energy.
 
     Here `limit` is the largest force of an observation.
 
@@ -165,7 +165,7 @@ class ActiveSet(States):
         Parameters
         ----------
         d : ndarray, planes
-            Displacement for the present states. If the release would leave tissue free, the tissue
+            Displacement for the current states. If the release would leave tissue free, the tissue
             slides until an observation holds it again; `d` is then changed in place.
         pull : ndarray, planes
             Force of the tissue on each component, plus the given forces.

@@ -1,4 +1,4 @@
-"""Elastic tissue as arrays: its levels, and its forces in double precision."""
+"""Elastic tissue as arrays: its levels and its forces in double precision."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's cliques as arrays: their levels, and their forces in double precision.
+"""The paper's cliques as arrays: their levels and their forces in double precision.
 
 `stiffness` is (m, 1/m) as planes, and 0 in void. `lines` is the weight of each line of cliques for
 each component. With centred cliques, the model is A d = d - q(d), where q is the minimizer of the

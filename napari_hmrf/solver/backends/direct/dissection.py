@@ -115,7 +115,7 @@ class Dissection:
         if springs is not None:
             self._springs[:-1] = springs.ravel()
         # Each thread makes its own calls to BLAS. More threads within a call do not speed up small
-        # matrices, and would be very slow if other programs use the cores.
+        # matrices and would be very slow if other programs use the cores.
         with _one_thread(), ThreadPoolExecutor(_THREADS) as pool:
             self._steps, rest = self._condense((0, self._tiles[0], 0, self._tiles[1]), pool)
         if len(rest.ring):
@@ -184,7 +184,7 @@ class Dissection:
     def _merge(
         self, tiles: _Range, one: _Share, two: _Share
     ) -> tuple[Step | SymmetricStep, _Share]:
-        """Merge two neighbouring boxes, and condense the merged box."""
+        """Merge two neighbouring boxes and condense the merged box."""
         every = np.union1d(one.ring, two.ring)
         shared = self._shared(every, tiles)
         own = len(every) - int(shared.sum())

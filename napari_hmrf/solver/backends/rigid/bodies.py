@@ -82,7 +82,7 @@ class Bodies:
     held : ndarray of bool, planes
         Mask of the constrained components.
     moved : ndarray, planes, optional
-        Present displacement of the bodies, in pixels; by default zero.
+        Current displacement of the bodies, in pixels; by default zero.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Bodies:
     ) -> None:
         self._sites, grid = sites, held.shape[1:]
         self._sides = np.array(material.shape.sides)
-        #: True if cycles keep the bodies fixed, and deflation moves them.
+        #: True if cycles keep the bodies fixed and deflation moves them.
         self.is_deflated = can_deflate(sites, material.m.shape)
         self._bodies = []
         for of_body in sites:

@@ -99,12 +99,12 @@ class Poses:
     def aim(self, d: Planes, y: Planes) -> Planes:
         """Return a displacement between `d` and `y`, with a limited rotation of each body.
 
-        Fully constrained bodies rotate by at most 0.25 radians, and remain rigid on the way.
+        Fully constrained bodies rotate by at most 0.25 radians and remain rigid on the way.
 
         Parameters
         ----------
         d, y : ndarray, planes
-            Present and final displacement, in pixels.
+            Current and final displacement, in pixels.
 
         Returns
         -------
