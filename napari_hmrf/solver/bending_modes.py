@@ -1,8 +1,8 @@
 """Check that the observations determine the motion in the paper's model (eq. 7).
 
-The cliques resist only the bending of each component. A constant component has no energy. In a
-piece of uniform stiffness, a component that varies linearly has no energy either. The observations
-of each piece must prevent these motions; otherwise the solution is not unique.
+The cliques resist only the bending of each component. A constant displacement component has no
+energy. In a piece of uniform stiffness, a component that varies linearly has no energy either. The
+observations of each piece must prevent these motions; otherwise the solution is not unique.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from napari_hmrf.solver.priors.seiler import in_cliques
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 
-# Sum of squared displacements at constrained sites, as a fraction of the sum over all sites, up to
-# which a motion is free.
+# Largest sum of squared displacements over the constrained sites, as a fraction of the sum over all
+# sites, for which a motion counts as free.
 _FREE_SHARE = 1e-9
 _DIRECTIONS = ("along the row axis", "along the column axis")
 
 
 def check_bending(problem: Problem) -> None:
-    """Raise an error if a piece of tissue can move without energy.
+    """Raise an error if a piece of tissue has a zero-energy motion.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def check_bending(problem: Problem) -> None:
 
 
 def free_bend(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:
-    """Return a motion of some tissue that has no energy, or None if there is none.
+    """Return a zero-energy motion of some tissue, or None if there is none.
 
     Parameters
     ----------
@@ -54,10 +54,13 @@ def free_bend(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | Non
 def _free_pieces(
     problem: Problem, held: npt.NDArray[np.bool_]
 ) -> Iterator[tuple[npt.NDArray[np.bool_], int, npt.NDArray[np.float64]]]:
-    """Yield each piece that can move, its component, and its free motions, shape (n, H, W, 2)."""
+    """Yield each piece that can move, the component in which it moves, and its free motions.
+
+    The free motions are an array of shape (n, H, W, 2).
+    """
     cliques = in_cliques(problem)
     i, j = np.indices(problem.shape)
-    # Motions of a component of a piece that may have no energy: constant and linear.
+    # Motions of one component of a piece that may have no energy: constant and linear.
     basis = np.stack([np.ones(problem.shape), i / max(problem.shape), j / max(problem.shape)], -1)
     for component in range(len(_DIRECTIONS)):
         pieces, _ = scipy.ndimage.label(cliques[..., component], structure=np.ones((3, 3)))
@@ -78,7 +81,11 @@ def _free_pieces(
 def _free_modes(
     possible: npt.NDArray[np.float64], held_sites: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.float64]:
-    """Return the combinations of motions (sites, motions) that vanish at constrained sites."""
+    """Return the combinations of motions that vanish at the constrained sites.
+
+    `possible` has shape (sites, motions). The result contains the coefficients, one column for each
+    combination.
+    """
     sizes, combinations = np.linalg.eigh(possible.T @ possible)
     is_independent = sizes > _FREE_SHARE * sizes[-1]
     basis = combinations[:, is_independent] / np.sqrt(sizes[is_independent])

@@ -1,6 +1,6 @@
-"""Forces of weight, pressure and traction at sites.
+"""Forces at sites due to weight, pressure and traction.
 
-The surface of tissue consists of the faces (in an image, the edges) that belong to a single
+The surface of the tissue consists of the faces (in an image, the edges) that belong to a single
 element. A force per volume or area is distributed equally to the corners of the element or face, as
 in finite elements.
 """
@@ -36,17 +36,18 @@ def weight(
     density: npt.ArrayLike = 1.0,
     spacing: float | Sequence[float],
 ) -> Loads:
-    """Return the forces of the tissue's weight, or of another body force.
+    """Return the loads due to the weight of the tissue or another body force.
 
     Parameters
     ----------
     stiffness : array_like, shape (H, W) or (D, H, W)
         Stiffness of the problem; above 0 in tissue.
     acceleration : sequence of float, shape (n,)
-        Acceleration vector, components in the order of the axes. Its product with density is a
-        force per volume, in the unit of stiffness per length: 0.00981 kPa / mm for water.
+        Acceleration vector, with components in the order of the axes. Its product with the density
+        is a force per volume, in the unit of stiffness per unit of length; for water, it is 0.00981
+        kPa / mm.
     density : float or array_like, shape (H, W) or (D, H, W)
-        Density of all tissue, or of each site.
+        Density of all tissue or of each site.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel, as in the problem; a single number applies to all axes.
 
@@ -81,7 +82,7 @@ def pressure(
     *,
     spacing: float | Sequence[float],
 ) -> Loads:
-    """Return the forces of a pressure on a marked part of the tissue's surface.
+    """Return the loads due to a pressure on a marked part of the tissue's surface.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def pressure(
         Mask of marked sites. The pressure acts on each face of the surface with all corners marked;
         other marked sites have no effect. The surface includes the edge of the image.
     amount : float or array_like, shape (H, W) or (D, H, W)
-        Force per area, in the unit of stiffness. Positive values push into the tissue, negative
+        Force per area, in the unit of stiffness. Positive values push into the tissue; negative
         values pull outwards.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel, as in the problem; a single number applies to all axes.
@@ -122,11 +123,11 @@ def traction(
     *,
     spacing: float | Sequence[float],
 ) -> Loads:
-    """Return the forces of a traction, in any direction, on a marked part of the tissue's surface.
+    """Return the loads due to a traction on a marked part of the tissue's surface.
 
-    On the pixel grid, an oblique surface is a staircase of faces with a larger total area. The area
-    of each face is therefore multiplied by the cosine of the angle between the face and the
-    smoothed surface.
+    The traction may have any direction. On the pixel grid, an oblique surface is a staircase of
+    faces with a larger total area. The area of each face is therefore multiplied by the cosine of
+    the angle between the face and the smoothed surface.
 
     Parameters
     ----------
@@ -135,8 +136,8 @@ def traction(
     surface : array_like of bool, shape (H, W) or (D, H, W)
         Mask of marked sites, as for `pressure`.
     vector : array_like, shape (n,), (H, W, 2) or (D, H, W, 3)
-        Force per area, in the unit of stiffness, components in the order of the axes: one vector
-        for the whole surface, or one vector for each site.
+        Force per area, in the unit of stiffness, with components in the order of the axes: one
+        vector for the whole surface, or one vector for each site.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel, as in the problem; a single number applies to all axes.
 
@@ -166,7 +167,7 @@ class _Faces(NamedTuple):
     outward: npt.NDArray[np.int8]
 
     def mean(self, values: npt.NDArray[Any]) -> Float64Array:
-        """Return the mean over the corners of each face."""
+        """Return the mean of the site values at the corners of each face."""
         total = _across(values.astype(np.float64, copy=False), self.axis, np.add)
         return np.asarray(total / 2 ** (values.ndim - 1))
 
@@ -193,8 +194,8 @@ def _surface(tissue: Mask, surface: npt.ArrayLike) -> list[_Faces]:
     if painted.shape != tissue.shape:
         raise ProblemError(
             "surface",
-            f"has shape {painted.shape}, but stiffness has shape {tissue.shape}. Give both on the "
-            "same pixel grid.",
+            f"has shape {painted.shape}, but stiffness has shape {tissue.shape}. Use the same "
+            "pixel grid for both.",
         )
     mask, elements, faces_of_axes = painted > 0, in_elements(tissue), []
     for axis, (first, last) in enumerate(pairs(tissue.ndim)):
@@ -212,7 +213,7 @@ def _surface(tissue: Mask, surface: npt.ArrayLike) -> list[_Faces]:
 
 
 def _areas(surface: list[_Faces], size: tuple[float, ...]) -> Iterator[tuple[_Faces, Float64Array]]:
-    """Yield the faces perpendicular to each axis, with areas corrected for the staircase."""
+    """Yield the faces perpendicular to each axis, with areas corrected for the staircase effect."""
     axes = len(size)
     sigma = [_SMOOTHING * max(size) / length for length in size]
     # Smoothed area at each site, for each axis and sign of the normal.
@@ -252,11 +253,11 @@ def _size(stiffness: npt.ArrayLike, spacing: float | Sequence[float]) -> tuple[f
 
 
 def _of_sites(name: str, values: npt.ArrayLike, grid: tuple[int, ...]) -> Float64Array:
-    """Return a number, or one number for each site, as an array on the grid."""
+    """Return one number, or one number for each site, as a validated array on the grid."""
     array = as_float32(name, values)
     if array.shape not in ((), grid):
         raise ProblemError(
-            name, f"has shape {array.shape}. Give one number, or one for each site {grid}."
+            name, f"has shape {array.shape}. Pass one number, or one for each site {grid}."
         )
     check_finite(name, array)
     return np.broadcast_to(array.astype(np.float64), grid)
@@ -271,7 +272,7 @@ def _vector(
         or_field = f", or a vector for each site, {(*grid, axes)}" if of_sites else ""
         raise ProblemError(
             name,
-            f"is {shown(values)}, of shape {array.shape}. Give {axes} components in the order of "
+            f"is {shown(values)}, of shape {array.shape}. Pass {axes} components in the order of "
             f"the axes{or_field}.",
         )
     check_finite(name, array)

@@ -12,10 +12,10 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import levels, sampled
 
-# Least fraction of a boundary that the first three coarse levels must sample. They sample 0.16 to
-# 0.29 of a boundary that is one pixel wide, and 0.41 or more if the boundary is 3 pixels wide.
+# Smallest fraction of a boundary that the first three coarse levels must sample. They sample 0.16
+# to 0.29 of a boundary that is one pixel wide, and 0.41 or more if the boundary is 3 pixels wide.
 _SAMPLED_SHARE = 0.32
-# Number of levels up to which the fraction is not checked: images of up to 32 pixels have few
+# The fraction is not checked for up to this many levels, because images of up to 32 pixels have few
 # coarse levels.
 _SMALLEST_TREE = 6
 #: Clause for tissue without sufficient constraints.
@@ -40,7 +40,7 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
 
 
 def shortfall(reach: Reach | None, unit: str) -> str:
-    """Describe how large motion falls short of the problem; "" if it does not.
+    """Describe how a large-motion solution falls short of the problem; "" if it does not.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def shortfall(reach: Reach | None, unit: str) -> str:
 
 
 def missing_constraint(problem: Problem) -> str:
-    """Return a clause if no tissue moves, or if the tissue is not constrained; otherwise "".
+    """Return a clause if no tissue moves or the tissue is not constrained; otherwise "".
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def rigid_caveat(problem: Problem, prior: Prior) -> str:
     ----------
     problem : Problem
     prior : Prior
-        Prior before `resolved`.
+        Prior, before its method `resolved` is called.
     """
     if not isinstance(prior, Elastic) or prior.penalty is not None or not problem.rigid.any():
         return ""
@@ -147,4 +147,4 @@ def _loose_pieces(problem: Problem) -> str:
     pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
     sites = "voxels" if problem.tissue.ndim == 3 else "pixels"
     subject = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
-    return f"{subject} no boundary ({pixels} {sites}): its motion is not determined"
+    return f"{subject} no boundary ({pixels} {sites}): the motion there is not determined"

@@ -1,4 +1,4 @@
-"""Coarse levels of multigrid: grids, springs near constrained sites, and bounds of the spectrum.
+"""Coarse levels of multigrid: grids, springs near constrained sites, and bounds on the spectrum.
 
 Coarse site i *coincides* with fine site 2 i (unlike sites of the quadtree, which lie between fine
 sites), so a coarse level has ``size // 2 + 1`` sites along an axis. A coarse element has the mean
@@ -22,9 +22,9 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio
 
-#: Number of sites along the longest axis up to which a level is the coarsest.
+#: Largest number of sites along any axis of the coarsest level.
 COARSEST = 5
-#: Upper limit of the number of constrained fine sites that contribute to a coarse site.
+#: Largest number of constrained fine sites that are counted for the spring of a coarse site.
 MOST_PINS = 4.0
 #: Stiffness of the spring for each constrained fine site, relative to the coarse diagonal.
 SPRING = 0.6
@@ -39,11 +39,11 @@ def grids(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def smoother_bounds(material: ElasticMaterial) -> tuple[float, float]:
-    """Return upper bounds of the spectrum of D^-1 A, for usual materials and for any materials.
+    """Return upper bounds on the spectrum of D^-1 A, for usual materials and for all materials.
 
-    The first bound is that of a uniform grid, from its symbol; mixtures of materials hardly exceed
-    this bound. The second bound is that of the worst single element, which no mixture exceeds. Both
-    bounds increase with lambda / mu.
+    The first bound is computed from the symbol of a uniform grid; mixtures of materials hardly
+    exceed this bound. The second bound is the largest eigenvalue for a single element, which no
+    mixture exceeds. Both bounds increase with lambda / mu.
     """
     return _bounds(lame_ratio(material.largest_poisson, material.strain), material.shape)
 
@@ -72,6 +72,9 @@ def _bounds(ratio: float, shape: Any) -> tuple[float, float]:
 
 
 def _largest(matrices: npt.NDArray[Any], of_diagonal: npt.NDArray[Any]) -> float:
-    """Return the largest eigenvalue of Hermitian matrices, scaled by a diagonal."""
+    """Return the largest eigenvalue of D^-1/2 A D^-1/2 over all given Hermitian matrices A.
+
+    D is the diagonal of the matrix `of_diagonal`.
+    """
     scale = np.sqrt(np.diag(of_diagonal).real)
     return float(np.linalg.eigvalsh(matrices / np.outer(scale, scale)).max())

@@ -1,4 +1,4 @@
-"""Earlier solutions, as warm starts of the next solve."""
+"""Earlier solutions, used as warm starts for the next solve."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ KEPT = 4
 
 
 class EarlierSolutions:
-    """Latest solutions on one grid, for different observations and loads.
+    """Most recent solutions on one grid, for different observations and loads.
 
     Displacements are proportional to observations and loads. A linear combination of these
     solutions is therefore often close to the next solution, which then needs only a few cycles.
@@ -22,7 +22,7 @@ class EarlierSolutions:
     Attributes
     ----------
     solutions : list of Solution
-        Solutions, latest first.
+        Solutions, most recent first.
     """
 
     def __init__(self) -> None:

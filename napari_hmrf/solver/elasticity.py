@@ -23,14 +23,14 @@ class Elasticity:
     Attributes
     ----------
     poisson : float or ndarray, shape ([D,] H, W), float32
-        Poisson's ratio of all tissue, or of each site.
+        Poisson's ratio of all tissue or of each site.
     plane : {"stress", "strain"}
         As for `ElasticPrior`; ignored in a volume.
     finite : bool
         True for the finite strain of `NeoHookeanPrior`, False for the small strain of
         `ElasticPrior`.
     growth : ndarray, optional
-        Growth strain as in `Loads`, times the completed fraction of the growth.
+        Growth strain as in `Loads`, multiplied by the completed fraction of the growth.
     rigid : ndarray of bool, shape ([D,] H, W), optional
         Mask of rigid tissue, which has no strain; None if there is none.
     """
@@ -60,7 +60,7 @@ class Elasticity:
         return cls(prior.poisson, prior.plane, finite, growth, rigid)
 
     def mapped(self, change: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]) -> Elasticity:
-        """Return the properties on other sites; `change` maps each array to these sites."""
+        """Return the properties at other sites; `change` maps each array to these sites."""
         poisson = self.poisson if isinstance(self.poisson, float) else change(self.poisson)
         growth = None if self.growth is None else change(self.growth)
         rigid = None if self.rigid is None else change(self.rigid)
@@ -73,22 +73,22 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
     Raises
     ------
     Invalid
-        If the properties are invalid, or do not match the grid of the file.
+        If the properties are invalid or do not match the grid of the file.
     """
     grid, poisson, growth = arrays["tissue"].shape, arrays.get("poisson"), arrays.get("growth")
     given, rigid = header.get("elasticity"), arrays.get("rigid")
     if given is None:
         if any(each is not None for each in (poisson, growth, rigid)):
-            raise array_file.Invalid("it has arrays of elastic tissue, but no elastic model")
+            raise array_file.Invalid("it has arrays for elastic tissue, but no elastic model")
         given = _elasticity_in_parameters(header["provenance"])
         if given is None:
             return None
     nu, plane, finite = given["poisson"], given["plane"], given["finite"]
     if poisson is None:
         if not (isinstance(nu, float | int) and POISSON_RANGE[0] <= nu <= POISSON_RANGE[1]):
-            raise array_file.Invalid(f"its Poisson's ratio is {nu!r}"[:200])
+            raise array_file.Invalid(f"its Poisson's ratio is invalid: {nu!r}"[:200])
     elif nu is not None or poisson.shape != grid:
-        raise array_file.Invalid(f"its Poisson's ratios {poisson.shape} and tissue disagree")
+        raise array_file.Invalid(f"its Poisson's ratios {poisson.shape} do not match the tissue")
     elif not (np.isfinite(poisson) & (np.abs(poisson) < 1)).all():
         raise array_file.Invalid("its Poisson's ratios are out of range")
     if plane not in get_args(Plane) or not isinstance(finite, bool):
@@ -96,11 +96,11 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
     if growth is not None:
         sizes = {len(grid), 3}
         if growth.shape not in [grid, *((*grid, size, size) for size in sizes)]:
-            raise array_file.Invalid(f"its growth {growth.shape} and tissue disagree")
+            raise array_file.Invalid(f"its growth {growth.shape} does not match the tissue")
         if not np.isfinite(growth).all():
             raise array_file.Invalid("its growth contains values that are not numbers")
     if rigid is not None and rigid.shape != grid:
-        raise array_file.Invalid(f"its rigid tissue {rigid.shape} and tissue disagree")
+        raise array_file.Invalid(f"its rigid tissue {rigid.shape} does not match the tissue")
     return Elasticity(float(nu) if poisson is None else poisson, plane, finite, growth, rigid)
 
 

@@ -1,8 +1,8 @@
 """Queue of the compute thread in which the latest job replaces the pending job.
 
-Edits arrive faster than they can be solved, and a slider moves faster than pictures can be drawn. A
-`LatestQueue` runs one job at a time. A job that is submitted in the meantime is pending until the
-running job ends, and replaces the previous pending job. Each job is called with a `Turn`, which
+Edits arrive faster than they can be solved, and a slider moves faster than images can be drawn. A
+`LatestQueue` runs one job at a time. A job that is submitted in the meantime replaces the previous
+pending job and is pending until the running job ends. Each job is called with a `Turn`, which
 reports whether the job is out of date.
 """
 
@@ -22,7 +22,7 @@ _log = logging.getLogger("napari_hmrf")
 
 
 class Turn:
-    """State of a job of a `LatestQueue`; also the flag that cancels its solve.
+    """State of a job in a `LatestQueue`, which also serves as the cancel flag of its solve.
 
     Attributes
     ----------
@@ -34,8 +34,8 @@ class Turn:
     submitted : float
         Time of submission, from `time.perf_counter`.
     patience : float
-        Time, in seconds from its start, during which a newer job does not stop this job. The job
-        may change this value.
+        Time, in seconds from the start of the job, during which a newer job does not stop it. The
+        job may change this value.
     """
 
     def __init__(self, queue: LatestQueue, generation: int, series: int, patience: float) -> None:
@@ -50,16 +50,19 @@ class Turn:
         return self.series != self._queue.series
 
     def is_set(self) -> bool:
-        """Return whether to stop: dropped, or out of patience while another job could start."""
+        """Return whether the job should stop.
+
+        A job stops if it was dropped, or if its patience has run out and another job could start.
+        """
         late = time.perf_counter() > self._started + self.patience
         return self.dropped or (late and self._queue.can_go_on)
 
     def start(self) -> None:
-        """Start the time that `patience` limits."""
+        """Start measuring the time that `patience` limits."""
         self._started = time.perf_counter()
 
 
-#: Work on the compute thread, called with its turn. It must handle its own errors.
+#: Function to run on the compute thread, called with its `Turn`. It must handle its own errors.
 Job = Callable[[Turn], object]
 
 
@@ -72,8 +75,8 @@ class LatestQueue:
     Parameters
     ----------
     doing : str
-        Description of the jobs of this queue and how to stop them, as a clause after "waiting for".
-        Other users of the compute thread display it.
+        Description of the jobs in this queue and how to stop them, as a clause that follows
+        "waiting for". Other users of the compute thread display this description.
     """
 
     def __init__(self, doing: str) -> None:
@@ -84,19 +87,19 @@ class LatestQueue:
         self.series = 0
         self._waiting: tuple[Job, Turn] | None = None
         self._current: Turn | None = None
-        # Set while a job of this queue is scheduled or runs; there is at most one.
+        # Set while a job of this queue is scheduled or running; there is at most one such job.
         self._scheduled: Future[None] | None = None
         self._is_held = self._closed = False
 
     def submit(self, job: Job, patience: float = math.inf) -> Turn:
-        """Submit a job, which replaces the pending job.
+        """Submit a job, which replaces any pending job.
 
         Parameters
         ----------
         job : callable
-            Called with its turn on the compute thread, unless a newer job replaces it before.
+            Called with its turn on the compute thread, unless a newer job replaces it first.
         patience : float
-            As for `Turn`; by default the job runs to its end.
+            As for `Turn`; by default, the job runs to completion.
 
         Raises
         ------
@@ -105,7 +108,7 @@ class LatestQueue:
         """
         with self._changed:
             if self._closed:
-                raise RuntimeError("the queue is closed. Make a new one.")
+                raise RuntimeError("the queue is closed. Create a new queue.")
             self._generation += 1
             turn = Turn(self, self._generation, self.series, patience)
             self._waiting = job, turn
@@ -148,7 +151,7 @@ class LatestQueue:
 
     @property
     def busy(self) -> bool:
-        """True until the last job has ended or was dropped."""
+        """True until the last job has ended or has been dropped."""
         with self._changed:
             is_running = self._current is not None and not self._current.dropped
             return self._waiting is not None or is_running
@@ -170,17 +173,20 @@ class LatestQueue:
 
     @property
     def can_go_on(self) -> bool:
-        """True if the pending job would start if the running job stopped."""
+        """True if a pending job can start once the running job stops."""
         return self._waiting is not None and not self._is_held
 
     @property
     def delay(self) -> str:
-        """Description of work that delays the pending job, and how to stop it; "" if none."""
+        """Description of the work that delays the pending job and how to stop it; "" if none."""
         with self._changed:
             return "" if self._scheduled is None else compute_thread.delays(self._scheduled)
 
     def _go_on(self) -> None:
-        """Schedule the pending job, if any; one job at a time, so that other queues get turns."""
+        """Schedule the pending job, if any.
+
+        Only one job is scheduled at a time, so that other queues get turns.
+        """
         if self._scheduled is not None:
             return
         if self._waiting is None:
@@ -204,7 +210,7 @@ class LatestQueue:
         except Cancelled:
             pass
         except Exception:  # noqa: BLE001 - the result of the job is not awaited anywhere
-            _log.exception("a job in the background failed")
+            _log.exception("a background job failed")
         finally:
             del waiting
             with self._changed:

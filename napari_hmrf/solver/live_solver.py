@@ -1,7 +1,7 @@
-"""Solver for a problem that is being edited: the latest edit wins, with a warm start.
+"""Live solver, which solves the latest edit of a problem with a warm start.
 
-Edits arrive faster than solves end, so only the latest edit is pending, and each solve starts from
-the last solutions. All work runs on the compute thread.
+Edits arrive faster than solves end, so only the latest edit is kept pending, and each solve starts
+from the most recent solutions. All work runs on the compute thread.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PATIENCE = 0.1
 # Time of a cold start per site on two cores, in seconds.
 _SITE_SECONDS = 2e-7
 
-# Least Jacobian determinant of a solution that is used as a warm start for large motion.
+# Smallest Jacobian determinant of a solution that is used as a warm start for large motion.
 _CRUSHED = 0.01
 
 _log = logging.getLogger("napari_hmrf")
@@ -74,30 +74,30 @@ Input = Problem | tuple[Problem, Prior]
 
 
 class LiveSolver:
-    """Solver for a problem that is being edited: the latest edit wins, with a warm start.
+    """Live solver, which solves the latest edit of a problem with a warm start.
 
     Of several edits submitted during a solve, only the last is solved. By default the running solve
-    is completed and delivered first, so that tissue follows a drag without a pause. A newer edit
-    cancels the solve only after its preview was delivered, or after its `patience`. Whatever the
-    timing, the last update belongs to the last edit.
+    is completed and delivered first, so that the tissue follows a drag without pausing. A newer
+    edit cancels the solve only after its preview was delivered, or after its `patience`. Whatever
+    the timing, the last update belongs to the last edit.
 
     All methods may be called from any thread. All methods except `wait` return immediately.
 
     Parameters
     ----------
     deliver : callable
-        Called with an `Update` on the compute thread, where it may also warp an image. It should
-        return soon, because the solver waits for it.
+        Called with an `Update` on the compute thread. The function may also warp an image there,
+        but should return soon, because the solver waits for it.
     prior : Prior, optional
         Energy of the tissue; by default elastic tissue. The attribute `prior` may be set at any
-        time, and applies to later edits.
+        time and applies to later edits.
     optimizer : Optimizer, optional
-        Schedule; by default multigrid, to `TOLERANCE`. The paper's schedule is possible, but always
-        makes a cold start. The attribute `optimizer` may be set at any time, and applies to later
+        Schedule; by default multigrid, to `TOLERANCE`. The paper's schedule is possible but always
+        makes a cold start. The attribute `optimizer` may be set at any time and applies to later
         edits.
     backend : str
-        Backend, as for `solve`. The attribute `backend` may be set at any time, and applies to
-        later edits.
+        Backend, as for `solve`. The attribute `backend` may be set at any time and applies to later
+        edits.
     progress : callable, optional
         Called with a `Monitor` on the compute thread. The first solve on a machine compiles for
         half a minute.
@@ -115,7 +115,7 @@ class LiveSolver:
     (32, 32, 2)
     """
 
-    # A misspelt attribute, such as `optimiser`, raises an AttributeError.
+    # With slots, setting a misspelt attribute, such as `optimiser`, raises an AttributeError.
     __slots__ = (
         "__weakref__",
         "_deliver",
@@ -161,22 +161,22 @@ class LiveSolver:
         preview: bool = True,
         patience: float | None = None,
     ) -> int:
-        """Submit an edit, which replaces the pending edit.
+        """Submit an edit, which replaces any pending edit.
 
         Parameters
         ----------
         problem : Problem, tuple of Problem and Prior, or callable
             Problem, or a function that returns the problem. The function is called on the compute
-            thread, unless the edit is replaced before; an error that it raises is delivered.
+            thread, unless the edit is replaced first. An error that it raises is delivered.
             Building a problem may take as long as a solve. With a function, a replaced edit does
             not cost this time.
         preview : bool
-            True if a preview may be delivered when the solution takes long. Without a preview, the
-            solution of the first edit after `cancel` is bitwise equal to that of `solve` with the
-            same optimizer: ``solve(problem, optimizer=live.optimizer)``.
+            True if a preview may be delivered when the solution takes a long time. Without a
+            preview, the solution of the first edit after `cancel` is bitwise equal to that of
+            `solve` with the same optimizer: ``solve(problem, optimizer=live.optimizer)``.
         patience : float, optional
             Time, in seconds, for which the solve of this edit continues while a newer edit is
-            pending; by default until its end.
+            pending; by default, the solve runs to completion.
 
         Returns
         -------
@@ -186,14 +186,14 @@ class LiveSolver:
         Raises
         ------
         ArgumentError
-            If `patience` is not a time.
+            If `patience` is not a non-negative number.
         RuntimeError
             If the solver is closed.
         """
         right = patience is None or real(patience) >= 0
         refuse_unless(right, "patience", patience, "a time in seconds, such as 0.2, or None")
         if self._queue.closed:
-            raise RuntimeError("the live solver is closed. Make a new LiveSolver.")
+            raise RuntimeError("the live solver is closed. Create a new LiveSolver.")
         edit = _Edit(problem, self.prior, self.optimizer, self.backend, preview)
         patience = math.inf if patience is None else patience
         return self._queue.submit(partial(self._answer, edit), patience).generation
@@ -213,7 +213,7 @@ class LiveSolver:
     def hold(self) -> None:
         """Start no newer edit until `resume`, for example until a solution is painted.
 
-        The call has an effect only while an update is delivered.
+        The call has an effect only while an update is being delivered.
         """
         self._queue.hold()
 
@@ -222,7 +222,9 @@ class LiveSolver:
         self._queue.resume()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the last edit is solved; for scripts, never for the GUI thread.
+        """Wait until the last edit is solved.
+
+        This method is for scripts. Never call it on the GUI thread.
 
         Returns
         -------
@@ -248,7 +250,7 @@ class LiveSolver:
 
     @property
     def delay(self) -> str:
-        """Description of work that delays the pending edit, and how to stop it; "" if none."""
+        """Description of the work that delays the pending edit and how to stop it; "" if none."""
         return self._queue.delay
 
     def __enter__(self) -> LiveSolver:
@@ -293,7 +295,7 @@ class LiveSolver:
         *,
         stop: CancelFlag,
     ) -> Solution:
-        """Solve with a warm start, and store the solution for the next solve."""
+        """Solve with a warm start and store the solution for the next solve."""
         earlier = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
         initial = [solution for solution in earlier if not _is_crushed(solution)] or None
         solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
@@ -308,7 +310,7 @@ class LiveSolver:
         error: Exception | None = None,
         final: bool = True,
     ) -> None:
-        # A newer edit either corrects this error, or raises the error again.
+        # A newer edit either corrects this error or raises the error again.
         if turn.dropped or (error is not None and self._queue.has_pending):
             return
         seconds = time.perf_counter() - turn.submitted
@@ -326,7 +328,7 @@ def _has_preview(optimizer: Optimizer) -> bool:
 
 
 def _is_crushed(solution: Solution) -> bool:
-    """Return whether a solution is so crushed that a cold start is faster than a warm start."""
+    """Return whether tissue is so crushed that a cold start is faster than a warm start."""
     return solution.reach is not None and solution.reach.least_jacobian < _CRUSHED
 
 

@@ -21,13 +21,13 @@ from napari_hmrf.solver.real_arrays import (
 
 # Largest accepted difference between a tensor and its transpose, relative to the largest strain.
 _ASYMMETRY = 1e-5
-# Relative difference up to which pixel sizes are equal; files often round them.
+# Relative difference up to which pixel sizes count as equal, because files often round them.
 _SAME_SPACING = 1e-4
 _AXES = 3
 
 
 class Loads:
-    """Growth of elastic tissue and forces on elastic tissue, on one grid; immutable.
+    """Growth of elastic tissue and forces on the tissue, on one grid; immutable.
 
     Loads can be added: ``growth(0.1 * tumour) + weight(stiffness, (0.01, 0), spacing=1)``. The
     resulting motion is proportional to the forces and inversely proportional to the stiffness, so
@@ -36,22 +36,22 @@ class Loads:
     Parameters
     ----------
     growth : array_like, optional
-        Strain that the tissue would have if it were free: 0.1 is a tenth longer. Either one number
-        for each site, shape (H, W) or (D, H, W), for equal growth along all three axes, including
-        the axis perpendicular to an image. Or a symmetric tensor for each site, in the order of the
-        axes: shape (H, W, 2, 2), without growth perpendicular to the image; (H, W, 3, 3), where the
-        first axis is perpendicular to the image; or (D, H, W, 3, 3). Growth perpendicular to an
-        image has an effect in plane strain, where a slice that cannot thicken expands in its plane
-        instead, and in large motion, where a thicker slice is proportionally stiffer. Values in
-        void are ignored. Rigid tissue must not grow.
+        Strain that the tissue would have if it were free; 0.1 means a tenth longer. One number for
+        each site, shape (H, W) or (D, H, W), means equal growth along all three axes, including the
+        axis perpendicular to an image. Alternatively, a symmetric tensor for each site, in the
+        order of the axes: shape (H, W, 2, 2), without growth perpendicular to the image;
+        (H, W, 3, 3), where the first axis is perpendicular to the image; or (D, H, W, 3, 3). Growth
+        perpendicular to an image has an effect in plane strain, where a slice that cannot thicken
+        expands in its plane instead, and in large motion, where a thicker slice is proportionally
+        stiffer. Values in void are ignored. Rigid tissue must not grow.
     force : array_like, shape (H, W, 2) or (D, H, W, 3), optional
-        Force on each site, components in the order of the axes. In an image, a force per thickness,
-        in the unit of stiffness times length; in a volume, a force, in the unit of stiffness times
-        length squared. The force stays constant while the site moves (dead load).
+        Force on each site, with components in the order of the axes. In an image, a force per
+        thickness, in the unit of stiffness times length; in a volume, a force, in the unit of
+        stiffness times length squared. The force stays constant while the site moves (dead load).
     spacing : sequence of float, shape (n,), optional
         Pixel size along each axis for which the forces were computed; set by `pressure`, `traction`
-        and `weight`. A `Problem` with another spacing does not accept the loads. By default the
-        spacing is unknown, and is not checked.
+        and `weight`. A `Problem` with a different spacing rejects the loads. By default the spacing
+        is unknown and is not checked.
 
     Raises
     ------
@@ -84,7 +84,7 @@ class Loads:
         )
         if sizes is not None and not all(0 < size < math.inf for size in sizes):
             raise ProblemError(
-                "spacing", f"is {shown(spacing)}. Give positive, finite pixel sizes."
+                "spacing", f"is {shown(spacing)}. Pass positive, finite pixel sizes."
             )
         object.__setattr__(self, "spacing", sizes)
 
@@ -99,7 +99,7 @@ class Loads:
             raise ProblemError(
                 "loads",
                 f"are for pixels of {_sizes(self.spacing)} and of {_sizes(other.spacing)}. "
-                "Make both with the spacing of the problem.",
+                "Compute both with the spacing of the problem.",
             )
         return Loads(
             growth=_sum_of_growth(self.growth, other.growth),
@@ -144,7 +144,7 @@ class Loads:
                 others = " or ".join(map(str, tensors))
                 raise ProblemError(
                     "growth",
-                    f"has shape {self.growth.shape}, but stiffness has shape {grid}: give one "
+                    f"has shape {self.growth.shape}, but stiffness has shape {grid}. Pass one "
                     f"number for each site, or a tensor {others}.",
                 )
             grows = self.growth != 0
@@ -153,13 +153,13 @@ class Loads:
                 raise ProblemError(
                     "growth",
                     f"has {how_many(stuck)} of rigid tissue, which cannot grow, the first at "
-                    f"{first_index(stuck)}. Give 0 there.",
+                    f"{first_index(stuck)}. Set them to 0.",
                 )
         if not _is_close(self.spacing, spacing):
             raise ProblemError(
                 "loads",
                 f"are for pixels of {_sizes(self.spacing)}, but the problem has pixels of "
-                f"{_sizes(spacing)}. Make them with the spacing of the problem.",
+                f"{_sizes(spacing)}. Compute them with the spacing of the problem.",
             )
         if self.force is not None:
             if self.force.shape != (*grid, axes):
@@ -173,18 +173,18 @@ class Loads:
                 raise ProblemError(
                     "force",
                     f"has {how_many(nowhere)} without tissue that is two pixels wide, the first at "
-                    f"{first_index(nowhere)}. Give 0 there, or give these pixels a stiffness.",
+                    f"{first_index(nowhere)}. Set them to 0, or give these pixels a stiffness.",
                 )
 
 
 def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Loads:
-    """Return the loads of tissue that grows or shrinks.
+    """Return the loads due to tissue that grows or shrinks.
 
     Parameters
     ----------
     strain : array_like, shape (H, W) or (D, H, W)
-        Strain that each site would have if it were free: 0.1 is a tenth longer, -0.1 a tenth
-        shorter, and 0 means no growth. For two tissues, for example,
+        Strain that each site would have if it were free: 0.1 means a tenth longer, -0.1 a tenth
+        shorter, and 0 no growth. For two tissues, for example,
         ``0.1 * (labels == 2) + 0.02 * (labels == 3)``.
     along : array_like, shape (n,), (H, W, 2) or (D, H, W, 3), optional
         Direction of growth for all sites, or for each site, if tissue grows along fibres; the
@@ -213,8 +213,8 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
     if direction.shape not in ((amount.ndim,), (*amount.shape, amount.ndim)):
         raise ProblemError(
             "along",
-            f"has shape {direction.shape}. Give one direction, of {amount.ndim} components in the "
-            "order of the axes, or one for each site.",
+            f"has shape {direction.shape}. Pass one direction, with {amount.ndim} components in "
+            "the order of the axes, or one direction for each site.",
         )
     length = np.linalg.norm(direction, axis=-1)
     bad = ~(np.isfinite(length) & (length > 0)) & (amount != 0)
@@ -222,8 +222,8 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
         first = np.broadcast_to(direction, (*amount.shape, amount.ndim))[bad][0]
         raise ProblemError(
             "along",
-            f"is {shown(first.tolist())} at {first_index(bad)}, which is not a direction. Give a "
-            "finite vector other than 0.",
+            f"is {shown(first.tolist())} at {first_index(bad)}, which is not a direction. Pass a "
+            "finite, nonzero vector.",
         )
     norm = length[..., None]
     unit = np.divide(direction, norm, out=np.zeros_like(direction), where=norm > 0)
@@ -231,7 +231,7 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
 
 
 def _check_growth(strain: FloatArray | None) -> None:
-    """Raise an error if a tensor is not symmetric, or if tissue would shrink to nothing."""
+    """Raise an error if a tensor is not symmetric or tissue would shrink to nothing."""
     if strain is None:
         return
     stretch = strain
@@ -239,18 +239,18 @@ def _check_growth(strain: FloatArray | None) -> None:
         if strain.shape[-1] != strain.shape[-2]:
             raise ProblemError(
                 "growth",
-                f"has shape {strain.shape}. Give tensors with as many rows as columns.",
+                f"has shape {strain.shape}. Pass square tensors.",
             )
         apart = np.abs(strain - strain.swapaxes(-1, -2)).max(initial=0)
         if apart > _ASYMMETRY * np.abs(strain).max(initial=0):
-            raise ProblemError("growth", "is not symmetric. Give the symmetric part of the tensor.")
+            raise ProblemError("growth", "is not symmetric. Pass the symmetric part of the tensor.")
         stretch = np.diagonal(strain, axis1=-2, axis2=-1)
     least = float(stretch.min(initial=math.inf))
     if least <= -1:
         raise ProblemError(
             "growth",
-            f"is {least:.3g} somewhere, but tissue cannot shrink by its whole length. Give strains "
-            "above -1; -0.1 is a tenth shorter.",
+            f"is {least:.3g} somewhere, but tissue cannot shrink by its whole length. Use strains "
+            "above -1; -0.1 means a tenth shorter.",
         )
 
 
@@ -264,13 +264,13 @@ def _sum_of_growth(
     tensors = _tensor(one), _tensor(other)
     if tensors[0].shape != tensors[1].shape:
         raise ProblemError(
-            "growth", f"is on grids of {one.shape} and {other.shape}. Give both on one grid."
+            "growth", f"is on grids of {one.shape} and {other.shape}. Use the same grid for both."
         )
     return np.asarray(tensors[0] + tensors[1])
 
 
 def _tensor(strain: FloatArray) -> FloatArray:
-    """Return a 3 x 3 tensor for each site; a single number means equal growth along all axes."""
+    """Return a 3 x 3 tensor for each site; a number means equal growth along all axes."""
     if strain.ndim <= _AXES:
         return strain[..., None, None] * np.eye(_AXES, dtype=np.float32)
     missing = _AXES - strain.shape[-1]
@@ -284,13 +284,13 @@ def _sum_of_forces(
         return other if one is None else one
     if one.shape != other.shape:
         raise ProblemError(
-            "force", f"is on grids of {one.shape} and {other.shape}. Give both on one grid."
+            "force", f"is on grids of {one.shape} and {other.shape}. Use the same grid for both."
         )
     return np.asarray(one + other)
 
 
 def _is_close(one: tuple[float, ...] | None, other: tuple[float, ...] | None) -> bool:
-    """Return whether two spacings are equal up to rounding, or at least one is unknown."""
+    """Return whether two spacings are equal up to rounding errors or at least one is unknown."""
     if one is None or other is None:
         return True
     pairs = zip(one, other, strict=False)
@@ -304,12 +304,12 @@ def _sizes(spacing: tuple[float, ...] | None) -> str:
 
 
 def are_same(one: Loads | None, other: Loads | None) -> bool:
-    """Return whether two problems have the same loads, or both have no loads."""
+    """Return whether two problems have the same loads or both have no loads."""
     return one is other or (one is not None and one.same_as(other))
 
 
 def is_equal(one: FloatArray | None, other: FloatArray | None) -> bool:
-    """Return whether two parts of loads have the same values, or both are missing."""
+    """Return whether two parts of loads have the same values or both are missing."""
     if one is None or other is None:
         return one is other
     return one is other or np.array_equal(one, other)

@@ -10,11 +10,12 @@ from napari_hmrf.solver.priors.elastic import Plane
 _WHEN: dict[ModelName, str] = {
     "elastic": "Tissue stretches and bulges as elastic material does. Boundaries of confidence 1 "
     "are held exactly.",
-    "large motion": "Elastic tissue that may rotate and stretch without limit: no pixel folds. It "
-    "takes 8 to 36 times as long; use it if elastic tissue folds, or rotates by more than ten "
-    "degrees. Bars stretched by 30 % are within 0.002 px of finite elements.",
-    "paper": "The results of the paper. It stops a little early; squeezed tissue does not bulge.",
-    "paper, converged": "The paper's model, until convergence. Squeezed tissue does not bulge.",
+    "large motion": "Elastic tissue that may rotate and stretch without limit: no pixel folds. "
+    "This model takes 8 to 36 times as long; use it if elastic tissue folds, or rotates by more "
+    "than ten degrees. Bars stretched by 30 % are within 0.002 px of finite elements.",
+    "paper": "The paper's model and schedule, which stops a little early. Squeezed tissue does not "
+    "bulge.",
+    "paper, converged": "The paper's model at convergence. Squeezed tissue does not bulge.",
 }
 _OFF: dict[ModelName, float] = {"elastic": 0.0002, "paper": 1.03, "paper, converged": 0.23}
 _FROM_FEM = (
@@ -36,7 +37,7 @@ ABOUT_POISSON = (
 
 
 def when_to_take(model: ModelName, plane: Plane | None) -> str:
-    """Return a description of a model's use, with its measured accuracy.
+    """Return advice on when to use a model, with its measured accuracy.
 
     Parameters
     ----------

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
-#: Names: linear elasticity, finite strain, the paper's random field with its schedule of sweeps,
-#: and the same random field with sweeps until convergence.
+#: Names of the models: linear elasticity, finite strain, the paper's random field with its schedule
+#: of sweeps, and the same random field at convergence.
 ModelName = Literal["elastic", "large motion", "paper", "paper, converged"]
 #: Models that have an elastic strain.
 ELASTIC: tuple[ModelName, ...] = "elastic", "large motion"

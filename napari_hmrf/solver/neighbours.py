@@ -33,12 +33,12 @@ def of_corners(values: Values, combine: Callable[[Values, Values], Values]) -> V
 
 
 def around_sites(values: Values, combine: Callable[[Values, Values], Values]) -> Values:
-    """Combine the values of the elements around each site; elements beyond the grid are 0."""
+    """Combine the values of the elements around each site; elements beyond the grid count as 0."""
     return of_corners(np.pad(values, 1), combine)
 
 
 def in_elements(m: Values) -> npt.NDArray[np.bool_]:
-    """Return a mask of the elements of tissue, in which all sites are tissue.
+    """Return a mask of the tissue elements, which have tissue at all corners.
 
     Parameters
     ----------

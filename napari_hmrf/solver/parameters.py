@@ -21,7 +21,7 @@ def prior_from_dict(parameters: Mapping[str, Any], poisson: Any = None) -> Prior
     parameters : mapping
         Name and parameters, as in `ElasticPrior.parameters`.
     poisson : ndarray, shape (H, W) or (D, H, W), optional
-        Map of Poisson's ratios; `parameters` contain only its digest.
+        Map of Poisson's ratios; `parameters` contains only its digest.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def _construct(kinds: Mapping[str, type[_Kind]], parameters: Mapping[str, Any]) 
     values = dict(parameters)
     name = values.pop("name", None)
     if name not in kinds:
-        raise ArgumentError(f"name is {name!r}. Give one of {', '.join(kinds)}.")
+        raise ArgumentError(f"name is {name!r}. Pass one of {', '.join(kinds)}.")
     try:
         return kinds[name](**values)
     except TypeError as error:

@@ -80,7 +80,7 @@ def prepare(
         displacement = rehearsal.run(small, tissue, device, report_preparing).displacement
         host.settle(displacement, small.tissue, small.unit)
         if isinstance(rehearsal, Multigrid):
-            # Three solutions run both kernels that combine them: for two at once and for one.
+            # Three solutions run both kernels that combine solutions: for two and for one.
             start = WarmStart((displacement,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
             rehearsal.run(small, tissue, device, report_preparing, start)
     _prepared.add(key)

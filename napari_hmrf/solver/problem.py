@@ -24,9 +24,9 @@ from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
 MAX_STIFFNESS_RATIO = 1e7
 _SMALLEST_PIXEL = 1e-15
 _SMALLEST_STIFFNESS = 1e-30
-# Default spacing, recognised by identity.
+# Default spacing, recognized by identity.
 _EVEN = (1.0, 1.0)
-#: Largest plausible displacement, in diagonals of the image.
+#: Largest plausible displacement, as a multiple of the image diagonal.
 MAX_REACH = 2.0
 
 
@@ -39,10 +39,10 @@ class Problem:
     Parameters
     ----------
     observed : array_like, shape (H, W, 2) or (D, H, W, 3)
-        Observed (boundary) displacement, y in the equations: components in (row, col) order, in a
-        volume (plane, row, col), in the unit of `spacing`. Material displacement: tissue at X was
-        observed to move to X + y(X). Where `confidence` is zero, values are ignored and stored as
-        zero.
+        Observed (boundary) displacement, y in the equations, in the unit of `spacing`, with
+        components in (row, col) order, or (plane, row, col) in a volume. Material displacement:
+        tissue at X was observed to move to X + y(X). Where `confidence` is zero, values are ignored
+        and stored as zero.
     confidence : array_like, shape (H, W, 2) or (D, H, W, 3)
         Confidence in each component of `observed`, c in the equations. At 1 the observation is
         certain and exactly prescribed; at 0 it is unknown. In between, the force of the observation
@@ -54,8 +54,8 @@ class Problem:
         no displacement. ``inf`` means rigid tissue, for `ElasticPrior` and `NeoHookeanPrior`:
         connected rigid sites move as one body.
     spacing : sequence of float, shape (2,) or (3,)
-        Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction, in
-        any unit of length; by default 1 along each axis.
+        Size of a pixel along each axis, in (row, col) order, or of a voxel, in (plane, row, col)
+        order, in any unit of length; by default 1 along each axis.
     loads : Loads, optional
         Growth and forces, for `ElasticPrior` and `NeoHookeanPrior`. In an image, forces per
         thickness are in the unit of stiffness times length; in a volume, forces are in the unit of
@@ -95,7 +95,7 @@ class Problem:
                 raise ProblemError(
                     field,
                     f"has shape {array.shape}, but stiffness has shape {m.shape}, so {expected} is "
-                    "needed (one value per axis at each pixel). Give both on the same pixel grid.",
+                    "needed (one value per axis at each pixel). Use the same pixel grid for both.",
                 )
         _check_stiffness_unit(stiffness, m)
         _check_stiffness(m)
@@ -155,7 +155,7 @@ class Problem:
 
     @cached_property
     def digests(self) -> Mapping[str, str]:
-        """SHA-256 of the bytes of each array, computed on first access."""
+        """SHA-256 digests of the bytes of each array, computed on first access."""
         names = ("observed", "confidence", "stiffness")
         arrays = {name: getattr(self, name) for name in names}
         if self.loads is not None:
@@ -170,7 +170,10 @@ class Problem:
 
 
 class _Digests(Mapping[str, str]):
-    """SHA-256 of read-only arrays, computed on access, because each takes milliseconds."""
+    """SHA-256 digests of read-only arrays, computed on first access.
+
+    A digest takes milliseconds, so no digest is computed before it is needed.
+    """
 
     def __init__(self, arrays: dict[str, FloatArray]) -> None:
         self._arrays = arrays
@@ -219,7 +222,7 @@ def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> Float
     image = as_float32("stiffness", stiffness)
     if image.ndim not in axes:
         swapped = image.ndim == 3 and image.shape[-1] == 2  # one value for each component
-        hint = "Give observed, confidence and stiffness in this order." if swapped else ""
+        hint = "Pass observed, confidence and stiffness in this order." if swapped else ""
         volume = " or a volume (D, H, W)" if 3 in axes else ""
         raise ProblemError(
             "stiffness",
@@ -234,7 +237,7 @@ def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
     if not all(0 < size < math.inf for size in values):
         raise ProblemError(
             "spacing",
-            f"is {shown(spacing)}. Give {ndim} positive, finite pixel sizes, in the order of the "
+            f"is {shown(spacing)}. Pass {ndim} positive, finite pixel sizes, in the order of the "
             "axes.",
         )
     if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
@@ -248,11 +251,11 @@ def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
 def _check_grid(m: FloatArray) -> None:
     if m.size == 0:
         raise ProblemError(
-            "stiffness", f"is empty: its shape is {m.shape}. Give an image with pixels."
+            "stiffness", f"is empty: its shape is {m.shape}. Use an image with pixels."
         )
     if m.size == 1:
         raise ProblemError(
-            "stiffness", "is a single pixel, which cannot deform. Give a larger image."
+            "stiffness", "is a single pixel, which cannot deform. Use a larger image."
         )
 
 
@@ -266,7 +269,7 @@ def _check_finite(
         raise ProblemError(
             field,
             f"has {how_many(bad)} that are NaN or infinite {where}".rstrip()
-            + f", the first at {first_index(bad)}. Replace them by numbers.",
+            + f", the first at {first_index(bad)}. Replace them with finite numbers.",
         )
 
 
@@ -286,12 +289,12 @@ def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
         raise ProblemError(
             "observed",
             f"moves tissue by up to {_shown(float(length.max()))} (first at {first_index(far)}), "
-            f"but the image is only {size}. Give lengths in the unit in which a pixel is {pixel}.",
+            f"but the image is only {size}. Use the unit of length in which a pixel is {pixel}.",
         )
 
 
 def _shown(length: float) -> str:
-    """Format a length with three digits, without an exponent if possible."""
+    """Format a length with three significant digits, without an exponent if possible."""
     return f"{float(f'{length:.3g}'):g}"
 
 
@@ -302,7 +305,7 @@ def _check_stiffness(m: FloatArray) -> None:
         raise ProblemError(
             "stiffness",
             f"has {int(negative.sum())} negative values, the first at {first_index(negative)}. "
-            "Give stiffnesses above 0, or 0 where there is no tissue.",
+            "Use stiffnesses above 0, or 0 where there is no tissue.",
         )
     tissue = m > 0
     if not tissue.any():
@@ -315,14 +318,14 @@ def _check_stiffness(m: FloatArray) -> None:
     if high > low * MAX_STIFFNESS_RATIO:
         raise ProblemError(
             "stiffness",
-            f"is from {low:.3g} to {high:.3g}: the stiffest part may be at most ten million times "
-            "as stiff as the softest. Give the softest part 0 (no tissue), or hold the stiffest "
-            "part fixed instead.",
+            f"ranges from {low:.3g} to {high:.3g}: the stiffest part may be at most ten million "
+            "times as stiff as the softest. Set the softest part to 0 (no tissue), or hold the "
+            "stiffest part fixed instead.",
         )
 
 
 def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
-    """Raise an error for stiffnesses that lose digits, or with an inverse that overflows."""
+    """Raise an error for stiffnesses that would lose digits or have an inverse that overflows."""
     array = np.asarray(given)
     extreme = (m > 1 / _SMALLEST_STIFFNESS) | ((m < _SMALLEST_STIFFNESS) & (array > 0))
     extreme &= array != np.inf
@@ -332,7 +335,7 @@ def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
         raise ProblemError(
             "stiffness",
             f"is {array[first]:.3g} at {first}. Only ratios matter: choose a unit in which "
-            f"stiffness is from {_SMALLEST_STIFFNESS:g} to {1 / _SMALLEST_STIFFNESS:g}, and give 0 "
+            f"stiffness is from {_SMALLEST_STIFFNESS:g} to {1 / _SMALLEST_STIFFNESS:g}, and use 0 "
             "where there is no tissue.",
         )
 
@@ -343,8 +346,8 @@ def _check_confidence(c: FloatArray) -> None:
         outside = np.asarray(((c < 0) | (c > 1)).any(axis=-1))
         raise ProblemError(
             "confidence",
-            f"has {how_many(outside)} outside 0 to 1, the first at "
-            f"{first_index(outside)}. Scale the confidence to 0 (none) .. 1 (complete).",
+            f"has {how_many(outside)} outside 0 to 1, the first at {first_index(outside)}. Scale "
+            "the confidence to the range from 0 (none) to 1 (complete).",
         )
     if not c.any():
         raise ProblemError(
@@ -369,7 +372,7 @@ def _check_loads(loads: object, m: FloatArray, pixel: tuple[float, ...]) -> None
     if not isinstance(loads, Loads):
         kind = type(loads).__name__
         raise ProblemError(
-            "loads", f"is {shown(loads)}, of type {kind}. Give Loads, such as growth(strain)."
+            "loads", f"is {shown(loads)}, of type {kind}. Pass Loads, such as growth(strain)."
         )
     loads.check(m, pixel)
 

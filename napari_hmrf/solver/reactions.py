@@ -13,7 +13,7 @@ from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Pr
 from napari_hmrf.solver.problem import Problem, grid_in_words
 from napari_hmrf.solver.solution import Solution
 
-#: Relative difference up to which spacings are equal.
+#: Relative difference up to which spacings count as equal.
 _SAME_SPACING = 1e-6
 
 
@@ -24,8 +24,8 @@ def reactions(
 
     The reactions and the forces of the problem's loads add up to zero. The sum over a mark is the
     force that constrains or pulls this mark: ``reactions(problem, solution)[mark].sum(axis=0)``.
-    Their accuracy depends on the accuracy of the field: for accurate reactions, solve to a smaller
-    tolerance than for displacements.
+    The accuracy of the reactions depends on the accuracy of the field: for accurate reactions,
+    solve to a smaller tolerance than for displacements.
 
     Parameters
     ----------
@@ -38,10 +38,10 @@ def reactions(
     Returns
     -------
     ndarray, shape (H, W, 2) or (D, H, W, 3)
-        Components in the order of the axes; 0 at sites without observation. In an image, a force
-        per thickness, in the unit of stiffness times length; in a volume, a force, in the unit of
-        stiffness times length squared. The force on a rigid body is distributed over its observed
-        sites.
+        Reaction forces, with components in the order of the axes; 0 at sites without observation.
+        In an image, forces per thickness, in the unit of stiffness times length; in a volume,
+        forces, in the unit of stiffness times length squared. The force on a rigid body is
+        distributed over its observed sites.
 
     Raises
     ------
@@ -54,23 +54,23 @@ def reactions(
     prior = ElasticPrior() if prior is None else prior
     if not isinstance(prior, Elastic):
         raise ArgumentError(
-            "the paper's prior has no forces, so there are no reactions. Give an elastic prior"
+            "the paper's prior has no forces, so there are no reactions. Pass an elastic prior"
         )
     given = dict(prior.in_force(problem).parameters)
     if problem.is_volume:
         given.pop("plane", None)
     used = solution.provenance.parameters.get("prior", given)
     if used != given:
-        raise ArgumentError(f"the solution has the prior {used}. Give that prior, not {given}")
+        raise ArgumentError(f"the solution has the prior {used}. Pass that prior, not {given}")
     if not np.allclose(problem.spacing, solution.spacing, rtol=_SAME_SPACING, atol=0):
         raise ArgumentError(
             f"the problem has pixels of {grid_in_words(problem.spacing)}, but the solution has "
-            f"pixels of {grid_in_words(solution.spacing)}. Give the problem that was solved"
+            f"pixels of {grid_in_words(solution.spacing)}. Pass the problem that was solved"
         )
     inputs = solution.provenance.inputs
     if inputs is not problem.digests and dict(inputs) != dict(problem.digests):
         raise ArgumentError(
-            "the solution was computed from another problem. Give the problem that was solved"
+            "the solution was computed from another problem. Pass the problem that was solved"
         )
     forces = prior.forces(problem, solution.displacement)
     if problem.rigid.any():

@@ -16,7 +16,7 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 
 def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
-    """Return a value as an array of real numbers, without a copy; raise an error otherwise."""
+    """Convert a value to an array of real numbers without copying; raise an error if impossible."""
     if isinstance(value, np.ma.MaskedArray):
         raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
     try:
@@ -25,10 +25,10 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
         raise ProblemError(field, f"is not an array of numbers ({error}).") from None
     if array.dtype.kind not in "biuf" and not array.ndim:
         kind = type(value).__name__
-        raise ProblemError(field, f"is {shown(value)}, of type {kind}. Give real numbers.")
+        raise ProblemError(field, f"is {shown(value)}, of type {kind}. Pass real numbers.")
     if array.dtype.kind not in "biuf":
         raise ProblemError(
-            field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
+            field, f"has values of type {array.dtype}. Pass real numbers (integer or float)."
         )
     return array
 
@@ -63,7 +63,7 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
         first = first_index(wrong)
         raise ProblemError(
             field,
-            f"have the value {array[first]:g} at {first}. Give whole numbers, one for each tissue.",
+            f"have the value {array[first]:g} at {first}. Pass whole numbers, one for each tissue.",
         )
     return array.astype(np.int32)
 
@@ -71,15 +71,17 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
 def check_finite(field: str, array: FloatArray) -> None:
     """Raise an error if an array has NaN or infinite values."""
     if not np.isfinite(array).all():
-        raise ProblemError(field, "has values that are NaN or infinite. Replace them by numbers.")
+        raise ProblemError(
+            field, "has values that are NaN or infinite. Replace them with finite numbers."
+        )
 
 
 def how_many(bad: npt.NDArray[np.bool_]) -> str:
-    """Describe the number of pixels in a mask for an error message: "values at 3 pixels"."""
+    """Describe the number of marked pixels for an error message: "values at 3 pixels"."""
     count = int(bad.sum())
     return f"values at {count} pixel{'s' if count > 1 else ''}"
 
 
 def first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
-    """Return the index of the first pixel in a mask, in row-major order."""
+    """Return the index of the first marked pixel, in row-major order."""
     return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))

@@ -1,9 +1,9 @@
 """Check that the observations determine the motion of elastic tissue.
 
 A piece of tissue has three rigid motions without energy in an image (two translations and a
-rotation), and six in a volume. Its observations must prevent all of them; otherwise the solution is
-not unique. Two pieces that share only a single site, or in a volume only an edge, are hinged there:
-each piece can still rotate by itself.
+rotation), and six in a volume. The observations of each piece must prevent all of these motions;
+otherwise the solution is not unique. Two pieces that share only a single site, or in a volume only
+an edge, are hinged there: each piece can still rotate by itself.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.problem import Problem
 
-# Strength of a constraint that is rounding error, relative to the largest strength.
+# Largest strength of a constraint, relative to the strongest one, that counts as rounding error.
 _ROUNDING = 1e-9
-# Size of a piece's motion up to which the piece is at rest, relative to the largest motion of any
-# piece.
+# Largest motion of a piece, relative to the largest motion of any piece, for which the piece counts
+# as at rest.
 _REST = 1e-6
 _STEPS = ("along the plane axis", "along the row axis", "along the column axis")
 
 Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
-#: Displacement of sites along an axis in each rigid motion, by the number of the motion.
+#: Displacement of sites along an axis in each rigid motion, keyed by the number of the motion.
 Ways = dict[int, Motions]
 # Cluster of pieces, its cost matrix, the costs of its motions in ascending order, and the motions.
 _Ways = tuple[npt.NDArray[np.int64], Motions, Motions, Motions]
@@ -71,7 +71,7 @@ _firm: list[HeldTissue] = []
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """Motion of some tissue without energy.
+    """Zero-energy motion of some tissue.
 
     Attributes
     ----------
@@ -105,9 +105,9 @@ def check_held(problem: Problem) -> None:
 
 
 def holding_strength(problem: Problem) -> float:
-    """Return a measure of the constraints on the least constrained rigid motion of tissue.
+    """Return how strongly the least constrained rigid motion of the tissue is constrained.
 
-    The motion is scaled so that the farthest point of the tissue moves by about 1. The measure is
+    The motion is scaled so that the farthest point of the tissue moves by about 1. The strength is
     the sum of the squared displacements of all constrained components, divided by the approximate
     size of the tissue's surface.
 
@@ -117,7 +117,7 @@ def holding_strength(problem: Problem) -> float:
         As for `check_held`.
     """
     held = problem.known
-    for firm in _firm:  # checked first, because every image of a drag needs the result
+    for firm in _firm:  # checked first, because every frame of a drag needs the result
         if firm.covers(problem.tissue, held):
             return firm.strength
     if held[problem.tissue].all():
@@ -134,11 +134,11 @@ def holding_strength(problem: Problem) -> float:
 
 
 def refusal(free: FreeMotion) -> ProblemError:
-    """Return an error that describes the piece that can move, and its motion."""
+    """Return an error that describes the piece that can move and its motion."""
     return ProblemError(
         "confidence",
         f"leaves a piece of tissue free: the piece of {int(free.piece.sum())} pixels around "
-        f"{free.centre} {free.description}. Fix some of it in place, or give it no stiffness.",
+        f"{free.centre} {free.description}. Fix part of it in place, or set its stiffness to 0.",
     )
 
 
@@ -202,7 +202,8 @@ def free_motions(
     Yields
     ------
     ndarray, shape (n, H, W, 2)
-        Independent free motions of a cluster of connected pieces; clusters have no common site.
+        Independent free motions of a cluster of connected pieces; different clusters have no common
+        sites.
     """
     pieces, count = _pieces(problem.stiffness)
     for cluster, _, modes in _free(_modes(pieces, count, held)):
@@ -268,7 +269,7 @@ def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motion
 
 
 def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[_Ways]:
-    """Compute the motions of each cluster, and their costs, in ascending order of cost."""
+    """Compute the motions of each cluster and their costs, in ascending order of cost."""
     # The cost of a motion is the sum of its squared displacements at all constraints.
     if count == 0:
         return
@@ -299,12 +300,15 @@ def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[
 
 
 def _sites(pieces: Labels) -> Labels:
-    """Return the piece of each site, from the elements around the site; 0 if there is none."""
+    """Return the number of each site's piece, from the elements around the site; 0 without any."""
     return around_sites(pieces, np.maximum)
 
 
 def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
-    """Return the displacement (H, W, 2) of sites, from their rigid motions (H, W, motions)."""
+    """Return the displacement, shape (H, W, 2), of sites in given rigid motions.
+
+    `modes`, shape (H, W, motions), contains the coefficients of the rigid motions of each site.
+    """
     # A rotation moves sites in proportion to their distance along the other axis.
     sites = tuple(map(np.asarray, np.indices(modes.shape[:-1])))
     field = np.zeros((*modes.shape[:-1], len(sites)))
@@ -320,7 +324,7 @@ def _turns(axes: int) -> list[tuple[int, int]]:
 
 
 def _motions(sites: tuple[npt.NDArray[Any], ...], along: int, shape: tuple[int, ...]) -> Ways:
-    """Return the displacement of sites along an axis in each rigid motion that affects it."""
+    """Return the displacement of sites along an axis, for each rigid motion that has one."""
     from_middle = [index - size / 2 for index, size in zip(sites, shape, strict=True)]
     motions = {along: np.ones(np.shape(sites[0]))}
     for number, (first, second) in enumerate(_turns(len(shape)), start=len(shape)):
@@ -337,7 +341,7 @@ def _tie(
     ways: Ways,
     other: npt.NDArray[Any] | None = None,
 ) -> None:
-    """Add the cost of motions of pieces, or of relative motions of two pieces, in place."""
+    """Add the costs of motions of pieces or of relative motions of two pieces, in place."""
     count = len(costs)
     pairs = [(piece, piece, 1.0)]
     if other is not None:
@@ -349,9 +353,9 @@ def _tie(
 
 
 def _hinges(pieces: Labels) -> npt.NDArray[np.int64]:
-    """Return the hinges between pieces: indices of the site, and the two pieces, from 0."""
+    """Return the hinges between pieces: the indices of the site and the two pieces, from 0."""
     largest, axes = _sites(pieces), pieces.ndim
-    # Numbers are reversed, so that the maximum finds the least number.
+    # The numbers are reversed so that a maximum finds the smallest number.
     smallest = _sites(np.where(pieces > 0, largest.max() + 1 - pieces, 0))
     sites = np.nonzero((largest > 0) & (largest + smallest != largest.max() + 1))
     around, hinges = np.pad(pieces, 1), []

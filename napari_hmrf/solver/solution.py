@@ -42,17 +42,17 @@ class Provenance:
     preparation_seconds : float
         Wall time before the schedule, for loading or compiling kernels and creating an OpenGL
         context. Usually zero after the first solve of a process. The first solve on a machine
-        compiles.
+        compiles the kernels.
     parameters : mapping
         Prior, optimizer and their parameters; JSON types only.
     versions : mapping
         Versions of this package and its dependencies.
     model : str
-        Name of the model: "elastic", "paper" or "paper, converged"; by default derived from the
+        Name of the model, such as "elastic" or "paper, converged"; by default derived from the
         parameters.
     inputs : mapping
-        SHA-256 of the bytes of observed, confidence and stiffness, and of growth and force if
-        there are loads.
+        SHA-256 digests of the bytes of observed, confidence and stiffness, and of growth and force
+        if there are loads.
     """
 
     backend: str
@@ -85,21 +85,22 @@ class Solution:
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
         squared, minus the work of loads; one value if no iteration was needed. For multigrid with
-        the centred update, which does not minimise an energy, all values are the final value.
+        the centred update, which does not minimize an energy, all values are the final value.
     levels : tuple of LevelRun
-        Levels in the order in which they ran. Their numbers of iterations divide `energy` by level.
+        Levels in the order in which they ran. Their numbers of iterations show which values of
+        `energy` belong to which level.
     tissue : ndarray, shape (H, W), bool
         Mask of tissue.
     spacing : tuple of float
-        Size of a pixel in (row, col) direction.
+        Size of a pixel along each axis, in (row, col) order.
     provenance : Provenance
     convergence : Convergence, optional
         Distance from the converged field, if the optimizer measures it.
     reach : Reach, optional
-        For large motion: least Jacobian, and extent to which observations are satisfied.
+        For large motion, the smallest Jacobian and the extent to which observations are satisfied.
     frame : mapping, optional
-        Place of the field in the world, for code that created the problem from layers; JSON types
-        only. The solver neither reads nor writes this attribute.
+        Position of the field in world coordinates, for code that created the problem from layers;
+        JSON types only. The solver neither reads nor writes this attribute.
     loads : Loads, optional
         Loads of the problem, for warm starts from this solution. Files contain only their digest.
     elasticity : Elasticity, optional
@@ -138,7 +139,7 @@ class Solution:
             raise ProblemError(
                 "solution",
                 f"has a displacement of shape {self.displacement.shape}, tissue of shape {shape} "
-                f"and the spacing {shown(self.spacing)}. Give all three on the same grid.",
+                f"and the spacing {shown(self.spacing)}. Use the same grid for all three.",
             )
 
     def __repr__(self) -> str:
@@ -155,7 +156,7 @@ class Solution:
 
     @property
     def _unit_in_words(self) -> str:
-        """Unit of lengths after a space; "" if the unit is unknown."""
+        """Unit of length, preceded by a space; "" if the unit is unknown."""
         if self.unit not in ("", "pixel"):
             from napari_hmrf.field.units import unit_symbol  # above: field
 
@@ -173,8 +174,8 @@ class Solution:
         """Final mean total energy per site of tissue, in pixels squared."""
         return float(self.energy[-1])
 
-    # These methods import higher layers of the package when they are called. They pass spacing and
-    # tissue on, so that the caller cannot forget these arguments.
+    # These methods import higher layers of the package when they are called. They pass on spacing
+    # and tissue, so that the caller cannot forget these arguments.
 
     def warp(
         self, image: npt.ArrayLike, *, order: int = 1, fill: float = 0
@@ -262,7 +263,7 @@ class Solution:
         ----------
         points : array_like, shape (N, n)
             Positions before the motion, in pixels, in the order of the axes; `Grid.to_pixels`
-            converts points in mm. Points outside the grid move like the nearest point of its edge.
+            converts points in mm. Points outside the grid move like the nearest point on its edge.
 
         Returns
         -------
@@ -272,7 +273,8 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the number of axes differs from the field, or all points are outside the grid.
+            If the points and the field have different numbers of axes or all points are outside the
+            grid.
         """
         moved = self.move(points) - np.asarray(points)
         step: npt.NDArray[np.float64] = moved * np.array(self.spacing)
@@ -285,7 +287,7 @@ class Solution:
         ----------
         points : array_like, shape (N, n)
             Positions before the motion, in pixels, in the order of the axes; `Grid.to_pixels`
-            converts points in mm. Points outside the grid move like the nearest point of its edge.
+            converts points in mm. Points outside the grid move like the nearest point on its edge.
 
         Returns
         -------
@@ -295,7 +297,8 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the number of axes differs from the field, or all points are outside the grid.
+            If the points and the field have different numbers of axes or all points are outside the
+            grid.
         """
         from napari_hmrf.field.moved_points import moved_points, refuse_outside  # above: field
 
@@ -347,12 +350,12 @@ class Solution:
             points. By default, it maps new positions to old positions, like transforms of images.
         grid : Grid, optional
             Grid of the image, as returned by `Grid.from_image`. Required if the solution has no
-            place in the world, because it was computed from a `Problem`, or from a study with a
-            grid without a place.
+            position in world coordinates, because it was computed from a `Problem` or from a study
+            with a grid that has no such position.
         placed : bool
-            If False, a solution without a place is written at the origin, along the axes, with
-            its spacing converted to mm; an unknown unit counts as 1 mm. Other tools place pictures
-            (.png, .tif) in the same way.
+            If False, a solution without a position in world coordinates is written at the origin,
+            along the axes, with its spacing converted to mm; an unknown unit counts as 1 mm. Other
+            tools place images such as .png and .tif in the same way.
 
         Returns
         -------
@@ -365,10 +368,10 @@ class Solution:
         ArgumentError
             If `grid` is not a Grid.
         ProblemError
-            If the place is unknown, or the file format does not support it; or if the grid differs
-            from the solution in shape, spacing or place.
+            If the position is unknown or not supported by the file format, or if the grid differs
+            from the solution in shape, spacing or position.
         FileFormatError
-            If the suffix of the name is not that of a field file.
+            If the suffix of the name does not belong to a field file.
         HmrfError
             If SimpleITK is not installed.
         OSError
@@ -408,7 +411,7 @@ class Solution:
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> Solution:
-        """Read a file that `write` has written, in this or an earlier version.
+        """Read a file written by `write` in this or an earlier version of the package.
 
         Returns
         -------
@@ -418,7 +421,7 @@ class Solution:
         Raises
         ------
         FileFormatError
-            If the file does not contain a solution, or is damaged.
+            If the file does not contain a solution or is damaged.
         OSError
             If the file cannot be opened.
         """
@@ -426,7 +429,7 @@ class Solution:
 
 
 def is_solution_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is marked as a saved solution; reads only its first bytes.
+    """Return whether the first bytes of a file mark it as a saved solution.
 
     Parameters
     ----------
@@ -478,14 +481,14 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
     displacement, energy, tissue = (arrays[name] for name in ("displacement", "energy", "tissue"))
     if displacement.shape != (*tissue.shape, tissue.ndim) or displacement.size == 0:
         raise array_file.Invalid(
-            f"its displacement {displacement.shape} and tissue {tissue.shape} disagree"
+            f"its displacement {displacement.shape} does not match its tissue {tissue.shape}"
         )
     if len(spacing) != tissue.ndim or not all(0 < size < float("inf") for size in spacing):
-        raise array_file.Invalid(f"its pixel spacing is {spacing}")
+        raise array_file.Invalid(f"its pixel spacing is invalid: {spacing}")
     if not array_file.is_finite(displacement):
         raise array_file.Invalid("its displacement contains values that are not numbers")
     if len(energy) != max(1, sum(run.iterations for run in levels)):
-        raise array_file.Invalid("its energies and iterations disagree")
+        raise array_file.Invalid("its energies do not match its iterations")
     frame = header["frame"]
     if frame is not None and not isinstance(frame, dict):
         raise array_file.Invalid("its frame is not a table")

@@ -46,7 +46,7 @@ _announced: set[str] = set()
 _DOING = "a solve started by a script, which its cancel flag or Ctrl-C stops"
 # Interval between checks of the cancel flag, in seconds.
 _CHECK_INTERVAL = 0.1
-# Time, in seconds, after which a cancelled call returns although the work has not stopped.
+# Time, in seconds, after which a cancelled call returns even if the work has not stopped.
 _GRACE = 0.25
 
 
@@ -54,7 +54,7 @@ class CancelFlag(Protocol):
     """Flag that cancels the work, such as a `threading.Event`."""
 
     def is_set(self) -> bool:
-        """Return whether to stop."""
+        """Return whether the work should stop."""
         ...
 
 
@@ -70,8 +70,8 @@ def solve(
 ) -> Solution:
     """Compute the displacement of the tissue.
 
-    The work runs on the compute thread of the process, and the call waits for the result. It may be
-    made from any thread.
+    The work runs on the compute thread of the process, and the call waits for the result. Any
+    thread may call this function.
 
     Parameters
     ----------
@@ -94,13 +94,13 @@ def solve(
         Flag that cancels the solve once it is set. The call then returns within half a second, even
         while loops are compiled.
     initial : Solution or sequence of Solution, optional
-        Warm start from earlier solutions on the same grid. After a small edit of the problem,
+        Warm start from earlier solutions on the same grid. After a small edit to the problem,
         multigrid then needs fewer cycles. Several solutions are combined linearly to match the
         observations and loads as closely as possible. Displacements are proportional to
         observations and loads, so moving the same patch again takes one cycle, or no cycle if the
         errors of the solutions add up to less than the tolerance. The result is the same within the
-        tolerance. The paper's schedule starts from zero on its coarsest level, and does not
-        accept `initial`.
+        tolerance. The paper's schedule starts from zero on its coarsest level and does not accept
+        `initial`.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def solve(
     ArgumentError
         If an argument has the wrong type, or the optimizer does not support the prior.
     BackendError
-        If the backend is not available, or returns wrong values.
+        If the backend is not available or returns values that are not finite.
     ProblemError
         If the solution is not unique, because some tissue can move freely.
     ConvergenceError
@@ -226,7 +226,7 @@ def check_arguments(**given: object) -> None:
         is_valid, expected = _ARGUMENTS[name]
         if not is_valid(value):
             kind = type(value).__name__
-            raise ArgumentError(f"{name} is {shown(value)}, of type {kind}. Give {expected}.")
+            raise ArgumentError(f"{name} is {shown(value)}, of type {kind}. Pass {expected}.")
 
 
 def run_here(
@@ -365,7 +365,7 @@ def _announce(choice: Choice) -> None:
 
 @cache
 def _announce_compilation() -> None:
-    """Log that a solve waits for the compiler, which takes minutes, once per process."""
+    """Log, once per process, that a solve waits for the compiler, which takes minutes."""
     _log.warning(
         "compiling loops for this processor, once per machine, which takes two to three minutes; "
         "solve(..., progress=print) shows the progress"

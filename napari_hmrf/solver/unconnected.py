@@ -15,27 +15,27 @@ import scipy
 
 from napari_hmrf.solver.rigid_modes import HeldTissue, free_pieces
 
-#: Least size of an observed piece that is never excluded, as a fraction of all tissue.
+#: Smallest size of an observed piece that is never excluded, as a fraction of all tissue.
 _LARGE_PIECE = 0.01
-# Largest number of exclusion rounds, because the exclusion of a piece may free another piece. After
-# that, the solver raises an error.
+# Largest number of exclusion rounds, because the exclusion of a piece may free another piece. If
+# pieces are still loose after the last round, the solver raises an error.
 _ROUNDS = 4
 
 
 class _Search(NamedTuple):
-    """Result of a search for loose pieces: constraints, loose pieces, whether the rest is held."""
+    """Result of a search: constraints, loose pieces, and whether the rest is constrained."""
 
     constraints: HeldTissue
     pieces: npt.NDArray[np.bool_]
     is_rest_held: bool
 
     def is_valid_for(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
-        """Return whether a search with other constraints would find the same pieces."""
+        """Return whether a search with the given constraints would find the same pieces."""
         if not self.constraints.covers(tissue, held):
             return False
         if not self.is_rest_held:
             return np.array_equal(self.constraints.held, held)
-        # A new constraint may hold a piece that was excluded.
+        # A new constraint may constrain a piece that was excluded.
         return not (self.pieces.any() and (held > self.constraints.held)[self.pieces].any())
 
 

@@ -27,7 +27,7 @@ def check_memory(problem: Problem) -> None:
     Raises
     ------
     ProblemError
-        If the memory is not sufficient; the message gives the largest size and a remedy.
+        If the memory is not sufficient; the message gives the largest possible size and a remedy.
     """
     bytes_per_voxel = ORDINARY if problem.loads is None else ORDINARY + LOADED
     if not problem.is_volume or fits(problem.shape, bytes_per_voxel):
@@ -43,12 +43,12 @@ def check_memory(problem: Problem) -> None:
     raise ProblemError(
         "stiffness",
         f"is a volume, {grid_in_words(problem.shape)}, which needs {needed / _GIB:.2g} GiB of "
-        f"memory to solve, and {free / _GIB:.2g} GiB are free. A volume of {side} x "
+        f"memory to solve, but only {free / _GIB:.2g} GiB are free. A volume of {side} x "
         f"{side} x {side} voxels would fit: crop the volume, or use every second voxel along each "
         "axis, which needs an eighth of the memory.",
     )
 
 
 def fits(shape: tuple[int, ...], bytes_a_voxel: float) -> bool:
-    """Return whether the given number of bytes per voxel of a grid is free."""
+    """Return whether enough memory is free for a given number of bytes per voxel of a grid."""
     return bool(bytes_a_voxel * math.prod(shape) <= _FREE * psutil.virtual_memory().available)

@@ -16,14 +16,14 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import FloatArray
 from napari_hmrf.solver.solution import Solution
 
-#: One or more solutions as a warm start.
+#: One or more solutions used as a warm start.
 Initial = Solution | Sequence[Solution]
 Float64Array = npt.NDArray[np.float64]
-# Relative difference up to which two changes are equal.
+# Relative difference up to which two changes count as equal.
 _ROUNDING = 1e-5
-# Term on the diagonal of the normal equations, which keeps them regular if all changes are zero.
+# Value added to the diagonal of the normal equations, to keep them regular if all changes are 0.
 _TINY = 1e-300
-# Number of load values that are compared at once, which limits the memory.
+# Number of load values that are compared at once, to limit the use of memory.
 _BLOCK_SIZE = 1 << 20
 
 
@@ -121,7 +121,7 @@ class _Blocks:
 
     @cached_property
     def _largest_displacement(self) -> float:
-        """Largest component of displacement of any solution."""
+        """Largest absolute value of any displacement component of any solution."""
         return max(float(np.abs(each.displacement).max()) for each in self._solutions)
 
 

@@ -226,7 +226,7 @@ def test_thin_tissue_between_the_sampled_sites_gets_arrows():
         (lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, pieces=None), "pieces: is None"),
         (lambda: arrows(np.zeros((4, 4, 2)), spacing=1, about="many"), "about: is 'many'"),
         (lambda: magnitude(0), r"displacement: has shape \(\).*\(H, W, 2\)"),
-        (lambda: magnitude("far"), "displacement: is .far., of type str. Give real numbers"),
+        (lambda: magnitude("far"), "displacement: is .far., of type str. Pass real numbers"),
         (lambda: magnitude(np.zeros((4, 4, 2)) * 1j), "displacement: has values of type complex"),
         (lambda: magnitude([[1, 2], [3]]), "displacement: is not an array of numbers"),
         (lambda: count_folds([[1, 2], [3]], spacing=1), "displacement: is not an array of numbers"),

@@ -70,7 +70,7 @@ def test_a_factorization_of_the_whole_system_is_reported():
         progress=lambda m: said.append(m.message),
     )
     assert solution.convergence.way == "factors"
-    assert any("factorising" in message for message in said)
+    assert any("factorizing" in message for message in said)
 
 
 @pytest.mark.parametrize("kind", ["expansion", "mass-effect"])
@@ -105,7 +105,7 @@ def test_nearly_incompressible_tissue_needs_at_most_forty_cycles(contrast):
 
 
 def test_a_solve_can_be_cancelled_during_the_factorization():
-    flag = During("factorising")
+    flag = During("factorizing")
     with pytest.raises(Cancelled):
         solve(
             compressed_tissue(fibres(129, 1e6)),

@@ -111,7 +111,7 @@ def test_the_next_job_runs_after_a_failed_job(queue, caplog):
     queue.submit(ran.append)
     assert queue.wait(LONG)
     assert len(ran) == 1
-    assert "a job in the background failed" in caplog.text
+    assert "a background job failed" in caplog.text
 
 
 def test_queues_alternate(queue, occupied):

@@ -369,5 +369,5 @@ def test_patience_must_be_a_time(live, patience):
 
 def test_a_closed_live_solver_names_itself(live):
     live.close()
-    with pytest.raises(RuntimeError, match=r"the live solver is closed\. Make a new Live"):
+    with pytest.raises(RuntimeError, match=r"the live solver is closed\. Create a new Live"):
         live.submit(pulled_problem())

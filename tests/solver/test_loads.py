@@ -489,12 +489,12 @@ MASK = np.ones((6, 6), bool)
         ("has shape", lambda m: Loads(force=np.ones((6, 6)))),
         ("without tissue that is two pixels wide", lambda m: Loads(force=np.ones((6, 6, 2)))),
         ("type float", lambda m: 0.1),
-        ("one grid", lambda m: growth(np.ones((6, 6))) + growth(np.ones((6, 5)), along=(1, 0))),
+        ("same grid", lambda m: growth(np.ones((6, 6))) + growth(np.ones((6, 5)), along=(1, 0))),
         ("no face of", lambda m: pressure(m, MASK & False, 1.0, spacing=1)),
         ("same pixel grid", lambda m: pressure(m, MASK[1:], 1.0, spacing=1)),
-        ("Give one number", lambda m: pressure(m, MASK, (1.0, 2.0), spacing=1)),
-        ("Give 2 components", lambda m: traction(m, MASK, 1.0, spacing=1)),
-        ("Give 2 components", lambda m: weight(m, (1.0, 0, 0), spacing=1)),
+        ("Pass one number", lambda m: pressure(m, MASK, (1.0, 2.0), spacing=1)),
+        ("Pass 2 components", lambda m: traction(m, MASK, 1.0, spacing=1)),
+        ("Pass 2 components", lambda m: weight(m, (1.0, 0, 0), spacing=1)),
         ("NaN or infinite", lambda m: weight(m, (np.nan, 0), spacing=1)),
         ("no tissue that is two pixels wide", lambda m: weight(np.eye(6), (1.0, 0), spacing=1)),
     ],
@@ -520,7 +520,7 @@ def test_forces_for_another_spacing_are_rejected_naming_both_spacings(make):
     fixed_problem(m, -1, loads + growth(0.1 * m), (2.00001, 0.5))
     with pytest.raises(ProblemError, match=r"for pixels of 2 x 0\.5, but .* has pixels of 1 x 1\."):
         fixed_problem(m, -1, growth(0.1 * m) + loads, (1, 1))
-    with pytest.raises(ProblemError, match=r"for pixels of 2 x 0\.5 and of 1 x 1\. Make both"):
+    with pytest.raises(ProblemError, match=r"for pixels of 2 x 0\.5 and of 1 x 1\. Compute both"):
         loads + make(m, 1)
     fixed_problem(m, -1, Loads(force=loads.force), (1, 1))  # these loads have no spacing
     with pytest.raises(ProblemError, match=r"spacing: is \(2, 0\)"):

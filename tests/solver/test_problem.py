@@ -153,13 +153,13 @@ def test_a_volume_has_three_components_and_three_spacings():
     assert Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m).spacing == (1, 1, 1)
     with pytest.raises(ProblemError, match=r"\(3, 4, 5, 3\) is needed"):
         Problem(np.zeros((3, 4, 5, 2)), np.ones((3, 4, 5, 3)), m)
-    with pytest.raises(ProblemError, match="Give 3 positive"):
+    with pytest.raises(ProblemError, match="3 positive"):
         Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m, spacing=(1, 1))
 
 
 def test_arrays_in_the_wrong_order_are_rejected_with_the_right_order():
     y, c, m = valid_arrays()
-    with pytest.raises(ProblemError, match="Give observed, confidence and stiffness in this order"):
+    with pytest.raises(ProblemError, match="Pass observed, confidence and stiffness in this order"):
         Problem(m, c, y)
 
 
@@ -226,7 +226,7 @@ def test_a_motion_far_beyond_the_image_is_rejected_as_a_wrong_unit(spacing):
     ) as caught:
         Problem(y, c, m, spacing=spacing)
     assert "(2, 3)" in str(caught.value)
-    assert "Give lengths in the unit in which a pixel is" in str(caught.value)
+    assert "Use the unit of length in which a pixel is" in str(caught.value)
 
 
 def test_a_huge_motion_without_confidence_is_ignored():

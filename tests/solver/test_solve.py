@@ -142,7 +142,7 @@ def test_an_unknown_backend_is_rejected_with_a_list_of_backends():
 def test_an_argument_of_the_wrong_type_is_named_before_any_work(name, wrong, right, monkeypatch):
     monkeypatch.setattr(compute_thread, "submit", None)
     arguments = {"problem": frame_problem((5, 5)), "backend": "cpu", name: wrong}
-    with pytest.raises(TypeError, match=rf"{name} is (.|\n)*, of type \w+\. Give .*{right}"):
+    with pytest.raises(TypeError, match=rf"{name} is (.|\n)*, of type \w+\. Pass .*{right}"):
         solve(**arguments)
 
 

@@ -171,7 +171,7 @@ def test_a_tissue_stroke_scales_the_stiffness_by_the_ratio_of_its_preset():
         ),
         (
             lambda: Tissue(labels=np.full(SHAPE, 1.5)),
-            r"labels: have the value 1\.5 at \(0, 0\)\. Give whole",
+            r"labels: have the value 1\.5 at \(0, 0\)\. Pass whole",
         ),
         (lambda: Tissue(labels=np.full(SHAPE, "brain")), "labels: has values of type <U5"),
         (lambda: Motion(labels=np.full(SHAPE, np.nan)), "labels: have the value nan"),

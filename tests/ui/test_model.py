@@ -422,7 +422,7 @@ def test_tissue_that_could_rotate_is_refused_in_one_sentence(widget, small_sampl
     assert run(widget) is None
     assert widget.status.startswith("'Boundary' leaves a piece of tissue free: the piece of 320 ")
     assert "could still move by turning" in widget.status
-    assert "Fix some of it in place" in widget.status
+    assert "Fix part of it in place" in widget.status
     assert not any("arrows" in name for name in names(widget))
     widget.model = "paper"
     assert run(widget) is not None

@@ -11,7 +11,7 @@ A solve uses a backend in five steps:
    Fields on the host are `planes`, and `host` processes the displacement there in double precision.
 4. *Kernels.* An optimizer calls the methods of a level. Each method runs one or two kernels:
    compiled loops in `cpu`, shaders from the folder `shaders/` in `opengl`. `rigid` constrains the
-   motion of rigid bodies, and `direct` factorises the system if cycles are not reliable.
+   motion of rigid bodies, and `direct` factorizes the system if cycles are not reliable.
 5. *Result.* The optimizer reads the displacement back as planes. `earlier_results` stores
    properties of the system for later solves.
 
@@ -36,10 +36,10 @@ from napari_hmrf.solver.backends.thread import compute_thread
 BackendName = Literal["auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"]
 BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
 
-#: Reason for the choice of a software rasteriser by "auto".
+#: Reason given when "auto" selects a software rasterizer.
 COMPILING = "until the loops for the processor are compiled"
 #: Number of voxels above which it is faster to wait for the compiled loops than to solve on a
-#: software rasteriser.
+#: software rasterizer.
 LARGE_VOLUME = 1_000_000
 
 __all__ = [
@@ -84,9 +84,9 @@ def open_backend(
     job : SolveJob
     name : str
         One of `BACKEND_NAMES`. "auto" selects the shaders on a real GPU. It selects the compiled
-        loops if there is no OpenGL or only a software rasteriser, which is ten times slower than
+        loops if there is no OpenGL or only a software rasterizer, which is ten times slower than
         the loops, or if the shaders do not support the job. While another process compiles the
-        loops, "auto" selects the rasteriser, but a volume of more than `LARGE_VOLUME` voxels waits
+        loops, "auto" selects the rasterizer, but a volume of more than `LARGE_VOLUME` voxels waits
         for the loops.
     checkpoint : callable
         Called by the backend at least every `BATCH_SECONDS`; raises an exception to stop the work.
@@ -104,7 +104,7 @@ def open_backend(
         If the requested backend is missing or does not support the job.
     """
     if name not in BACKEND_NAMES:
-        raise BackendError(f"there is no backend {name!r}; use one of {', '.join(BACKEND_NAMES)}")
+        raise BackendError(f"unknown backend {name!r}; use one of {', '.join(BACKEND_NAMES)}")
     if name == "cpu":
         provide_loops()
         return Choice(_compiled_loops(checkpoint), "requested")
@@ -122,7 +122,7 @@ def open_backend(
 
 
 def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], None]) -> Choice:
-    """Choose between shaders and loops; both support the job, but maybe not its size."""
+    """Choose between shaders and loops, which both support the job but perhaps not its size."""
     from napari_hmrf.solver.backends.opengl import (  # heavy: opengl
         OpenGLBackend,
         is_software_renderer,

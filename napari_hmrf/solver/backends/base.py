@@ -57,7 +57,7 @@ class SiteRule:
         observation moves by g times its distance from the minimum.
     steps : tuple of float
         Step sizes e, in pixels, of the candidate set Gamma: a site may stay, or each component may
-        change by -e, 0 or e. If empty, a site moves to the exact minimiser in closed form.
+        change by -e, 0 or e. If empty, a site moves to the exact minimizer in closed form.
     weights : ndarray, shape (4, 2) or (13, 3)
         Weight of each line of cliques for each component, as returned by `priors.line_weights`.
     """
@@ -77,7 +77,7 @@ class Backend(Protocol[FieldType]):
     renderer: str
 
     def supports(self, job: SolveJob) -> str | None:
-        """Return None if the backend can solve a job; otherwise the reason, as a sentence."""
+        """Return the reason, as a sentence, why the backend cannot solve a job, or None."""
         ...
 
     def upload(self, values: FloatArray) -> FieldType:
@@ -101,7 +101,9 @@ class Backend(Protocol[FieldType]):
         ...
 
     def project(self, finest: FieldType, level: Level) -> FieldType:
-        """Project a field of level 0 to a coarser level by nearest neighbour (lines 4 to 6).
+        """Project a field of level 0 to a coarser level by nearest neighbour.
+
+        These are lines 4 to 6 of Alg. 3.7.
 
         Parameters
         ----------
@@ -115,7 +117,7 @@ class Backend(Protocol[FieldType]):
     def prolong(
         self, coarse: FieldType, coarse_stiffness: FieldType, stiffness: FieldType
     ) -> FieldType:
-        """Interpolate displacement linearly to the next finer level (line 3).
+        """Interpolate displacement linearly to the next finer level (Alg. 3.7, line 3).
 
         Along each axis, the two nearest coarse sites have the weights 3/4 and 1/4; the grid is
         extended by repeating its border sites. Coarse sites in void have weight 0, and the other
@@ -139,7 +141,7 @@ class Backend(Protocol[FieldType]):
         rule: SiteRule,
         sweeps: int,
     ) -> tuple[FieldType, EnergyArray]:
-        """Update all sites simultaneously, `sweeps` times (lines 8 and 9).
+        """Update all sites simultaneously, `sweeps` times (Alg. 3.7, lines 8 and 9).
 
         Parameters
         ----------

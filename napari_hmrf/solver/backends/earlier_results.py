@@ -1,4 +1,4 @@
-"""Start of a solve, and the known quality of this start.
+"""Warm start of a solve, and the known quality of this start.
 
 The system is linear. A weighted sum of solutions is therefore the solution for the same weighted
 sum of observations and loads, and its error is at most the weighted sum of the errors.
@@ -26,7 +26,7 @@ class StartQuality(NamedTuple):
     Attributes
     ----------
     least : float
-        Least eigenvalue of the preconditioned system found by the iterations; at most 1.
+        Smallest eigenvalue of the preconditioned system found by the iterations; at most 1.
     error : float
         Estimated largest distance of the start from the converged field, in pixels.
     """
@@ -66,7 +66,7 @@ def start_quality_of(start: WarmStart) -> StartQuality:
     Returns
     -------
     StartQuality
-        Least eigenvalue of all parts, and weighted sum of their errors.
+        Smallest eigenvalue of all parts and weighted sum of their errors.
     """
     least, error = 1.0, 0.0
     for share, part in zip(start.shares, start.displacements, strict=True):
@@ -76,7 +76,7 @@ def start_quality_of(start: WarmStart) -> StartQuality:
     return StartQuality(least, error)
 
 
-# Largest accepted ratio of a residual to its stored value; stored fields are rounded.
+# Largest accepted ratio of a residual to its stored value, because stored fields are rounded.
 _ROUNDED = 4.0
 _TINY = 1e-300
 
@@ -94,8 +94,8 @@ class WarmStart:
     unit : float
         Length of a pixel in the unit of the displacements.
     missing : float
-        Largest deviation of the weighted sum from the observations, in pixels, or of its loads from
-        the given loads, relative to the largest motion.
+        Largest deviation of the weighted sum from the observations, in pixels, or from the loads,
+        which are scaled to the largest displacement.
     """
 
     displacements: tuple[FloatArray, ...]
@@ -127,7 +127,7 @@ class Quality(NamedTuple):
     def suffices(self, tolerance: float, residual: float) -> bool:
         """Return whether the error is at most a tolerance, in pixels.
 
-        The result is False if the present residual exceeds the stored residual by more than
+        The result is False if the current residual exceeds the stored residual by more than
         rounding errors.
         """
         if residual > _ROUNDED * self.residual:
@@ -146,7 +146,7 @@ class EarlierResults:
     underestimate : float or None
         Factor by which cycles underestimate the error, or None if it is unknown.
     least : float
-        Least eigenvalue of the preconditioned system found by the iterations.
+        Smallest eigenvalue of the preconditioned system found by the iterations.
     slow : bool
         True if the iterations have found a motion that cycles hardly reduce.
     care : int

@@ -1,4 +1,4 @@
-"""Protocol of a model of large motion: an energy, and its linearisation at a displacement."""
+"""Protocol of a model of large motion: an energy and its linearization at a displacement."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class FiniteModel(Protocol):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Upper bounds of the spectrum, as in `LinearModel.bounds`."""
+        """Upper bounds on the spectrum, as in `LinearModel.bounds`."""
         ...
 
     #: Constrained components and, for these, the factor by which cycles underestimate the error;
@@ -51,7 +51,7 @@ class FiniteModel(Protocol):
         ...
 
     def energy(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and the least Jacobian of all element corners."""
+        """Return the energy of a displacement, and the smallest Jacobian of all element corners."""
         ...
 
     def forces(self, d: Planes) -> Planes:
@@ -90,7 +90,7 @@ class FiniteModel(Protocol):
 
     @property
     def springs(self) -> Planes | None:
-        """Values added to the diagonal of the present linear model."""
+        """Values added to the diagonal of the current linear model."""
         ...
 
     @property
@@ -124,12 +124,12 @@ class FiniteModel(Protocol):
         d, way : ndarray, planes
             Displacement and search direction, in pixels.
         part : float
-            Least ratio of a corner's Jacobian after the step to its present value.
+            Smallest allowed ratio of a corner's Jacobian after the step to its current value.
         floor : float
-            Least Jacobian of a corner after the step. A corner that is already below must keep
-            at least its present value.
+            Smallest Jacobian of a corner after the step. A corner that is already below must keep
+            at least its current value.
         each : bool
-            True to compute the largest step of each element, too.
+            True to compute the largest step of each element as well.
 
         Returns
         -------

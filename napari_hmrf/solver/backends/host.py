@@ -1,7 +1,7 @@
 """Displacements on the host in double precision, for all backends.
 
 The docstrings give the shapes for images, such as (H, W, 2); for volumes the shapes are
-(D, H, W, 3). `linear` defines planes.
+(D, H, W, 3). The module `planes` defines the layout of planes.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def noise(shape: tuple[int, ...]) -> Planes:
 
 
 def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float) -> bool:
-    """Convert a displacement from pixels to lengths, in place, and set void to 0.
+    """Convert a displacement from pixels to units of length, in place, and set void to 0.
 
     Parameters
     ----------

@@ -20,18 +20,18 @@ _SMALL, _GREAT = 1e-6, 1e6
 
 
 class HostModel:
-    """Part of `LinearModel` that all priors share.
+    """Part of `LinearModel` that is common to the host models of all priors.
 
     Attributes
     ----------
     levels : sequence
         Levels, finest first. The finest level has ``hold(held)``, the others ``hold_as(finer)``.
     bodies : Bodies or None
-        Rigid bodies under the present constraints; None without rigid tissue.
+        Rigid bodies under the current constraints; None without rigid tissue.
     iterates : bool
-        True if cycles can be used with such tissue.
+        True if cycles can be used with this tissue.
     earlier : EarlierResults
-        Results of earlier solves with the present constraints.
+        Results of earlier solves with the current constraints.
     """
 
     levels: Sequence[Any]
@@ -50,7 +50,7 @@ class HostModel:
 
     @property
     def mild(self) -> bool:
-        """True if a cycle reduces every motion of such tissue."""
+        """True if a cycle reduces every motion of this tissue."""
         return bool(self.material.mild)
 
     @property

@@ -33,7 +33,7 @@ class Balance(NamedTuple):
     Attributes
     ----------
     rest : ndarray of float32, planes
-        Residual divided by `unit`. The array is valid until the next call, and may be modified.
+        Residual divided by `unit`. The array is valid until the next call and may be modified.
     unit : float
         Scale of `rest`, in the model's units.
     most, norm : float
@@ -71,7 +71,7 @@ class LinearLevel(Protocol):
         coarse : LinearLevel or None
             Next coarser level, or None for the coarsest level.
         again : bool
-            True to start from the present correction instead of zero.
+            True to start from the current correction instead of zero.
         """
         ...
 
@@ -87,15 +87,15 @@ class LinearLevel(Protocol):
         ...
 
     def ascend(self, steps: Steps, coarse: Any) -> None:
-        """Add the interpolated correction of the next coarser level, and smooth."""
+        """Add the interpolated correction of the next coarser level and smooth."""
         ...
 
     def vector(self, values: npt.NDArray[np.float32] | None = None) -> Any:
-        """Return a new vector of zeros, or of `values`, which the call may overwrite."""
+        """Return a new vector of zeros, or one with `values`, which the call may overwrite."""
         ...
 
     def scratch_vector(self) -> Any:
-        """Return an uninitialised vector that is valid until the next cycle."""
+        """Return an uninitialized vector that is valid until the next cycle."""
         ...
 
     def free(self, *vectors: Any) -> None:
@@ -139,12 +139,12 @@ class LinearLevel(Protocol):
         ...
 
     def read(self, *scalars: Any) -> tuple[float, ...]:
-        """Wait for the device, and return the values of scalars."""
+        """Wait for the device and return the values of scalars."""
         ...
 
 
 class UnsymmetricLevel(LinearLevel, Protocol):
-    """One level of a model with an unsymmetric matrix, with the kernels of its iteration."""
+    """One level of a model with a nonsymmetric matrix, with the kernels of its iteration."""
 
     def multiply(self, direction: Any, image: Any) -> None:
         """Compute ``image = A @ direction``."""
@@ -164,7 +164,7 @@ class UnsymmetricLevel(LinearLevel, Protocol):
 
 
 class Hierarchy(Protocol):
-    """Levels of a model, and upper bounds of its spectrum."""
+    """Levels of a model, and upper bounds on its spectrum."""
 
     @property
     def levels(self) -> Sequence[Any]:
@@ -173,7 +173,7 @@ class Hierarchy(Protocol):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Upper bounds of the spectrum of D^-1 A: for usual materials, and for all materials."""
+        """Upper bounds on the spectrum of D^-1 A: for usual materials, and for all materials."""
         ...
 
 
@@ -192,7 +192,7 @@ class LinearModel(Protocol):
 
     @property
     def mild(self) -> bool:
-        """True if a cycle reduces every motion of such tissue."""
+        """True if a cycle reduces every motion of this tissue."""
         ...
 
     @property
@@ -217,26 +217,26 @@ class LinearModel(Protocol):
 
     @property
     def bodies(self) -> Bodies | None:
-        """Rigid bodies under the present constraints; None without rigid tissue."""
+        """Rigid bodies under the current constraints; None without rigid tissue."""
         ...
 
     @property
     def iterates(self) -> bool:
-        """True if cycles can be used with such tissue."""
+        """True if cycles can be used with this tissue."""
         ...
 
     @property
     def earlier(self) -> EarlierResults:
-        """Results of earlier solves with the present constraints."""
+        """Results of earlier solves with the current constraints."""
         ...
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Upper bounds of the spectrum of D^-1 A: for usual materials, and for all materials."""
+        """Upper bounds on the spectrum of D^-1 A: for usual materials, and for all materials."""
         ...
 
     def hold(self, held: HeldPlanes) -> None:
-        """Set the constrained components of the finest level, and update the coarser levels."""
+        """Set the constrained components of the finest level and update the coarser levels."""
         ...
 
     def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:

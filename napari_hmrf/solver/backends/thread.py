@@ -54,7 +54,7 @@ class ComputeThread:
         self._stops: list[Callable[[], bool]] = []
 
     def submit(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> Future[T]:
-        """Queue a job, and return a future for its result or error.
+        """Queue a job and return a future for its result or error.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class ComputeThread:
         return future
 
     def result_of(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> T:
-        """Run a job like `submit`, and wait for its result.
+        """Run a job like `submit` and wait for its result.
 
         If the caller is the compute thread, the job runs immediately. If the wait is interrupted,
         for example by Ctrl-C, the job stops at its next `check_cancelled`.
@@ -139,10 +139,10 @@ class ComputeThread:
             raise Cancelled
 
     def delays(self, future: Future[Any]) -> str:
-        """Describe the work that delays a queued job, and how to stop it; "" once the job runs."""
+        """Describe the work that delays a queued job and how to stop it; "" once the job runs."""
         if future.running() or future.done():
             return ""
-        doing = self._doing  # read only once, as the compute thread may reset it
+        doing = self._doing  # read only once, because the compute thread may reset it
         doing = doing() if callable(doing) else doing
         # Only compilation is so slow that a waiting caller needs its progress.
         stage = f" ({self.stage})" if self.stage.startswith("compiling") else ""
@@ -157,7 +157,7 @@ class ComputeThread:
         self._at_end.append(release)
 
     def stop(self, timeout: float = 2.0) -> bool:
-        """End the thread after its queued jobs, and call the callbacks of `at_end`.
+        """End the thread after its queued jobs and call the callbacks of `at_end`.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ class ComputeThread:
                     self._working = False
                     future.set_exception(error)
                 else:
-                    # Set before the result, because the caller may fork as soon as it has it.
+                    # Reset before the result is set, because the caller may then fork at once.
                     self._working = False
                     future.set_result(result)
                     del result

@@ -73,14 +73,15 @@ class Convergence:
 
 @dataclass(frozen=True)
 class Reach:
-    """Extent to which large motion satisfies the observations; no element is folded.
+    """Extent to which large motion satisfies the observations.
 
-    Crushed tissue may not be in equilibrium yet: `unbalanced` is its distance from equilibrium.
+    No element is folded. Crushed tissue may not be in equilibrium yet: `unbalanced` is its distance
+    from equilibrium.
 
     Attributes
     ----------
     least_jacobian : float
-        Least Jacobian at any corner of a pixel, above 0; 0.5 means half the area.
+        Smallest Jacobian at any corner of a pixel, above 0; 0.5 means half the area.
     part : float
         Completed fraction of the motion of the site that is farthest from its observed position; 1
         if all observations are satisfied.

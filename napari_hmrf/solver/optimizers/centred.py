@@ -5,14 +5,14 @@ local energy, and p = K c. In the converged field, each component satisfies
 
     d = max(q - l, min(y, q + l))   with   l = p / 2 A.
 
-This field does not minimise an energy, and the equations are not symmetric. But the weights are
-positive and add up to one, so a maximum principle holds: if a field w >= 0 satisfies
+This field does not minimize an energy, and the equations are not symmetric. However, the weights
+are positive and add up to one, so a maximum principle holds: if a field w >= 0 satisfies
 w - q(w) >= 1, then
 
     |d - exact| <= max w * max |d - q(d)|
 
-at every site. Such a *barrier* w is computed by the same iteration, to a coarse tolerance. It
-proves the bound.
+at every site. Such a *barrier* w is computed by the same iteration, to a coarse tolerance. The
+barrier proves the bound.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from napari_hmrf.solver.problem import Problem
 _BARRIER = 0.5
 # Deviation of w - q(w) from 1 at which the iteration for a barrier ends.
 _BARRIER_AIM = 0.4
-# Contradiction of a state that is ignored, as a fraction of the tolerance.
+# Largest contradiction of a state that is ignored, as a fraction of the tolerance.
 _CONTRADICTION = 0.1
 # Number of cycles after which a factorization is faster.
 _CYCLES = 60
@@ -60,7 +60,7 @@ _EXACT = 1e-12
 _SURE = 1e-11
 # Largest residual of a solution by factorization, relative to the largest displacement.
 _ROUNDING = 1e-14
-# Fraction of its limit below which the state of a held observation is not in doubt.
+# Force of a held observation, as a fraction of its limit, below which its state is not in doubt.
 _FIRM = 0.5
 
 
@@ -90,7 +90,7 @@ def converge(
     Raises
     ------
     ConvergenceError
-        If the error bound exceeds the tolerance, or no consistent states are found.
+        If the error bound exceeds the tolerance or no consistent states are found.
     """
     model = backend.seiler_model(prior.material(problem))
     refinement = _Refinement(tolerance, max_iterations, model, report)
@@ -140,7 +140,7 @@ def _start_field(
     """Return the initial displacement and the states of the observations."""
     d, observed = host.prescribed(problem)
     steep = model.steepness
-    # No force acts on a site that is the middle of no clique, so the site does not move.
+    # No force acts on a site that is not the middle of any clique, so the site does not move.
     states = _CentredStates(observed & (steep > 0), d, host.planes(prior.limit(problem)), steep)
     if start is not None:
         np.copyto(d, host.combined(start), where=~observed & (steep > 0))
@@ -171,7 +171,7 @@ class _CentredStates(States):
         return float((self._force * np.abs(d.ravel()[self.at] - self.y)).sum())
 
     def off(self, d: Planes, pull: Planes) -> float:
-        """Return the largest change of an observed component in one more update."""
+        """Return the largest change in an observed component in one more update."""
         # The update is y + soft(q - y, p / 2 A), and `pull` is q - d.
         if not len(self.at):
             return 0.0
@@ -203,7 +203,7 @@ class _CentredStates(States):
 
     @property
     def exact(self) -> bool:
-        """True if systems must be solved exactly, because the exchanges did not end reliably."""
+        """True if systems must be solved exactly, because exchanges alone are not reliable."""
         return self._patience == 0
 
     def be_exact(self) -> None:
@@ -212,13 +212,13 @@ class _CentredStates(States):
 
     def is_firm(self, d: Planes, pull: Planes) -> bool:
         """Return whether all components are held by forces far below their limits."""
-        # If slipping stiff tissue could also be held, a small residual does not prove the states:
-        # the field of other states may be quite different.
+        # If slipping stiff tissue could also be held, a small residual does not prove that the
+        # states are right: other states may have a very different field.
         q = d.ravel()[self.at] - self.y + pull.ravel()[self.at]
         return not self.any_slip and bool((np.abs(q) < _FIRM * self.limit).all())
 
     def _improve(self, q: npt.NDArray[Any]) -> bool:
-        """Improve the selection of the minimum; if it is optimal, improve that of the maximum."""
+        """Improve the selection of the minimum or, if that is optimal, of the maximum."""
         high = self._slips < 0
         least = _SURE * (1 + np.abs(q))
         low = ~high & np.where(self._slips > 0, q + self.limit < 0, q + self.limit < -least)
@@ -240,7 +240,7 @@ class _Refinement:
     ) -> None:
         self._tolerance, self._max_iterations, self._report = tolerance, max_iterations, report
         self._model = model
-        #: Tolerance of a single component, because the bounds are for components, not for sites.
+        #: Tolerance for a single component, because the bounds are for components, not for sites.
         self.within = tolerance / math.sqrt(len(model.shape))
         self._iteration = StabilisedGradients(Cycle(model, AVERAGING))
         self._barrier: Planes | None = None
@@ -251,7 +251,7 @@ class _Refinement:
 
     def run(self, d: Planes, load: Planes | None, in_double: bool) -> float:
         """Solve d = q(d) + load in place, to the tolerance or, if `in_double`, exactly."""
-        # Returns the bound on the error of a site, per unit of the largest residual.
+        # Returns a bound on the error of any site, per unit of the largest residual.
         self._begun = self.cycles
         reach = self._reach(d.shape)
 
@@ -268,7 +268,7 @@ class _Refinement:
         return reach
 
     def _reach(self, shape: tuple[int, ...]) -> float:
-        """Return the bound on the error of a site, per unit of the largest residual."""
+        """Return a bound on the error of any site, per unit of the largest residual."""
         if self._barrier is None:
             self._barrier = np.zeros(shape)
 
@@ -303,7 +303,7 @@ class _Refinement:
                     continue
             else:
                 if not cycles and not balance.most < 0.9 * least:
-                    # If too many components slip, tissue moves far, and rounding limits its
+                    # If too many components slip, tissue moves far, and rounding errors limit the
                     # residual. More components are held in the next states.
                     if balance.most <= max(most, _ROUNDING * float(np.abs(d).max())):
                         break

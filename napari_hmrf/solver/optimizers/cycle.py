@@ -9,21 +9,21 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial, lame_ratio
 
 
 class Smoothing(NamedTuple):
-    """Smoothing of each level at each visit, and number of visits.
+    """Settings for the smoothing of a level at each visit, and number of visits.
 
     Attributes
     ----------
     part : float
-        Lower end of the range of eigenvalues of D^-1 A that the smoother reduces, as a fraction of
+        Lower end of the range of eigenvalues of D^-1 A that the smoother damps, as a fraction of
         the upper end.
     sweeps : int
         Number of Chebyshev steps.
     coarsest_part, coarsest_sweeps : float, int
         Values of `part` and `sweeps` on the coarsest level.
     visits : int
-        Number of visits of the second level and all coarser levels in each cycle, on devices where
+        Number of visits to the second level and all coarser levels in each cycle, on devices where
         a second visit is worth its cost. A second visit compensates for the slower convergence of
-        V-cycles with many levels, and adds a fifth to the work.
+        V-cycles with many levels and adds a fifth to the work.
     patience : int
         Number of cycles after which a factorization is faster.
     careful : Smoothing or None
@@ -42,23 +42,23 @@ class Smoothing(NamedTuple):
 
 #: Smoothing for elastic tissue.
 STRETCHING = Smoothing(0.1, 2, 0.02, 20, visits=2)
-#: Smoothing for elastic tissue that resists changes of volume much more than changes of shape.
-#: Coarse levels represent its motions less well.
+#: Smoothing for elastic tissue that resists changes in volume much more than changes in shape.
+#: Coarse levels represent its motions less accurately.
 NEARLY_INCOMPRESSIBLE = Smoothing(0.06, 14, 0.005, 60, visits=2, patience=38)
 # Largest ratio of lambda to mu for which `STRETCHING` is sufficient.
 _MOST_RATIO = 50.0
-#: Smoothing for volumes with motions that coarse levels represent less well: near free surfaces, at
-#: a high contrast, or with oblong voxels.
+#: Smoothing for volumes with motions that coarse levels represent less accurately: near free
+#: surfaces, at a high stiffness contrast, or with oblong voxels.
 CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2)
-#: `STRETCHING` for volumes.
+#: Counterpart of `STRETCHING` for volumes.
 STRETCHING_VOLUME = Smoothing(0.1, 3, 0.02, 20, visits=2, careful=CAREFUL_VOLUME)
-#: `NEARLY_INCOMPRESSIBLE` for volumes.
+#: Counterpart of `NEARLY_INCOMPRESSIBLE` for volumes.
 NEARLY_INCOMPRESSIBLE_VOLUME = Smoothing(0.02, 10, 0.01, 30, visits=2, careful=CAREFUL_VOLUME)
 # Largest ratio of lambda to mu for which `STRETCHING_VOLUME` is sufficient.
 _MOST_RATIO_VOLUME = 20.0
 #: Smoothing for the centred reading, which averages neighbours and is not symmetric.
 AVERAGING = Smoothing(0.3, 2, 0.02, 20)
-#: Smoothing for the blanket reading, which resists bending: its spectrum is wider, and bilinear
+#: Smoothing for the blanket reading, which resists bending. Its spectrum is wider, and bilinear
 #: transfer between levels is less accurate.
 BENDING = Smoothing(0.1, 4, 0.005, 40)
 
@@ -104,7 +104,7 @@ class Cycle:
         return True
 
     def smooth_more(self) -> bool:
-        """Switch to `Smoothing.careful`; return False if there is no such smoothing left."""
+        """Switch to `Smoothing.careful`; return False if there is no such smoothing."""
         return self._smoothing.careful is not None and self.use_safe_bound()
 
     def _smooth_up_to(self, bound: float) -> None:
@@ -125,7 +125,7 @@ class Cycle:
         return self.levels[0].correction
 
     def _visit(self, number: int) -> None:
-        """Compute the correction of a level for its load, with all coarser levels."""
+        """Compute the correction of a level for its load, using all coarser levels."""
         level, *rest = self._visited[number:]
         if not rest:
             level.finish(self._steps, self._coarsest)
@@ -138,7 +138,7 @@ class Cycle:
 
 
 def chebyshev(low: float, high: float, steps: int) -> Steps:
-    """Return (scale, momentum) of each step of the Chebyshev polynomial on [low, high]."""
+    """Return (scale, momentum) for each step of the Chebyshev iteration on [low, high]."""
     centre, half = (high + low) / 2, (high - low) / 2
     sigma = centre / half
     rho = 1 / sigma

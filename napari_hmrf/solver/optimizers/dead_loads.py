@@ -29,11 +29,11 @@ class DeadLoads:
         return -work_of(self._load, d)
 
     def forces(self, d: Planes) -> Planes:
-        """Return the gradient of this energy with respect to the displacement."""
+        """Return the gradient of the potential energy with respect to the displacement."""
         return np.zeros_like(d) if self._load is None else -self._load
 
     def springs(self, d: Planes) -> Planes | None:
-        """Return the diagonal of the Hessian of this energy; None if it is 0."""
+        """Return the diagonal of the Hessian of the potential energy; None if it is 0."""
         return None
 
     def follow(self, before: Planes, after: Planes) -> None:
@@ -66,28 +66,28 @@ class SoftObservations(DeadLoads):
         self._share: npt.NDArray[np.float64] = np.zeros(len(self._at))
 
     def sharpen(self, d: Planes, width: float) -> None:
-        """Set the width of the rounded kink, in pixels, and the forces at the displacement `d`."""
+        """Set the width of the smoothed kink, in pixels, and the forces at the displacement `d`."""
         self._width = width
         off, length = self._lengths(d)
         self._share = off / length
 
     def energy(self, d: Planes) -> float:
-        """Return the energy of the loads and the observations at a displacement."""
+        """Return the total energy of the loads and the observations at a displacement."""
         _, length = self._lengths(d)
         return super().energy(d) + float((self._limit * (length - self._width)).sum())
 
     def forces(self, d: Planes) -> Planes:
-        """Return the gradient of this energy with respect to the displacement."""
+        """Return the gradient of the total energy with respect to the displacement."""
         off, length = self._lengths(d)
         return super().forces(d) + self._planes(self._limit * off / length)
 
     def springs(self, d: Planes) -> Planes:
-        """Return the diagonal of the tangent matrix after elimination of the unknowns w."""
+        """Return the contribution to the diagonal of the tangent matrix, after elimination of w."""
         off, length = self._lengths(d)
         return self._planes(self._limit * (1 - self._share * off / length) / length)
 
     def follow(self, before: Planes, after: Planes) -> None:
-        """Update the forces p w after a step, by their linearisation."""
+        """Update the forces ``p w`` after a step, using their linearization."""
         off, length = self._lengths(before)
         step = after.ravel()[self._at] - before.ravel()[self._at]
         share = (off + step * (1 - self._share * off / length)) / length

@@ -18,9 +18,9 @@ from napari_hmrf.solver.priors import Prior, SeilerPrior, line_weights
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import Level, levels, sampled
 
-#: Number of sweeps between two checks of the mean energy, and between two progress reports.
+#: Number of sweeps between checks of the mean energy and between progress reports.
 BLOCK = 10
-# Number of sites of a level below which all its sweeps run in one call.
+# Number of sites of a level below which all of its sweeps run in one call.
 _SMALL = 10_000
 # Largest number of sweeps in one call.
 _MOST = 1000
@@ -35,14 +35,14 @@ class ICM:
     Parameters
     ----------
     iterations : int
-        Number of sweeps on each level; the largest number if `energy_change` is given.
+        Number of sweeps on each level; the maximum number if `energy_change` is given.
     steps : tuple of float or None
         Step sizes of the candidate set Gamma, in pixels. For each step e, each component of a site
-        may change by -e, 0 or e. If None, a site moves to the exact minimiser of its local energy,
+        may change by -e, 0 or e. If None, a site moves to the exact minimizer of its local energy,
         in closed form.
     energy_change : float, optional
-        Relative change of the mean energy over ten sweeps, up to which a level has converged. By
-        default, all sweeps run.
+        Relative change in the mean energy over ten sweeps up to which a level counts as converged.
+        By default, all sweeps run.
     """
 
     iterations: int = 70
@@ -52,7 +52,7 @@ class ICM:
 
     def __post_init__(self) -> None:
         enough = is_whole(self.iterations) and self.iterations >= 1
-        refuse_unless(enough, "iterations", self.iterations, "a whole number of at least 1")
+        refuse_unless(enough, "iterations", self.iterations, "a positive whole number")
         object.__setattr__(self, "iterations", int(self.iterations))
         if self.steps is not None:
             steps = reals(
@@ -64,7 +64,7 @@ class ICM:
             object.__setattr__(self, "steps", steps)
         change = self.energy_change
         refuse_unless(
-            change is None or real(change) > 0, "energy_change", change, "a number above 0, or None"
+            change is None or real(change) > 0, "energy_change", change, "a positive number or None"
         )
 
     @property
@@ -143,7 +143,7 @@ class ICM:
         stiffness, observation = images.stiffness, images.observation
         before: list[float] = []
         while len(before) < self.iterations and not self._has_converged(before):
-            # Sweeps of a small level end too soon for progress reports.
+            # The sweeps of a small level end too quickly for progress reports.
             block = (
                 self.iterations if level.sites < _SMALL and self.energy_change is None else BLOCK
             )
@@ -177,7 +177,7 @@ class _Images:
 
 
 class _Progress:
-    """Progress reports of a schedule, with the fraction of all site updates that is done."""
+    """Progress reports of a schedule, with the completed fraction of all site updates."""
 
     def __init__(self, report: Report, tree: tuple[Level, ...], iterations: int) -> None:
         self._report = report
@@ -200,14 +200,20 @@ class _Progress:
 
 
 def _stiffness(problem: Problem) -> FloatArray:
-    """Return (m, 1/m) with a largest m of 1, and 0 in void; shape (H, W, 2) or (D, H, W, 2)."""
+    """Return (m, 1/m), scaled to a largest m of 1; 0 in void.
+
+    The result has shape (H, W, 2) or (D, H, W, 2).
+    """
     m = problem.stiffness / problem.stiffness.max()
     inverse = np.divide(1.0, m, out=np.zeros_like(m), where=problem.tissue)
     return np.stack([m, inverse], axis=-1)
 
 
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
-    """Return (y, p = K c) in pixels, and 0 in void; shape (H, W, 4) or (D, H, W, 6)."""
+    """Return (y, p = K c), with y in pixels; 0 in void.
+
+    The result has shape (H, W, 4) or (D, H, W, 6).
+    """
     axes = len(problem.shape)
     observation = np.empty((*problem.shape, 2 * axes), dtype=np.float32)
     np.divide(problem.observed, np.float32(problem.unit), out=observation[..., :axes])

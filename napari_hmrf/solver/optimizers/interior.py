@@ -6,9 +6,9 @@ and let f be the forces of the observations, between -p and p. The minimum satis
     A d = f,   a (p - f) = 0,   b (p + f) = 0.
 
 Because f is feasible for the dual problem, the duality gap ``sum(a (p - f) + b (p + f))`` is an
-upper bound of the difference between the energy and its minimum. Mehrotra's predictor-corrector
+upper bound on the difference between the energy and its minimum. Mehrotra's predictor-corrector
 method follows the central path, on which all these products are equal (Wright, Primal-Dual
-Interior-Point Methods, 1997). Each step factorises A + W, where the springs W >= 0 on all observed
+Interior-Point Methods, 1997). Each step factorizes A + W, where the springs W >= 0 on all observed
 components prevent free motions.
 """
 
@@ -29,9 +29,9 @@ Vector = npt.NDArray[np.float64]
 
 # Largest number of steps.
 _MOST_STEPS = 100
-# Fraction of the distance to the boundary of the feasible set that limits a step.
+# Largest length of a step, as a fraction of the distance to the boundary of the feasible set.
 _FRACTION = 0.9995
-# Largest product at the end, relative to the limit times the scale of displacements.
+# Largest product at which the iteration ends, relative to the limit times the displacement scale.
 _GAP = 1e-19
 # Smallest target value for the products of a step.
 _LEAST_GAP = 1e-22
@@ -41,14 +41,14 @@ _ACCEPTED_GAP = 1e-8
 _LAST_MOTION = 1e-10
 # Number of steps with products below `_GAP` after which any remaining motion is rounding error.
 _CLOSED_STEPS = 8
-# Least scale of displacements, in pixels.
+# Smallest scale of displacements, in pixels.
 _LEAST_SCALE = 1e-3
 # Length of a step, as a fraction, below which a centring step is used instead.
 _SHORT = 0.1
 # Target of a centring step for all products, as a fraction of their mean.
 _CENTRING = 0.5
 # Stiffness of springs on all components, as a fraction of the diagonal. The weakest springs with
-# which the factorization succeeds are used. They affect the steps, but not the result.
+# which the factorization succeeds are used. These springs affect the steps but not the result.
 _PROXIMAL = tuple(10.0**power for power in range(-16, -10))
 # Largest number of refinements of a step.
 _CORRECTIONS = 10
@@ -59,7 +59,7 @@ _SIDE = np.array([[1.0], [-1.0]])
 
 
 def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> None:
-    """Minimise the energy over `d`, in place, and set the states accordingly.
+    """Minimize the energy over `d` in place, and set the states accordingly.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
     for number in range(_MOST_STEPS):
         products = past * slack / (p * scale)
         gap = float(products.max())
-        report(Monitor(f"interior point, step {number}, a gap of {gap:.1e}", 0.5))
+        report(Monitor(f"interior-point step {number}, gap {gap:.1e}", 0.5))
         closed += gap < _GAP
         if closed and (far <= _LAST_MOTION * scale or closed > _CLOSED_STEPS):
             break
@@ -143,7 +143,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
 def _factors(
     model: LinearModel, moves: HeldPlanes, at: npt.NDArray[np.intp], weight: Vector
 ) -> Factors | None:
-    """Factorise the model with springs on observations; return None if it is singular."""
+    """Factorize the model with springs on observations; return None if it is singular."""
     for proximal in _PROXIMAL:
         springs = proximal * model.steepness
         springs.ravel()[at] += weight
@@ -155,6 +155,6 @@ def _factors(
 
 
 def _room(values: Vector, steps: Vector) -> float:
-    """Return the largest multiple of a step that keeps all values nonnegative."""
+    """Return the largest multiple of a step that keeps all values non-negative."""
     ends = np.divide(-values, steps, out=np.full_like(values, np.inf), where=steps < 0)
     return float(ends.min(initial=np.inf))

@@ -1,4 +1,4 @@
-"""Krylov iterations preconditioned by a V-cycle, with estimates of spectrum and error."""
+"""Krylov iterations preconditioned by a V-cycle, with estimates of the spectrum and the error."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from napari_hmrf.solver.optimizers.cycle import Cycle
 _INNER = 1e-5
 # Reduction of the residual after which a run in double precision ends.
 _INNER_DOUBLE = 1e-12
-# Residual, relative to the initial residual, that is rounding error in single precision.
+# Residual, relative to the initial residual, that is due to rounding in single precision.
 _ROUNDING = 1e-7
-# Eigenvalue that is rounding error in single precision.
+# Smallest eigenvalue that is resolved in single precision.
 _LEAST = 1e-6
-# Eigenvalue that is rounding error in double precision.
+# Smallest eigenvalue that is resolved in double precision.
 _LEAST_DOUBLE = 1e-12
 # Residual, relative to the solution, at the limit of single precision.
 _ATTAINED = 3e-7
-# Smallest ratio of the errors after and before a step that an estimate assumes.
+# Smallest ratio of the error after a step to the error before it that an estimate assumes.
 _FASTEST = 0.2
-# Upper limit of the least eigenvalue that an estimate assumes before `_RELIABLE_STEPS`.
+# Largest value of the smallest eigenvalue that an estimate assumes before `_RELIABLE_STEPS`.
 _USUAL_LEAST = 0.3
-# Multiple of the expected least eigenvalue up to which an eigenvalue counts as the expected one.
+# Multiple of the expected smallest eigenvalue up to which an eigenvalue counts as expected.
 _MET = 1.2
-# Number of steps after which the estimate of the least eigenvalue is reliable.
+# Number of steps after which the estimate of the smallest eigenvalue is reliable.
 _RELIABLE_STEPS = 6
 
 
@@ -48,12 +48,12 @@ class Step:
     ----------
     reach : float
         Estimated largest distance of any site from the solution, per unit of the norm of the
-        residual. The estimate uses the correction of the last cycle and the least eigenvalue found
-        so far.
+        residual. The estimate uses the correction of the last cycle and the smallest eigenvalue
+        found so far.
     rest : float
         Norm of the residual after the step.
     gain : float
-        Decrease of the energy in the step.
+        Decrease in energy during the step.
     """
 
     reach: float
@@ -77,7 +77,7 @@ class ConjugateGradients:
     ----------
     cycle : Cycle
     double_level_of : callable, optional
-        Returns the finest level in double precision, or None if there is none.
+        Function that returns the finest level in double precision, or None if there is none.
     """
 
     def __init__(self, cycle: Cycle, double_level_of: Callable[[], Any] = lambda: None) -> None:
@@ -125,7 +125,7 @@ class ConjugateGradients:
 
     @property
     def least(self) -> float:
-        """Least eigenvalue found in any run."""
+        """Smallest eigenvalue found in any run."""
         return self._spectrum.least
 
     @least.setter
@@ -134,16 +134,16 @@ class ConjugateGradients:
 
     @property
     def run_least(self) -> float:
-        """Least eigenvalue found in the present run."""
+        """Smallest eigenvalue found in the current run."""
         return self._spectrum.run_least
 
     def expect(self, least: float) -> None:
-        """Set the expected least eigenvalue.
+        """Set the expected smallest eigenvalue.
 
         Parameters
         ----------
         least : float
-            Least eigenvalue found in the solves of the warm start.
+            Smallest eigenvalue found in the solves of the warm start.
         """
         self._expected = least
         self.least = min(self.least, least)
@@ -235,7 +235,7 @@ class ConjugateGradients:
         """Return the estimates after a step, given the largest value `far` of its correction."""
         # `first`, `before` and `after` are squared norms of residuals.
         # In the first steps, residuals decrease faster than errors, because jumps next to
-        # constrained sites are smoothed, and the least eigenvalues have not been found yet.
+        # constrained sites are smoothed, and the smallest eigenvalues have not been found yet.
         rounding = _INNER_DOUBLE if self.in_double else _ROUNDING
         rest = max(math.sqrt(after), rounding * math.sqrt(first))
         least = self._spectrum.least
@@ -253,9 +253,9 @@ class ConjugateGradients:
 
 
 class StabilisedGradients:
-    """Stabilised biconjugate gradients for unsymmetric models.
+    """Stabilized biconjugate gradients (BiCGSTAB) for nonsymmetric models.
 
-    Each step runs two cycles, and reports the largest absolute value of the residual. The iteration
+    Each step runs two cycles and reports the largest absolute value of the residual. The iteration
     does not estimate the error of the solution.
 
     Parameters
@@ -313,7 +313,7 @@ class StabilisedGradients:
 
 
 class _Spectrum:
-    """Estimate of the least eigenvalue, from the Lanczos matrix of conjugate gradients."""
+    """Estimate of the smallest eigenvalue, from the Lanczos matrix of conjugate gradients."""
 
     def __init__(self, rounding: float = _LEAST) -> None:
         self.least, self._rounding = 1.0, rounding
@@ -321,15 +321,15 @@ class _Spectrum:
 
     @property
     def steps(self) -> int:
-        """Number of steps in the present run."""
+        """Number of steps in the current run."""
         return len(self._diagonal)
 
     def restart(self) -> None:
-        """Start a new run, and retain the least eigenvalue of all runs."""
+        """Start a new run, retaining the smallest eigenvalue of all runs."""
         self._diagonal: list[float] = []
         self._beside: list[float] = []
         self._length = 0.0
-        #: Least eigenvalue found in the present run.
+        #: Smallest eigenvalue found in the current run.
         self.run_least = 1.0
 
     def add(self, length: float, turn: float) -> None:

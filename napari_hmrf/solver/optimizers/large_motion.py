@@ -34,20 +34,20 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import holding_strength
 
 _TINY = 1e-300
-# Least ratio of a corner's Jacobian after an extrapolation to its value before.
+# Smallest allowed ratio between a corner's Jacobian after and before an extrapolation.
 _EXTRAPOLATION_PART = 0.25
-# Least Jacobian of a returned field, after its conversion to the unit of the spacing, as a fraction
-# of `LEAST_JACOBIAN`.
+# Smallest Jacobian of a returned field, after its conversion to the unit of the spacing, relative
+# to `LEAST_JACOBIAN`.
 _RETURNED_PART = 0.5
-# Distance up to which an observation is satisfied, as a fraction of the tolerance.
+# Distance up to which an observation counts as satisfied, as a fraction of the tolerance.
 _MET = 1.0
 # Value of `holding_strength` below which cycles reduce rotations slowly.
 _WEAK_GRIP = 5e-3
-# Value of `holding_strength` below which the system is factorised at once.
+# Value of `holding_strength` below which the system is factorized at once.
 _LOOSE_GRIP = 1e-4
 # Stiffness contrast above which cycles reduce rotations of stiff parts slowly.
 _HIGH_CONTRAST = 50.0
-# Stiffness contrast above which the system is factorised at once.
+# Stiffness contrast above which the system is factorized at once.
 _EXTREME_CONTRAST = 1.2e3
 # Logarithm of the growth of area in one growth step.
 _GROWTH_STEP = math.log(4.0)
@@ -55,7 +55,7 @@ _GROWTH_STEP = math.log(4.0)
 _GROWTH_DISTANCE = 0.1
 # Number of Newton steps after which a growth step is halved.
 _NEWTON_STEPS = 80
-# Smallest growth step that may be halved, as a fraction of the growth.
+# Smallest growth step that may be halved, as a fraction of the total growth.
 _LEAST_GROWTH_STEP = 0.05
 
 
@@ -67,7 +67,7 @@ def converge(
     report: Report,
     start: WarmStart | None,
 ) -> Outcome:
-    """Solve a problem of large motion; from here on, lengths are in pixels.
+    """Solve a large-motion problem; from here on, lengths are in pixels.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def converge(
 def _returned(
     model: FiniteModel, problem: Problem, d: Planes, tolerance: float
 ) -> tuple[npt.NDArray[np.floating], float, float]:
-    """Return a displacement in pixels, its rounding error, and the least Jacobian of any corner.
+    """Return a displacement in pixels, its rounding error, and the smallest Jacobian of any corner.
 
     The result is in single precision only if its rounding error is within the tolerance, and no
     element is folded after the conversion to the unit of the spacing.
@@ -187,7 +187,7 @@ def _grow(
                 continue
             if done == 0:
                 raise
-            # Return to the last completed growth, where the field was close to equilibrium.
+            # Return to the last completed growth step, where the field was close to equilibrium.
             model.assemble(material.grown(done))
             with suppress(ConvergenceError):
                 converge_to(tolerance)
@@ -205,7 +205,7 @@ def _start_field(
     observed: Planes,
     held: HeldPlanes,
 ) -> Planes:
-    """Return an initial field without folded elements: near the start if possible, else 0."""
+    """Return an initial field without folded elements: near the warm start if possible, or 0."""
     zero: Planes = np.zeros(observed.shape)
     if start is None:
         return zero

@@ -1,8 +1,8 @@
 """Large motion with observations that may slip: search for the slipping observations.
 
-The energy of each observation has a kink at the observed position. At first the kink is rounded,
-and the width of the rounding is reduced in steps. The result shows which observations are held and
-which slip, and the problem with these states is solved without rounding.
+The energy of each observation has a kink at the observed position. At first the kink is smoothed,
+and the width of the smoothing is reduced in steps. The result shows which observations are held and
+which slip. The problem with these states is then solved without smoothing.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _FIRST_WIDTH = 0.2
 _WIDTH_FACTOR = 0.1
 # Final width of the kink, as a fraction of the tolerance.
 _LAST_WIDTH = 0.1
-# Distance from which an observation counts as slipping, in widths of the kink.
+# Distance beyond which an observation counts as slipping, in widths of the kink.
 _SLIP_DISTANCE = 30.0
-# Excess of the force over its limit that is accepted for a held observation, as a fraction.
+# Largest accepted excess of the force of a held observation, as a fraction of its limit.
 _EXCESS = 1e-3
 # Largest number of exchanges of states.
 _EXCHANGES = 8
@@ -52,7 +52,7 @@ class LargeSlip:
         self._yielding = np.where(self._fixed, 0.0, limit)
 
     def run(self, d: Planes, tolerance: float, warm: bool = False) -> None:
-        """Minimise the energy over `d`, in place.
+        """Minimize the energy over `d`, in place.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class LargeSlip:
         Raises
         ------
         ConvergenceError
-            If Newton's method fails, or no consistent set of slipping observations is found.
+            If Newton's method fails or no consistent set of slipping observations is found.
         """
         begun = d.copy()
         if warm:
@@ -91,7 +91,7 @@ class LargeSlip:
         return np.where(slips, np.sign(needed), 0.0)
 
     def _soften(self, d: Planes, tolerance: float) -> None:
-        """Minimise the energy over `d`, in place, with successively narrower kinks."""
+        """Minimize the energy over `d`, in place, with successively narrower kinks."""
         newton = self._newton
         far = float(np.abs(np.where(self._yielding > 0, self._y - d, 0.0)).max())
         last = _LAST_WIDTH * tolerance
@@ -108,7 +108,8 @@ class LargeSlip:
         sides = np.where(np.abs(off) > _SLIP_DISTANCE * width, np.sign(off), 0.0)
         rounded, distance = d.copy(), newton.distance
         if not self._sharpen(d, sides, tolerance):
-            # No consistent states were found; the solution with a rounded kink is the best one.
+            # No consistent states were found; the solution with a smoothed kink is the best
+            # available.
             np.copyto(d, rounded)
             newton.external_forces = soft
             newton.distance = distance
@@ -133,6 +134,6 @@ class LargeSlip:
         return False
 
     def _required(self, d: Planes, held: HeldPlanes) -> Planes:
-        """Return the force that is required to hold each held component; 0 elsewhere."""
+        """Return the force that is required to hold each held component in place; 0 elsewhere."""
         self._newton.external_forces = None if self._load is None else DeadLoads(self._load)
         return np.where(held, self._newton.forces(d), 0.0)

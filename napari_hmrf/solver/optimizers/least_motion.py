@@ -2,10 +2,10 @@
 
 The force of an observation at its limit stays constant if tissue moves a little. If all
 observations of a piece are at their limits and their forces cancel, the energy is the same at any
-position of the piece between the observed positions. The field with the least sum of squares is
-chosen, so that the result does not depend on the iteration. This field is the point of a polyhedron
-that is nearest to the origin, with one dimension for each free motion (least distance programming
-by non-negative least squares: Lawson and Hanson, Solving Least Squares Problems, 1974).
+position of the piece between the observed positions. The field with the smallest sum of squares is
+chosen, so that the result does not depend on the iteration. It corresponds to the point nearest to
+the origin in a polyhedron with one dimension for each free motion (least distance programming by
+non-negative least squares: Lawson and Hanson, Solving Least Squares Problems, 1974).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def choose_least_motion(
     Parameters
     ----------
     d : ndarray, shape (H, W, 2)
-        Displacement of least energy; changed in place.
+        Displacement of lowest energy; changed in place.
     off : ndarray, shape (H, W, 2)
         Observed value minus displacement, y - d, of each observed component.
     side : ndarray, shape (H, W, 2)
@@ -49,7 +49,7 @@ def choose_least_motion(
         basis, _ = np.linalg.qr(ways[:, moving].T)
         at = side[moving] != 0
         turned = side[moving][at, None] * basis[at]
-        # Minimise ||basis^T (d + basis z)|| subject to side (off - basis z) >= 0.
+        # Minimize ||basis^T (d + basis z)|| subject to side (off - basis z) >= 0.
         start = basis.T @ d[moving]
         most = side[moving][at] * off[moving][at] + turned @ start
         nearest = _least_distance(-turned, -most)

@@ -19,7 +19,7 @@ from napari_hmrf.solver.rigid_modes import free_motions
 
 # Fraction of the sum of all forces up to which a force is rounding error.
 _ROUNDING = 1e-9
-# Fraction by which loads may exceed the limits of observations, because a linear program has a
+# Fraction by which loads may exceed the limits of observations, because the linear program has
 # limited accuracy.
 _AT_LIMIT = 1e-6
 
@@ -49,7 +49,7 @@ class _LastLoads(NamedTuple):
         )
 
 
-# Loads of the last image; they do not change while the user drags tissue.
+# Loads of the last image, which do not change while the user drags tissue.
 _last: list[_LastLoads] = []
 
 
@@ -74,7 +74,7 @@ def load_forces(problem: Problem, prior: Prior) -> LoadForces:
 
 
 def work_of(load: Planes | None, d: Planes) -> float:
-    """Return the work of forces on a displacement, in the model's units."""
+    """Return the work done by forces over a displacement, in the model's units."""
     # `einsum`, because a large product in BLAS starts threads, which would occupy the cores that
     # the solve needs.
     return 0.0 if load is None else float(np.einsum("i,i->", load.ravel(), d.ravel()))
@@ -101,7 +101,7 @@ def check_reach(d: Planes, problem: Problem) -> None:
         return
     raise ProblemError(
         "loads",
-        f"move tissue by {farthest / diagonal:.2g} times the diagonal of the image. Give forces "
+        f"move tissue by {farthest / diagonal:.2g} times the diagonal of the image. Use forces "
         "and stiffness in consistent units, such as stiffness in kPa, and forces in kPa times the "
         "unit of length of the spacing; or hold more of the tissue.",
     )
@@ -153,14 +153,14 @@ def check_balanced(
 
 
 def _can_hold(stops: npt.NDArray[np.float64], demand: npt.NDArray[np.float64]) -> bool:
-    """Return whether forces within the limits can balance the work of loads on all free motions.
+    """Return whether forces within the limits can balance the loads in all free motions.
 
     Parameters
     ----------
     stops : ndarray, shape (motions, components)
-        Work of the limit of each component on each free motion.
+        Work done by the largest force of each component over each free motion.
     demand : ndarray, shape (motions,)
-        Work of the loads on each free motion.
+        Work done by the loads over each free motion.
     """
     size = np.abs(stops).sum(axis=1)
     if (np.abs(demand) > size).any():

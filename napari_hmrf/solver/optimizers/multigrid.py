@@ -1,6 +1,6 @@
 """Converged field: a Krylov iteration, preconditioned by a V-cycle over the hierarchy.
 
-The work per pixel does not depend on the size of the image, because each level removes the error of
+The work per pixel does not depend on the size of the image, because each level removes the error at
 the wavelengths that it resolves.
 """
 
@@ -40,8 +40,8 @@ from napari_hmrf.solver.rigid_modes import holding_strength
 _TINY = 1e-300
 # Fraction of the tolerance up to which a distance is negligible.
 _NEGLIGIBLE = 0.01
-# Least value of `holding_strength` at which cycles reduce rotations of tissue well. On coarse
-# levels, constraints extend over wider regions, so that weak constraints are represented poorly.
+# Smallest value of `holding_strength` at which cycles reduce rotations of tissue well. On coarse
+# levels, constraints extend over wider regions, so weak constraints are represented poorly.
 _MILD_GRIP = 0.05
 
 
@@ -51,8 +51,8 @@ class Multigrid:
 
     The iteration runs in single precision. The residual that decides when the solve ends is
     computed in double precision. Priors with an energy, `ElasticPrior` and `SeilerPrior` in its
-    blanket reading, are solved by conjugate gradients. The centred reading is not symmetric, and is
-    solved by stabilised biconjugate gradients (`napari_hmrf.solver.optimizers.centred`). For
+    blanket reading, are solved by conjugate gradients. The centred reading is not symmetric and is
+    solved by stabilized biconjugate gradients (`napari_hmrf.solver.optimizers.centred`). For
     `NeoHookeanPrior`, conjugate gradients solve the steps of Newton's method
     (`napari_hmrf.solver.optimizers.newton`).
 
@@ -60,14 +60,14 @@ class Multigrid:
     ----------
     tolerance : float
         Largest accepted error, in pixels. The error is the largest distance of any site from its
-        position in the converged field. After each cycle, it is estimated as s r / e: s is the
-        largest correction of the cycle, r the residual after the cycle as a fraction of the
-        residual before, and e the least eigenvalue of the preconditioned system found so far. For
-        tissue with high contrast, thin parts or weak constraints, the estimate is first tested on a
-        field with a known solution. If the test fails, the system is factorised. In the centred
-        reading, the estimate is a proven bound from a maximum principle. Large motion of crushed
-        tissue may exceed the tolerance, as reported in `Solution.reach`; every other solve that
-        does not reach the tolerance raises a `ConvergenceError`.
+        position in the converged field. After each cycle, the error is estimated as ``s r / e``,
+        where s is the largest correction of the cycle, r the ratio of the residual after the cycle
+        to the residual before it, and e the smallest eigenvalue of the preconditioned system found
+        so far. For tissue with high contrast, thin parts or weak constraints, the estimate is first
+        tested on a field with a known solution. If the test fails, the system is factorized. In the
+        centred reading, the estimate is a proven bound from a maximum principle. Large motion of
+        crushed tissue may exceed the tolerance, as reported in `Solution.reach`. Any other solve
+        that does not reach the tolerance raises a `ConvergenceError`.
     max_iterations : int
         Number of cycles after which the solve fails with an error. If observations may slip, the
         number applies to each set of slipping observations. In a volume that requires double
@@ -84,7 +84,7 @@ class Multigrid:
         refuse_unless(positive, "tolerance", self.tolerance, "a positive number, in pixels")
         most = self.max_iterations
         enough = is_whole(most) and most >= 1
-        refuse_unless(enough, "max_iterations", most, "a whole number of at least 1")
+        refuse_unless(enough, "max_iterations", most, "a positive whole number")
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -178,7 +178,7 @@ class Multigrid:
         )
 
     def _quality(self, start: WarmStart | None, model: LinearModel) -> Quality | None:
-        """Return the quality of the start; None if unknown, or if the start misses observations."""
+        """Return the quality of the start, or None if it is unknown or observations are not met."""
         if start is None or start.missing > _NEGLIGIBLE * self.tolerance:
             return None
         return model.earlier.quality(start)
@@ -187,7 +187,7 @@ class Multigrid:
 def _reset_idle(problem: Problem, model: LinearModel, observed: HeldPlanes, d: Planes) -> None:
     """Set unobserved tissue without any force to zero, in place, as after a cold start.
 
-    Cycles do not move such tissue, so it would keep the displacement of the warm start.
+    Cycles do not move this tissue, so it would keep the displacement of the warm start.
     """
     earlier = model.earlier
     if earlier.idle is None:

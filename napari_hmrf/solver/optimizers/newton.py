@@ -33,7 +33,7 @@ from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 
 # A step of the field
 
-#: Least ratio of a corner's Jacobian after a step to its value before; larger values shorten steps.
+#: Smallest allowed ratio between a corner's Jacobian after and before a step.
 _JACOBIAN_PART = 0.25
 #: Safety factor on the largest possible length of a pull, if a corner limits the length.
 _PULL_PART = 0.85
@@ -42,13 +42,13 @@ _PULL_FLOOR = 1e-5
 #: Fraction of the least Jacobian that must remain after a pull that rotates rigid bodies, because
 #: `_JACOBIAN_PART` applies to straight steps only.
 _RIGID_PART = 0.1
-#: Fraction of a descent step. If less is taken, a step without buckling terms is tried.
+#: Fraction of a descent step below which a step without buckling terms is tried.
 _LEAST_STEP = 0.1
-#: Least decrease of the energy, relative to the decrease predicted by the slope (Armijo rule).
+#: Smallest decrease in energy, relative to the decrease predicted by the slope (Armijo rule).
 _ARMIJO = 1e-4
-#: Rounding error of the energy, relative to the energy: an increase up to this is accepted.
+#: Relative rounding error of the energy; an increase in energy up to this is accepted.
 _ENERGY_ROUNDING = 1e-12
-#: Energy per component, in pixels squared, added to the energy in the estimate of its rounding.
+#: Energy per component, in pixels squared, added to the energy to estimate its rounding error.
 _COMPONENT_ROUNDING = 1e-3
 #: Largest number of halvings of a step before the step is rejected.
 _HALVING_LIMIT = 12
@@ -60,15 +60,15 @@ _STEP_LIMIT = 400
 
 #: Error at which a linear solve ends, relative to the initial error.
 _INNER_REDUCTION = 0.03
-#: Error at which a linear solve ends, relative to the tolerance; the larger of both errors applies.
+#: Error at which a linear solve ends, relative to the tolerance; the larger error applies.
 _INNER_TOLERANCE = 0.3
 #: Residual, relative to the load, that cannot be reduced in single precision.
 _SINGLE_RESIDUAL = 2e-5
-#: Number of cycles after which a small system is factorised.
+#: Number of cycles after which a small system is factorized.
 _CYCLE_LIMIT = 40
 #: Largest number of sites of a small system, for which a factorization is faster than many cycles.
 _SMALL_GRID = 20_000
-#: Number of cycles after which a larger system is factorised.
+#: Number of cycles after which a larger system is factorized.
 _LARGE_CYCLE_LIMIT = 200
 #: Smallest nonzero fraction of the buckling terms that is left out.
 _FIRST_SHARE = 0.05
@@ -83,32 +83,32 @@ _SHARE_GROWTH = 2.0
 _RELAXED_DISTANCE = 0.3
 #: Largest number of steps to reduce the distance to `_RELAXED_DISTANCE`.
 _RELAXATION_LIMIT = 6
-#: Distance from equilibrium, in pixels, that tissue must reach before a pull can be stuck.
+#: Distance from equilibrium, in pixels, that tissue must reach before a pull counts as stuck.
 _BALANCED_DISTANCE = 0.02
 #: Largest number of steps to reduce the distance to `_BALANCED_DISTANCE`.
 _BALANCE_LIMIT = 25
-#: Fraction of a step. A pull is stuck below this fraction and below `_STUCK_DISTANCE`.
+#: Fraction of a step. A pull below this fraction and below `_STUCK_DISTANCE` is stuck.
 _STUCK_PART = 0.05
-#: Length of a pull, in pixels. A pull is stuck below this length and below `_STUCK_PART`.
+#: Length of a pull, in pixels. A pull below this length and below `_STUCK_PART` is stuck.
 _STUCK_DISTANCE = 0.1
 #: Number of consecutive stuck pulls after which components that obstruct the pull are released.
 _STUCK_LIMIT = 2
-#: Fraction of a pull. An element that limits the pull to less obstructs the pull.
+#: An element obstructs a pull if the element limits the pull to less than this fraction.
 _OBSTRUCTION = 0.3
-#: Largest deviation from the mean motion of sites that are pulled as one piece, relative to it.
+#: Sites are pulled as one piece if their relative deviation from the mean motion is at most this.
 _PIECE_SPREAD = 0.2
 
 # The end of a run
 
-#: Number of latest steps that are tested for creep, the slow motion of crushed tissue.
+#: Number of most recent steps that are tested for creep, the slow motion of crushed tissue.
 _CREEP_STEPS = 30
-#: Largest decrease of the energy over these steps for creep, relative to the energy.
+#: Largest relative decrease in energy over these steps that counts as creep.
 _CREEP_ENERGY = 1e-7
 #: Distance from equilibrium, in pixels, that is accepted for creeping tissue.
 _CREEP_DISTANCE = 0.1
 #: Largest final step, relative to the tolerance, for tissue in which cycles may miss motions.
 _FINAL_STEP = 10.0
-#: Least Jacobian at any corner of an accepted field, far above rounding in double precision.
+#: Smallest Jacobian at any corner of an accepted field, far above rounding in double precision.
 LEAST_JACOBIAN = 1e-9
 
 
@@ -166,7 +166,7 @@ class Distance(NamedTuple):
 
 
 class _Linear(NamedTuple):
-    """Solution of a tangent system: displacement, error per unit of residual, largest motion."""
+    """Solution of a tangent system: displacement, error per residual, and largest motion."""
 
     way: Planes
     reach: float
@@ -225,7 +225,7 @@ class Newton:
         self._projected = 0
 
     def run(self, d: Planes, y: Planes, held: HeldPlanes, tolerance: float) -> None:
-        """Solve for equilibrium, and move constrained components as close to `y` as possible.
+        """Solve for equilibrium and move constrained components as close to `y` as possible.
 
         Parameters
         ----------
@@ -281,7 +281,7 @@ class Newton:
                 step, taken = self._relax(d, held, step)
                 relaxations = max(relaxations - 1, 0)
             if not self._judge(d, step):
-                # Return to the last valid field, and end the run.
+                # Return to the last valid field and end the run.
                 np.copyto(d, before)
                 self.distance = distance_before
                 self._is_converged = self._is_converged and left == 0
@@ -411,7 +411,7 @@ class Newton:
         yield 1.0
 
     def _iterate(self, load: Planes) -> _Linear | None:
-        """Solve the tangent system by cycles; return None if they did not converge."""
+        """Solve the tangent system by cycles; return None if the cycles did not converge."""
         self._buckles = False
         balance, way = self._model.balance(load), np.zeros_like(load)
         if balance.most == 0:
@@ -450,7 +450,7 @@ class Newton:
         """Solve by factorization; return None if the tangent matrix is not positive definite."""
 
         def report_part(part: float) -> None:
-            self._report(Monitor(f"factorising, {part:.0%}", part))
+            self._report(Monitor(f"factorizing, {part:.0%}", part))
 
         moves = self._model.moves
         load = np.where(moves, load, 0.0)
@@ -468,13 +468,13 @@ class Newton:
         return _Linear(way, far / most if most > 0 else 0.0, far, factors=factors)
 
     def _creeps(self, far: float) -> bool:
-        """Return whether the latest steps were short, and hardly decreased the energy."""
+        """Return whether the latest steps were short and hardly decreased the energy."""
         late = self.energies[self._pulled :][-_CREEP_STEPS:]
         short = len(late) == _CREEP_STEPS and far <= _CREEP_DISTANCE
         return short and late[0] - late[-1] <= _CREEP_ENERGY * abs(late[-1])
 
     def _energy(self, d: Planes) -> tuple[float, float]:
-        """Return the total energy, and the least Jacobian of all element corners."""
+        """Return the total energy, and the smallest Jacobian of all element corners."""
         energy, least = self._model.energy(d)
         return energy if self.external_forces is None else energy + self.external_forces.energy(
             d
@@ -518,7 +518,7 @@ class Newton:
         return step, taken
 
     def _descend(self, d: Planes, way: Planes) -> float:
-        """Take a descent step in place, and update the loads; return the fraction taken."""
+        """Take a descent step in place and update the loads; return the fraction taken."""
         before = d.copy()
         taken = self._fall(d, way)
         if self.external_forces is not None and taken > 0:

@@ -34,33 +34,35 @@ _FIRST_MOTIONS = 8
 _MOST_MOTIONS = 64
 # Largest error of a soft motion with a prescribed displacement of 1 pixel, in pixels.
 _EXACT = 1e-12
-# Singular value of the matrix of soft motions, relative to the largest, that is rounding error.
+# Singular values of the matrix of soft motions below this fraction of the largest one are rounding
+# errors.
 _FLOOR = 1e-14
 # Largest number of corrections of the soft motions in a field.
 _BALANCINGS = 4
-# Largest accepted final correction of the soft motions, relative to the largest displacement or
-# 1 pixel.
+# Largest accepted final correction of the soft motions, relative to the largest displacement, or to
+# 1 pixel if that is larger.
 _UNBALANCED = 1e-6
-# Work of a load on a free motion, relative to the sum of its absolute terms, that is rounding
-# error.
+# Largest work done by a load over a free motion that is rounding error, relative to the sum of the
+# absolute values of its terms.
 _BALANCED = 1e-9
-# Number of passes that separate the soft motions.
+# Number of passes to separate the soft motions.
 _SEPARATIONS = 2
-# Least eigenvalue of the scaled model (unit diagonal) that a factorization resolves.
+# Smallest eigenvalue of the scaled model (unit diagonal) that a factorization resolves.
 _RESOLVED = 1e-15
-# Number of inverse iterations that estimate the least eigenvalue.
+# Number of inverse iterations that estimate the smallest eigenvalue.
 _ESTIMATES = 3
-# Factor on `_RESOLVED`, times the square root of the number of unknowns. One iteration is enough
-# if its estimate is larger.
+# Factor on `_RESOLVED` times the square root of the number of unknowns. No further iteration is
+# needed once the estimate exceeds this product.
 _CLEAR = 1e3
-# Largest number of soft motions that an error message analyses; separating more takes seconds.
+# Largest number of soft motions that are analysed for an error message; separating more motions
+# takes seconds.
 _EXPLAINED = 16
 # Fraction of the largest displacement above which a site is part of a motion.
 _PARTICIPATION = 0.1
 
 
 class SoftMotions(NamedTuple):
-    """Soft motions of tissue, and components that prevent these motions if constrained.
+    """Soft motions of tissue, with components that prevent these motions if constrained.
 
     Attributes
     ----------
@@ -71,7 +73,8 @@ class SoftMotions(NamedTuple):
     cost : ndarray, shape (n, n)
         Hessian of the energy with respect to the coefficients of these motions.
     free : list of ndarray, each of shape (m, H, W, 2)
-        Free motions, which have zero energy: an array of all of them, or an empty list.
+        Free motions, which have zero energy: a single array with all free motions, or an empty
+        list.
     """
 
     pins: HeldPlanes
@@ -111,7 +114,7 @@ class SoftMotions(NamedTuple):
             )
 
     def unbalanced_motion(self, load: Planes) -> Planes | None:
-        """Return a free motion on which a load does work, or None if there is none."""
+        """Return a free motion over which a load does work, or None if there is none."""
         for ways in self.free:
             for way in ways:
                 motion = host.planes(way)
@@ -146,7 +149,7 @@ def resolves(model: LinearModel) -> bool:
 def refuse_free(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
 ) -> None:
-    """Raise an error if the tissue has a free motion although its matrix could be factorised.
+    """Raise an error if the tissue has a free motion although its matrix could be factorized.
 
     Raises
     ------
@@ -161,9 +164,9 @@ def refuse_free(
 def explain_singular(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
 ) -> ProblemError | ConvergenceError:
-    """Return an error that explains why a system could not be factorised.
+    """Return an error that explains why a system could not be factorized.
 
-    Either a motion is free, or its energy is so small that double precision cannot resolve it.
+    Either a motion is free or its energy is so small that double precision cannot resolve it.
 
     Parameters
     ----------
@@ -236,7 +239,7 @@ def find_soft_motions(
         way.ravel()[pin] = 1.0
         refinement.run(way, None, _EXACT)
     for _ in range(_SEPARATIONS):
-        # Small energies are hidden by rounding of larger ones until the motions are separated.
+        # Rounding errors of large energies hide small energies until the motions are separated.
         ways /= np.sqrt((steep * ways**2).sum(axis=planes, keepdims=True))
         cost = _costs(model, ways)
         _, modes = np.linalg.eigh(cost)
@@ -269,7 +272,10 @@ def _product(model: LinearModel, one: Planes, two: Planes) -> float:
 
 
 def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float64Array:
-    """Return the soft motions, shape (components, motions), times the root of the diagonal."""
+    """Return the soft motions, times the square root of the diagonal.
+
+    The result has shape (components, motions).
+    """
     if not len(weights):
         return np.zeros((0, 0))
     springs = np.where(moves, _SPRINGS * model.steepness, 0.0)

@@ -1,8 +1,9 @@
-"""Solve of a linear system to a tolerance, by cycles or by a direct factorization.
+"""Solution of a linear system to a tolerance, by cycles or by a direct factorization.
 
-If the tissue is not mild, the iteration is first tested on a random field with a known solution
+Tissue is *mild* if a cycle reduces all of its motions. If the tissue is not mild, the iteration is
+first tested in a trial run, the *rehearsal*, on a random field with a known solution
 (`self_check.Rehearsal`). If its error estimate is reliable there, the iteration solves the problem.
-Otherwise, or if the iteration stalls, the system is factorised.
+Otherwise, or if the iteration stalls, the system is factorized.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
-#: Message for a system that cannot be factorised in double precision.
+#: Message for a system that cannot be factorized in double precision.
 BARELY_HELD = (
     "a part of the tissue is barely held, so double precision cannot resolve its motion. Hold more "
     "of it, or reduce the ratio of the stiffest to the softest tissue"
@@ -41,36 +42,36 @@ _IN_DOUBLE = 8
 _MARGIN = 4.0
 # Additional safety factor for a volume that is not mild.
 _VOLUME_MARGIN = 1.5
-# Least eigenvalue that cycles find in images of mild compressible tissue. Cycles that find a
+# Smallest eigenvalue that cycles find in images of mild, compressible tissue. Cycles that find a
 # smaller eigenvalue may have missed others.
 _MILD_LEAST = 0.1
-# Least eigenvalue that cycles find in images of mild, nearly incompressible tissue.
+# Smallest eigenvalue that cycles find in images of mild, nearly incompressible tissue.
 _MILD_LEAST_INCOMPRESSIBLE = 0.05
-# Least safety factor of any error estimate: an estimate is for a single component, and depends on
-# the eigenvalues found so far.
+# Smallest safety factor of any error estimate, because an estimate is for a single component and
+# depends on the eigenvalues found so far.
 _LEAST_MARGIN = 1.5
-# Additional safety factor for a warm start where tissue is not mild: only the slowest motions have
-# not converged.
+# Additional safety factor for a warm start where tissue is not mild, because only the slowest
+# motions have not converged.
 _WARM_MARGIN = 1.5
-# Ratio of the reported error to the estimate that ends an iteration. The report never exceeds the
-# tolerance.
+# Ratio of the reported error to the estimate that ends an iteration. The reported error never
+# exceeds the tolerance.
 _REPORTED = 1.5
 # Number of sites up to which a factorization takes no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Largest number of search directions for free motions at hinges between touching rigid bodies.
 _MOST_HINGES = 40
-# Largest ratio of two successive corrections from the factorization that counts as progress.
+# Largest ratio of successive direct-solve corrections that still counts as progress.
 _FALL = 0.25
-# Correction, relative to the largest displacement or 1 pixel, up to which any decrease counts as
-# progress.
+# Correction, relative to the largest displacement (at least 1 pixel), up to which any decrease
+# counts as progress.
 _ROUNDING = 1e-15
-# Correction, relative to the largest displacement or 1 pixel, up to which the solve may end without
-# progress.
+# Correction, relative to the largest displacement (at least 1 pixel), up to which the solve may end
+# without progress.
 _STALLED = 1e-7
 
 
 class _SlowMotionError(Exception):
-    """Cycles have found a slow motion, which does not occur in mild tissue."""
+    """Signal raised when cycles find a slow motion, which does not occur in mild tissue."""
 
 
 class Refinement:
@@ -86,7 +87,7 @@ class Refinement:
     is_firm : bool
         True if the constrained sites resist all motions about equally well.
     start_quality : StartQuality, optional
-        Least eigenvalue and error from the solves of a warm start; None for a cold start.
+        Smallest eigenvalue and error from the solves of a warm start; None for a cold start.
 
     Attributes
     ----------
@@ -178,12 +179,12 @@ class Refinement:
 
     @property
     def least(self) -> float:
-        """Least eigenvalue found by cycles, including those of the warm start."""
+        """Smallest eigenvalue found by cycles, including the cycles of the warm start."""
         return self._iteration.least
 
     @property
     def by_factors(self) -> bool:
-        """True if the system is factorised."""
+        """True if the system is factorized."""
         return self._model.earlier.factors is not None
 
     def set_energy(self, energy: float) -> None:
@@ -196,7 +197,7 @@ class Refinement:
         """Reduce the error by cycles; return whether it is reliably within the tolerance."""
         earlier, before = self._model.earlier, math.inf
         self._mild = self._mild and not earlier.slow
-        # Slow motions can stop only the first iteration, before `d` has changed.
+        # A slow motion stops only the first iteration, before `d` has changed.
         watch = self._mild and len(self._model.shape) == 2
         if not self._mild and self._factors_first and factors_fit(self._model):
             self._factors_tried = True
@@ -223,7 +224,7 @@ class Refinement:
             self._iteration.expect(self._start_quality.least)
         model, volume = self._model, len(self._model.shape) == 3
         moves = earlier.deflation
-        # Cycles find every motion of a single body, but may miss motions between close bodies.
+        # Cycles find every motion of a single body, but may miss relative motions of close bodies.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
         doubt = _LEAST_MARGIN
@@ -277,7 +278,7 @@ class Refinement:
 
     @property
     def _is_slow(self) -> bool:
-        """True if the present run has found a motion that does not occur in mild tissue."""
+        """True if the current run has found a motion that does not occur in mild tissue."""
         mild = self._model.material.compressible
         return self._iteration.run_least < (_MILD_LEAST if mild else _MILD_LEAST_INCOMPRESSIBLE)
 
@@ -291,7 +292,7 @@ class Refinement:
         return self._iterate(d, load, tolerance, self._model.balance(d, load))
 
     def _least_error(self) -> float:
-        """Return a lower bound for the reported error, independent of the residual."""
+        """Return a lower bound on the reported error, independent of the residual."""
         reported = _REPORTED * self.estimate
         if self._start_quality is None or self._start_quality.least == 1:
             return reported
@@ -300,7 +301,7 @@ class Refinement:
         return max(reported, left)
 
     def _take_care(self) -> bool:
-        """Switch to a better iteration, and clear its arrays; return False if there is none."""
+        """Switch to a better iteration and clear its arrays; return False if there is none."""
         more = self._iteration.take_care()
         if more:
             self._model.clear()
@@ -319,7 +320,7 @@ class Refinement:
 
     @property
     def _factors_first(self) -> bool:
-        """True if cycles would fail, or would be slower than a factorization."""
+        """True if cycles would fail or be slower than a factorization."""
         few, laced = math.prod(self._model.shape) <= _FEW, self._model.material.laced
         # With slipping observations, similar systems are solved in sequence. Later systems need
         # fewer cycles, but each factorization takes the same time.
@@ -414,7 +415,7 @@ class Refinement:
 class _Directions:
     """Conjugate search directions for a factorization with hinges between touching rigid parts.
 
-    In the factorised matrix, parts of a rigid body that touch in one site can rotate against each
+    In the factorized matrix, parts of a rigid body that touch in one site can rotate against each
     other. Further directions correct for such free motions.
     """
 
@@ -429,7 +430,7 @@ class _Directions:
         return self._left <= 0
 
     def next(self, correction: Planes, rest: Planes) -> Planes:
-        """Return a correction, made conjugate to the previous one and scaled by a line search."""
+        """Make a correction conjugate to the previous one and scale it by a line search."""
         self._left -= 1
         if self._last is not None:
             way, image, bend = self._last
@@ -455,7 +456,7 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
 
 
 def _double_level_of(model: LinearModel) -> Any:
-    """Return the finest level in double precision, or None if a factorization is available."""
+    """Return the finest level in double precision, or None if it is not needed or too large."""
     if factors_fit(model) or not fits(model.shape, IN_DOUBLE - ORDINARY):
         return None
     return model.double_level
@@ -470,13 +471,12 @@ def factors_fit(model: LinearModel) -> bool:
 def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     """Return the factorization of a model with its current constraints; the result is cached.
 
-    The text `known` is appended to the first error message.
+    The text `known` is appended to the error message for volumes.
 
     Raises
     ------
     ConvergenceError
-        If the factorization needs too much memory, or if the system is singular in double
-        precision.
+        If the factorization needs too much memory or the system is singular in double precision.
     """
     if model.earlier.factors is None:
         if len(model.shape) == 3 and not factors_fit(model):
@@ -493,7 +493,7 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
             )
 
         def report_part(part: float) -> None:
-            report(Monitor(f"factorising, {part:.0%}", part))
+            report(Monitor(f"factorizing, {part:.0%}", part))
 
         report_part(0.0)
         try:

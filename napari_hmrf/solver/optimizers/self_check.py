@@ -2,7 +2,7 @@
 
 A Krylov iteration estimates its error from the modes that it has found. If parts of stiff tissue
 are so thin or so close together that they merge on coarse levels, the modes that move these parts
-have so little energy that the iteration may find them only after all other modes have converged.
+have such low energies that the iteration may find them only after all other modes have converged.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from napari_hmrf.solver.backends.linear import Balance, Planes
 from napari_hmrf.solver.optimizers.base import Monitor, Report
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 
-#: Largest ratio of the true error to the estimated error with which an estimate is accepted.
+#: Largest ratio of the true error to the estimated error for which an estimate is accepted.
 BELIEVABLE = 3.0
-# Largest ratio of the errors after and before a round with which another round starts.
+# Largest ratio of the error after a round to the error before it for which another round starts.
 _ROUND_REDUCTION = 0.5
 
 
 class Rehearsal(NamedTuple):
-    """Run of an iteration on a random field with a known solution, zero.
+    """Trial run of an iteration on a random field, for which the solution is known to be zero.
 
     Attributes
     ----------
     part : float
         Estimated error at which the run ends, as a fraction of the largest value of the field.
     patience : int
-        Number of cycles after which the run has failed.
+        Number of cycles after which the run fails.
     """
 
     part: float = 0.003
@@ -52,7 +52,7 @@ class Rehearsal(NamedTuple):
         error : ndarray, planes
             Random field; changed in place.
         balance_of : callable
-            Returns the residual of a displacement, without a load.
+            Function that returns the residual of a displacement without a load.
         report : callable
             Called with a `Monitor` after each cycle.
         """

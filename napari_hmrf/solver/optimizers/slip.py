@@ -34,7 +34,7 @@ Float64Array = npt.NDArray[np.float64]
 
 # Factor on the tolerance for the first exchanges, which are followed by exchanges at the tolerance.
 _ROUGH_FACTOR = 10.0
-# Accuracy of the final exchange, relative to the largest displacement or 1 pixel.
+# Accuracy of the final exchange, relative to the largest displacement, or to 1 pixel if larger.
 _EXACT = 1e-11
 # Largest accepted contradiction of a state in the final exchange, as a multiple of the accuracy.
 _CONTRADICTION = 10.0
@@ -44,7 +44,7 @@ _CONFIRMATION = 10.0
 _AT_LIMIT = 1e-9
 # Fraction of the limit by which a force must be below the limit to need no closer inspection.
 _NEAR_LIMIT = 1e-4
-# Excess of the force over its limit that is accepted for a held component, as a fraction.
+# Largest accepted excess of the force of a held component, as a fraction of its limit.
 _EXCESS = 1e-9
 # Number of refinement solves that compute the start of the interior-point method.
 _REFINEMENTS = 4
@@ -55,11 +55,11 @@ _BLOCK_EXCHANGES = 30
 
 
 class Slip:
-    """Search for the states of observations (held or slipping), and for the resulting field.
+    """Search for the states of observations (held or slipping) and for the resulting field.
 
     With many slipping observations or a small penalty, a single wrong state can change the field
     considerably, even if its contradiction is small. At the end, all states must therefore be right
-    within rounding errors.
+    to within rounding errors.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class Slip:
         self._steepness = model.steepness
 
     def run(self, d: Planes, tolerance: float) -> float:
-        """Minimise the energy over `d`, in place; return the norm of the forces."""
+        """Minimize the energy over `d`, in place; return the norm of the forces."""
         exact = _EXACT * max(1.0, float(np.abs(d).max()))
         try:
             if self._free(self._states.held) is not None:
@@ -210,7 +210,7 @@ class Slip:
         )
 
     def _confirm(self, d: Planes, exact: float) -> None:
-        """Solve for the present states, and exchange components that contradict their state."""
+        """Solve for the current states and exchange components that contradict their state."""
         states, model, refinement = self._states, self._model, self._refinement
         for number in range(_MOST_EXCHANGES):
             play = self._soft_motions(states.held)
@@ -234,7 +234,7 @@ class Slip:
         refinement.set_energy(energy + states.cost(d))
 
     def _settle(self, d: Planes) -> float:
-        """Choose the least motion among fields of least energy; return the norm of the forces."""
+        """Choose the least motion among fields of lowest energy; return the norm of the forces."""
         states, pull = self._states, self._pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
             quality = self._refinement.estimate, self._refinement.residual
@@ -244,7 +244,7 @@ class Slip:
         return forces
 
     def _clear(self, d: Planes) -> HeldPlanes:
-        """Return a mask of the components that are held by a clear margin."""
+        """Return a mask of the held components with a force clearly below the limit."""
         noise = _EXACT * max(1.0, float(np.abs(d).max())) * self._steepness
         return self._states.certain(self._pull(d), _NEAR_LIMIT, noise)
 

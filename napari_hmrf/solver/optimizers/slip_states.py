@@ -2,12 +2,12 @@
 
 The force of an observation is at most ``p = K c``. If a smaller force is enough to keep a component
 at its observed position, the component is *held*. Otherwise the component *slips*: it is away from
-this position, and is pulled towards it with the force p. The search exchanges the states of all
-components that contradict their state, and solves again (a semismooth Newton method). If this makes
-no progress, a few proximal gradient steps set the states, and the field is moved towards the
-solution for these states only while the energy decreases (a truncated nonsmooth Newton method:
-Gräser and Kornhuber, J. Comput. Math. 27, 2009). The second method always ends, because the energy
-is convex and has one least value for each set of states.
+this position and is pulled towards it with the force p. The search exchanges the states of all
+components that contradict their state and solves again (a semismooth Newton method). If the
+exchanges make no progress, a few proximal gradient steps set the states, and the field is moved
+towards the solution for these states only while the energy decreases (a truncated nonsmooth Newton
+method: Gräser and Kornhuber, J. Comput. Math. 27, 2009). The second method always ends, because the
+energy is convex and has one minimum value for each set of states.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from napari_hmrf.solver.optimizers.loading import work_of
 #: Function that returns a free motion (planes) for a mask of constrained components, or None.
 FreeMotion = Callable[[HeldPlanes], Planes | None]
 
-#: Number of exchanges without a new minimum of the number of contradictions, after which another
-#: method is used.
+#: Number of exchanges without a decrease in the smallest number of contradictions, after which
+#: another method is used.
 PATIENCE = 6
 # Distance from its observed position, in pixels, up to which a component is held.
 _AT_POSITION = 1e-7
@@ -97,7 +97,7 @@ class States:
         self._slips = np.zeros_like(self._slips)
 
     def slip_as(self, sides: npt.NDArray[Any]) -> None:
-        """Set the states: the sign of ``y - d`` if a component slips, and 0 if it is held."""
+        """Set the states of all components: the sign of ``y - d`` if slipping, and 0 if held."""
         self._slips = sides
 
     def place(self, d: Planes) -> None:
@@ -112,7 +112,7 @@ class States:
 
 
 class ActiveSet(States):
-    """States of the observations of a model with an energy.
+    """States of the observations, for a model with an energy.
 
     Here `limit` is the largest force of an observation.
 
@@ -121,7 +121,7 @@ class ActiveSet(States):
     given : ndarray, planes, optional
         Forces that do not depend on the observations.
     stored : float
-        Energy of tissue that does not move.
+        Energy of the tissue at rest.
     """
 
     def __init__(
@@ -153,7 +153,7 @@ class ActiveSet(States):
         return self._patience == 0
 
     def cost(self, d: Planes) -> float:
-        """Return the energy ``sum(p |y - d|)`` of observations, minus the work of given forces."""
+        """Return ``sum(p |y - d|)`` plus the energy at rest, minus the work of the given forces."""
         of_observations = float((self.limit * np.abs(self.y - d.ravel()[self.at])).sum())
         return of_observations + self._stored - work_of(self.given, d)
 
@@ -165,7 +165,7 @@ class ActiveSet(States):
         Parameters
         ----------
         d : ndarray, planes
-            Displacement for the present states. If the release would leave tissue free, the tissue
+            Displacement for the current states. If the release would leave tissue free, the tissue
             slides until an observation holds it again; `d` is then changed in place.
         pull : ndarray, planes
             Force of the tissue on each component, plus the given forces.
@@ -174,7 +174,8 @@ class ActiveSet(States):
         tolerance : float
             Contradiction, in pixels, up to which a component keeps its state.
         free : callable
-            Returns a free motion of tissue for a mask of constrained components, or None.
+            Function that returns a free motion of tissue for a mask of constrained components, or
+            None.
 
         Returns
         -------
@@ -213,8 +214,8 @@ class ActiveSet(States):
     ) -> bool:
         """Return whether any component contradicts its state; parameters as for `exchange`.
 
-        A force that exceeds its limit by the fraction `share` is a contradiction, however stiff the
-        tissue is.
+        A force that exceeds its limit by the fraction `share` is a contradiction, regardless of the
+        stiffness of the tissue.
         """
         more = np.abs(pull.ravel()[self.at]) - self.limit
         over = (self._slips == 0) & (more > share * self.limit)
@@ -237,10 +238,10 @@ class ActiveSet(States):
         d : ndarray, planes
             Displacement.
         pull_at : callable
-            Returns the force of the tissue on each component, plus the given forces, for a
-            displacement.
+            Function that returns the force of the tissue on each component, plus the given forces,
+            for a displacement.
         steepness : ndarray, planes
-            Diagonal D of the model, times an upper bound of the spectrum of D^-1 A.
+            Diagonal D of the model, times an upper bound on the spectrum of D^-1 A.
         free : callable
             As for `exchange`.
 
@@ -264,7 +265,7 @@ class ActiveSet(States):
         return True
 
     def _excess(self, pull: Planes, steepness: Planes) -> npt.NDArray[Any]:
-        """Return the excess force over the limit, divided by the diagonal, in pixels."""
+        """Return the excess of each force over its limit, divided by the diagonal, in pixels."""
         more = np.abs(pull.ravel()[self.at]) - self.limit
         return np.asarray(more / steepness.ravel()[self.at])
 
@@ -293,8 +294,9 @@ class ActiveSet(States):
         """Exchange components that contradict their state; return whether there were any.
 
         A held component contradicts its state if its force exceeds the limit by the fraction
-        `share`; a slipping one, if it has passed y by `tolerance` pixels. If `singly`, only the
-        last such component is exchanged, so that the exchanges always end (Murty's rule).
+        `share`. A slipping component contradicts its state if it has passed y by `tolerance`
+        pixels. If `singly`, only the last such component is exchanged, so that the exchanges always
+        end (Murty's rule).
         """
         force, held = -pull.ravel()[self.at], self._slips == 0
         passed = self._slips * (d.ravel()[self.at] - self.y)
@@ -305,7 +307,7 @@ class ActiveSet(States):
         return bool(wrong.any())
 
     def sides(self, d: Planes, pull: Planes) -> tuple[Planes, Planes]:
-        """Return ``y - d`` of each component (0 if held), and the sign that it must keep."""
+        """Return ``y - d`` of each component (0 if held), and the required sign of ``y - d``."""
         off, side = np.zeros((2, *self._grid))
         off.ravel()[self.at] = np.where(self._slips == 0, 0.0, self.y - d.ravel()[self.at])
         needed = -pull.ravel()[self.at]
@@ -313,7 +315,7 @@ class ActiveSet(States):
         return off, side
 
     def step(self, d: Planes, before: Planes, way: Planes, pull: Planes, change: Planes) -> bool:
-        """Move `d` from `before` along `way` to the least energy, within the step.
+        """Move `d` from `before` along `way` to the lowest energy within the step.
 
         Returns True if `d` is at the end of the step. `d` is changed in place.
 
@@ -326,7 +328,7 @@ class ActiveSet(States):
         pull : ndarray, planes
             Force of the tissue at `before`, plus the given forces.
         change : ndarray, planes
-            Change of this force over the step.
+            Change in this force over the step.
         """
         slope, bend = -float((pull * way).sum()), -float((change * way).sum())
         part = self._lowest(before, way, slope, bend)
@@ -345,7 +347,7 @@ class ActiveSet(States):
         self.place(d)
 
     def slide(self, d: Planes, motion: Planes) -> bool:
-        """Move tissue along a free motion to the least energy, in place; return whether it moved.
+        """Move tissue along a free motion to the lowest energy, in place; return whether it moved.
 
         Afterwards, an observation holds the tissue. If the energy has no minimum along the motion,
         components at their observed position are held again instead.
@@ -361,7 +363,7 @@ class ActiveSet(States):
         return False
 
     def _lowest(self, d: Planes, way: Planes, slope: float, bend: float) -> float:
-        """Return the multiple of `way` from `d` at which the energy is least."""
+        """Return the multiple of `way` from `d` at which the energy is lowest."""
         # `slope` and `bend` are the first and second derivative of the energy without observations.
         off, moves = d.ravel()[self.at] - self.y, way.ravel()[self.at]
         off[self._slips == 0] = 0

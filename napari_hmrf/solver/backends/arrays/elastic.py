@@ -1,4 +1,4 @@
-"""Elastic tissue as arrays: its levels, and its forces in double precision."""
+"""Elastic tissue as arrays: its levels and its forces in double precision."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ in_child_of_fork(_last.clear)
 
 
 def the_model(material: ElasticMaterial) -> ArrayElasticModel:
-    """Return the model of a material, from a cache with one model."""
+    """Return the model of a material, using a single-entry cache."""
     if not _last or _last[0].material != material:
         _last[:] = (ArrayElasticModel(material),)
     return _last[0]

@@ -1,4 +1,4 @@
-"""Displacements in double precision on the host, in NumPy: counterpart of the loops `cpu.exact`.
+"""Displacements in double precision on the host, in NumPy: counterpart of the loops in `cpu.exact`.
 
 Planes are float64 arrays (2, H + 4, W + 4), with the component as the first axis and a border of
 zeros, two sites wide.
@@ -51,7 +51,7 @@ def blend(values: Values, weight: float, held: HeldPlanes, d: Planes) -> None:
 def settle(
     values: Values, tissue: npt.NDArray[np.bool_], unit: float, row_finite: npt.NDArray[np.bool_]
 ) -> None:
-    """Multiply values by `unit` on tissue, set others to 0, and mark rows of finite values."""
+    """Multiply values by `unit` in tissue, set others to 0, and mark the rows of finite values."""
     row_finite[...] = np.isfinite(values).all(axis=(1, 2))
     values *= unit * tissue[..., None].astype(values.dtype)
 

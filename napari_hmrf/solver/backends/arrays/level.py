@@ -1,4 +1,4 @@
-"""One level of a linear model as arrays: constraints, and springs on coarser levels."""
+"""One level of a linear model as arrays: constraints and, on coarser levels, springs."""
 
 from __future__ import annotations
 

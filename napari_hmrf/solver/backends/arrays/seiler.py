@@ -1,9 +1,9 @@
-"""The paper's cliques as arrays: their levels, and their forces in double precision.
+"""The paper's cliques as arrays: their levels and their forces in double precision.
 
-`stiffness` is (m, 1/m) as planes, 0 in void. `lines` is the weight of each line of cliques for each
-component. With centred cliques, the model is A d = d - q(d), where q is the minimiser of the local
-energy. With blanket cliques, A d is half the gradient of the cliques in U_total; twice the weights
-give the whole gradient.
+`stiffness` is (m, 1/m) as planes, and 0 in void. `lines` is the weight of each line of cliques for
+each component. With centred cliques, the model is A d = d - q(d), where q is the minimizer of the
+local energy. With blanket cliques, A d is half the gradient of the cliques in U_total; twice the
+weights give the whole gradient.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class ArraySeilerLevel(ArrayLevel):
         (m, 1/m), 0 in void.
     even : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
         Factor that converts a weighted sum over the tissue around a site of the finer level to four
-        times its mean.
+        times the weighted mean.
     material : SeilerMaterial
     share : float
         Weight of all cliques on this level.
@@ -152,7 +152,7 @@ in_child_of_fork(_last.clear)
 
 
 def the_model(material: SeilerMaterial) -> ArraySeilerModel:
-    """Return the model of a material, from a cache with one model."""
+    """Return the model of a material, using a single-entry cache."""
     if not _last or _last[0].material != material:
         _last[:] = (ArraySeilerModel(material),)
     return _last[0]

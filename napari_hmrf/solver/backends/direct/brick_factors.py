@@ -28,7 +28,7 @@ _dropped: deque[Any] = deque()
 
 
 class _ThreadBound:
-    """Wrapper of a SuperLU object, so that the object is freed on the thread that created it."""
+    """Wrapper for a SuperLU object, so that the object is freed on the thread that created it."""
 
     # SciPy keeps a table of allocations for each thread. If another thread frees the object, as the
     # garbage collector may do, its memory is leaked.
@@ -47,8 +47,8 @@ class BrickFactors:
     Parameters
     ----------
     elements : callable
-        Returns the matrices of the elements in a range along each axis, shape (d, h, w, n, n) with
-        n = 8 C.
+        Function that returns the matrices of the elements in a range along each axis, shape
+        (d, h, w, n, n) with n = 8 C.
     moves : ndarray of bool, shape (D, H, W, C)
         Mask of the free components. The solution is 0 at the other components.
     progress : callable

@@ -64,7 +64,7 @@ class SymmetricStep(NamedTuple):
     right: Float64Array
 
     def forward(self, load: Float64Array) -> None:
-        """Condense the load as in `Step`, and multiply the load of the interior by U^-T."""
+        """Condense the load as in `Step` and multiply the load of the interior by U^-T."""
         if self.factor.ndim == 2:
             load[self.own] = _triangular(self.factor, load[self.own], transposed=True)
             load[self.ring] -= load[self.own] @ self.right

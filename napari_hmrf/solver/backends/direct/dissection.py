@@ -11,7 +11,7 @@ S:
 The matrices S of two neighbouring boxes add up to the matrix F of their union (nested dissection:
 George, SIAM J. Numer. Anal. 10, 1973). Boxes within tiles of 16 x 16 elements have few different
 shapes, so many boxes are condensed at once; their fixed components have 1 on the diagonal.
-Larger boxes contain free components only. On n x n sites, the work is about n^3 and the memory
+Larger boxes contain only free components. On n x n sites, the work is about n^3 and the memory
 about n^2 log n, independent of the materials.
 """
 
@@ -48,7 +48,7 @@ Progress = Callable[[float], None]
 # Number of tiles condensed at once, chosen so that their matrices fit into the processor's cache.
 _AT_ONCE = 16
 _THREADS = os.cpu_count() or 1
-#: Least pivot of a component, relative to its diagonal entry, of a system that is not singular.
+#: Smallest pivot of a component, relative to its diagonal entry, in a nonsingular system.
 HELD = 1e-13
 
 
@@ -57,7 +57,7 @@ class Singular(ArithmeticError):
 
 
 _Steps = list[Step | SymmetricStep]
-#: Range of tiles: first row, end row, first column, end column; the ends are excluded.
+#: Range of tiles: first row, end row, first column, end column; the ends are exclusive.
 _Range = tuple[int, int, int, int]
 
 
@@ -74,7 +74,7 @@ class Dissection:
     Parameters
     ----------
     elements : callable
-        Returns the matrices of the elements; see `Elements`.
+        Function that returns the matrices of the elements; see `Elements`.
     patch : int
         Number of sites along a side of an element.
     moves : ndarray of bool, shape (H, W, C)
@@ -108,14 +108,14 @@ class Dissection:
         self._tiles = tuple(-(-size // TILE) for size in self._span)
         self._progress, self._done, self._work = progress, 0.0, work(moves.shape)
         self._number_components()
-        # Diagonal of the matrix: sum over the elements that have been assembled up to now.
+        # Diagonal of the matrix: sum over the elements that have been assembled so far.
         self._diagonal, self._lock = np.zeros(moves.size + 1), threading.Lock()
         self._springs = np.zeros(moves.size + 1)
         self._least = HELD if springs is None else 0.0
         if springs is not None:
             self._springs[:-1] = springs.ravel()
-        # Each thread makes its own calls of BLAS. More threads within a call do not speed up small
-        # matrices, and would be very slow if other programs use the cores.
+        # Each thread makes its own calls to BLAS. More threads within a call do not speed up small
+        # matrices and would be very slow if other programs use the cores.
         with _one_thread(), ThreadPoolExecutor(_THREADS) as pool:
             self._steps, rest = self._condense((0, self._tiles[0], 0, self._tiles[1]), pool)
         if len(rest.ring):
@@ -157,7 +157,7 @@ class Dissection:
         threads: int = _THREADS,
         shares: dict[tuple[int, int], _Share] | None = None,
     ) -> tuple[_Steps, _Share]:
-        """Condense a box of tiles; `shares` has the tiles that are already condensed."""
+        """Condense a box of tiles; `shares` contains the tiles that are already condensed."""
         top, bottom, left, right = tiles
         high, wide = bottom - top, right - left
         steps: _Steps = []
@@ -184,7 +184,7 @@ class Dissection:
     def _merge(
         self, tiles: _Range, one: _Share, two: _Share
     ) -> tuple[Step | SymmetricStep, _Share]:
-        """Merge two neighbouring boxes, and condense the merged box."""
+        """Merge two neighbouring boxes and condense the merged box."""
         every = np.union1d(one.ring, two.ring)
         shared = self._shared(every, tiles)
         own = len(every) - int(shared.sum())
@@ -294,7 +294,7 @@ class Dissection:
     def _factorise(
         self, a: Float64Array, b: Float64Array, places: tuple[Index, Index]
     ) -> SymmetricStep:
-        """Condense symmetric matrices by Cholesky factorization, for better accuracy than A^-1."""
+        """Condense symmetric matrices by Cholesky factorization, more accurately than by A^-1."""
         pivots = a.diagonal(axis1=-2, axis2=-1)
         if not (pivots > 0).all():
             raise Singular
@@ -343,5 +343,5 @@ def _pools() -> ThreadpoolController:
 
 
 def _one_thread() -> Any:
-    """Return a context manager in which each call of BLAS uses one thread."""
+    """Return a context manager in which each call to BLAS uses one thread."""
     return _pools().limit(limits=1, user_api="blas")

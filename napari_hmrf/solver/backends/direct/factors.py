@@ -1,4 +1,4 @@
-"""Direct factorization of a linear model, for materials for which cycles are not reliable."""
+"""Direct factorization of a linear model, for use if cycles are not reliable."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from napari_hmrf.solver.backends.direct.brick_factors import BrickFactors
 from napari_hmrf.solver.backends.direct.dissection import Dissection, Elements, Progress
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 
-# Largest fraction of the available memory for a factorization.
+# Largest fraction of the available memory that a factorization may use.
 _FREE = 0.7
-# Largest number of voxels, for which a factorization takes a few seconds.
+# Largest number of voxels of a volume that is factorized, which takes a few seconds.
 _MOST_VOXELS = 14_000
 # Memory of the factorization of a volume, in bytes per voxel^(4/3).
 _VOLUME_BYTES = 3000.0

@@ -11,7 +11,7 @@ import numpy.typing as npt
 Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Number of elements along a side of the smallest boxes, and along a side of a tile.
+#: Number of elements along a side of the smallest boxes and along a side of a tile.
 LEAF, TILE = 4, 16
 
 
@@ -23,8 +23,8 @@ class Merge(NamedTuple):
     axis : int
         Axis along which the boxes are neighbours.
     own, size : int
-        Number of interior components of the merged box, and of all its components. The interior
-        components are first.
+        Number of interior components of the merged box and number of all its components. The
+        interior components are first.
     first, second : ndarray of int
         Positions of the ring components of the first and the second box among all components.
     """
@@ -80,7 +80,7 @@ def components(sites: Index, fields: int) -> Index:
 
 @lru_cache(maxsize=8)
 def merges(patch: int, fields: int) -> tuple[Merge, ...]:
-    """Return the merges from the smallest boxes to a tile, in their order."""
+    """Return the merges from the smallest boxes to a tile, in the order of their execution."""
     made, size, over = [], [LEAF, LEAF], patch - 1
     while size != [TILE, TILE]:
         axis = int(size[1] == size[0])

@@ -30,7 +30,7 @@ BodySites = tuple[npt.NDArray[np.intp], ...]
 # deflation fields.
 _MOST_BODIES, _MOST_VALUES = 8, 4e7
 
-# Eigenvalue below which a motion is free, times the number of components of the body.
+# Eigenvalue, times the number of components of the body, below which a motion is free.
 _NOTHING = 1e-9
 # Largest distance of observations from a rigid motion: in pixels, and relative to the largest
 # observed value.
@@ -40,9 +40,9 @@ _OFF, _PART = 1e-3, 1e-5
 class _Body(NamedTuple):
     """Components of a body as indices into flattened planes, and its rigid and free motions."""
 
-    # The columns of `motions` are orthonormal. `free` and `single` have the free motions in double
-    # and in single precision. `ways` has the coefficients of the free motions with respect to the
-    # translations along the axes and the rotations around `centre`.
+    # The columns of `motions` are orthonormal. `free` and `single` contain the free motions in
+    # double and in single precision. `ways` contains the coefficients of the free motions with
+    # respect to the translations along the axes and the rotations around `centre`.
 
     at: npt.NDArray[np.intp]
     held: npt.NDArray[np.bool_]
@@ -82,7 +82,7 @@ class Bodies:
     held : ndarray of bool, planes
         Mask of the constrained components.
     moved : ndarray, planes, optional
-        Present displacement of the bodies, in pixels; by default zero.
+        Current displacement of the bodies, in pixels; by default zero.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Bodies:
     ) -> None:
         self._sites, grid = sites, held.shape[1:]
         self._sides = np.array(material.shape.sides)
-        #: True if cycles keep the bodies fixed, and deflation moves them.
+        #: True if cycles keep the bodies fixed and deflation moves them.
         self.is_deflated = can_deflate(sites, material.m.shape)
         self._bodies = []
         for of_body in sites:
@@ -185,7 +185,7 @@ class Bodies:
     def carry(self, forces: Planes) -> None:
         """Transfer the total force on each body to its constrained components, in place.
 
-        Many distributions of the force are equivalent for a rigid body; the result has the least
+        Many distributions of the force are equivalent for a rigid body; the result has the smallest
         norm.
         """
         flat = forces.reshape(-1)

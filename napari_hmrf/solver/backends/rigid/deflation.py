@@ -1,4 +1,4 @@
-"""Protocol of deflation by the motions of rigid bodies and the tissue that they drag along."""
+"""Protocol of deflation by the motions of rigid bodies and of the tissue that they drag along."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Deflation(Protocol):
     close : bool
         True if bodies are so close together that cycles reduce errors between them slowly.
     is_independent : bool
-        True if single precision separates the motions.
+        True if the motions can be separated in single precision.
     """
 
     close: bool
@@ -22,7 +22,7 @@ class Deflation(Protocol):
     def deflate(self, d: Any, rest: Any) -> float:
         """Change `d` and `rest` in place so that `rest` does no work on any field.
 
-        Return the energy that this releases.
+        Returns the energy that is released.
         """
         ...
 

@@ -21,7 +21,7 @@ _Index = tuple[Any, ...]
 _STEPS, _EXACT = 30, 1e-12
 # Largest rotation of a body in one step, in radians.
 _TURN = 0.25
-# Relative singular value below which a motion is free.
+# Singular value, relative to the largest, below which a motion is free.
 _NOTHING = 1e-9
 # Largest distance of observations from a rigid motion: in pixels, and relative to the largest
 # observed value.
@@ -59,7 +59,7 @@ class Poses:
             self._bodies.append(_Body(at, places - places.mean(axis=1, keepdims=True), held[at]))
 
     def hold(self, y: Planes, held: HeldPlanes) -> None:
-        """Constrain all components of each body whose pose is determined already, in place.
+        """Constrain all components of each body whose pose is already determined, in place.
 
         The constrained components in `y` are replaced by the values of the fitted pose.
 
@@ -105,12 +105,12 @@ class Poses:
     def aim(self, d: Planes, y: Planes) -> Planes:
         """Return a displacement between `d` and `y`, with a limited rotation of each body.
 
-        Fully constrained bodies rotate by at most 0.25 radians, and remain rigid on the way.
+        Fully constrained bodies rotate by at most 0.25 radians and remain rigid on the way.
 
         Parameters
         ----------
         d, y : ndarray, planes
-            Present and final displacement, in pixels.
+            Current and final displacement, in pixels.
 
         Returns
         -------
@@ -135,8 +135,8 @@ class Poses:
     def extend(self, gap: Planes) -> Planes:
         """Extend a displacement of constrained components to all components of their bodies.
 
-        Other components of a partly constrained body get the small rigid motion that is nearest to
-        the displacement of the constrained components.
+        Other components of a partly constrained body receive the small rigid motion that is nearest
+        to the displacement of the constrained components.
         """
         made = gap.copy()
         for body in self._bodies:
@@ -150,7 +150,7 @@ class Poses:
 
 
 def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> Float64Array:
-    """Return all positions after the rigid motion that brings `some` nearest to their targets."""
+    """Return all positions after the rigid motion that moves `some` nearest to their targets."""
     if not some.size:
         return places
     middle, goal = some.mean(axis=1, keepdims=True), wanted.mean(axis=1, keepdims=True)
@@ -158,7 +158,7 @@ def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> 
 
 
 def _angles(places: Float64Array, goals: Float64Array) -> Float64Array:
-    """Return the rotation around 0, in radians, that brings positions nearest to their targets.
+    """Return the rotation around 0, in radians, that moves positions nearest to their targets.
 
     It is a single angle in an image, and a rotation vector in a volume.
     """
@@ -187,7 +187,7 @@ def _fit_pose(
     held: npt.NDArray[np.bool_],
     nearest: bool = True,
 ) -> Float64Array:
-    """Return the positions in a pose that has the constrained components at their targets.
+    """Return the positions in a pose that moves the constrained components to their targets.
 
     The search starts at the positions `begin`. If `nearest`, the other components are as near to
     their targets as possible.

@@ -219,7 +219,7 @@ def test_slipping_blanket_observations_are_factorised_once():
     words = [monitor.message for monitor in told]
     assert any(message.startswith("cycle") for message in words)
     if is_software_renderer(found.provenance.renderer):
-        assert words.count("factorising, 0%") == 1
+        assert words.count("factorizing, 0%") == 1
     loops = solve(problem, prior, optimizer=Multigrid(), backend="cpu")
     assert np.abs(found.displacement - loops.displacement).max() < 4e-3
 
