@@ -27,7 +27,7 @@ class Term(NamedTuple):
     window: str
 
 
-#: Names of the settings in the shell and the window, by their name in Python.
+#: Names of the settings in the shell and the window, by Python name.
 TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
     "model='elastic'": Term("--model elastic", ""),

@@ -20,7 +20,7 @@ _SAMPLES = 5
 
 
 def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] = ()) -> Any:
-    """Find the image to deform if the user has not chosen an image.
+    """Return the image to deform if the user has not chosen an image.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> l
 
 
 def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = ()) -> Any:
-    """Find the topmost image that covers another image at all given points, or return None.
+    """Return the topmost image that covers another image at all given points, or None.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ class ShownDeformation(NamedTuple):
 
     @property
     def confidence(self) -> npt.NDArray[np.float32] | None:
-        """Painted confidence of the motion, from 0 to 1; None if no confidence is painted."""
+        """Painted confidence of the motion, from 0 to 1, or None if no confidence is painted."""
         return self.moved.overlay[1] if len(self.moved.overlay) > 1 else None
 
 
