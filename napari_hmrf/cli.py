@@ -92,7 +92,7 @@ class _InShellWords(logging.Filter):
 
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
-    """Return the prior and the optimizer that the options of a demonstration select."""
+    """Return the prior and the optimizer selected by the options of a demonstration."""
     case = Case(Path(), model=options.model, poisson=options.poisson, plane=options.plane)
     return energy_of(case, volume=options.volume)
 
@@ -176,7 +176,7 @@ def _measure(options: argparse.Namespace) -> int:
 
 
 def _format_number(value: float) -> str:
-    """Format a number with four digits; large numbers keep all digits before the point."""
+    """Format a number with four significant digits, or all integer digits if it is large."""
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 

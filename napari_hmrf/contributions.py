@@ -273,7 +273,7 @@ def dock(viewer: Any = None) -> SoftTissue:
 
 
 def deform_now() -> None:
-    """Start a solve, like the button "Deform"."""
+    """Start a solve, like the "Deform" button."""
     dock().deform()
 
 

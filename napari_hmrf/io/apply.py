@@ -48,7 +48,7 @@ _IN_SLICE = 0.5 + 1e-3
 
 
 class Applied(NamedTuple):
-    """Path of the written file, and a note for the user, which is a clause or empty."""
+    """Path of the written file, and a note for the user (a clause, or "" if there is none)."""
 
     path: Path
     note: str = ""
@@ -129,7 +129,7 @@ def read_field_file(path: str | os.PathLike[str], *, forward: bool = False) -> F
     Raises
     ------
     FileFormatError
-        If the file is of a different kind.
+        If the file does not contain a valid displacement field.
     HmrfError
         If `forward` is True for a study or a result; or as for `read_field`.
     OSError
@@ -311,9 +311,9 @@ def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> Im
     if slice_place is None or len(slice_place.spacing) < 3:
         raise ProblemError(
             name,
-            f"is a volume of {len(image.pixels)} slices, but the field is that of one slice and "
-            "does not state which. Solve that slice of the volume (--slice, or Grid.from_image("
-            "volume, slice=...) in Python), or give an image of that slice only.",
+            f"is a volume of {len(image.pixels)} slices, but the field belongs to one slice and "
+            "does not state which one. Solve that slice of the volume (--slice, or "
+            "Grid.from_image(volume, slice=...) in Python), or give an image of that slice only.",
         )
     pixels = image.pixels.copy()
     for axes in permutations(range(3)):

@@ -58,7 +58,7 @@ SUMMARY = "summary.csv"
 _SUMMARY_INTERVAL = 5.0
 #: Number of most recent cases over which the time per case is averaged.
 _AVERAGED_CASES = 20
-#: Significant digits of the numbers in the summary.
+#: Number of significant digits of the values in the summary.
 _DIGITS = 6
 #: Environment variables that limit the threads of libraries.
 _THREAD_VARIABLES = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
@@ -114,8 +114,8 @@ def solve_cases(
     cases : sequence of NamedCase
         Cases, as returned by `read_cases`.
     folder : path-like
-        Folder for the folders of the cases and for `summary.csv`. Only one batch at a time can use
-        it.
+        Folder for the results of the cases and for `summary.csv`. Only one batch at a time can use
+        the folder.
     jobs : int, optional
         Number of single-threaded processes; by default one per core.
     scheduler : str, optional

@@ -119,7 +119,7 @@ def _refuse_unused(case: Case, is_planar: bool) -> None:
 
 
 def _names(case: Case) -> dict[str, str]:
-    """Return the names of the parts of a study: file names, but the image without its suffix."""
+    """Return the names of the parts of a study: the file names (for the image, no suffix)."""
     confidence = case.confidence if isinstance(case.confidence, Path) else None
     tissue = case.labels or next(iter(case.maps), None)
     parts = {"tissue": tissue, "boundary": case.boundary, "confidence": confidence}
@@ -192,8 +192,8 @@ def solve_case(
                 "--boundary that fixes a part of it."
             )
         raise HmrfError(
-            "no motion of the tissue is given. Give a --boundary that moves, and --hold-edge if "
-            "the outer edge is fixed."
+            "no motion of the tissue is given. Give a --boundary that moves tissue, and "
+            "--hold-edge if the outer edge is fixed."
         )
     refuse_overwriting(_files_of(case, folder), overwrite=overwrite)
     ground = Ground.of(study)
@@ -299,7 +299,7 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
     Raises
     ------
     ProblemError
-        If the image has colours, or if its size or place differs.
+        If the image has colours, or differs in size or place from the image of the case.
     """
     reference, place = _part(whole, case)
     if reference.ndim == 3 and image.place is None:

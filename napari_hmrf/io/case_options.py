@@ -88,14 +88,14 @@ class Case:
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Shell names of the options that are set, without the image."""
+        """Shell names of the options that are set, except the image."""
         names = [each.name for each in fields(self) if each.name != "image"]
         given = [name for name in names if getattr(self, name) not in (None, (), False)]
         return tuple(f"--{name.replace('_', '-')}" for name in given)
 
 
 def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
-    """Return the prior and the optimizer that the options of a case select.
+    """Return the prior and the optimizer selected by the options of a case.
 
     Parameters
     ----------

@@ -157,7 +157,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def fingerprints(case: NamedCase, known: dict[Path, str] | None = None) -> dict[str, str]:
-    """Return a digest of each input file of a case, which is "" if the file is unreadable.
+    """Return a digest of each input file of a case ("" for an unreadable file).
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ A table can have the following columns:
 - the input and options of ``napari-hmrf solve``: ``image`` or ``study``, ``labels``, ``maps``,
   ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
   ``model``, ``plane``, ``tolerance``, ``penalty`` and ``weight``;
-- numbers that replace numbers in the files of the case: ``poisson``, ``growth:TISSUE``,
+- values that replace numbers in the files of the case: ``poisson``, ``growth:TISSUE``,
   ``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, in which a tissue or boundary is
   identified by its label or name.
 
@@ -256,7 +256,7 @@ def _values(title: str, text: str, image: Path) -> list[str]:
 def _slices(image: Path) -> int:
     """Return the number of slices of an image, or 1 if the image cannot be read.
 
-    In the latter case, the error is reported when the case is solved.
+    If the image cannot be read, the error is reported when the case is solved.
     """
     try:
         file = read_image(image)

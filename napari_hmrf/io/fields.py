@@ -72,7 +72,7 @@ class Field:
     spacing : tuple of float, shape (n,)
         Pixel size along each axis, in mm, in the order [z,] y, x.
     field : DisplacementField
-        Field as stored, forward or backward; it can be evaluated at any points.
+        Field as stored, forward or backward; it can be evaluated at arbitrary points.
     origin : tuple of float, shape (n,)
         Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
@@ -116,7 +116,7 @@ def write_field(
 ) -> float:
     """Write a displacement field for ITK, SimpleITK, ANTs, elastix and 3D Slicer.
 
-    A 2-D field with three spacings is a slice of a volume. In NIfTI files it is written as three
+    A 2-D field with three spacings is a slice of a volume. In NIfTI files, it is written as three
     identical slices, because no tool reads a NIfTI field of a single slice correctly. In files of
     other formats, it is written as a single slice.
 
@@ -132,7 +132,7 @@ def write_field(
     spacing : sequence of float, shape (n,), or (3,) for a slice of a volume
         Pixel size along each axis, in mm, in the order [z,] y, x.
     origin : sequence of float, optional
-        Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS. By default 0.
+        Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS. By default, zeros.
     direction : array_like, shape (n, n), optional
         Direction matrix in ITK's convention: its columns are the directions of the image axes
         x, y[, z]. By default, the identity matrix.

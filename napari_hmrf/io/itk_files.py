@@ -23,7 +23,7 @@ from napari_hmrf.io.nifti import is_cut_short, place_in_nifti
 from napari_hmrf.io.seal import BrokenSeal, check_seal, seal
 from napari_hmrf.regular_file import refuse_irregular
 
-#: Suffix of the transforms that are written.
+#: Suffix of written transforms.
 _TRANSFORM = ".h5"
 #: Suffixes of transforms in text files.
 _TEXTS = (".tfm", ".txt")
@@ -206,7 +206,7 @@ def encode(
 
 
 def require_simpleitk() -> None:
-    """Check that SimpleITK is installed, without importing the package.
+    """Raise an error if SimpleITK is not installed, without importing SimpleITK.
 
     Raises
     ------

@@ -3,13 +3,13 @@
 ================  ==========================================================================
 BigWarp .csv      pairs: ``Pt-0,true,moving x,y[,z],target x,y[,z]``, in the unit of the image
 Slicer .mrk.json  one list of points, with its coordinate system, LPS or RAS
-Slicer .fcsv      one list of points, in the format of earlier versions
+Slicer .fcsv      one list of points, in the format of earlier Slicer versions
 napari .csv       one list of points: ``index,axis-0,axis-1[,axis-2]``, in pixels
 ================  ==========================================================================
 
-All points in this module have coordinates in the order of the axes, ([z,] y, x). Points from files
-with patient coordinates are in mm, with the axes pointing to superior, posterior and left, as in
-layers with patient coordinates.
+All points in this module have coordinates in axis order, ([z,] y, x). Points from files with
+patient coordinates are in mm, with the axes pointing to superior, posterior and left, as in layers
+with patient coordinates.
 """
 
 from __future__ import annotations

@@ -39,8 +39,8 @@ _BLOCK = 128
 _HEAD, _TAIL = 2**14, 2**10
 #: Number of bytes read at a time.
 _PIECE = 2**20
-#: Share of bytes equal to the mark above which text is considered to be a damaged mark; for
-#: unrelated text, the share is below a third.
+#: Share of matching bytes above which text is considered to be a damaged mark; for unrelated text,
+#: the share is below a third.
 _DAMAGED_SHARE = 0.6
 _GZIP, _HDF5 = b"\x1f\x8b", b"\x89HDF\r\n\x1a\n"
 #: Compression level of .nii.gz; low, because vectors hardly compress and higher levels are slower.
@@ -87,7 +87,7 @@ def seal(content: bytes, suffix: str) -> bytes:
 def check_seal(path: Path) -> bool:
     """Return whether a file has a valid seal.
 
-    The result is False for a file without a seal, such as a file of another program.
+    The result is False for a file without a seal, such as a file from another program.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def _parts(stream: BinaryIO | gzip.GzipFile) -> Iterator[tuple[bytes, bool]]:
 
 
 def _likeness(part: bytes) -> float:
-    """Return the largest share of bytes equal to the mark, over all positions in a piece."""
+    """Return the largest share of bytes that match the mark, over all positions in a piece."""
     if len(part) < len(_MARK):
         return 0.0
     windows: Any = np.lib.stride_tricks.sliding_window_view(

@@ -244,7 +244,7 @@ def _of_mapping(content: Any, file: str) -> Iterable[tuple[int, str]]:
 
 
 def _of_pair(key: str, value: Any) -> tuple[int, str] | None:
-    """Return the label and the name in a pair, in either order, or None for any other pair."""
+    """Return the label and name of a pair given in either order, or None for any other pair."""
     if isinstance(value, bool) or not isinstance(value, str | int):
         return None
     label, name = (_as_label(key), str(value)) if _is_name(value) else (_as_label(value), key)
@@ -283,7 +283,7 @@ def _of_segments(text: str) -> Iterable[tuple[int, str]]:
 
 
 def _as_label(value: Any) -> int | None:
-    """Convert a value, such as text, to a label; None if it is not a whole number >= 0."""
+    """Convert a number or text to a label; return None if it is not a whole number >= 0."""
     try:
         number = float(value)
     except (TypeError, ValueError):

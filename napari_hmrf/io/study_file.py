@@ -235,7 +235,7 @@ def replay(
     ------
     HmrfError
         As for `read_study` and `solve_study`; or if the tissue is derived from the image, and the
-        image is neither in the file nor given.
+        image is neither in the file nor passed.
     """
     study, solution = read_study(path, image=image)
     tissue = study.tissue

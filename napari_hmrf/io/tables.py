@@ -310,7 +310,7 @@ def measurement_table(
     ----------
     rows : sequence of Measurement
     volume : bool
-        True if the measurements are those of a volume.
+        True for measurements of a volume.
 
     Returns
     -------
@@ -344,7 +344,7 @@ def measurements_in_words(
     unit : str
         Unit of length.
     volume : bool
-        True if the measurements are those of a volume, which has other column titles.
+        True for measurements of a volume, which have different column titles.
 
     Returns
     -------
@@ -408,7 +408,7 @@ def forces_in_words(
 
 
 def _in_words(row: Measurement, name: str, axes: int) -> str:
-    """Format a measurement with four digits, large numbers in full, and negligible values as 0."""
+    """Format a measurement with four digits; show large numbers in full and tiny values as 0."""
     value = getattr(row, name)
     if not isinstance(value, float):
         return str(value)
@@ -434,7 +434,7 @@ def write_measurements(
     unit : str
         Unit of length, written to an additional last column; "" omits the column.
     volume : bool
-        True if the measurements are those of a volume, which has other column titles.
+        True for measurements of a volume, which have different column titles.
 
     Raises
     ------

@@ -24,12 +24,12 @@ def unwrapped(viewer: Any) -> Any:
 
 
 def camera_of(viewer: Any) -> Any:
-    """Return the camera of a viewer: from napari 0.9 on, an attribute of the scene."""
+    """Return the camera of a viewer (in napari 0.9 or later, of its scene)."""
     return getattr(viewer, "scene", viewer).camera
 
 
 def text_of(viewer: Any) -> Any:
-    """Return the text overlay of a viewer: from napari 0.9 on, an overlay of the canvas."""
+    """Return the text overlay of a viewer (in napari 0.9 or later, of its canvas)."""
     overlay = _overlay(viewer, "text")
     return viewer.text_overlay if overlay is None else overlay
 
@@ -50,8 +50,8 @@ def show_name(layer: Any, corner: str) -> None:
 
 def clear_middle(viewer: Any) -> None:
     """Hide the square that napari draws in the middle of the brush circle."""
-    # Private: napari 0.9 draws a small square there, as the background of a text. The square stays
-    # visible when the circle is hidden, and no public attribute hides it.
+    # Private: napari 0.9 draws a small square there, as the background of a text label. The square
+    # stays visible when the circle is hidden, and no public attribute hides it.
     circle = _overlay(viewer, "_brush_circle")
     if getattr(circle, "box", False):
         circle.box = False
@@ -158,6 +158,6 @@ def stop_quitting(window: Any) -> None:
 
 
 def _overlay(viewer: Any, name: str) -> Any:
-    """Return an overlay of the canvas, or None before napari 0.9, which introduced overlays."""
+    """Return an overlay of the canvas, or None before napari 0.9 (no canvas overlays)."""
     overlays = getattr(getattr(viewer, "canvas", None), "overlays", None)
     return getattr(overlays, name, None)

@@ -26,7 +26,7 @@ from napari_hmrf.layers.result_layers import ARROWS, LayerData, PlacedSolution
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, full_resolution, layer_extents
 
 Array = npt.NDArray[Any]
-#: Kind, in the metadata, of a layer that was deformed with a result.
+#: Metadata kind of a layer that was deformed with a result.
 MOVED = "moved"
 
 
@@ -76,7 +76,10 @@ def field_layer(
 
 
 def source_of(layers: Iterable[Any], result: PlacedSolution) -> Any:
-    """Return the image with the name of a result's source, or any image on the result's grid."""
+    """Return the image that a result deforms, or else another image on its grid, or None.
+
+    The deformed image is identified by its name.
+    """
     images = (layer for layer in layers if can_be_source(layer, result))
 
     def likeness(image: Any) -> tuple[bool, bool]:

@@ -446,7 +446,7 @@ class ResultLayers:
         return result
 
     def show_extent(self, source: Any, place: Frame) -> None:
-        """Show the result of the extent that the user is working on, and hide other results.
+        """Show the result for the extent that the user is working on, and hide other results.
 
         The extent is a slice or the volume. Only results of the layer `source` are affected.
         """

@@ -170,8 +170,8 @@ def _ends_of_lines(layer: Any) -> tuple[FloatArray, FloatArray]:
             raise LayerError(
                 layer,
                 f"has shape {number} ({kind}), which is not a line. Draw lines from positions to "
-                "their targets; the motion of a whole region is painted in a Labels layer (its key "
-                "3 draws an outline).",
+                "their targets. To move a whole region, paint it in a Labels layer (key 3 draws an "
+                "outline).",
             )
     ends = np.array([line[[0, -1]] for line in layer.data], dtype=float)
     ends = ends.reshape(-1, 2, layer.ndim)  # gives the correct shape even if there are no lines

@@ -1,4 +1,4 @@
-"""Metadata of layers that belong to this package: the role of a layer, and its table."""
+"""Metadata that this package stores in layers: the role of a layer, and its table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from napari_hmrf.tissue.row_table import Row, RowTable
 #: Key of the package's entry in a layer's metadata.
 METADATA = "napari-hmrf"
 
-#: Type of the role of a layer in a study.
+#: Role of a layer in a study.
 Role = Literal["image", "tissue", "boundary"]
 IMAGE: Literal["image"] = "image"
 TISSUE: Literal["tissue"] = "tissue"
@@ -111,7 +111,7 @@ def rows_of(layer: Any, role: Literal["boundary"]) -> tuple[BoundaryRule, ...]: 
 @overload
 def rows_of(layer: Any, role: Role) -> tuple[Material | BoundaryRule, ...]: ...
 def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
-    """Return the rows of the table in the metadata of a layer, or () without a valid table."""
+    """Return the table rows in the metadata of a layer, or () if missing or invalid."""
     key, row_type = _TABLES[role]
     try:
         return tuple(
@@ -129,7 +129,7 @@ def table_of(layer: Any, role: Literal["boundary"]) -> RowTable[BoundaryRule]: .
 @overload
 def table_of(layer: Any, role: Role) -> RowTable[Any]: ...
 def table_of(layer: Any, role: Role) -> RowTable[Any]:
-    """Return the table in the metadata of a layer, or an empty table if none is valid."""
+    """Return the table in the metadata of a layer, or an empty table if missing or invalid."""
     texts = (str(metadata_of(layer).get(name, "")) for name in RowTable._fields[1:])
     return RowTable(rows_of(layer, role), *texts)
 

@@ -57,7 +57,7 @@ _ACROSS = 32
 
 
 def number_of(action: Action, label: int = 0) -> int:
-    """Return the pixel value of an action; for the action "tissue", the value of a label."""
+    """Return the pixel value of an action; for the action "tissue", the value of the label."""
     return _TISSUE + label % _TISSUES if action == "tissue" else KINDS[action]
 
 

@@ -1,4 +1,4 @@
-"""Overlay of paint on the image, which moves with the tissue."""
+"""Overlay of paint on the image; the overlay moves with the tissue."""
 
 from __future__ import annotations
 

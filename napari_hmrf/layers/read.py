@@ -156,8 +156,8 @@ def study_from_layers(request: Request, copies: LayerCopies | None = None) -> St
     Raises
     ------
     ProblemError
-        If the place or size of a layer differs from the reference, or the layer cannot be read; the
-        message names the layer.
+        If the place or size of a layer differs from that of the reference, or the layer cannot be
+        read; the message names the layer.
     """
     return _Reader(request, copies or LayerCopies()).study()
 

@@ -1,4 +1,4 @@
-"""Conversion of a solution to layers: the deformed image, the displacement as arrows, overlays.
+"""Conversion of a solution to layers: the deformed image, displacement arrows and overlays.
 
 The arrow layer contains the result. An overlay, such as a colour map of the strain, is shown over
 the image.
@@ -46,14 +46,14 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Pictures
 
 Array = npt.NDArray[Any]
-#: Type of metadata or display settings, by name.
+#: Metadata or display settings, by name.
 Facts = Mapping[str, Any]
-#: Type of the kind of a layer that is created for each result.
+#: Kind of a layer that is created for each result.
 Kind = Literal["image", "arrows"]
 
 #: Approximate number of arrows: enough to show the motion, but few enough not to hide the image.
 ARROWS = 250
-#: Type of the name of an overlay.
+#: Name of an overlay.
 Name = (
     Quantity | Mark | Literal["grid", "labels", "difference", "stiffness", "observed", "confidence"]
 )
@@ -62,7 +62,7 @@ _ACROSS = 40
 
 
 class LayerData(NamedTuple):
-    """Layer data tuple of napari, as returned by readers and sample functions.
+    """napari's layer data tuple, as returned by readers and sample functions.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class LayerData(NamedTuple):
     kind: str
 
 
-#: Type of a function that computes the forces on the constrained parts of the tissue.
+#: Function that computes the forces on the constrained parts of the tissue.
 Forces = Callable[[], tuple[HeldForce, ...]]
 
 
@@ -134,7 +134,8 @@ class PlacedSolution:
         what : str
             Description of the content, for the name of the layer.
         source : str
-            Name of the source, for the name of the layer; by default, the deformed image.
+            Name of the source, for the name of the layer; by default, the name of the deformed
+            image.
         """
         provenance = self.solution.provenance
         known = {

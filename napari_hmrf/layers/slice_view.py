@@ -170,7 +170,7 @@ def _axes_of(layer: Any, view: View | None) -> tuple[int, ...]:
 def _index_on(
     layer: Any, matrix: npt.NDArray[np.float64], plane: tuple[int, ...], view: View | None
 ) -> tuple[int, ...]:
-    """Return the slice index along each axis of a layer, which is 0 along the axes in `plane`."""
+    """Return the index of the visible slice along each layer axis, or 0 for axes in `plane`."""
     ndim = int(layer.ndim)
     index, others = [0] * ndim, [axis for axis in range(ndim) if axis not in plane]
     if view is None or not others:
@@ -219,7 +219,7 @@ def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
 
 
 def full_resolution(layer: Any) -> Any:
-    """Return the data of an Image or Labels layer; if it is multiscale, of its finest level."""
+    """Return the data of an Image or Labels layer; for a multiscale layer, the finest level."""
     return layer.data[0] if getattr(layer, "multiscale", False) else layer.data
 
 
@@ -283,7 +283,7 @@ def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
 
 
 def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
-    """Return whether a layer has the grid of a reference layer.
+    """Return whether a layer has the same grid as a reference layer.
 
     The visible slices are compared or, if this is not possible, the first slices.
     """

@@ -57,7 +57,7 @@ class ViewerUndo:
             self._report("undo", "Undid", self.model.undo(), "There is nothing to undo.")
 
     def redo(self) -> None:
-        """Redo the step that was undone last, and show its slice."""
+        """Redo the most recently undone step, and show its slice."""
         if not self._undo_older_paint("redo", self.model.next_redo):
             self._report("redo", "Redid", self.model.redo(), "There is nothing to redo.")
 
@@ -157,7 +157,7 @@ class ViewerUndo:
             If True, also change the displayed axes. If False, do nothing if other axes are
             displayed.
         """
-        if part.place is None or len(part.place.plane) == 3:  # a volume is part of every view
+        if part.place is None or len(part.place.plane) == 3:  # a volume is visible in every slice
             return
         plane, index = part.place.plane, part.place.index
         dims, layer = self._viewer.dims, part.layer
