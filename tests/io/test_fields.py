@@ -153,8 +153,8 @@ def test_a_gap_beside_static_tissue_is_interpolated_from_its_rim():
             ProblemError,
             r"spacing: is \(1, 0\)\. Pass positive lengths",
         ),
-        ("f.mha", {"spacing": (1, 1, 1, 1)}, ProblemError, r"Give 2 or 3 lengths"),
-        ("f.mha", {"origin": (1, 2, 3)}, ProblemError, r"origin: is \(1, 2, 3\)\. Give 2 lengths"),
+        ("f.mha", {"spacing": (1, 1, 1, 1)}, ProblemError, r"Pass 2 or 3 lengths"),
+        ("f.mha", {"origin": (1, 2, 3)}, ProblemError, r"origin: is \(1, 2, 3\)\. Pass 2 lengths"),
         ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "Pass an orthogonal"),
     ],
 )
