@@ -119,7 +119,7 @@ def _refuse_unused(case: Case, is_planar: bool) -> None:
 
 
 def _names(case: Case) -> dict[str, str]:
-    """Return the names of the parts of a study: the file names (for the image, no suffix)."""
+    """Return the names of the parts of a study: file names, without the suffix for the image."""
     confidence = case.confidence if isinstance(case.confidence, Path) else None
     tissue = case.labels or next(iter(case.maps), None)
     parts = {"tissue": tissue, "boundary": case.boundary, "confidence": confidence}
