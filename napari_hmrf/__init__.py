@@ -20,7 +20,7 @@ image is deformed accordingly:
 `solve` accepts a `Problem`, which consists of arrays. `LiveSolver` updates the solution while a
 problem is being edited. A `Solution` evaluates and exports its displacement field with the methods
 `warp`, `at`, `jacobian`, `strain`, `measure` and `export`. The names of functions that read files
-begin with ``read_``; the names of functions that write files begin with ``write_``.
+begin with ``read_``, and those of functions that write files begin with ``write_``.
 
 ===================== ==========================================================================
 package               contents

@@ -13,6 +13,7 @@ from typing import Any, get_args
 
 from napari_hmrf.errors import ArgumentError
 
+#: Largest number of characters of a value quoted in an error message.
 _LONGEST = 80
 
 
@@ -25,7 +26,7 @@ def shown(value: object) -> str:
 def real(value: Any) -> float:
     """Convert a real number to float.
 
-    Values that are not real numbers, and numbers too large for a float, give NaN.
+    The result is NaN if the value is not a real number, or is too large for a float.
     """
     if not isinstance(value, Real):
         return math.nan
@@ -38,8 +39,8 @@ def real(value: Any) -> float:
 def reals(values: Any, count: int) -> tuple[float, ...]:
     """Convert a sequence of `count` real numbers to a tuple of floats.
 
-    The result contains only NaN if `values` has another length. It also does for sets and mappings,
-    because their order does not match the order of the axes.
+    The result contains only NaN if `values` has a different length. Sets and mappings also give
+    NaN, because the order of their items does not match the order of the axes.
     """
     is_sized = isinstance(values, Iterable) and isinstance(values, Sized)
     given = tuple(values) if is_sized and not isinstance(values, Set | Mapping) else ()
@@ -47,7 +48,7 @@ def reals(values: Any, count: int) -> tuple[float, ...]:
 
 
 def is_whole(value: object) -> bool:
-    """Return whether a value, which may be of any type, is a whole number."""
+    """Return whether a value of any type is a whole number."""
     return real(value).is_integer()
 
 
@@ -87,7 +88,7 @@ def require_flag(name: str, value: object) -> None:
     ArgumentError
         If the value is not a boolean. The message is a single sentence.
     """
-    # Recognise NumPy's booleans by name, so that this module does not need to import NumPy.
+    # Recognize NumPy's booleans by name, so that this module does not need to import NumPy.
     is_flag = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
     refuse_unless(is_flag, name, value, "True or False")
 
@@ -104,7 +105,7 @@ def require_kind(kind: type | UnionType, name: str, value: object, example: str)
     value : object
         Value of the argument.
     example : str
-        Expression that gives a valid argument, for the error message.
+        Example of a valid argument, as a Python expression, for the error message.
 
     Raises
     ------

@@ -113,7 +113,7 @@ _DAMAGE = (
 
 
 class Invalid(ValueError):
-    """Error for a file that violates its format; the message states the reason to the user."""
+    """Error raised for a file that violates its format; the message states the reason."""
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def is_foreign(path: str | os.PathLike[str]) -> bool:
 
 
 def header_of(path: str | os.PathLike[str]) -> Header:
-    """Return the header of a file of any format; empty if the header cannot be read."""
+    """Return the header of a file of any format, or {} if the header cannot be read."""
     path = checked_path(path)
     try:
         refuse_irregular(path)
@@ -297,7 +297,7 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
             raise Invalid("it is another kind of file")
         schema = header["schema"]
         if not isinstance(schema, int) or schema < 1:
-            raise Invalid(f"its version is {schema!r}")
+            raise Invalid(f"its format version is {schema!r}")
         if schema > form.schema:
             raise Invalid(
                 f"it was written by a later version (format {schema}, this one reads up to "
@@ -311,7 +311,7 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
             if f"{name}.npy" in members
         }
         if sum(claim.info.file_size for claim in claims.values()) > _MAX_TOTAL:
-            raise Invalid("its arrays claim more bytes than such a file may contain")
+            raise Invalid("its arrays declare more bytes than such a file may contain")
         if form.precheck is not None:
             form.precheck(header, {name: claim.zeros() for name, claim in claims.items()})
         arrays = {name: claim.read(archive) for name, claim in claims.items()}
@@ -319,14 +319,14 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
 
 
 def _header(archive: zipfile.ZipFile) -> Header:
-    """Read the header; raise `Invalid` if the archive has no header of this package."""
+    """Read the header; raise `Invalid` if it was not written by this package."""
     if f"{_HEADER}.npy" not in archive.namelist():
         raise Invalid("it is another kind of file")
     header = json.loads(_claim(archive, _HEADER, _TEXT).read(archive).item())
     if not isinstance(header, dict) or "format" not in header:
         raise Invalid("it is another kind of file")
-    if _is_deep(header):  # deep nesting can exceed the recursion limit when copied or saved
-        raise Invalid(f"its header is nested more than {_DEEPEST} times")
+    if _is_deep(header):  # copying or saving it could exceed the recursion limit
+        raise Invalid(f"its header has more than {_DEEPEST} levels of nesting")
     return header
 
 
@@ -386,14 +386,15 @@ def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
     ratio = info.file_size / max(1, info.compress_size)
     if info.file_size > cap or (info.file_size > _HARMLESS_BYTES and ratio > _MAX_RATIO):
         raise Invalid(
-            f"its {member} claims {info.file_size} bytes from {info.compress_size}, more than "
-            "such a file may contain"
+            f"its {member} declares {info.file_size} bytes ({info.compress_size} compressed), more "
+            "than such a file may contain"
         )
     if info.header_offset + info.compress_size > archive.start_dir:
-        raise Invalid("it is damaged or incomplete")  # else zipfile would allocate this size
+        # Otherwise, zipfile would allocate memory for the declared size.
+        raise Invalid("it is damaged or incomplete")
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         # Other methods allocate memory for the declared size before any data are read.
-        raise Invalid(f"its {member} is compressed by a method that napari-hmrf never uses")
+        raise Invalid(f"its {member} is compressed by a method that napari-hmrf does not support")
     if info.file_size > max(1, info.compress_size) * _MOST_PACKED:
         raise Invalid("it is damaged or incomplete")
     with archive.open(info) as stream:
@@ -404,7 +405,7 @@ def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
         expected = "text" if kind is _TEXT else f"{' or '.join(kind.dtypes)} on {axes} axes"
         raise Invalid(f"its {member} is {dtype} of shape {shape}, not {expected}"[:200])
     if dtype.itemsize * math.prod(shape) + offset != info.file_size:
-        raise Invalid(f"its {member} claims a shape of {shape}, which does not match its size")
+        raise Invalid(f"its {member} declares a shape of {shape}, which does not match its size")
     return _Claim(info, dtype, shape, order, offset)
 
 
@@ -415,7 +416,7 @@ def _peek(stream: IO[bytes]) -> tuple[np.dtype[Any], Literal["C", "F"], tuple[in
     start = stream.read(len(_NPY) + 4)
     version = tuple(start[len(_NPY) : -2])
     if start.startswith(_NPY) and version != (1, 0):
-        raise Invalid(f"its arrays are of format {version}")
+        raise Invalid(f"its arrays have the unsupported format version {version}")
     length = int.from_bytes(start[-2:], "little")
     header = _NPY_HEADER.fullmatch(stream.read(length))
     if not start.startswith(_NPY) or header is None:

@@ -24,12 +24,12 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a file atomically.
 
     The content is written to a temporary file in the same folder and read back. The temporary file
-    then replaces an existing file, and has the same permissions.
+    then replaces the target file; the permissions of an existing target file are preserved.
 
     Parameters
     ----------
     path : str or path-like
-        Path of the file. A symbolic link is followed. A FIFO or device is written to directly.
+        Path of the file. Symbolic links are followed. FIFOs and devices are written to directly.
     content : bytes
 
     Raises
@@ -79,16 +79,16 @@ def temporary_beside(path: str | os.PathLike[str], suffix: str) -> Iterator[Path
 
 
 def raise_for_space(path: str | os.PathLike[str], size: int) -> None:
-    """Raise the operating system's error if the disk of a target file lacks space.
+    """Raise the operating system's error if there is not enough disk space for a target file.
 
-    Libraries that write files often do not report why writing failed.
+    Libraries often do not report why writing a file has failed.
 
     Parameters
     ----------
     path : str or path-like
         Path of the target file, which is not modified.
     size : int
-        Number of bytes, written to a temporary file as a test.
+        Number of bytes to write to a temporary file as a test.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def raise_for_space(path: str | os.PathLike[str], size: int) -> None:
 
 @contextmanager
 def _naming(target: Path) -> Iterator[None]:
-    """Return a context in which the messages of system errors name the target file."""
+    """Return a context manager that adds the target file to the messages of system errors."""
     try:
         yield
     except OSError as error:
@@ -168,7 +168,7 @@ def _rename(temporary: Path, target: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Flush the folder's entry of a new file to disk, on POSIX systems only."""
+    """Flush the directory entries of a folder to disk, on POSIX systems only."""
     if os.name != "posix":
         return
     with suppress(OSError):

@@ -92,7 +92,7 @@ class _InShellWords(logging.Filter):
 
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
-    """Return the prior and the optimizer that the options of a demonstration select."""
+    """Return the prior and the optimizer selected by the options of a demonstration."""
     case = Case(Path(), model=options.model, poisson=options.poisson, plane=options.plane)
     return energy_of(case, volume=options.volume)
 
@@ -114,7 +114,7 @@ def _apply(options: argparse.Namespace) -> int:
     if duplicate is not None:
         raise HmrfError(
             f"{duplicate} is the name of two files, so one result would overwrite the other. "
-            "Use a separate command for each file, with different --out folders"
+            "Use a separate command for each file, with different --out folders."
         )
     if options.out.is_dir():
         moved = [options.out / name for name in names]
@@ -176,7 +176,7 @@ def _measure(options: argparse.Namespace) -> int:
 
 
 def _format_number(value: float) -> str:
-    """Format a number with four digits; large numbers keep all digits before the point."""
+    """Format a number with four significant digits, or all integer digits if it is large."""
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
@@ -197,8 +197,8 @@ def _show_result_in_napari(options: argparse.Namespace) -> int:
             )
         elif not 0 <= number < shape[0]:
             raise HmrfError(
-                f"--slice is {number}, but the volume has slices 0 to {shape[0] - 1}. Give one of "
-                "these."
+                f"--slice is {number}, but the volume has slices 0 to {shape[0] - 1}. Choose one "
+                "of these slices."
             )
     print(f"written: {write_movie(options.out, solution, image, number=number)}")
     return 0
@@ -241,7 +241,7 @@ def _batch(options: argparse.Namespace) -> int:
     line = _ProgressLine()
     cases = read_cases(options.cases)
     count = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
-    line.write(count)  # the first case can take long, because loops may be compiled first
+    line.write(count)  # the first case can take a long time, because loops may be compiled first
     outcomes = solve_cases(
         cases,
         options.out,
@@ -298,7 +298,7 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _in_shell(solution: Solution) -> str:
-    """Return a one-line description of a solution, with the model's name in the shell."""
+    """Return a one-line description of a solution, with the model named as in the shell."""
     model = solution.provenance.model
     return repr(solution).replace(f", {model}, ", f", {as_word(model)}, ", 1)
 
@@ -377,8 +377,8 @@ def _compile_loops(
     if options.backend != "auto" or not jobs:
         return
     _report(
-        "compiling the loops for this processor, once per machine. All results have been written, "
-        "so it is safe to stop with Ctrl-C"
+        "compiling the loops for this processor, once per machine (all results have been written, "
+        "so it is safe to stop with Ctrl-C)"
     )
     progress = _ProgressLine()
     for job in jobs:
@@ -455,7 +455,7 @@ def _show_in_napari(
     if options.no_window:
         return False
     if not _has_display():
-        _report("napari is not opened, because there is no display, or CI is set")
+        _report("napari is not opened, because there is no display or the variable CI is set")
         return False
     _report("opening napari ...")
     _open_napari(layers, solution, prior)
@@ -476,9 +476,9 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "truth": _truth,
 }
 
-# Time between two lines of progress if stderr is not a terminal, in seconds.
+# Time between progress lines, in seconds, if stderr is not a terminal.
 _INTERVAL = 10.0
-# Largest number of failed cases that are printed; the summary lists all failed cases.
+# Largest number of failed cases to print; the summary lists all failed cases.
 _MAX_PRINTED = 10
 
 
@@ -525,7 +525,7 @@ class _ProgressLine:
 def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
     """Yield a callback that shows the progress of a solve.
 
-    If stderr is not a terminal, only starting and compiling are reported.
+    If stderr is not a terminal, only the stages "starting" and "compiling" are reported.
     """
     line = _ProgressLine(stages=("starting", "compiling"))
     try:
@@ -535,7 +535,7 @@ def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
 
 
 def _note(clause: str) -> None:
-    """Print a note, with the names of settings in the shell."""
+    """Print a note, with settings named as in the shell."""
     print(f"note: {in_words_of('shell', clause)}", flush=True)
 
 

@@ -68,7 +68,7 @@ class _Formatter(argparse.HelpFormatter):
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
-    """Return the parser of all commands; its result stores the command's name as `command`."""
+    """Return the parser for all commands, which stores the command's name as `command`."""
     parser = argparse.ArgumentParser(
         prog="napari-hmrf",
         description="Compute the deformation of soft tissue on the pixel grid of an image.",
@@ -111,7 +111,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
         metavar="N",
         help=f"number of pixels along each side (default: {SAMPLE_SIZE}, the size for which a "
         "finite-element solution is available); for a volume, number of voxels from front to back "
-        f"(default: {VOLUME_SIZE}, with a size of 2 mm)",
+        f"(default: {VOLUME_SIZE}, each 2 mm in size)",
     )
     demo.add_argument(
         "-o",
@@ -172,7 +172,7 @@ def _add_result_commands(commands: Commands) -> None:
         "field",
         type=Path,
         metavar="FIELD",
-        help="solved study, saved result, or displacement field of another tool",
+        help="solved study, saved result, or displacement field from another tool",
     )
     apply.add_argument(
         "files",
@@ -195,7 +195,7 @@ def _add_result_commands(commands: Commands) -> None:
     _add_force(apply)
     measure = commands.add(
         "measure",
-        "Print the displacement, change of size and strain of each tissue.",
+        "Print the displacement, change in size and strain of each tissue.",
         "napari-hmrf measure out/scan.study -o measurements.csv",
     )
     _add_result(measure)
@@ -332,7 +332,7 @@ def _add_backend(
 
 
 def _add_material(command: argparse.ArgumentParser) -> None:
-    """Add the parameters of elastic tissue."""
+    """Add the options for elastic tissue."""
     low, high = POISSON_RANGE
     command.add_argument(
         "--poisson",

@@ -1,7 +1,7 @@
 """Ahead-of-time compilation of all CPU loops: ``python -m napari_hmrf.compiling``.
 
 Numba compiles a loop when it is called, and caches the result on disk. The program therefore solves
-a small problem with each solver. If a solve is waiting for some loops, these are compiled next.
+a small problem with each solver. Loops for which a solve is waiting are compiled next.
 Rarely used loops (`sets.ON_REQUEST`) are compiled only if a solve is waiting for them. The program
 prints its progress.
 """
@@ -134,13 +134,13 @@ def run(job: Job, report: Callable[[Stage], object]) -> None:
 
 
 def _due_jobs(todo: list[Job]) -> list[Job]:
-    """Return the jobs to run, without rarely used loops for which no solve is waiting."""
+    """Return the jobs to run: all except rarely used loops for which no solve is waiting."""
     requested = compiler.requested_job()
     return [job for job in todo if job.name not in sets.ON_REQUEST or job.name == requested]
 
 
 def _run_next(todo: list[Job]) -> None:
-    """Run the requested job, or otherwise the first job, and remove the job from the list."""
+    """Run the requested job, or otherwise the first job, and remove it from the list."""
     while True:
         requested = compiler.requested_job()
         job = next((each for each in todo if each.name == requested), todo[0])

@@ -33,27 +33,27 @@ PathOrPaths = str | list[str]
 
 
 def sample_expansion() -> list[LayerData]:
-    """Return the layers of the sample "expansion": a brain that expands outward."""
+    """Return the layers of the expansion sample: a brain that expands outward."""
     return _sample("expansion")
 
 
 def sample_growth() -> list[LayerData]:
-    """Return the layers of the sample of a brain with a growing tumour."""
+    """Return the layers of the growth sample: a brain with a growing tumour."""
     return phantom_layers(sample("mass-effect").growing())
 
 
 def sample_mass_effect() -> list[LayerData]:
-    """Return the layers of the paper's sample: a brain tumour with a rim that moves outward."""
+    """Return the layers of the paper's mass-effect sample: a tumour whose rim moves outward."""
     return _sample("mass-effect")
 
 
 def sample_bar() -> list[LayerData]:
-    """Return the layers of the sample of a bar that consists of two tissues."""
+    """Return the layers of the two-tissue bar sample."""
     return _sample("bar")
 
 
 def sample_head() -> list[LayerData]:
-    """Return the layers of the sample volume: a head with a growing tumour."""
+    """Return the layers of the head sample: a volume of a head with a growing tumour."""
     return volume_layers(head_phantom(SAMPLE_SIZE))
 
 
@@ -73,7 +73,7 @@ def _sample(name: str) -> list[LayerData]:
 
 def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
     """Return the image, tissue and boundary layers of a phantom, with their tables."""
-    # The arrays of a phantom are read-only, but the user can paint on layers.
+    # Copy the arrays of the phantom: they are read-only, but the user can paint on the layers.
     return [
         (
             phantom.image.copy(),
@@ -103,7 +103,7 @@ def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
 
 
 def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], Sequence[Any]] | None:
-    """Return a reader for results or a study saved as .npz; None for other files."""
+    """Return a reader for results or a study saved as .npz, or None for other files."""
     paths = _listed(path)
     if paths and all(is_solution_file(each) for each in paths):
         return _read
@@ -124,7 +124,7 @@ def _read(path: PathOrPaths) -> list[LayerData]:
 
 
 def open_scan(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
-    """Return a reader for medical images and displacement fields; None for other files."""
+    """Return a reader for medical images and displacement fields, or None for other files."""
     paths = _listed(path)
     readable = paths and all(is_scan(each) or is_field_file(each) for each in paths)
     return _read_scans if readable else None
@@ -149,7 +149,7 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
 
 
 def open_study(path: PathOrPaths) -> Callable[[PathOrPaths], list[tuple[None]]] | None:
-    """Return a reader that opens a single study file in the dock; None for other paths."""
+    """Return a reader that opens a single study file in the dock, or None for other paths."""
     return _open_study if isinstance(path, str) and is_study_file(path) else None
 
 
@@ -159,7 +159,7 @@ def _open_study(path: PathOrPaths) -> list[tuple[None]]:
 
 
 def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
-    """Return a reader for landmark files of BigWarp and 3D Slicer; None for other files."""
+    """Return a reader for landmark files of BigWarp and 3D Slicer, or None for other files."""
     paths = _listed(path)
     return _read_landmarks if paths and all(map(is_landmark_file, paths)) else None
 
@@ -177,9 +177,9 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
 
 
 def _units_of_images(n: int) -> tuple[str, ...]:
-    """Return the units of the last n axes of the topmost image; "pixel" if there is no image.
+    """Return the units of the last `n` axes of the topmost image, or "pixel" if there is none.
 
-    BigWarp stores landmarks in the unit of the image, but does not store the unit.
+    BigWarp stores landmarks in the unit of the image, but not the unit itself.
     """
     viewer = napari.current_viewer()
     images = [] if viewer is None else [each for each in viewer.layers if each.ndim >= n]
@@ -188,7 +188,7 @@ def _units_of_images(n: int) -> tuple[str, ...]:
 
 
 def _field(path: str) -> LayerData:
-    """Return a layer with the displacement field of a file, forward or backward, in pixels."""
+    """Return a layer with the forward or backward displacement field of a file, in pixels."""
     field, frame = read_field_file(path).in_pixels
     return field_layer(field, frame.placement(), Path(path).name.partition(".")[0])
 
@@ -199,17 +199,17 @@ def _listed(path: PathOrPaths) -> list[str]:
 
 
 def write_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
-    """Save the result that belongs to a Vectors layer.
+    """Save the result stored in a Vectors layer.
 
     Parameters
     ----------
     path : str
-        Path of the file. With the suffix .npz, the complete result is saved; with a suffix of
-        `write_field`, only its displacement field, for other tools.
+        Path of the file. With the suffix .npz, the complete result is saved. With a suffix that
+        `write_field` supports, only the displacement field is saved, for other tools.
     data : ndarray, shape (N, 2, D)
         Displayed arrows; unused, because they represent only a part of the displacement field.
     attributes : dict
-        Attributes of the layer. Its metadata contain the solution.
+        Attributes of the layer, with the solution in the metadata.
 
     Returns
     -------
@@ -226,8 +226,7 @@ def write_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str
     if not isinstance(solution, Solution):
         raise ValueError(
             f"the Vectors layer '{attributes.get('name', '')}' is not a result of "
-            "'Soft tissue', so there is no solution to save. Save the layer of displacement arrows "
-            "of a result."
+            "'Soft tissue', so there is no solution to save. Save the arrow layer of a result."
         )
     if path.lower().endswith(FIELD_SUFFIXES):
         show_info(write_field_file(path, FieldFile.of(solution)))
@@ -240,7 +239,7 @@ _TITLE = "Soft tissue (napari-hmrf)"
 
 
 def dock(viewer: Any = None) -> SoftTissue:
-    """Show the "Soft tissue" dock of a viewer, and create it if it does not exist.
+    """Show the "Soft tissue" dock of a viewer, creating the dock if necessary.
 
     Parameters
     ----------
@@ -261,7 +260,7 @@ def dock(viewer: Any = None) -> SoftTissue:
 
     viewer = napari.current_viewer() if viewer is None else viewer
     if viewer is None:
-        raise HmrfError("There is no napari window open: start napari first.")
+        raise HmrfError("No napari window is open. Start napari first.")
     widgets = viewer.window.dock_widgets.values()
     widget = next((each for each in widgets if isinstance(each, SoftTissue)), None)
     if widget is None:
@@ -274,7 +273,7 @@ def dock(viewer: Any = None) -> SoftTissue:
 
 
 def deform_now() -> None:
-    """Start a solve, like the button "Deform"."""
+    """Start a solve, like the "Deform" button."""
     dock().deform()
 
 

@@ -14,11 +14,11 @@ from typing import Any
 #: Reason and remedy by error number, for a file that cannot be opened.
 _OPENING = {
     errno.ENOENT: "there is no such file or folder. Check its name.",
-    errno.EISDIR: "it is a folder. Name a file in it.",
+    errno.EISDIR: "it is a folder. Choose a file in it.",
     errno.ENOTDIR: "a part of its path is a file, not a folder. Check its name.",
-    errno.EEXIST: "it is a file, not a folder. Name a folder.",
-    errno.EACCES: "you have no permission for it. Change its permissions, or use another file.",
-    errno.EPERM: "you have no permission for it. Change its permissions, or use another file.",
+    errno.EEXIST: "it is a file, not a folder. Choose a folder.",
+    errno.EACCES: "permission is denied. Change its permissions, or use another file.",
+    errno.EPERM: "permission is denied. Change its permissions, or use another file.",
     errno.EROFS: "its disk is read-only. Use a folder on another disk.",
     errno.ENOSPC: "the disk is full. Free some space, or use another disk.",
     errno.EDQUOT: "your quota on the disk is full. Free some space, or use another disk.",
@@ -29,10 +29,10 @@ _OPENING = {
 _SAVING = {
     **_OPENING,
     errno.ENOENT: "its folder does not exist. Create the folder first, or choose another.",
-    errno.EISDIR: "it is a folder. Give the name of a file.",
-    errno.EACCES: "you have no permission to write there. Choose another folder or name.",
+    errno.EISDIR: "it is a folder. Choose a file name.",
+    errno.EACCES: "you do not have permission to write there. Choose another folder or name.",
 }
-#: Prefix with which `atomic_write` marks messages about the file to be written.
+#: Prefix that `atomic_write` adds to messages about the file to be written.
 CANNOT_SAVE = "cannot save the file: "
 
 
@@ -67,7 +67,7 @@ class LayerError(ProblemError):
     layer : napari.layers.Layer or str
         Layer, or its name.
     message : str
-        Description of the problem and its remedy, to follow the layer's name in a sentence.
+        Description of the problem and its remedy; the layer's name is the subject of the sentence.
     """
 
     def __init__(self, layer: Any, message: str) -> None:
@@ -93,7 +93,7 @@ class FileFormatError(HmrfError, ValueError):
 
 
 class Cancelled(HmrfError):
-    """Cancellation of a solve, which has no result and no side effects."""
+    """Cancellation of a solve; a cancelled solve has no result and no side effects."""
 
     def __init__(self) -> None:
         super().__init__("the solve was cancelled")
@@ -101,7 +101,7 @@ class Cancelled(HmrfError):
 
 @contextmanager
 def naming(**layers: Any) -> Iterator[None]:
-    """Return a context that converts a `ProblemError` to a `LayerError`, which names the layer.
+    """Return a context manager that converts a `ProblemError` to a `LayerError`.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def naming(**layers: Any) -> Iterator[None]:
 
 
 def in_words(error: Exception) -> str:
-    """Return the message of an error; for a system error about a file, with a remedy."""
+    """Return the message of an error, with a remedy if it is a system error about a file."""
     if not isinstance(error, OSError) or error.filename is None:
         return str(error) or type(error).__name__
     whole = error.strerror or ""

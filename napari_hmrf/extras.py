@@ -11,7 +11,7 @@ def how_to_install(extra: Extra) -> str:
     """Return a clause with the command that installs an extra.
 
     The command installs from a copy of the repository, as described in `README.md`, because the
-    package is not available by name from a package index.
+    package is not on a package index.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Guards against reading pipes and devices, which may never end."""
+"""Guards against reading from pipes and devices, which may block forever."""
 
 from __future__ import annotations
 

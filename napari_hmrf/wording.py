@@ -2,7 +2,7 @@
 
 A message describes the problem in terms that are valid in every interface. The Python name of the
 setting to change follows in parentheses and backticks: ``hold its edge (`hold_edge=True`)``. In
-Python the message is shown unchanged. In the shell and in the window, the Python name is replaced
+Python, the message is shown unchanged. In the shell and in the window, the Python name is replaced
 with the name of the setting in that interface.
 """
 
@@ -27,7 +27,7 @@ class Term(NamedTuple):
     window: str
 
 
-#: Names of the settings in the shell and the window, by their name in Python.
+#: Names of the settings in the shell and the window, by Python name.
 TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
     "model='elastic'": Term("--model elastic", ""),

@@ -25,9 +25,9 @@ posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions a
 @pytest.mark.parametrize(
     ("number", "said"),
     [
-        (errno.EACCES, "a.png: you have no permission for it. Change its permissions, or use"),
+        (errno.EACCES, "a.png: permission is denied. Change its permissions, or use"),
         (errno.ENOENT, "a.png: there is no such file or folder. Check its name."),
-        (errno.EISDIR, "a.png: it is a folder. Name a file in it."),
+        (errno.EISDIR, "a.png: it is a folder. Choose a file in it."),
         (errno.ENOTDIR, "a.png: a part of its path is a file, not a folder. Check its name."),
         (errno.EIO, "a.png: Input/output error."),
     ],

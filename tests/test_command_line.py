@@ -283,7 +283,7 @@ def test_play_shows_the_middle_slice_of_a_volume_and_prints_its_number(tmp_path,
         assert film.size == (10, 8)
         assert film.n_frames > 10
     assert run(f"play {path} {tmp_path / 'b.gif'} --slice 6", capsys)[2].startswith(
-        "napari-hmrf: --slice is 6, but the volume has slices 0 to 5. Give one of these."
+        "napari-hmrf: --slice is 6, but the volume has slices 0 to 5. Choose one of these slices."
     )
     assert run(f"play {path} {tmp_path / 'b.gif'} --slice 2", capsys)[:2] == (
         0,

@@ -9,7 +9,7 @@ The processing of a case, from its input files to its results, has five steps:
    boundary labels.
 2. *Build a study.* `case` combines these files and the `case_options` into a ``Study``;
    `study_file` reads a saved study. `sweeps` replaces single numbers in a study.
-3. *Solve.* The study is converted to a ``Problem``, which is solved for a ``Solution``; see
+3. *Solve.* The study is converted to a ``Problem``, which is solved to obtain a ``Solution``; see
    ``study/``. For a table of cases (`case_tables`), `batch` starts several processes, and
    `case_records` makes it possible to resume a batch.
 4. *Write.* `study_file` writes the study and its solution, so that the field can be reproduced.

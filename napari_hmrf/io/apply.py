@@ -34,11 +34,12 @@ from napari_hmrf.solver.solution import Solution, is_solution_file
 
 Pixels = npt.NDArray[Any]
 
-#: Displacement in a file below which a component is considered to be zero, in mm.
+#: Displacement, in mm, below which a component in a file is considered to be zero.
 _ROUNDING = 1e-4
-#: Sentence for fields without a position in space.
+#: Sentence about fields without a position in world coordinates.
 _NO_PLACE = (
-    " Its image has no place, so the field is at the origin, with its spacing assumed to be in mm."
+    " Its image has no position in world coordinates, so the field is at the origin, and its "
+    "spacing is assumed to be in mm."
 )
 #: Largest number of distinct values, and largest value, of an image that may contain labels.
 _MOST_LABELS, _LARGEST_LABEL = 16, 99
@@ -47,7 +48,7 @@ _IN_SLICE = 0.5 + 1e-3
 
 
 class Applied(NamedTuple):
-    """Path of the written file, and a note for the user, which is a clause or empty."""
+    """Path of the written file, and a note for the user (a clause, or "" if there is none)."""
 
     path: Path
     note: str = ""
@@ -64,7 +65,7 @@ class FieldFile:
     place : Place
         Place of the grid; for a slice of a volume, its place in the volume, with three spacings.
     tissue : ndarray of bool or None
-        Mask of the deformable tissue; None if the file has no mask, so that all pixels move.
+        Mask of the deformable tissue; None if the file has no mask, in which case all pixels move.
     unit : {"millimeter", "pixel"}
         Unit of `place`; "pixel" if the pixel size is unknown.
     is_placed : bool
@@ -88,7 +89,7 @@ class FieldFile:
 
     @property
     def in_patient(self) -> Place | None:
-        """Place in patient coordinates; None if the pixel size is unknown."""
+        """Place in patient coordinates, or None if the pixel size is unknown."""
         return self.place if self.unit == "millimeter" else None
 
     @property
@@ -116,19 +117,19 @@ class FieldFile:
 
 
 def read_field_file(path: str | os.PathLike[str], *, forward: bool = False) -> FieldFile:
-    """Read the displacement field of a solved study, a saved result, or a file of another tool.
+    """Read the displacement field of a solved study, a saved result, or another tool's file.
 
     Parameters
     ----------
     path : str or path-like
     forward : bool
-        True if the field in a file of another tool maps original to new positions and the file does
-        not state the direction.
+        True if a field from another tool maps original to new positions, but its file does not
+        state the direction.
 
     Raises
     ------
     FileFormatError
-        If the file is of another kind.
+        If the file does not contain a valid displacement field.
     HmrfError
         If `forward` is True for a study or a result; or as for `read_field`.
     OSError
@@ -208,14 +209,14 @@ def apply_field(
     Raises
     ------
     ProblemError
-        If the image has another size or place than the field, or would be overwritten; or if the
-        image is a volume and the field does not state to which slice it belongs.
+        If the size or place of the image differs from that of the field; if the image would be
+        overwritten; or if the image is a volume and the field does not state its slice.
     FileFormatError, HmrfError, OSError
         As for `read_image`, `write_image`, `read_points` and `write_points`.
     """
     name = Path(path).name
     if Path(target).exists() and Path(target).samefile(path):
-        raise ProblemError(name, "would be overwritten. Give another folder for the moved files.")
+        raise ProblemError(name, "would be overwritten. Choose another folder for the moved files.")
     if name.lower().endswith(POINT_SUFFIXES):
         return _move_landmarks(field, path, target)
     image, n = read_image(path), len(field.shape)
@@ -245,13 +246,16 @@ def apply_field(
         for number in range(len(pixels)):
             moved[number] = _warp_pixels(field, pixels[number], order)
         if len(pixels) > 1:
-            note = f"{name} has no place, so all {len(pixels)} slices were moved in the same way"
+            note = (
+                f"{name} has no position in world coordinates, so all {len(pixels)} slices were "
+                "moved in the same way"
+            )
     notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
     return Applied(write_image(target, image._replace(pixels=moved)), "; ".join(notes))
 
 
 def _note_on_labels(pixels: Pixels, name: str) -> str:
-    """Return a warning if an image that was interpolated probably contains labels, or ""."""
+    """Return a warning if an interpolated image probably contains labels, and "" otherwise."""
     if pixels.dtype.kind not in "iu" or not 1 < pixels.max(initial=0) <= _LARGEST_LABEL:
         return ""
     values = np.unique(pixels)
@@ -268,7 +272,7 @@ def _warp_pixels(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
 
 
 def _sample_backward(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
-    """Warp a volume with a backward field, which does not have to be inverted for this purpose."""
+    """Warp a volume with a backward field, without inverting the field."""
     steps = field.field.backward / field.spacing
     origins = np.moveaxis(steps, -1, 0) + np.indices(steps.shape[:-1])
     if pixels.ndim > 3:
@@ -307,9 +311,9 @@ def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> Im
     if slice_place is None or len(slice_place.spacing) < 3:
         raise ProblemError(
             name,
-            f"is a volume of {len(image.pixels)} slices, but the field is that of one slice and "
-            "does not state which. Solve that slice of the volume (--slice, or Grid.from_image("
-            "volume, slice=...) in Python), or give an image of that slice only.",
+            f"is a volume of {len(image.pixels)} slices, but the field belongs to one slice and "
+            "does not state which one. Solve that slice of the volume (--slice, or "
+            "Grid.from_image(volume, slice=...) in Python), or give an image of that slice only.",
         )
     pixels = image.pixels.copy()
     for axes in permutations(range(3)):
@@ -360,7 +364,7 @@ def _move_landmarks(
 
 
 def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Place:
-    """Return the place with which the points of a landmark file are converted to pixels.
+    """Return the place used to convert the points of a landmark file to pixels.
 
     Parameters
     ----------

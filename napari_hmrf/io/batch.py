@@ -56,9 +56,9 @@ UNFINISHED = ".unfinished"
 SUMMARY = "summary.csv"
 #: Shortest time between two updates of the summary while the batch is running, in seconds.
 _SUMMARY_INTERVAL = 5.0
-#: Number of latest cases over which the time per case is averaged.
+#: Number of most recent cases over which the time per case is averaged.
 _AVERAGED_CASES = 20
-#: Significant digits of the numbers in the summary.
+#: Number of significant digits of the values in the summary.
 _DIGITS = 6
 #: Environment variables that limit the threads of libraries.
 _THREAD_VARIABLES = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
@@ -75,7 +75,7 @@ class BatchProgress:
     seconds_left : float, optional
         Estimated remaining time, in seconds; None until enough cases are finished.
     latest_outcome : CaseOutcome, optional
-        Outcome of the case that finished last.
+        Outcome of the most recently finished case.
     """
 
     done: int
@@ -114,8 +114,8 @@ def solve_cases(
     cases : sequence of NamedCase
         Cases, as returned by `read_cases`.
     folder : path-like
-        Folder for the folders of the cases and for `summary.csv`. Only one batch at a time can use
-        it.
+        Folder for the results of the cases and for `summary.csv`. Only one batch at a time can use
+        the folder.
     jobs : int, optional
         Number of single-threaded processes; by default one per core.
     scheduler : str, optional
@@ -218,12 +218,12 @@ def one_thread() -> None:
 
 
 def _seconds_since(started: float) -> float:
-    """Return the time since `started`, a value of `perf_counter`, in rounded seconds."""
+    """Return the time since `started`, a value of `perf_counter`, in seconds (rounded)."""
     return round(time.perf_counter() - started, 4)
 
 
 def _in_digits(value: Any) -> Any:
-    """Round a float to the precision of the summary, which is about that of single precision."""
+    """Round a float to the precision of the summary, which is about single precision."""
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
@@ -344,7 +344,7 @@ class _Worker:
 def _solve_in_processes(
     cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], count: int
 ) -> Generator[CaseOutcome, None, None]:
-    """Yield the outcomes in order of completion; if a process ends, only its case fails."""
+    """Yield the outcomes in order of completion; if a process crashes, only its case fails."""
     todo = deque(cases)
     workers: dict[Connection, _Worker] = {}
     idle: list[_Worker] = []

@@ -1,4 +1,4 @@
-"""Reading of cases from files, and solving of cases with the results written to a folder.
+"""Reading cases from files, solving the cases, and writing the results to a folder.
 
 A case is a saved study, or an image with files that define its tissue and its motion.
 """
@@ -119,7 +119,7 @@ def _refuse_unused(case: Case, is_planar: bool) -> None:
 
 
 def _names(case: Case) -> dict[str, str]:
-    """Return the names of the parts of a study: file names, for the image without the suffix."""
+    """Return the names of the parts of a study: file names, without the suffix for the image."""
     confidence = case.confidence if isinstance(case.confidence, Path) else None
     tissue = case.labels or next(iter(case.maps), None)
     parts = {"tissue": tissue, "boundary": case.boundary, "confidence": confidence}
@@ -173,7 +173,7 @@ def solve_case(
     backend : str
         As for `solve`.
     changes : sequence of Change
-        Changes of numbers in the files of the case.
+        Changes to numbers in the files of the case.
     overwrite : bool
         True if existing files in the folder may be replaced.
     progress : callable, optional
@@ -192,8 +192,8 @@ def solve_case(
                 "--boundary that fixes a part of it."
             )
         raise HmrfError(
-            "no motion of the tissue is given. Give a --boundary that moves, and --hold-edge if "
-            "the outer edge is fixed."
+            "no motion of the tissue is given. Give a --boundary that moves tissue, and "
+            "--hold-edge if the outer edge is fixed."
         )
     refuse_overwriting(_files_of(case, folder), overwrite=overwrite)
     ground = Ground.of(study)
@@ -288,7 +288,7 @@ def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer],
 
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
-    """Return the pixels of a grey image or a label image; of a volume, the slice of the case."""
+    """Return the pixels of a grey or label image; for a volume, the pixels of the case's slice."""
     pixels = _on_pixels(case, path, whole, read_image(path))
     return as_labels(pixels, path) if labels else pixels
 
@@ -299,7 +299,7 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
     Raises
     ------
     ProblemError
-        If the image has colours, or another size or place.
+        If the image has colours, or differs in size or place from the image of the case.
     """
     reference, place = _part(whole, case)
     if reference.ndim == 3 and image.place is None:
@@ -318,7 +318,7 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
 
 
 def refuse_colours(image: ImageFile, path: Path) -> None:
-    """Raise an error if an image has colours, for a use that requires one value per pixel."""
+    """Raise an error if an image has colours where one value per pixel is required."""
     if image.colours:
         raise ProblemError(path.name, "has colours. Give an image with one value per pixel.")
 

@@ -36,8 +36,8 @@ class Case:
         by `read_label_names`.
     maps : sequence of Path
         Probability images, one for each tissue, in place of `labels`. The label of a pixel is the
-        1-based index of the most likely tissue. It is 0 where the probability that there is no
-        tissue, which is 1 minus the sum of the maps, is larger.
+        1-based index of the most likely tissue, or 0 where the probability that there is no tissue,
+        ``1 - sum(maps)``, is larger.
     boundary : Path, optional
         Motion of the tissue: a label image, with a table of `rules`; pairs of landmarks (.csv); or
         a displacement field, such as the result of a registration.
@@ -63,7 +63,8 @@ class Case:
     tolerance : float, optional
         Largest estimated error of the field, in pixels; not available for the model "paper".
     penalty : float, optional
-        Penalty K of eq. 19, with which constrained sites can slip; by default that of the model.
+        Penalty K of eq. 19, which allows constrained sites to slip; by default, the penalty of the
+        model.
     weight : tuple of float
         Body force on elastic tissue along each axis, in units of stiffness per length.
     """
@@ -87,14 +88,14 @@ class Case:
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Names of the options that are set, in addition to the image, as in the shell."""
+        """Shell names of the options that are set, except the image."""
         names = [each.name for each in fields(self) if each.name != "image"]
         given = [name for name in names if getattr(self, name) not in (None, (), False)]
         return tuple(f"--{name.replace('_', '-')}" for name in given)
 
 
 def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
-    """Return the prior and the optimizer that the options of a case select.
+    """Return the prior and the optimizer selected by the options of a case.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.case_tables import NamedCase
 from napari_hmrf.io.study_file import read_study
 
-#: Name of the file, in the folder of a case, with its table row, its digests and its outcome.
+#: Name of the file in a case's folder that stores the table row, digests and outcome of the case.
 RECORD = "case.json"
 #: Largest number of names listed in a message.
 _LISTED = 5
@@ -157,7 +157,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def fingerprints(case: NamedCase, known: dict[Path, str] | None = None) -> dict[str, str]:
-    """Return a digest of each input file of a case; "" for an unreadable file.
+    """Return a digest of each input file of a case ("" for an unreadable file).
 
     Parameters
     ----------

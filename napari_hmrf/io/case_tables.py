@@ -6,7 +6,7 @@ A table can have the following columns:
 - the input and options of ``napari-hmrf solve``: ``image`` or ``study``, ``labels``, ``maps``,
   ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
   ``model``, ``plane``, ``tolerance``, ``penalty`` and ``weight``;
-- numbers that replace numbers in the files of the case: ``poisson``, ``growth:TISSUE``,
+- values that replace numbers in the files of the case: ``poisson``, ``growth:TISSUE``,
   ``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, in which a tissue or boundary is
   identified by its label or name.
 
@@ -49,9 +49,9 @@ _SWEPT = ("slice", "model", "poisson", *_ENERGY_OPTIONS)
 _NUMBERS = (*OF_TISSUES, *OF_BOUNDARIES)
 #: Characters that are not allowed in the name of a case.
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\0-\x1f]')
-#: Characters with a special meaning in shells or other tools; they are replaced with "_".
+#: Characters with a special meaning in shells or other tools; replaced with "_".
 _SPECIAL = re.compile(r"[^\w.-]+")
-#: Reserved names: files of a batch, and device names of Windows.
+#: Reserved names: files of a batch, and Windows device names.
 _RESERVED = {"summary.csv", *("con", "prn", "aux", "nul")} | {
     f"{port}{number}" for port in ("com", "lpt") for number in range(10)
 }
@@ -68,9 +68,9 @@ class NamedCase:
         Name of the case and of the folder with its results.
     case : Case
     changes : tuple of Change
-        Changes of numbers in the files of the case.
+        Changes to numbers in the files of the case.
     cells : mapping of str to str
-        Cells of the row, by column title, with which changes of the row are detected.
+        Cells of the row, by column title; used to detect changes to the row.
     """
 
     name: str
@@ -80,7 +80,7 @@ class NamedCase:
 
     @property
     def parameters(self) -> dict[str, str]:
-        """Parameters of the case that can be swept: their values as text, by column title."""
+        """Values of the parameters that can be swept, as text, by column title."""
         values = {} if self.case.slice is None else {"slice": str(self.case.slice)}
         for option in ("plane", "tolerance", "penalty"):
             if (value := getattr(self.case, option)) is not None:
@@ -154,8 +154,8 @@ def _titles(file: str) -> Callable[[list[str], int], list[str]]:
                 )
         if not {"image", "study"} & set(titles):
             raise FileFormatError(
-                f"{file}: line {line} lacks the column 'image'. Give the column titles, with "
-                f"commas between them: {', '.join(_COLUMNS)}."
+                f"{file}: line {line} lacks the column 'image'. Give the column titles, separated "
+                f"by commas: {', '.join(_COLUMNS)}."
             )
         return titles
 
@@ -204,7 +204,7 @@ def _sweep_of_named(kind: str) -> str:
 
 
 def _title(cell: str) -> str:
-    """Return a normalised column title; the capitalisation of a name after a colon is preserved."""
+    """Return a normalized column title; the capitalization of a name after a colon is preserved."""
     kind, colon, of = cell.partition(":")
     return f"{kind.strip().casefold().replace('_', '-')}{colon}{of.strip()}"
 
@@ -254,9 +254,9 @@ def _values(title: str, text: str, image: Path) -> list[str]:
 
 
 def _slices(image: Path) -> int:
-    """Return the number of slices of an image; 1 if the image cannot be read.
+    """Return the number of slices of an image, or 1 if the image cannot be read.
 
-    The solve of the case then reports the error.
+    If the image cannot be read, the error is reported when the case is solved.
     """
     try:
         file = read_image(image)

@@ -16,7 +16,7 @@ from napari_hmrf.regular_file import read_at_most
 
 #: Suffix of the files.
 ENDING = ".csv"
-#: Characters at the beginning of a cell that a spreadsheet interprets as a formula.
+#: Initial characters of cells that a spreadsheet interprets as formulas.
 _FORMULA = "=+-@\t\r"
 #: Known column title for each synonym, suggested if a column is unknown.
 SYNONYMS = {
@@ -76,7 +76,7 @@ def text_of(path: Path, largest: int) -> str:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:
         raise FileFormatError(
-            f"{path.name} is not text in UTF-8. Give a table as text, such as a .csv."
+            f"{path.name} is not UTF-8 text. Give a table as text, such as a .csv."
         ) from None
 
 
@@ -147,8 +147,8 @@ def read_csv(
     largest : int
         Largest allowed size of the file, in bytes.
     check : callable
-        Called with the titles in the file and the number of their line. Returns the normalised
-        titles, or raises an error if a title is unknown or missing.
+        Called with the titles in the file and their line number. Returns the normalized titles, or
+        raises an error if a title is unknown or missing.
 
     Raises
     ------

@@ -28,12 +28,12 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.io import itk_decoder
 
-#: CPU time allowed for a file of any size, in seconds.
+#: CPU time allowed for any file, in seconds.
 _LEAST_SECONDS = 0.4
-#: Additional CPU time per MB, in seconds; long enough for large files on slow machines.
+#: Additional CPU time allowed per MB, in seconds; long enough for large files on slow machines.
 _SECONDS_PER_MB = 2.0
-#: Elapsed time allowed for a file of any size, and additional time per MB, in seconds; long enough
-#: for slow disks and networks.
+#: Elapsed time allowed for any file, and additional time per MB, in seconds; long enough for slow
+#: disks and networks.
 _LEAST_WAIT, _WAIT_PER_MB = 60.0, 5.0
 #: Memory allowed in addition to the decompressed file, in bytes.
 _LEAST_MEMORY = 512 * 2**20
@@ -49,7 +49,7 @@ _REMEMBERED = 32
 
 
 class Undecodable(Exception):
-    """Error for a file that was not decoded.
+    """Error for a file that could not be decoded.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Decoded(NamedTuple):
 
 
 class _Watch:
-    """Watchdog thread that kills a decoder if a request exceeds its limits of time or memory."""
+    """Watchdog thread that kills a decoder if a request exceeds its time or memory limit."""
 
     def __init__(self, process: subprocess.Popen[bytes], seconds: float, size: int) -> None:
         self.reason = ""
@@ -337,7 +337,7 @@ def _exchange(
     size: int,
     sent: npt.NDArray[Any] | None = None,
 ) -> Decoded | None:
-    """Send a request, and return the response; None if the decoder has exited."""
+    """Send a request and return the response, or None if the decoder has exited."""
     assert process.stdin is not None
     assert process.stdout is not None
     try:
@@ -355,7 +355,7 @@ def _exchange(
         return Decoded(header)
     kind, shape = np.dtype(header["dtype"]), tuple(header["shape"])
     if math.prod(shape) * kind.itemsize > itk_decoder.MOST_PACKED * max(size, 1):
-        raise Undecodable("it claims more pixels than it contains")
+        raise Undecodable("it contains fewer pixels than its header states")
     pixels = np.empty(shape, kind)
     rest = memoryview(pixels.data).cast("B") if pixels.size else memoryview(b"")
     while rest:

@@ -72,7 +72,7 @@ class Field:
     spacing : tuple of float, shape (n,)
         Pixel size along each axis, in mm, in the order [z,] y, x.
     field : DisplacementField
-        Field as stored, forward or backward; it can be evaluated at any points.
+        Field as stored, forward or backward; it can be evaluated at arbitrary points.
     origin : tuple of float, shape (n,)
         Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
@@ -116,7 +116,7 @@ def write_field(
 ) -> float:
     """Write a displacement field for ITK, SimpleITK, ANTs, elastix and 3D Slicer.
 
-    A 2-D field with three spacings is a slice of a volume. In NIfTI files it is written as three
+    A 2-D field with three spacings is a slice of a volume. In NIfTI files, it is written as three
     identical slices, because no tool reads a NIfTI field of a single slice correctly. In files of
     other formats, it is written as a single slice.
 
@@ -124,15 +124,15 @@ def write_field(
     ----------
     path : str or path-like
         Path with one of the suffixes in `FIELD_SUFFIXES`. An existing file is replaced when the new
-        file is complete. The file contains a digest with which `read_field` detects damage; other
-        tools ignore the digest.
+        file is complete. The file contains a digest, which `read_field` uses to detect damage and
+        other tools ignore.
     displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
         Material displacement d, in mm: tissue at X moves to X + d(X). The components are along the
         axes of the image, in the same order, as in `Solution.displacement`.
     spacing : sequence of float, shape (n,), or (3,) for a slice of a volume
         Pixel size along each axis, in mm, in the order [z,] y, x.
     origin : sequence of float, optional
-        Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS. By default 0.
+        Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS. By default, zeros.
     direction : array_like, shape (n, n), optional
         Direction matrix in ITK's convention: its columns are the directions of the image axes
         x, y[, z]. By default, the identity matrix.
@@ -182,7 +182,7 @@ def write_field(
         )
     size = _lengths("spacing", spacing, (n, 3))
     if not (size > 0).all():
-        raise ProblemError("spacing", f"is {shown(tuple(spacing))}. Give lengths above 0.")
+        raise ProblemError("spacing", f"is {shown(tuple(spacing))}. Pass positive lengths.")
     back, residual = d, 0.0
     if not forward:
         back, residual = inverse_displacement(d, spacing=tuple(size[-n:]), tissue=tissue)
@@ -347,7 +347,7 @@ def place_of(solution: Solution) -> Place:
         n = solution.tissue.ndim
         return Place(solution.spacing, (0.0,) * n, np.eye(n))
     matrix, plane = np.array(frame["matrix"]), list(frame["plane"])
-    # Millimetres per unit of each world axis: 1 for pixels, NaN if it is not a unit of length.
+    # Millimetres per unit of each world axis; 1 for pixels, NaN for units that are not lengths.
     mm = [1.0 if unit == "pixel" else unit_factor(unit, "millimeter") for unit in frame["units"]]
     sizes = np.nan_to_num(mm)
     others = [axis for axis in np.flatnonzero(sizes).tolist() if axis not in plane]
@@ -355,7 +355,7 @@ def place_of(solution: Solution) -> Place:
     if not sizes[axes].all():
         units = ", ".join(str(unit) for unit in frame["units"])
         raise ProblemError(
-            "displacement", f"is measured in {units}. Give the image a unit of length, such as mm."
+            "displacement", f"is measured in {units}. Use a unit of length, such as mm."
         )
     # The rows are world axes, z first; the columns are image axes.
     world = sorted(axes)
@@ -406,8 +406,8 @@ def export_field(
         As for `write_field`.
     solution : Solution
     grid : Grid, optional
-        Grid of the image, as returned by `Grid.from_image`. Required if the solution has no place:
-        solutions of a `Problem`, or of a study with a grid without a place.
+        Grid of the image, as returned by `Grid.from_image`. Required if the solution has no place,
+        as is the case for solutions of a `Problem`, or of a study whose grid has no place.
     placed : bool
         If False, a solution without a place is written at the origin, aligned with the axes, and
         its spacing is converted to mm (an unknown unit is assumed to be mm). Other tools treat
@@ -430,7 +430,7 @@ def export_field(
     """
     if isinstance(solution, np.ndarray):
         raise ArgumentError(
-            "solution is an array. Give a Solution, or write an array with write_field(path, "
+            "solution is an array. Pass a Solution, or write an array with write_field(path, "
             "displacement, spacing=...)."
         )
     require_kind(Solution, "solution", solution, "the result of solve()")
@@ -456,13 +456,13 @@ def _not_a_field(source: Path, error: Unreadable) -> str:
 def _place_solution(
     solution: Solution, grid: Grid | None, placed_only: bool
 ) -> tuple[npt.NDArray[np.floating], Place]:
-    """Return the displacement of a solution, and its place or that of a grid with a place."""
+    """Return the displacement of a solution, and the place of the solution or of a grid."""
     if grid is not None:
         if grid.shape != solution.tissue.shape:
             raise ProblemError(
                 "grid",
                 f"is {grid_in_words(grid.shape)}, but the field is "
-                f"{grid_in_words(solution.tissue.shape)}. Give the grid of its image.",
+                f"{grid_in_words(solution.tissue.shape)}. Pass the grid of its image.",
             )
         if not has_same_spacing(solution.spacing, solution.unit, grid.spacing, grid.unit):
             sizes = f"{grid_in_words(solution.spacing)} {solution.unit}".rstrip()
@@ -483,15 +483,17 @@ def _place_solution(
         elif placed_only and not solution.frame:
             raise ProblemError(
                 "grid",
-                "has no place, as is the case for pictures (.png, .tif). Give the grid of a "
-                "medical image, or placed=False to write the field at the origin.",
+                "has no position in world coordinates, as is the case for pictures (.png, .tif). "
+                "Pass the grid of a medical image, or placed=False to write the field at the "
+                "origin.",
             )
     if placed_only and not solution.frame:
         raise ProblemError(
             "displacement",
-            "has no place, because the place of its image is unknown. Create the study with "
-            "Grid.from_image(image), or pass this grid as grid=. For pictures (.png, .tif), which "
-            "have no place, use placed=False to write the field at the origin.",
+            "has no position in world coordinates, because the position of its image is unknown. "
+            "Create the study with Grid.from_image(image), or pass this grid as grid=. For "
+            "pictures (.png, .tif), which have no position, pass placed=False to write the field "
+            "at the origin.",
         )
     displacement, place = placed(solution)
     if solution.frame or solution.unit in UNKNOWN_UNITS:
@@ -500,8 +502,8 @@ def _place_solution(
     if not np.isfinite(factor):
         raise ProblemError(
             "displacement",
-            f"is in {shown(solution.unit)}, which is not a unit of length. Give the grid of the "
-            'study a unit of length, such as "mm".',
+            f"is in {shown(solution.unit)}, which is not a unit of length. Set the unit of the "
+            'study\'s grid to a unit of length, such as "mm".',
         )
     in_mm = tuple(size * factor for size in place.spacing)
     return displacement * factor, place._replace(spacing=in_mm)
@@ -518,7 +520,7 @@ def _is_at(one: Place, other: Place, shape: tuple[int, ...]) -> bool:
 
 
 def _stated_type(metadata: Mapping[str, str]) -> str:
-    """Return the direction of a field in its metadata, as Slicer's value; "" if not stated."""
+    """Return the direction stated in the metadata of a field, as Slicer's value, or ""."""
     if _SLICER in metadata:
         return metadata[_SLICER].strip()
     key, _, field_type = metadata.get(_DESCRIPTION, "").partition(":")
@@ -542,7 +544,7 @@ def _lengths(name: str, values: Sequence[float], counts: tuple[int, ...]) -> npt
     given = as_numbers(name, values).astype(np.float64)
     if given.ndim != 1 or len(given) not in counts or not np.isfinite(given).all():
         needed = " or ".join(map(str, sorted({*counts})))
-        raise ProblemError(name, f"is {shown(values)}. Give {needed} lengths.")
+        raise ProblemError(name, f"is {shown(values)}. Pass {needed} lengths.")
     return given
 
 
@@ -553,7 +555,7 @@ def check_rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
     if turn.shape != (n, n) or not np.allclose(turn @ turn.T, np.eye(n), atol=_ROUNDING):
         raise ProblemError(
             "direction",
-            f"is {shown(direction)}. Give an orthogonal {n} x {n} matrix, with the directions of "
+            f"is {shown(direction)}. Pass an orthogonal {n} x {n} matrix, with the directions of "
             "the image axes as its columns.",
         )
     return turn

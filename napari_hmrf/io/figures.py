@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure  # heavy: matplotlib
 
-#: Approximate numbers of arrows in figures of a displacement field, and of a boundary.
+#: Approximate number of arrows in figures of a displacement field, and of a boundary.
 ARROWS = 500
 BOUNDARY_ARROWS = 250
 #: Number of lines of the deformation grid along the longer side of the image.
@@ -150,7 +150,7 @@ def write_volume_pictures(
 
 
 def _new_folder(parent: Path, name: str) -> Path:
-    """Create a new folder, with a number in its name if the name is already used."""
+    """Create a new folder, with a number in its name if the name is already in use."""
     safe_name = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
     folder, number = parent / safe_name, 1
     while True:
@@ -212,7 +212,7 @@ def warped_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
 
 
 def grid_picture(solution: Solution) -> Figure:
-    """Draw a regular grid that is deformed with the tissue (figure 4)."""
+    """Draw a regular grid that is deformed with the tissue, as in figure 4 of the paper."""
     from matplotlib.collections import LineCollection  # heavy: matplotlib
 
     figure, (axes,) = _figure(solution.spacing, "a regular grid, deformed with the tissue")
@@ -231,7 +231,7 @@ def grid_picture(solution: Solution) -> Figure:
 def magnitude_picture(
     solution: Solution, unit: str = "px", image: npt.ArrayLike | None = None
 ) -> Figure:
-    """Draw the magnitude of the displacement at the original positions of the tissue."""
+    """Draw the displacement magnitude at the original positions of the tissue."""
     return _quantity_picture(solution, "magnitude", f"displacement / {unit}", image)
 
 

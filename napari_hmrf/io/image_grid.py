@@ -59,8 +59,9 @@ def grid_of_image(
         shape, place = _of_nibabel(image)
     else:
         raise ArgumentError(
-            f"image is {shown(image)}, of type {type(image).__name__}. Give a path, a SimpleITK "
-            "image or a nibabel image. For an array, which has no place, use Grid(shape, spacing)."
+            f"image is {shown(image)}, of type {type(image).__name__}. Pass a path, a SimpleITK "
+            "image or a nibabel image. For an array, which has no position in world coordinates, "
+            "use Grid(shape, spacing)."
         )
     n = len(shape)
     if place is None:
@@ -79,13 +80,13 @@ def _slice_of(grid: Grid, frame: Frame, number: int, axis: int) -> Grid:
     if len(grid.shape) != 3:
         raise ArgumentError(f"slice is {number}, but the image has 2 axes. Leave slice out.")
     if not (is_whole(axis) and -3 <= axis < 3):
-        raise ArgumentError(f"axis is {shown(axis)}. Give 0, 1 or 2: an axis of the volume.")
+        raise ArgumentError(f"axis is {shown(axis)}. Pass 0, 1 or 2: an axis of the volume.")
     axis = int(axis) % 3
     count = grid.shape[axis]
     if not (is_whole(number) and 0 <= number < count):
         raise ArgumentError(
             f"slice is {shown(number)}, but the volume has {count} slices along axis {axis}. "
-            f"Give 0 to {count - 1}."
+            f"Pass 0 to {count - 1}."
         )
     return replace(
         grid,
@@ -106,7 +107,7 @@ def _of_file(path: str | os.PathLike[str]) -> tuple[tuple[int, ...], Place | Non
 def _of_simpleitk(image: Any) -> tuple[tuple[int, ...], Place]:
     n = image.GetDimension()
     if n not in (2, 3):
-        raise ArgumentError(f"image has {n} axes. Give an image of 2 axes, or a volume of 3.")
+        raise ArgumentError(f"image has {n} axes. Pass an image with 2 axes, or a volume with 3.")
     turn = np.array(image.GetDirection(), dtype=float).reshape(n, n)
     spacing = tuple(float(size) for size in image.GetSpacing()[::-1])
     origin = tuple(float(at) for at in image.GetOrigin())
@@ -114,22 +115,24 @@ def _of_simpleitk(image: Any) -> tuple[tuple[int, ...], Place]:
 
 
 def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
-    """Return shape and place, with the axes in the order of `dataobj` (usually x, y, z)."""
+    """Return the shape and place, with the axes in the order of `dataobj` (usually x, y, z)."""
     shape = tuple(int(size) for size in image.dataobj.shape)
     affine = np.asarray(image.affine, dtype=float)
     if len(shape) > 3 and set(shape[3:]) == {1}:
         shape = shape[:3]
     if len(shape) != 3:
-        raise ArgumentError(f"image has shape {shape}. Give a volume of 3 axes.")
+        raise ArgumentError(f"image has shape {shape}. Pass a volume with 3 axes.")
     if affine.shape != (4, 4):
         raise ArgumentError(
-            f"image has the affine {shown(image.affine)}. Give the image a 4 x 4 affine."
+            f"image has the affine {shown(image.affine)}. Pass an image with a 4 x 4 affine."
         )
     steps: npt.NDArray[np.float64] = _TO_LPS @ affine
     steps[:3] *= _millimetres(image)
     spacing = np.linalg.norm(steps[:3, :3], axis=0)
     if not (np.isfinite(steps).all() and (spacing > 0).all()):
-        raise ProblemError("image", "has a singular affine. Give the image an invertible affine.")
+        raise ProblemError(
+            "image", "has a singular affine. Pass an image with an invertible affine."
+        )
     # The first column of `Place.direction` belongs to the last axis of the array.
     turn = (steps[:3, :3] / spacing)[:, ::-1]
     return shape, Place(tuple(spacing.tolist()), tuple(steps[:3, 3].tolist()), turn)

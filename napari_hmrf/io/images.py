@@ -71,7 +71,7 @@ class ImageFile(NamedTuple):
         return self.reordered(max(permutations(range(3)), key=nearness))
 
     def reordered(self, order: tuple[int, ...]) -> ImageFile:
-        """Return a view of a volume, which must have a place, with its axes in another order."""
+        """Return a view of a volume with its axes reordered; the volume must have a place."""
         place = self.place
         assert place is not None
         turn = place.direction[::-1, ::-1]
@@ -86,7 +86,7 @@ class ImageFile(NamedTuple):
         )
 
     def laid_as(self, place: Place | None) -> ImageFile:
-        """Return the image with reordered axes, so that it matches another place.
+        """Return the image with its axes reordered to match another place.
 
         The image itself is returned if no order of its axes matches.
         """
@@ -96,7 +96,7 @@ class ImageFile(NamedTuple):
         return next((each for each in reordered if apart(each.place, place) <= SAME), self)
 
     def refuse_elsewhere(self, place: Place | None, name: str, what: str) -> None:
-        """Raise an error if the image is not in the same place as another image of its size.
+        """Raise an error if the image is not in the same place as another image of equal size.
 
         Parameters
         ----------
@@ -116,8 +116,8 @@ class ImageFile(NamedTuple):
             raise ProblemError(
                 name,
                 f"is not in the same place as {what}, although it has the same size. Give a file "
-                "with the same place. If only the header is wrong, save the image as a .tif, which "
-                "has no place.",
+                "in the same place. If only the header is wrong, save the image as a .tif, which "
+                "does not store a place.",
             )
 
     @property
@@ -142,8 +142,8 @@ def apart(one: Place | None, other: Place | None, axes: int = 3) -> float:
     Returns
     -------
     float
-        Distance in pixels of the first grid; 0 if a grid has no place, or if only one of the grids
-        is that of a volume or of its slice.
+        Distance in pixels of the first grid; 0 if a grid has no place, or if the places have
+        different numbers of axes.
     """
     if one is None or other is None or len(one.spacing) != len(other.spacing):
         return 0.0

@@ -29,8 +29,8 @@ PARTED = (".mhd", ".nhdr", ".hdr")
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt")
 #: Time without a request after which the process exits, in seconds.
 _IDLE = 60.0
-#: CPU time in addition to the limit of the request, after which the operating system ends the
-#: process, in seconds.
+#: CPU time beyond the limit of the request, in seconds, after which the operating system ends the
+#: process.
 _GRACE = 2
 
 
@@ -49,7 +49,7 @@ class Decoder:
         self._last: tuple[Any, Any] = (None, None)
 
     def answer(self, request: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-        """Return the header for a request, and the image to be sent, or None."""
+        """Return the header for a request, and the image to send (None if there is no image)."""
         source, kind = Path(request["path"]), request["kind"]
         if kind == "series":
             return self._read_series(source)
@@ -120,7 +120,7 @@ class Decoder:
         largest = max((file.stat().st_size for file in files if file.is_file()), default=0)
         expansion = 1 if source.suffix.lower() == ".nii" else MOST_PACKED
         if math.prod(reader.GetSize()) * pixel_size > largest * expansion:
-            raise Refused("it claims more pixels than it contains")
+            raise Refused("it contains fewer pixels than its header states")
         return reader
 
     def _field_of(self, source: Path) -> Any:

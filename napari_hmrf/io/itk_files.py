@@ -1,7 +1,7 @@
 """Reading and writing of NIfTI, MetaImage, NRRD, DICOM and ITK transforms with SimpleITK.
 
-SimpleITK runs in the decoder process, because a damaged file can make it crash or hang. A new file
-is first written to a temporary file, read back and compared.
+SimpleITK runs in the decoder process, because a damaged file can make SimpleITK crash or hang. New
+content is first written to a temporary file, read back and compared.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from napari_hmrf.io.nifti import is_cut_short, place_in_nifti
 from napari_hmrf.io.seal import BrokenSeal, check_seal, seal
 from napari_hmrf.regular_file import refuse_irregular
 
-#: Suffix with which transforms are written.
+#: Suffix of written transforms.
 _TRANSFORM = ".h5"
 #: Suffixes of transforms in text files.
 _TEXTS = (".tfm", ".txt")
@@ -31,16 +31,16 @@ _NIFTI = (".nii", ".nii.gz")
 _FIELD = "DisplacementFieldTransform_"
 #: Reason for rejecting a NIfTI file with fewer bytes than its header states, or a damaged .gz.
 _CUT_SHORT = "it is damaged or truncated"
-#: Relative and absolute tolerance of places, which NIfTI stores in single precision.
+#: Relative and absolute tolerances for places, which NIfTI stores in single precision.
 _CLOSE = (1e-4, 1e-4)
 
 
 class Unreadable(Exception):
-    """Error for a file that was not read; the message is the reason, as a clause, or ""."""
+    """Error for a file that could not be read; the message is the reason, as a clause, or ""."""
 
 
 class Damaged(Unreadable):
-    """Error for a file that was not read because it is certainly damaged."""
+    """Error for a file that could not be read because it is certainly damaged."""
 
 
 class ItkImage(NamedTuple):
@@ -80,8 +80,8 @@ def read_itk_image(source: Path) -> ItkImage:
     Raises
     ------
     Unreadable
-        If the file is not an image, is truncated, claims more pixels than it contains, or crashes
-        the decoder.
+        If the file is not an image, is truncated, contains fewer pixels than its header states, or
+        crashes the decoder.
     HmrfError
         If SimpleITK is not installed.
     OSError
@@ -206,7 +206,7 @@ def encode(
 
 
 def require_simpleitk() -> None:
-    """Check that SimpleITK is installed, without importing the package.
+    """Raise an error if SimpleITK is not installed, without importing SimpleITK.
 
     Raises
     ------
@@ -290,7 +290,7 @@ def _place(image: ItkImage) -> list[float]:
 
 
 def _in_volume(plane: ItkImage, source: Path) -> ItkImage:
-    """Restore the third axis of a field of one slice, which SimpleITK drops in NIfTI."""
+    """Restore the third axis, which SimpleITK drops when reading a one-slice field from NIfTI."""
     place = place_in_nifti(source)
     if place is None:
         return plane
@@ -321,7 +321,9 @@ def _check_text(source: Path) -> None:
             elif key == "FixedParameters" and n:
                 fixed = np.array(value.split(), float)
                 if len(fixed) != n * (n + 3) or n * fixed[:n].prod() != count:
-                    raise Unreadable("it does not contain as many numbers as it states")
+                    raise Unreadable(
+                        "it does not contain the number of values that its header states"
+                    )
                 n = 0
     except ValueError:
         raise Unreadable("it is damaged") from None

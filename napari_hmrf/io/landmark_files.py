@@ -3,13 +3,13 @@
 ================  ==========================================================================
 BigWarp .csv      pairs: ``Pt-0,true,moving x,y[,z],target x,y[,z]``, in the unit of the image
 Slicer .mrk.json  one list of points, with its coordinate system, LPS or RAS
-Slicer .fcsv      one list of points, in the format of earlier versions
+Slicer .fcsv      one list of points, in the format of earlier Slicer versions
 napari .csv       one list of points: ``index,axis-0,axis-1[,axis-2]``, in pixels
 ================  ==========================================================================
 
-All points in this module have coordinates in the order of the axes, ([z,] y, x). Points from files
-with patient coordinates are in mm, with the axes pointing to superior, posterior and left, as in
-layers with patient coordinates.
+All points in this module have coordinates in axis order, ([z,] y, x). Points from files with
+patient coordinates are in mm, with the axes pointing to superior, posterior and left, as in layers
+with patient coordinates.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
 def is_landmark_file(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a landmark file of 3D Slicer or BigWarp.
 
-    Files of Slicer are recognised by the suffix, and files of BigWarp by the first line.
+    Slicer files are recognized by their suffix, and BigWarp files by their first line.
     """
     name = os.fsdecode(path).lower()
     if not name.endswith(".csv"):
@@ -181,7 +181,7 @@ def write_points(
     if ends is not None and ends.shape != starts.shape:
         raise ProblemError(
             "targets",
-            f"have shape {ends.shape}, but the points have shape {starts.shape}. Give one target "
+            f"have shape {ends.shape}, but the points have shape {starts.shape}. Pass one target "
             "for each point.",
         )
     labels = [*names, *(f"Pt-{number}" for number in range(len(names), len(starts)))]
@@ -215,7 +215,9 @@ def _suffix(path: Path) -> str:
 def _checked(name: str, values: npt.ArrayLike) -> Points:
     points = as_numbers(name, values).astype(np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
-        raise ProblemError(name, f"have shape {points.shape}. Give (N, 2) or (N, 3) numbers.")
+        raise ProblemError(
+            name, f"have shape {points.shape}. Pass finite numbers of shape (N, 2) or (N, 3)."
+        )
     return points
 
 

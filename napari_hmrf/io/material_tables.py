@@ -99,7 +99,7 @@ def read_preset(path: str | Path) -> Preset:
     Returns
     -------
     Preset
-        Materials, with the name of the file if the file does not contain a name.
+        Materials. If the file does not contain a name, the preset has the name of the file.
 
     Raises
     ------
@@ -207,6 +207,6 @@ def _format_error(path: Path, error: pydantic.ValidationError) -> FileFormatErro
     else:
         valid = reported.removeprefix("Input should be ").removeprefix("a valid ")
         if "stiffness" in place:
-            valid = 'a number, 0 or more, or "rigid"'
+            valid = 'a non-negative number, or "rigid"'
         message = f"is invalid: {place} is {str(first['input'])[:40]!r}. It must be: {valid}"
     return FileFormatError(f"{path.name} {message}.")

@@ -25,7 +25,7 @@ from napari_hmrf.solver.solution import Solution
 MOVING_SUFFIXES = (".gif", ".mp4")
 #: Percentile of the intensities that is mapped to white.
 _WHITE = 99.9
-#: Largest disk space of a frame in an .mp4 file, in bytes.
+#: Largest size of a frame in an .mp4 file, in bytes.
 _LARGEST_FRAME = 2**20
 
 
@@ -62,7 +62,7 @@ def write_movie(
     Raises
     ------
     FileFormatError
-        If the path has another suffix.
+        If the path has a different suffix.
     ArgumentError
         If `solution` is not a Solution, if `frames` is less than 2 or `per_second` less than 1, or
         if the volume does not have the slice `number`.
@@ -84,11 +84,11 @@ def write_movie(
     refuse_unless(per_second >= 1, "per_second", per_second, "at least 1")
     if solution.tissue.ndim == 2 and number is not None:
         raise ProblemError(
-            "displacement", "is that of a slice. Leave out the slice index (`number`)."
+            "displacement", "belongs to a slice. Leave out the slice index (`number`)."
         )
     if solution.tissue.ndim != 2 and number is None:
         raise ProblemError(
-            "displacement", "is that of a volume. Give the index of a slice (`number`)."
+            "displacement", "belongs to a volume. Give the index of a slice (`number`)."
         )
     steps = [moment / (frames - 1) for moment in range(frames)]
     if number is None:

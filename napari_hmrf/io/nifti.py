@@ -94,7 +94,7 @@ def is_cut_short(path: Path) -> bool:
 
 
 def _header(path: Path) -> Any:
-    """Return the NIfTI-1 header of a file, in either byte order; None for other files."""
+    """Return the NIfTI-1 header of a file, in either byte order, or None for other files."""
     opened: Any = gzip.open if path.name.lower().endswith(".gz") else open
     try:
         with opened(path, "rb") as file:

@@ -11,7 +11,7 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 
 
 def energy_option(name: str) -> Callable[[str], Any]:
-    """Return a function that converts the text of an option that defines the energy.
+    """Return a function that converts the text of an energy option.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from napari_hmrf.io.study_file import SUFFIX
 def new_file(folder: Path) -> Path:
     """Return the path of a new recovery file of this process.
 
-    If the folder does not exist, it is created with access for its owner only.
+    If the folder does not exist, it is created with access for the owner only.
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     return folder / f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"

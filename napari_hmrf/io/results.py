@@ -33,7 +33,7 @@ class Measured(NamedTuple):
     of_volume : bool
         True if tissue sizes are volumes, False if they are areas.
     note : str
-        Reason why the reported strain is not the elastic strain, as a clause; "" if it is the
+        Reason, as a clause, why the reported strain is not the elastic strain; "" if it is the
         elastic strain.
     """
 

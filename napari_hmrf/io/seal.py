@@ -5,12 +5,12 @@ consists of a mark and the SHA-256 digest of the whole file, computed with zeros
 digests. Other tools ignore the lines, and drop them when they save the file again. A file without a
 seal is not checked.
 
-=================  ==============================================================
-.mha               comments, in the second line of the header and before its last
-.nrrd              comments, in the second line of the header and in its last
-.nii, .nii.gz      between header and vectors, and after the vectors
-.h5                after the end of the HDF5 file
-=================  ==============================================================
+=================  ==================================================================
+.mha               comments on the second and the second-to-last line of the header
+.nrrd              comments on the second and the last line of the header
+.nii, .nii.gz      blocks between the header and the vectors, and after the vectors
+.h5                blocks after the end of the HDF5 file
+=================  ==================================================================
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _BLANK = _MARK + b"0" * _DIGITS
 _COUNT = 2
 #: Length of a seal in binary formats, in bytes; a multiple of 16, as NIfTI requires.
 _BLOCK = 128
-#: Number of bytes at the beginning, and at the end, of a file that are searched for seals.
+#: Numbers of bytes searched for seals at the beginning and at the end of a file.
 _HEAD, _TAIL = 2**14, 2**10
 #: Number of bytes read at a time.
 _PIECE = 2**20
-#: Share of bytes equal to the mark above which text is considered to be a damaged mark; the share
-#: of unrelated text is below a third.
+#: Share of matching bytes above which text is considered to be a damaged mark; for unrelated text,
+#: the share is below a third.
 _DAMAGED_SHARE = 0.6
 _GZIP, _HDF5 = b"\x1f\x8b", b"\x89HDF\r\n\x1a\n"
 #: Compression level of .nii.gz; low, because vectors hardly compress and higher levels are slower.
@@ -87,7 +87,7 @@ def seal(content: bytes, suffix: str) -> bytes:
 def check_seal(path: Path) -> bool:
     """Return whether a file has a valid seal.
 
-    The result is False for a file without a seal, such as a file of another program.
+    The result is False for a file without a seal, such as a file from another program.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def _parts(stream: BinaryIO | gzip.GzipFile) -> Iterator[tuple[bytes, bool]]:
 
 
 def _likeness(part: bytes) -> float:
-    """Return the largest share of bytes equal to the mark, over all positions in a piece."""
+    """Return the largest share of bytes that match the mark, over all positions in a piece."""
     if len(part) < len(_MARK):
         return 0.0
     windows: Any = np.lib.stride_tricks.sliding_window_view(

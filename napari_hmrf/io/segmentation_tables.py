@@ -32,9 +32,9 @@ from napari_hmrf.tissue.tissue_names import NamedMaterials, materials_by_name
 _LARGEST = 2**22
 #: Largest number of names listed in an error message.
 _LISTED = 4
-#: Titles of columns of labels in a .csv, in lower case.
+#: Titles of label columns in a .csv, in lower case.
 _LABELS = "label", "labelvalue", "label value", "value", "index", "id", "no.", "key", "intensity"
-#: Titles of columns of names in a .csv, in lower case.
+#: Titles of name columns in a .csv, in lower case.
 _NAMES = "name", "label name", "labelname", "structure", "segment", "tissue", "region", "class"
 #: Columns that occur only in tables of materials.
 _OF_MATERIALS = tuple(name for name in MATERIAL_COLUMNS if name not in ("label", "name"))
@@ -43,8 +43,8 @@ _OTHER_COLUMNS = re.compile(
     r"(colou?r[ _]?)?(r|g|b|a|red|green|blue|alpha)|colou?r|hex|opacity|visib(le|ility)"
     r"|[a-z]+_(codingscheme|codevalue|codemeaning)|(description|comment|abbreviation|acronym)s?"
 )
-#: Row of a colour table of FreeSurfer or 3D Slicer: label, name, four numbers of a colour and, in
-#: recent tables of FreeSurfer, a tissue type.
+#: Row of a colour table of FreeSurfer or 3D Slicer: label, name, four colour values and, in recent
+#: FreeSurfer tables, a tissue type.
 _COLOUR_ROW = re.compile(r'\s*(\d+)\s+"?(\S.*?)"?((?:\s+[\d.]+){4,5})\s*$')
 #: Row of label descriptions of ITK-SNAP: label, six numbers, and the name in quotation marks.
 _SNAP_ROW = re.compile(r'\s*(\d+)((?:\s+[\d.]+){6})\s+"([^"]*)"\s*$')
@@ -123,7 +123,7 @@ def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
     ------
     FileFormatError
         As for `read_materials`, `read_preset` and `read_label_names`; or if the table contains
-        only label names, none of which has a known stiffness.
+        only label names, and no label name has a known stiffness.
     OSError
         If the file cannot be opened.
     """
@@ -154,7 +154,7 @@ def _text(source: Path, ending: str) -> str:
 
 
 def _header(source: Path) -> tuple[int, list[str], list[tuple[int, list[str]]]]:
-    """Return the line number and the titles of a .csv, and its further lines that are not empty."""
+    """Return the titles of a .csv with their line number, and the non-empty lines below."""
     rows = [(line, cells) for line, cells in read_cells(source, _LARGEST) if any(cells)]
     line, titles = rows[0] if rows else (1, [])
     return line, [title.casefold() for title in titles], rows[1:]
@@ -244,7 +244,7 @@ def _of_mapping(content: Any, file: str) -> Iterable[tuple[int, str]]:
 
 
 def _of_pair(key: str, value: Any) -> tuple[int, str] | None:
-    """Return the label and the name in a pair of either order; None for any other pair."""
+    """Return the label and name of a pair given in either order, or None for any other pair."""
     if isinstance(value, bool) or not isinstance(value, str | int):
         return None
     label, name = (_as_label(key), str(value)) if _is_name(value) else (_as_label(value), key)
@@ -271,7 +271,7 @@ def _of_lines(text: str, file: str) -> Iterable[tuple[int, str]]:
 
 
 def _of_segments(text: str) -> Iterable[tuple[int, str]]:
-    """Yield label and name of the segments in the first layer, which has the label image."""
+    """Yield the label and name of each segment in the first layer (the label image)."""
     segments: dict[str, dict[str, str]] = {}
     for line in takewhile(str, text.splitlines()):
         if match := _SEGMENT.match(line):
@@ -283,7 +283,7 @@ def _of_segments(text: str) -> Iterable[tuple[int, str]]:
 
 
 def _as_label(value: Any) -> int | None:
-    """Convert a value, which may be text, to a label; None if it is not a whole number >= 0."""
+    """Convert a number or text to a label; return None if it is not a whole number >= 0."""
     try:
         number = float(value)
     except (TypeError, ValueError):

@@ -1,9 +1,9 @@
 """Study files: a study and, optionally, its displacement field, which can be reproduced.
 
-A study file is an archive of plain arrays and a text header (`napari_hmrf.array_file`). Reading it
-never executes code from the file, and it is written atomically. The attribute `Motion.confidence`
-is stored in the array "counts", for compatibility with earlier versions. The page
-`docs/reference/files.md` lists all arrays.
+A study file is an archive of plain arrays and a text header (`napari_hmrf.array_file`). Reading a
+study file never executes code from the file, and study files are written atomically.
+The attribute `Motion.confidence` is stored in the array "counts", for compatibility with earlier
+versions. The page `docs/reference/files.md` lists all arrays.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def write_study(
     *,
     image: bool = True,
 ) -> Path:
-    """Write a study, optionally with its solution, to a file, atomically.
+    """Write a study to a file atomically, optionally with its solution.
 
     Display settings of layers, such as colormaps, are not saved.
 
@@ -120,7 +120,7 @@ def write_study(
 
 
 def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:
-    """Read a study file, which may have an earlier version of the format.
+    """Read a study file in the current version of the format or an earlier version.
 
     Parameters
     ----------
@@ -131,8 +131,8 @@ def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
     Returns
     -------
     StudyFile
-        Named tuple of the `study` and its `solution`; the solution is None if the file does not
-        contain one.
+        Named tuple of the `study` and its `solution`, which is None if the file contains no
+        solution.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def is_study_file(path: str | os.PathLike[str]) -> bool:
 
 
 def image_named_in(path: str | os.PathLike[str]) -> str:
-    """Return the name of the image in the header of a study file; "" if it cannot be read."""
+    """Return the image name in the header of a study file, or "" if it cannot be read."""
     pictures = array_file.header_of(path).get("pictures")
     return str(pictures.get("name", "")) if isinstance(pictures, dict) else ""
 
@@ -240,7 +240,7 @@ def replay(
     ------
     HmrfError
         As for `read_study` and `solve_study`; or if the tissue is derived from the image, and the
-        image is neither in the file nor given.
+        image is neither in the file nor passed.
     """
     study, solution = read_study(path, image=image)
     tissue = study.tissue
@@ -259,7 +259,7 @@ def replay(
 
 def _refuse_other_grid(grid: Grid, solution: Solution) -> None:
     """Raise an error if the grid of a solution differs from that of the study."""
-    shape, remedy = solution.tissue.shape, "Give the solution of this study."
+    shape, remedy = solution.tissue.shape, "Use the solution of this study."
     if shape != grid.shape:
         raise ProblemError(
             "solution",
@@ -444,7 +444,7 @@ def materials_of(rows: Any) -> tuple[Material, ...]:
     Raises
     ------
     KeyError, TypeError, ValueError
-        If the rows have another form.
+        If the rows are invalid.
     """
     return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
 

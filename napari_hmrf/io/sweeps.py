@@ -1,4 +1,4 @@
-"""Changes of single numbers in a study, for parameter sweeps."""
+"""Changes to single numbers in a study, for parameter sweeps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OF_BOUNDARIES = ("amount",)
 
 
 class Change(NamedTuple):
-    """Change of one number in a study, or of its model.
+    """Change to one number in a study, or to its model.
 
     Attributes
     ----------
@@ -36,8 +36,8 @@ class Change(NamedTuple):
         New value, as in a `Material` or `BoundaryRule`. For the actions "expand" and "press",
         "amount" is the distance or the pressure; for other actions, it is the length of the vector.
     of : str
-        Label or name of a tissue or boundary, or name of the known tissue that its name refers to;
-        "" for all tissue.
+        Label or name of a tissue or boundary; for a tissue, also the name of the known tissue that
+        matches its name; "" for all tissue.
     """
 
     what: str
@@ -94,13 +94,13 @@ def _edited(rows: Sequence[Any], change: Change, edit: Callable[[Any], Any]) -> 
         kind = "boundary" if change.what in OF_BOUNDARIES else "tissue"
         known = ", ".join(f"{row.label} {row.name}".strip() for row in rows) or "none"
         raise HmrfError(
-            f"{change.what}:{change.of}: there is no such {kind}. Give one of these: {known}"
+            f"{change.what}:{change.of}: there is no such {kind}. Use one of these: {known}"
         )
     return tuple(edit(row) if row in matching else row for row in rows)
 
 
 def _matching_rows(rows: Sequence[Any], of: str) -> list[Any]:
-    """Return the rows with a label, or else with a name, or else with a known tissue's name."""
+    """Return the rows that match a label, or else a name, or else a known tissue's name."""
     name = of.casefold()
     if not of:
         return list(rows)

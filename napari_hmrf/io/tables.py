@@ -112,7 +112,7 @@ _LENGTH = _Column(_number(), "a number, a length in the image's unit")
 _OF_MATERIALS = {
     "label": _label(0),
     "name": _NAME,
-    "stiffness": _Column(_stiffness, 'a number, 0 or more, or "rigid"'),
+    "stiffness": _Column(_stiffness, 'a non-negative number, or "rigid"'),
     "poisson": _Column(
         _number(*POISSON_RANGE), "a number from {:g} to {:g}".format(*POISSON_RANGE)
     ),
@@ -202,7 +202,7 @@ def write_named_materials(path: str | os.PathLike[str], found: NamedMaterials) -
     """Write the materials of a segmentation to a .csv, in the format of `read_materials`.
 
     The rows of labels with unknown materials have no stiffness; the user must fill in the stiffness
-    or remove the row.
+    or remove these rows.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
 
 
 def named_materials_in_words(found: NamedMaterials) -> str:
-    """Return text with the labels recognised as each known tissue, and the unknown labels."""
+    """Return text that lists the labels recognized as each known tissue, and unknown labels."""
     of_tissue: dict[KnownTissue, list[str]] = {}
     for row in found.materials:
         of_tissue.setdefault(found.tissues[row.label], []).append(f"{row.label} {row.name}")
@@ -310,7 +310,7 @@ def measurement_table(
     ----------
     rows : sequence of Measurement
     volume : bool
-        True if the measurements are those of a volume.
+        True for measurements of a volume.
 
     Returns
     -------
@@ -344,7 +344,7 @@ def measurements_in_words(
     unit : str
         Unit of length.
     volume : bool
-        True if the measurements are those of a volume, which has other column titles.
+        True for measurements of a volume, which have different column titles.
 
     Returns
     -------
@@ -408,7 +408,7 @@ def forces_in_words(
 
 
 def _in_words(row: Measurement, name: str, axes: int) -> str:
-    """Format a measurement with four digits, large numbers in full, and negligible values as 0."""
+    """Format a measurement with four digits; show large numbers in full and tiny values as 0."""
     value = getattr(row, name)
     if not isinstance(value, float):
         return str(value)
@@ -434,7 +434,7 @@ def write_measurements(
     unit : str
         Unit of length, written to an additional last column; "" omits the column.
     volume : bool
-        True if the measurements are those of a volume, which has other column titles.
+        True for measurements of a volume, which have different column titles.
 
     Raises
     ------
@@ -468,7 +468,7 @@ def _read(
         if missing:
             raise FileFormatError(
                 f"{file}: line {line} lacks the column {missing[0]!r}. Give the column titles, "
-                f"with commas between them: {known}."
+                f"separated by commas: {known}."
             )
         return titles
 

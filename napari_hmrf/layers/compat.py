@@ -1,4 +1,4 @@
-"""Compatibility layer for private API of napari and vispy, and for differences between versions.
+"""Access to private APIs of napari and vispy, and workarounds for differences between versions.
 
 Private names of other packages are used only in this module. Each workaround has a test that fails
 when the workaround is no longer needed.
@@ -24,18 +24,18 @@ def unwrapped(viewer: Any) -> Any:
 
 
 def camera_of(viewer: Any) -> Any:
-    """Return the camera of a viewer, which is an attribute of the scene since napari 0.9."""
+    """Return the camera of a viewer (in napari 0.9 or later, of its scene)."""
     return getattr(viewer, "scene", viewer).camera
 
 
 def text_of(viewer: Any) -> Any:
-    """Return the text overlay of a viewer, which is an overlay of the canvas since napari 0.9."""
+    """Return the text overlay of a viewer (in napari 0.9 or later, of its canvas)."""
     overlay = _overlay(viewer, "text")
     return viewer.text_overlay if overlay is None else overlay
 
 
 def show_name(layer: Any, corner: str) -> None:
-    """Show the name of a layer next to its colour bar, since napari 0.9.
+    """Show the name of a layer next to its colour bar (napari 0.9 or later).
 
     Parameters
     ----------
@@ -50,23 +50,23 @@ def show_name(layer: Any, corner: str) -> None:
 
 def clear_middle(viewer: Any) -> None:
     """Hide the square that napari draws in the middle of the brush circle."""
-    # Private: napari 0.9 draws a small square there, as the background of a text. The square stays
-    # visible when the circle is hidden, and no public attribute hides it.
+    # Private: napari 0.9 draws a small square there, as the background of a text label. The square
+    # stays visible when the circle is hidden, and no public attribute hides it.
     circle = _overlay(viewer, "_brush_circle")
     if getattr(circle, "box", False):
         circle.box = False
 
 
 def paint_steps(layer: Any, name: str) -> Collection[Any] | None:
-    """Return the strokes that a Labels layer can undo or redo; None if they are not accessible.
+    """Return the strokes that a Labels layer can undo or redo, or None if not accessible.
 
     Parameters
     ----------
     layer : napari.layers.Labels
     name : {"undo", "redo"}
     """
-    # Private: the keys also undo edits of the study, and napari has no public API to check whether
-    # there is a stroke to undo.
+    # Private: the undo and redo keys also apply to edits of the study, and napari has no public
+    # API to check whether there is a stroke to undo or redo.
     steps: Collection[Any] | None = getattr(layer, f"_{name}_history", None)
     return steps
 
@@ -79,7 +79,7 @@ def thin_thumbnail(layer: Any, most: int) -> None:
 
 
 def drawn_node(viewer: Any, layer: Any) -> Any:
-    """Return the vispy node that draws a layer; None if there is no window or no node."""
+    """Return the vispy node that draws a layer, or None if there is no window or node."""
     # Private: napari has no public API for the canvas of a window and its nodes.
     try:
         return viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
@@ -88,11 +88,11 @@ def drawn_node(viewer: Any, layer: Any) -> Any:
 
 
 class CanvasContext:
-    """Guard that makes the canvas' OpenGL context current before a layer is removed.
+    """Guard that makes the OpenGL context of the canvas current before a layer is removed.
 
-    Otherwise, vispy would delete the textures of the layer in the context that is current. If this
-    is a context of Qt, Mesa's software rasteriser crashes at its next draw call. `shared` returns
-    the guard of a viewer.
+    Otherwise, vispy would delete the textures of the layer in the context that happens to be
+    current. If that context belongs to Qt, Mesa's software rasterizer crashes at its next draw
+    call. `shared` returns the guard of a viewer.
 
     Parameters
     ----------
@@ -142,8 +142,8 @@ def compile_once(mesh: Any) -> bool:
 
 def is_quitting(window: Any) -> bool:
     """Return whether closing a napari window will quit the application and close all windows."""
-    # Private: napari closes the other windows without confirmation, so unsaved work in all windows
-    # must be checked first.
+    # Private: napari closes the other windows without confirmation, so all windows must be checked
+    # for unsaved work first.
     return bool(getattr(window, "_quit_app", False))
 
 
@@ -152,12 +152,12 @@ def stop_quitting(window: Any) -> None:
 
     Otherwise, napari would quit when the window is closed later.
     """
-    # Private: napari sets the request before a window is closed, and never resets the request.
+    # Private: napari sets the request before a window is closed, and never resets it.
     if is_quitting(window):
         window._quit_app = False
 
 
 def _overlay(viewer: Any, name: str) -> Any:
-    """Return an overlay of the canvas; None before napari 0.9, which has no canvas overlays."""
+    """Return an overlay of the canvas, or None before napari 0.9 (no canvas overlays)."""
     overlays = getattr(getattr(viewer, "canvas", None), "overlays", None)
     return getattr(overlays, name, None)

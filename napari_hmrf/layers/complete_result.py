@@ -19,7 +19,7 @@ from napari_hmrf.study.shortcomings import shortcomings
 
 
 class CompleteResult(NamedTuple):
-    """Completed deformation with its layers and with notes for the user, which are clauses."""
+    """Completed deformation, its layers, and notes for the user; each note is a clause."""
 
     moved: Deformation
     outputs: Outputs
@@ -55,7 +55,7 @@ def complete_result(
 
 
 def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:
-    """Return the solution without air, and with records of the drawing and the tissue."""
+    """Return the solution without air and with records of the drawing and the tissue."""
     study, solution = moved.study, moved.solution
     assert solution is not None
     body = solution.tissue & ground.body

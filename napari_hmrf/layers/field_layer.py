@@ -26,12 +26,12 @@ from napari_hmrf.layers.result_layers import ARROWS, LayerData, PlacedSolution
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, full_resolution, layer_extents
 
 Array = npt.NDArray[Any]
-#: Kind, in the metadata, of a layer that was deformed with a result.
+#: Metadata kind of a layer that was deformed with a result.
 MOVED = "moved"
 
 
 def result_of(layer: Any) -> PlacedSolution | None:
-    """Return the result in the metadata of a layer of arrows; None if there is no result."""
+    """Return the result stored in the metadata of an arrow layer, or None."""
     answer = metadata_of(layer).get("answer")
     return answer if isinstance(answer, PlacedSolution) else None
 
@@ -42,7 +42,7 @@ def holds_field(layer: Any) -> bool:
 
 
 def field_of(layer: Any) -> PixelField | None:
-    """Return the displacement field in the metadata of a layer; None if there is no field."""
+    """Return the displacement field stored in the metadata of a layer, or None."""
     if not holds_field(layer):
         return None
     answer, frame = result_of(layer), frame_of(layer)
@@ -76,7 +76,10 @@ def field_layer(
 
 
 def source_of(layers: Iterable[Any], result: PlacedSolution) -> Any:
-    """Find the image that a result deforms, by its name, or otherwise any image on its grid."""
+    """Return the image that a result deforms, or else another image on its grid, or None.
+
+    The deformed image is identified by its name.
+    """
     images = (layer for layer in layers if can_be_source(layer, result))
 
     def likeness(image: Any) -> tuple[bool, bool]:
@@ -92,13 +95,13 @@ def can_be_source(layer: Any, result: PlacedSolution) -> bool:
 
 
 def tissue_labels(layers: Iterable[Any], result: PlacedSolution) -> Any:
-    """Find the topmost Labels layer of tissue on the grid of a result, or return None."""
+    """Return the topmost tissue layer on the grid of a result, or None."""
     tissues = [layer for layer in layers if isinstance(layer, Labels) and rows_of(layer, TISSUE)]
     return next((each for each in reversed(tissues) if frame_in(each, result)), None)
 
 
 def frame_in(layer: Any, result: PlacedSolution) -> Frame | None:
-    """Return the frame of a layer's slice on the grid of a result; None if there is no slice."""
+    """Return the frame of a layer's slice on the grid of a result, or None if there is none."""
     try:
         return result.frame.slice_in(frame_of(layer), layer_extents(layer), result.shape)
     except (ProblemError, ValueError, IndexError):
@@ -106,7 +109,7 @@ def frame_in(layer: Any, result: PlacedSolution) -> Frame | None:
 
 
 def picture_of(layer: Any, result: PlacedSolution) -> npt.NDArray[Any] | None:
-    """Copy the slice of a layer on the grid of a result; None if there is no such slice.
+    """Return a copy of a layer's slice on the grid of a result, or None if there is none.
 
     Raises
     ------
@@ -151,8 +154,8 @@ def can_move(layer: Any) -> bool:
 def prepare_move(layer: Any, answer: PlacedSolution) -> Callable[[], LayerData]:
     """Return a function that deforms a layer with a result.
 
-    The layer may have a different grid and more axes than the result, as described in
-    `OtherGrid.of`. Labels are not interpolated.
+    The layer may have a different grid from the result, and more axes; see `OtherGrid.of`. Labels
+    are not interpolated.
 
     Returns
     -------

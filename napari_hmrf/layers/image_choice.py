@@ -1,4 +1,4 @@
-"""Choice of the image to deform among the layers of a viewer, and its visibility."""
+"""Selection of the image to deform, and its visibility in a viewer."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SAMPLES = 5
 
 
 def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] = ()) -> Any:
-    """Find the image to deform if the user has not chosen an image.
+    """Return the image to deform if the user has not chosen an image.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> l
 
 
 def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = ()) -> Any:
-    """Find the topmost image that covers another image at all given points, or return None.
+    """Return the topmost image that covers another image at all given points, or None.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _sample_places(viewer: Any, image: Any) -> list[tuple[float, ...]]:
 def _is_opaque(layer: Any) -> bool:
     is_image = isinstance(layer, Image) and "kind" not in metadata_of(layer)  # not a result
     hides = is_image and layer.visible and layer.blending in _OPAQUE
-    # An image with a fourth colour channel, the opacity, can be transparent.
+    # An image with a fourth colour channel (opacity) can be transparent.
     return hides and layer.opacity == 1 and not (layer.rgb and layer.data.shape[-1] == 4)
 
 

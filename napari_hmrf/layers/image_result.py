@@ -1,4 +1,4 @@
-"""Layers of results in a viewer: the latest result of each image and slice."""
+"""Result layers in a viewer: the latest result of each image and slice."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from napari_hmrf.layers.metadata import (
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: Kind of the layer of painted confidence.
+#: Kind of the layer that shows painted confidence.
 CONFIDENCE: Literal["painted confidence"] = "painted confidence"
-#: Kind of the layer of all other paint.
+#: Kind of the layer that shows all other paint.
 PAINTED: Literal["painted"] = "painted"
-#: Type of the name of a part: image and arrows of a solution, overlay, or paint.
+#: Name of a part of a result: image or arrows of the solution, overlay, or paint.
 Part = Kind | Literal["overlay", "painted confidence", "painted"]
 #: Display settings that are updated together with the data, by part.
 _LOOKS = {"overlay": ("colormap", "contrast_limits"), PAINTED: ("colormap",)}
@@ -43,16 +43,17 @@ class _PartState:
 
     #: Weak reference to the layer.
     layer: Callable[[], Any]
-    #: Name of the layer when it was created or updated; a different name of the layer shows that
-    #: the user has renamed it.
+    #: Name of the layer when it was created or updated; if the layer's name differs, the user has
+    #: renamed the layer.
     name: str
     #: True if the user has not hidden the layer.
     is_wanted: bool = True
-    #: True if the latest result has this part; otherwise the layer is hidden for now.
+    #: True if the latest result includes the part; otherwise the layer is temporarily hidden.
     current: bool = True
-    #: Visibility set by this package; a different visibility shows that the user has changed it.
+    #: Visibility set by this package; if the layer's visibility differs, the user has changed it.
     is_shown: bool = True
-    #: Data of the layer, if no other object uses the array, so that it can be overwritten; or None.
+    #: Data of the layer if no other object uses the array, so that the array can be overwritten;
+    #: otherwise None.
     writable: Any = None
     #: Data of the layer while a fraction of the deformation is shown; otherwise None.
     part: Any = None
@@ -63,16 +64,16 @@ class _PartState:
 class Result:
     """Layers of one result.
 
-    A layer is visible if the user has not hidden it, the latest result has this part, the
-    undeformed image is not shown instead, and the user is working on the same extent (slice or
-    volume).
+    The layer of a part is visible if the user has not hidden it, the latest result includes the
+    part, the undeformed image is not shown instead, and the user is working on the same extent
+    (slice or volume).
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
         Viewer, or a weak proxy of a viewer.
     anchor : napari.layers.Layer
-        Deformed layer; for a result from a file, the layer of arrows that contains the result.
+        Deformed layer; for a result from a file, the arrow layer that contains the result.
     where : str
         Name of the slice, as in the metadata of the layers.
 
@@ -106,11 +107,14 @@ class Result:
         return still_there(self._viewer, None if state is None else state.layer())
 
     def part_of(self, layer: Any) -> Part | None:
-        """Return the part that a layer shows, even if the layer was removed; None if no part."""
+        """Return the part that a layer shows, or None; the layer may have been removed."""
         return next((part for part, state in self._states.items() if state.layer() is layer), None)
 
     def is_wanted(self, part: Part) -> bool:
-        """Return whether the user has not hidden a part; other conditions may hide the part."""
+        """Return whether a part is in the viewer and has not been hidden by the user.
+
+        The part can still be hidden for other reasons; see `Result`.
+        """
         layer = self.layer(part)
         if layer is None:
             return False
@@ -118,7 +122,10 @@ class Result:
         return bool(layer.visible if layer.visible != state.is_shown else state.is_wanted)
 
     def holds(self, part: Part) -> bool:
-        """Return whether the latest result has a part; undeformed tissue has no arrows."""
+        """Return whether the latest result includes a part.
+
+        For example, a result without deformation includes no arrows.
+        """
         return part in self._states and self._states[part].current
 
     @property
@@ -128,7 +135,7 @@ class Result:
 
     @property
     def percent(self) -> int:
-        """Displayed percentage of the deformation; 0 if no image or overlay is visible."""
+        """Displayed percentage of the deformation, or 0 if no image or overlay is visible."""
         pictures = (
             layer for part, layer, _ in self._present_layers() if part in ("image", "overlay")
         )
@@ -153,8 +160,8 @@ class Result:
         source : napari.layers.Layer, optional
             Deformed image, if it is not the anchor of the result.
         show : bool
-            If True, show the layer even if the user has hidden it. For an overlay, the tissue and
-            boundary layers are then hidden.
+            If True, show the layer even if the user has hidden it; for an overlay, also hide the
+            tissue and boundary layers.
         """
         if part != PAINTED or not self._overwrite(part, made):
             self._update_or_replace(part, made, source)
@@ -181,7 +188,7 @@ class Result:
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
         """Show a fraction of the deformation, until `show_whole` is called or a result arrives.
 
-        Paint is hidden meanwhile, because it is drawn for the complete deformation.
+        Meanwhile, paint is hidden, because it is drawn for the complete deformation.
 
         Parameters
         ----------
@@ -237,20 +244,20 @@ class Result:
                 layer.visible = False
 
     def drop_paint(self, besides: Collection[Part] = ()) -> None:
-        """Remove the layers of paint, except the parts in `besides`."""
+        """Remove the paint layers, except the parts in `besides`."""
         for part in (PAINTED, CONFIDENCE):
             if part not in besides:
                 self.drop(part)
 
     def leave(self) -> None:
-        """Hide the overlay, because another result is selected."""
+        """Hide the overlay when another result is selected."""
         self.set_wanted("overlay", False)
-        # A result from a file has no image layer as its anchor, so hide its deformed image, too.
+        # The anchor of a result from a file is its arrow layer; hide the deformed image as well.
         if self.anchor() is self.layer("arrows"):
             self.set_wanted("image", False)
 
     def show_before(self, before: bool) -> None:
-        """Hide the result, to show the undeformed image, or show the result again."""
+        """Hide the result to show the undeformed image, or show the result again."""
         before = before and (self.is_before or self.visible)
         if before != self.is_before:
             self.is_before = before
@@ -270,7 +277,7 @@ class Result:
     # Implementation
 
     def _present_layers(self) -> Iterator[tuple[Part, Any, _PartState]]:
-        """Yield part, layer and state of each layer that is in the viewer."""
+        """Yield the part, layer and state of each layer that is in the viewer."""
         for part, state in [*self._states.items()]:
             if (layer := self.layer(part)) is not None:
                 yield part, layer, state
@@ -286,7 +293,7 @@ class Result:
                 layer.visible = state.is_shown
 
     def _overwrite(self, part: Part, made: LayerData) -> bool:
-        """Write new pixels to a layer if nothing else has changed; return whether it succeeded."""
+        """Write new pixels to a layer if nothing else has changed; return True on success."""
         layer, state = self.layer(part), self._states.get(part)
         if layer is None or state is None or state.part is not None or not _fits(layer, made):
             return False
@@ -392,7 +399,8 @@ class ResultLayers:
     """Results displayed in a viewer.
 
     A new result replaces the previous result of the same image and slice. Layers that the user has
-    hidden or renamed remain hidden or renamed. When an image is removed, its results are removed.
+    hidden stay hidden, and renamed layers keep their names. When an image is removed, its results
+    are removed as well.
 
     Parameters
     ----------
@@ -416,7 +424,7 @@ class ResultLayers:
         return [result.anchor() for result in self._results if result.visible]
 
     def at(self, source: Any, where: str) -> Result:
-        """Return the result of a layer and a slice, and create it if it does not exist."""
+        """Return the result of a layer and a slice, creating it if necessary."""
         for result in self._results:
             if result.anchor() is source and result.where == where:
                 return result
@@ -429,7 +437,7 @@ class ResultLayers:
         return [layer for result in own if (layer := result.layer("image")) is not None]
 
     def of(self, arrows: Any) -> Result:
-        """Return the result of a layer of arrows, which may be from a file."""
+        """Return the result of an arrow layer, which may come from a file."""
         for result in self._results:
             if result.part_of(arrows) is not None:
                 return result
@@ -438,7 +446,7 @@ class ResultLayers:
         return result
 
     def show_extent(self, source: Any, place: Frame) -> None:
-        """Show the result of the extent that the user is working on, and hide other results.
+        """Show the result for the extent that the user is working on, and hide other results.
 
         The extent is a slice or the volume. Only results of the layer `source` are affected.
         """
@@ -452,8 +460,8 @@ class ResultLayers:
     ) -> None:
         """Show a result, in place of the previous result of the same layer and slice.
 
-        If the new result lacks a part, the layer of this part is hidden until a later result has
-        the part. If the deformed layer has been removed, nothing is shown.
+        If the new result lacks a part, the layer of that part is hidden until a later result
+        includes the part. If the deformed layer has been removed, nothing is shown.
 
         Parameters
         ----------
@@ -464,7 +472,8 @@ class ResultLayers:
         layers : dict of part to LayerData
             Layers in stacking order.
         moving : bool
-            True if another update will follow soon. Then only the canvas is updated, if possible.
+            True if another update will follow soon. In this case, only the canvas is updated, if
+            possible.
         """
         if source in self._viewer.layers:
             result = self.at(source, frame.slice_name)

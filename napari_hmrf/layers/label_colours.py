@@ -12,15 +12,15 @@ from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opac
 
 #: Display settings of a quantity shown over an image.
 OVER = {"blending": "translucent", "opacity": OPACITY}
-#: Colour of arrows of the observed motion.
+#: Colour of the arrows of observed motion.
 OBSERVED = "magenta"
-#: Colour of arrows of a result, which is visible on black, grey and white.
+#: Colour of the arrows of a result; visible on black, grey and white.
 ARROWS = "#ff6000"
-#: Colormap of stiffness, which is perceptually uniform and differs from the colormaps of results.
+#: Colormap of stiffness; perceptually uniform, and different from the colormaps of results.
 _STIFF = "viridis"
 #: Red, green, blue and opacity of drawn arrows.
 DRAWN = (0.0, 0.62, 1.0, 1.0)
-#: Red, green, blue and opacity of a selected arrow, which is much brighter than `DRAWN`, so that
+#: Red, green, blue and opacity of a selected arrow; much brighter than `DRAWN`, so that
 #: colour-blind users can see the difference.
 SELECTED = (1.0, 0.9, 0.1, 1.0)
 #: Colours of boundary labels 1, 2, ...; napari's default colours are used for the tissues. The
@@ -29,7 +29,7 @@ _BOUNDARY = ("#7ee081", "#f4f482", "#ff4fd8", "#a78bfa", "#ff5a5f", "#ff9f1c")
 
 
 def boundary_colours() -> Any:
-    """Return the colormap of a boundary layer, which is a Labels layer."""
+    """Return the colormap of a boundary layer (a Labels layer)."""
     return colormaps.CyclicLabelColormap(colors=["transparent", *_BOUNDARY])
 
 
@@ -40,7 +40,7 @@ def mark_look() -> dict[str, Any]:
 
 
 def quantity_colours(signed: bool, folds: bool = False) -> Any:
-    """Return the colormap of an Image layer of a quantity, transparent at the neutral value.
+    """Return the colormap of a quantity in an Image layer, transparent at the neutral value.
 
     Parameters
     ----------
@@ -58,11 +58,11 @@ def quantity_colours(signed: bool, folds: bool = False) -> Any:
 
 
 def confidence_look() -> dict[str, Any]:
-    """Return the display settings of an Image layer of confidence."""
+    """Return the display settings of an Image layer that shows confidence."""
     return {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **OVER}
 
 
 def stiffness_colours() -> Any:
-    """Return the colormap of an Image layer of stiffness, transparent outside tissue."""
+    """Return the colormap of stiffness in an Image layer, transparent outside tissue."""
     colours = np.array(colormaps.ensure_colormap(_STIFF).map(np.linspace(0, 1, 256)))
     return colormaps.Colormap(colours, name=f"{_STIFF}, clear", low_color=(0.0, 0.0, 0.0, 0.0))

@@ -35,11 +35,11 @@ def read_landmarks(
     Parameters
     ----------
     where : napari.layers.Points or napari.layers.Shapes
-        Layer of positions; or layer of lines and paths from positions to target positions.
+        Layer with positions, or with lines and paths from positions to target positions.
         Landmarks on other slices of a stack are ignored. A layer that lacks an axis of the image
         applies to all slices along this axis.
     should : napari.layers.Points or None
-        Layer of target positions; None if `where` is a Shapes layer.
+        Layer with target positions; None if `where` is a Shapes layer.
     frame : Frame
         Slice of the image.
     shape : (int, int)
@@ -157,8 +157,8 @@ def _point_pairs(where: Any, should: Any) -> tuple[FloatArray, FloatArray]:
         points = "1 point" if other == 1 else f"{other} points"
         raise LayerError(
             should,
-            f"has {points}, but '{where.name}' has {count}. Points are paired in their order, so "
-            "add or remove points.",
+            f"has {points}, but '{where.name}' has {count}. Points are paired by their order, so "
+            "add or remove points until the numbers are equal.",
         )
     return np.asarray(where.data, dtype=float), np.asarray(should.data, dtype=float)
 
@@ -170,8 +170,8 @@ def _ends_of_lines(layer: Any) -> tuple[FloatArray, FloatArray]:
             raise LayerError(
                 layer,
                 f"has shape {number} ({kind}), which is not a line. Draw lines from positions to "
-                "their targets; the motion of a whole region is painted in a Labels layer (its key "
-                "3 draws an outline).",
+                "their targets. To move a whole region, paint it in a Labels layer (key 3 draws an "
+                "outline).",
             )
     ends = np.array([line[[0, -1]] for line in layer.data], dtype=float)
     ends = ends.reshape(-1, 2, layer.ndim)  # gives the correct shape even if there are no lines

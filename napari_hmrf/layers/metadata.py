@@ -1,4 +1,4 @@
-"""Metadata of layers that belong to this package: the role of a layer, and its table."""
+"""Metadata that this package stores in layers: the role of a layer, and its table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from napari_hmrf.tissue.row_table import Row, RowTable
 #: Key of the package's entry in a layer's metadata.
 METADATA = "napari-hmrf"
 
-#: Type of the role of a layer in a study.
+#: Role of a layer in a study.
 Role = Literal["image", "tissue", "boundary"]
 IMAGE: Literal["image"] = "image"
 TISSUE: Literal["tissue"] = "tissue"
@@ -25,7 +25,7 @@ _TABLES: dict[Role, tuple[str, Callable[..., Material | BoundaryRule]]] = {
 
 
 def metadata_of(layer: Any) -> Mapping[str, Any]:
-    """Return the package's entry in the metadata of a layer; empty if there is no entry."""
+    """Return the package's entry in the metadata of a layer, or {} if there is none."""
     known = layer.metadata.get(METADATA)
     return known if isinstance(known, Mapping) else {}
 
@@ -87,7 +87,7 @@ def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
 
 
 def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
-    """Return the materials with which a result was computed, and the unit of stiffness.
+    """Return the materials used to compute a result, and the unit of stiffness.
 
     If the layer has no valid record of the tissue, the materials are None and the unit is "".
     """
@@ -99,7 +99,7 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
 
 
 def role_of(layer: Any) -> Role | None:
-    """Return the role in the metadata of a layer; None if there is no role."""
+    """Return the role stored in the metadata of a layer, or None."""
     role = metadata_of(layer).get("role")
     return role if role in (IMAGE, TISSUE, BOUNDARY) else None
 
@@ -111,7 +111,7 @@ def rows_of(layer: Any, role: Literal["boundary"]) -> tuple[BoundaryRule, ...]: 
 @overload
 def rows_of(layer: Any, role: Role) -> tuple[Material | BoundaryRule, ...]: ...
 def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
-    """Return the rows of the table in the metadata of a layer; empty if there is no valid table."""
+    """Return the table rows in the metadata of a layer, or () if missing or invalid."""
     key, row_type = _TABLES[role]
     try:
         return tuple(
@@ -129,7 +129,7 @@ def table_of(layer: Any, role: Literal["boundary"]) -> RowTable[BoundaryRule]: .
 @overload
 def table_of(layer: Any, role: Role) -> RowTable[Any]: ...
 def table_of(layer: Any, role: Role) -> RowTable[Any]:
-    """Return the table in the metadata of a layer; an empty table if there is no valid table."""
+    """Return the table in the metadata of a layer, or an empty table if missing or invalid."""
     texts = (str(metadata_of(layer).get(name, "")) for name in RowTable._fields[1:])
     return RowTable(rows_of(layer, role), *texts)
 

@@ -33,7 +33,7 @@ Places = npt.NDArray[np.float64]
 #: Red, green and blue, from 0 to 1.
 Colour = tuple[float, float, float]
 
-#: Name of the layer of paint.
+#: Name of the paint layer.
 NAME = "Motion, painted"
 #: Colour of each action.
 COLOURS: dict[str, Colour] = {
@@ -57,7 +57,7 @@ _ACROSS = 32
 
 
 def number_of(action: Action, label: int = 0) -> int:
-    """Return the pixel value of an action; for the action "tissue", that of a label."""
+    """Return the pixel value of an action; for the action "tissue", the value of the label."""
     return _TISSUE + label % _TISSUES if action == "tissue" else KINDS[action]
 
 
@@ -68,7 +68,7 @@ def show_painted(
     picture: npt.NDArray[np.uint8],
     confidence: FloatArray | None = None,
 ) -> None:
-    """Update the pictures of paint in a window, in place.
+    """Update a region of the paint images in place.
 
     Parameters
     ----------
@@ -79,9 +79,10 @@ def show_painted(
     window : Box
         Region of pixels to update.
     picture : ndarray of uint8, shape ([D,] H, W)
-        Picture of actions and tissues, with the values of `number_of`; 0 elsewhere.
+        Image of actions and tissues, with the values of `number_of`; 0 elsewhere.
     confidence : ndarray of float32, shape ([D,] H, W), optional
-        Picture of the confidence of the motion, the largest confidence of its components.
+        Image of the confidence of the motion: at each pixel, the largest confidence of its
+        components.
     """
     kinds = canvas.kinds[window]
     shown = kinds.copy()
@@ -121,7 +122,7 @@ def _colour(rgba: Sequence[float]) -> Colour:
 
 
 def painted_colours(tissues: dict[int, Colour]) -> CyclicLabelColormap:
-    """Return the colormap of paint, which is cached for each set of tissue colours.
+    """Return the colormap of paint, cached for each set of tissue colours.
 
     Parameters
     ----------
@@ -133,8 +134,8 @@ def painted_colours(tissues: dict[int, Colour]) -> CyclicLabelColormap:
 
 @lru_cache(maxsize=4)
 def _colours(tissues: tuple[tuple[float, ...], ...]) -> CyclicLabelColormap:
-    # A cyclic colormap with a colour for each of the 256 values, because napari would need seconds
-    # to compile the mapping of a direct colormap for some of the values.
+    # Use a cyclic colormap with a colour for each of the 256 values: napari would need seconds to
+    # compile the mapping of a direct colormap that lists only some of the values.
     colours = np.zeros((256, 4))
     for action, kind in KINDS.items():
         colours[kind] = (*COLOURS[action], _OPACITY)
@@ -146,14 +147,14 @@ def _colours(tissues: tuple[tuple[float, ...], ...]) -> CyclicLabelColormap:
 def painted_layer(
     frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Colour]
 ) -> LayerData:
-    """Return the data of the Labels layer of paint."""
+    """Return the data of the paint layer (a Labels layer)."""
     known = {"kind": PAINTED, "slice": frame.slice_name}
     look = {"opacity": 1.0, "colormap": painted_colours(tissues)}
     return layer_on(frame, picture, NAME, known, look, "labels")
 
 
 def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
-    """Return the data of the Image layer of painted confidence."""
+    """Return the data of the Image layer that shows painted confidence."""
     known = {"kind": CONFIDENCE, "slice": frame.slice_name}
     return layer_on(frame, confidence, "Confidence", known, confidence_look())
 
@@ -161,7 +162,7 @@ def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
 def painted_marks(canvas: Canvas) -> Lines:
     """Return the lines of marks: crosses for fixed tissue, and arrows for moved tissue.
 
-    Thin strokes also get marks. If only one direction is observed, a double arrow along this
+    Thin strokes are marked as well. If only one direction is observed, a double arrow along that
     direction replaces the cross. In a volume, there are marks in each slice along the first axis.
 
     Parameters
@@ -197,7 +198,7 @@ _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
 
 
 def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Places], Places]) -> Lines:
-    """Return the lines of the brush path of a selected stroke, with a circle at each end.
+    """Return lines along the brush path of a selected stroke, with a circle at each end.
 
     Parameters
     ----------
@@ -205,7 +206,7 @@ def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Places],
     spacing : sequence of float, shape (n,)
         Pixel size along each axis.
     goes_to : callable
-        Maps original positions, shape (N, n) in pixels, to the positions at which they are shown.
+        Maps original positions, shape (N, n) in pixels, to displayed positions.
     """
     paths = [np.array(line) for line in stroke.lines]
     circle = stroke.radius * CIRCLE @ np.eye(len(spacing))[-2:] / spacing

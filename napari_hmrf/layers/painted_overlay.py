@@ -1,4 +1,4 @@
-"""Overlay of paint on the image, which moves with the tissue."""
+"""Overlay of paint on the image; the overlay moves with the tissue."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ShownDeformation(NamedTuple):
 
     @property
     def confidence(self) -> npt.NDArray[np.float32] | None:
-        """Painted confidence of the motion, from 0 to 1; None if no confidence is painted."""
+        """Painted confidence of the motion, from 0 to 1, or None if no confidence is painted."""
         return self.moved.overlay[1] if len(self.moved.overlay) > 1 else None
 
 

@@ -1,4 +1,4 @@
-"""Cache of copies of layer data, in which a layer is copied again only after a change."""
+"""Cache of copies of layer data: a layer is copied again only after it has changed."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from napari_hmrf.layers.slice_view import copy_slice
 from napari_hmrf.study.study import is_same
 
 T = TypeVar("T")
-#: Largest number of cached copies of each layer; more than one, so that an earlier copy is reused
-#: when paint is undone.
+#: Largest number of cached copies per layer; more than one, so that an earlier copy is reused when
+#: paint is undone.
 _MOST_COPIES = 4
 #: Names of the events after which the data of a layer may have changed. "set_data" is also emitted
-#: for many other reasons, but it is the only event when a script changes an array in place and then
-#: refreshes the layer.
+#: for many other reasons, but it is the only event emitted when a script changes an array in place
+#: and then refreshes the layer.
 CHANGES = ("data", "labels_update", "paint", "set_data")
 
 
@@ -63,7 +63,7 @@ class LayerCopies:
         return known.slice(layer, own)
 
     def derive(self, layer: Any, of: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Return a value derived from the copy of a layer, which is cached until an input changes.
+        """Return a value derived from the copy of a layer, cached until an input changes.
 
         Parameters
         ----------

@@ -39,13 +39,13 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
-#: Choice of a confidence that is 1 at edges in the image and 0 elsewhere.
+#: Value of `Request.confidence` that sets the confidence to 1 at edges in the image, 0 elsewhere.
 EDGES = "edges"
-#: Shear angle up to which pixels are considered to be rectangular, in degrees.
+#: Largest shear angle of pixels that are treated as rectangles without a note, in degrees.
 _RIGHT_ANGLE = 0.1
-#: Displacement out of the slice up to which it is ignored without a note, in pixels.
+#: Largest displacement out of the slice that is ignored without a note, in pixels.
 _NEGLIGIBLE = 0.1
-#: Largest number of arrows in a layer; more observations are stored as a field, with fewer arrows.
+#: Largest number of arrows in a layer; a larger number of observations is stored as a field.
 _MOST_ARROWS = 2000
 
 
@@ -62,7 +62,7 @@ class Request:
         Boundary labels, with a rule for each label in `rules`; or observed displacements: arrows on
         the grid of the image, or a layer that contains a field on any grid.
     image : napari.layers.Image, optional
-        Image to deform. Its grid is the reference grid; without an image, the grid of `tissue` is.
+        Image to deform. Its grid is the reference; without an image, the grid of `tissue` is used.
     materials : tuple of Material, optional
         Materials of the tissue labels; by default, those in the metadata of the tissue layer.
     rules : tuple of BoundaryRule, optional
@@ -156,14 +156,14 @@ def study_from_layers(request: Request, copies: LayerCopies | None = None) -> St
     Raises
     ------
     ProblemError
-        If a layer has another place or size than the reference, or cannot be read; the message
-        names the layer.
+        If the place or size of a layer differs from that of the reference, or the layer cannot be
+        read; the message names the layer.
     """
     return _Reader(request, copies or LayerCopies()).study()
 
 
 class _Reader:
-    """Reader of the layers of a request."""
+    """Reader for the layers of a request."""
 
     def __init__(self, request: Request, copies: LayerCopies) -> None:
         self._request = request
@@ -274,7 +274,7 @@ class _Reader:
         return Motion(request.hold_edge, labels, rules, drawing=drawing)
 
     def _observed(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Return the displacements in a layer of arrows or a field, and their confidence."""
+        """Return the displacements of an arrow layer or a field layer, and their confidence."""
         request, frame, shape = self._request, self._frame, self._shape
         data, confidence, field = self._copies.of(layer), self._read_confidence(), field_of(layer)
         own = frame if field else frame_of(layer, request.view)
@@ -347,8 +347,8 @@ def look_of(layer: Any) -> dict[str, Any]:
 def study_layers(study: Study) -> dict[str, Any]:
     """Create the layers of a study; the inverse of `study_from_layers`.
 
-    If the study has no place, the layers are at the origin. The drawing, the model and the option
-    `hold_edge` are not converted to layers.
+    If the study has no place in world coordinates, the layers are at the origin. The drawing, the
+    model and the option `hold_edge` are not converted to layers.
 
     Parameters
     ----------
@@ -357,8 +357,8 @@ def study_layers(study: Study) -> dict[str, Any]:
     Returns
     -------
     dict of str to napari.layers.Layer
-        Layers in stacking order, with the keys "image", "tissue", "boundary" and "confidence" as
-        far as the study has these parts.
+        Layers in stacking order, with the keys "image", "tissue", "boundary" and "confidence"; the
+        keys of parts that the study lacks are omitted.
     """
     grid, tissue, motion, pictures = study.grid, study.tissue, study.motion, study.pictures
     n = len(grid.shape)

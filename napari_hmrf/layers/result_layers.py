@@ -1,6 +1,6 @@
-"""Conversion of a solution to layers: the deformed image, the displacement as arrows, overlays.
+"""Conversion of a solution to layers: the deformed image, displacement arrows and overlays.
 
-The layer of arrows contains the result. An overlay, such as the strain as colours, is shown over
+The arrow layer contains the result. An overlay, such as a colour map of the strain, is shown over
 the image.
 """
 
@@ -46,14 +46,14 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Pictures
 
 Array = npt.NDArray[Any]
-#: Type of metadata or display settings, by name.
+#: Metadata or display settings, by name.
 Facts = Mapping[str, Any]
-#: Type of the kind of a layer that is created for each result.
+#: Kind of a layer that is created for each result.
 Kind = Literal["image", "arrows"]
 
 #: Approximate number of arrows: enough to show the motion, but few enough not to hide the image.
 ARROWS = 250
-#: Type of the name of an overlay.
+#: Name of an overlay.
 Name = (
     Quantity | Mark | Literal["grid", "labels", "difference", "stiffness", "observed", "confidence"]
 )
@@ -62,7 +62,7 @@ _ACROSS = 40
 
 
 class LayerData(NamedTuple):
-    """Layer data tuple of napari, as returned by readers and sample functions.
+    """napari's layer data tuple, as returned by readers and sample functions.
 
     Attributes
     ----------
@@ -79,13 +79,13 @@ class LayerData(NamedTuple):
     kind: str
 
 
-#: Type of a function that computes the forces on the constrained parts of the tissue.
+#: Function that computes the forces on the constrained parts of the tissue.
 Forces = Callable[[], tuple[HeldForce, ...]]
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedSolution:
-    """Solution with its place and pictures: the result that a layer of arrows contains.
+    """Solution with its place and pictures: the result stored in an arrow layer.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class PlacedSolution:
     def layer(
         self, kind: str, data: Array, what: str, look: Facts, sort: str = "image", source: str = ""
     ) -> LayerData:
-        """Create a layer of a part of the result, with the transform of the solution.
+        """Create the layer of a part of the result, with the transform of the solution.
 
         Parameters
         ----------
@@ -134,7 +134,8 @@ class PlacedSolution:
         what : str
             Description of the content, for the name of the layer.
         source : str
-            Name of the source, for the name of the layer; by default, that of the deformed image.
+            Name of the source, for the name of the layer; by default, the name of the deformed
+            image.
         """
         provenance = self.solution.provenance
         known = {
@@ -191,7 +192,7 @@ def result_layers(
     ----------
     solution : Solution
     frame : Frame, optional
-        Place of the solution; by default, that in `solution.frame`, or else the origin.
+        Place of the solution; by default, the place in `solution.frame`, or else the origin.
     pictures : Pictures, optional
         Pictures to deform with the tissue.
     checkpoint : callable
@@ -237,7 +238,7 @@ def result_layers(
 
 
 def _arrow_layer(answer: PlacedSolution) -> LayerData:
-    """Create the layer of arrows, with the result in its metadata (in memory only)."""
+    """Create the arrow layer, with the result in its metadata (in memory only)."""
     solution = answer.solution
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     pick_arrows = arrows_apart if tissue.ndim == 2 else arrows_in_slices
@@ -302,7 +303,7 @@ def _origin_facts(frame: Frame, pictures: Pictures) -> dict[str, Any]:
 
 
 def _result_name(source: str, what: str, parameters: Facts, where: str) -> str:
-    """Return the name of a layer, from its source image, its content, the model and the slice."""
+    """Return a layer name that consists of the source image, content, model and slice."""
     name = ", ".join(filter(None, (f"{source} {what}".strip(), model_name(parameters))))
     return name + (f" ({where})" if where else "")
 
@@ -326,7 +327,7 @@ class Overlay(NamedTuple):
 
     @property
     def beyond(self) -> str:
-        """Note on values outside the colour limits; "" if there are no such values."""
+        """Note on values outside the colour limits, or "" if there are no such values."""
         limits = self.layer.attributes.get("contrast_limits")
         return "" if limits is None or self.picture is None else beyond(self.picture, limits)
 
@@ -354,7 +355,7 @@ def overlay_of(
     Returns
     -------
     Overlay or None
-        None if the result does not have the content of the overlay, such as folds or labels.
+        None if the result lacks the content of the overlay, such as folds or labels.
     """
     if name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
@@ -405,22 +406,22 @@ def _pixels_of(
 
 
 def stiffness_unit(answer: PlacedSolution) -> str:
-    """Return the unit of stiffness in a result; "" if the stiffness is relative."""
+    """Return the unit of stiffness in a result, or "" if the stiffness is relative."""
     tissue = answer.solution.provenance.parameters.get("tissue", {})
     return str(tissue.get("unit") or tissue.get("curve", {}).get("unit") or "")
 
 
 def _colours(shown: Coloured) -> dict[str, Any]:
-    """Return the display settings of an Image layer of a quantity."""
+    """Return the display settings of an Image layer that shows a quantity."""
     scale = label_colours.quantity_colours(shown.signed, shown.folded)
     return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
 
 
 def _motion_layer(answer: PlacedSolution) -> LayerData | None:
-    """Create the layer of arrows of the observed motion y; None if there is no problem."""
+    """Create the arrow layer of the observed motion y; return None if there is no problem."""
     if (problem := answer.problem) is None:
         return None
-    y, known = problem.observed, problem.known  # arrows of fixed sites have length 0: dots
+    y, known = problem.observed, problem.known  # the arrows of fixed sites are dots
     apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
     cell = (1, apart, apart)[-len(answer.shape) :]
     starts = spread(np.asarray(known.any(axis=-1)), cell)

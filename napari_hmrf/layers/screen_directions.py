@@ -1,4 +1,4 @@
-"""Directions of the image axes on the canvas, and sides of the patient at its edges."""
+"""Directions of the image axes on the canvas, and sides of the patient at the canvas edges."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def directions_of(frame: Frame, viewer: Any) -> Directions:
 
 
 class Sides(NamedTuple):
-    """Sides of the patient at the edges of the canvas, each a letter, or "" if unknown."""
+    """Sides of the patient at the edges of the canvas, as letters; "" if unknown."""
 
     top: str = ""
     bottom: str = ""

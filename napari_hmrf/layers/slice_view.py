@@ -59,12 +59,12 @@ class View:
         return np.array([unit_factor(unit, str(to)) for unit, to in units])
 
     def sliders_of(self, layer: Any) -> tuple[tuple[float, float], ...]:
-        """Return start and step of the slider for each axis of a layer, in the layer's units."""
+        """Return the start and step of the slider for each layer axis, in the layer's units."""
         sliders = zip(self.sliders[-layer.ndim :], self.factors(layer).tolist(), strict=False)
         return tuple((start * factor, step * factor) for (start, step), factor in sliders)
 
     def pixel(self, layer: Any, position: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return the pixel of a layer or frame that is displayed at a position in the world."""
+        """Return the pixel of a layer or frame that is displayed at a world position."""
         world = np.nan_to_num(np.asarray(position)[-layer.ndim :] * self.factors(layer))
         return pixel_drawn(matrix_of(layer), self._drawn(layer), world)
 
@@ -78,7 +78,7 @@ class View:
         return {axis + missing: at / factors[axis] for axis, at in positions.items()}
 
     def tilts(self, layer: Any) -> bool:
-        """Return whether a layer or frame is tilted out of its slices, which napari ignores."""
+        """Return whether a layer or frame is tilted out of its slices; napari ignores the tilt."""
         linear, drawn = matrix_of(layer)[:-1, :-1], self._drawn(layer)
         others = [axis for axis in range(layer.ndim) if axis not in drawn]
         mixed = np.abs(linear[np.ix_(others, drawn)]).max(initial=0)
@@ -90,7 +90,7 @@ class View:
 
 
 def matrix_of(layer: Any) -> npt.NDArray[np.float64]:
-    """Return the homogeneous matrix from pixels of a layer or frame to world coordinates."""
+    """Return the homogeneous matrix that maps pixels of a layer or frame to world coordinates."""
     if isinstance(layer, Frame):
         return np.array(layer.matrix)
     ndim = int(layer.ndim)
@@ -130,7 +130,7 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
     if np.isnan([unit_factor(unit, units[-1]) for unit in units]).any():
         raise LayerError(
             layer,
-            f"has axes in {' and '.join(dict.fromkeys(units))}. Give each axis a unit of length.",
+            f"has axes in {' and '.join(dict.fromkeys(units))}. Use units of length for all axes.",
         )
     return Frame(
         plane=plane,
@@ -170,7 +170,7 @@ def _axes_of(layer: Any, view: View | None) -> tuple[int, ...]:
 def _index_on(
     layer: Any, matrix: npt.NDArray[np.float64], plane: tuple[int, ...], view: View | None
 ) -> tuple[int, ...]:
-    """Return the index of the visible slice along each axis of a layer; 0 along axes in `plane`."""
+    """Return the index of the visible slice along each layer axis, or 0 for axes in `plane`."""
     ndim = int(layer.ndim)
     index, others = [0] * ndim, [axis for axis in range(ndim) if axis not in plane]
     if view is None or not others:
@@ -219,12 +219,12 @@ def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
 
 
 def full_resolution(layer: Any) -> Any:
-    """Return the data of an Image or Labels layer; of a multiscale layer, the finest level."""
+    """Return the data of an Image or Labels layer; for a multiscale layer, the finest level."""
     return layer.data[0] if getattr(layer, "multiscale", False) else layer.data
 
 
 def layer_extents(layer: Any) -> tuple[int, ...]:
-    """Return the number of pixels along each axis; () for vectors, points and shapes."""
+    """Return the number of pixels along each axis, or () for vectors, points and shapes."""
     if isinstance(layer, Vectors | Points | Shapes):
         return ()
     return tuple(full_resolution(layer).shape[: layer.ndim])
@@ -283,9 +283,9 @@ def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
 
 
 def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
-    """Return whether a layer has the grid of a reference layer.
+    """Return whether a layer has the same grid as a reference layer.
 
-    The visible slices are compared; if this is not possible, the first slices.
+    The visible slices are compared or, if this is not possible, the first slices.
     """
     try:
         own, frame = frame_of(layer, view), frame_of(reference, view)

@@ -15,7 +15,7 @@ from napari_hmrf.layers.result_layers import LayerData
 
 
 def still_there(viewer: Any, layer: Any) -> Any:
-    """Return a layer if it is in the viewer; None if it was removed or is None."""
+    """Return a layer if it is in the viewer, and None otherwise."""
     return layer if layer is not None and layer in viewer.layers else None
 
 
@@ -65,7 +65,7 @@ def overwrite(viewer: Any, layer: Any, data: npt.NDArray[Any]) -> bool:
 
 @contextmanager
 def same_selection(viewer: Any) -> Iterator[None]:
-    """Return a context in which adding and removing layers does not change the selection."""
+    """Return a context manager that restores the selection after layers are added or removed."""
     layers = viewer.layers
     selected, active = set(layers.selection), layers.selection.active
     with layers.selection.events.active.blocker():
@@ -82,7 +82,7 @@ _shared: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDiction
 
 
 def shared(viewer: Any, kind: Callable[[Any], _Shared]) -> _Shared:
-    """Return the instance of a class for a viewer, and create it on first use.
+    """Return the instance of a class for a viewer, creating it on first use.
 
     The instance is shared by all docks of the viewer, and continues to exist when docks are closed.
 

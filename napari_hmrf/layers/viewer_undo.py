@@ -18,14 +18,14 @@ from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.tissue.row_table import RowTable
 
-#: Method for each key.
+#: Name of the method for each key.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
 # Counter of brush strokes in napari's Labels layers, common to all viewers.
 _strokes = itertools.count(1)
 
 
 class ViewerUndo:
-    """Undo and redo for the `StudyModel` of a viewer; `undo_of` returns the object of a viewer.
+    """Undo and redo for the `StudyModel` of a viewer; `undo_of` returns the viewer's instance.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class ViewerUndo:
             self._report("undo", "Undid", self.model.undo(), "There is nothing to undo.")
 
     def redo(self) -> None:
-        """Redo the step that was undone last, and show its slice."""
+        """Redo the most recently undone step, and show its slice."""
         if not self._undo_older_paint("redo", self.model.next_redo):
             self._report("redo", "Redid", self.model.redo(), "There is nothing to redo.")
 
@@ -93,7 +93,7 @@ class ViewerUndo:
         self._on_active()
 
     def unbind_keys(self, owner: object) -> None:
-        """Remove an owner; without any owners, restore the key bindings of the viewer."""
+        """Remove an owner; if no owner is left, restore the key bindings of the viewer."""
         self._owners.discard(owner)
         if not self._owners:
             self._keys.close()
@@ -132,7 +132,7 @@ class ViewerUndo:
         return has_paint
 
     def _report(self, name: str, what: str, step: Step | None, nothing: str) -> None:
-        """Report an undone or redone step and show its slice; for paint, call napari's undo."""
+        """Report an undone or redone step and show its slice; for paint, use napari's history."""
         if step is not None and isinstance(part := step.part, Part):
             # napari stores at most 100 strokes, so the stroke may no longer be available.
             if part.kind == "paint" and paint_steps(part.layer, name):
@@ -157,7 +157,7 @@ class ViewerUndo:
             If True, also change the displayed axes. If False, do nothing if other axes are
             displayed.
         """
-        if part.place is None or len(part.place.plane) == 3:  # every slice shows a volume
+        if part.place is None or len(part.place.plane) == 3:  # a volume is visible in every slice
             return
         plane, index = part.place.plane, part.place.index
         dims, layer = self._viewer.dims, part.layer

@@ -182,11 +182,11 @@ def test_a_sweep_changes_the_amount_of_a_rule_and_the_model():
     [
         (
             Change("growth", 0.1, "bowel"),
-            "growth:bowel: there is no such tissue. Give one of these: 1",
+            "growth:bowel: there is no such tissue. Use one of these: 1",
         ),
         (
             Change("amount", 3.0, "brain"),
-            "amount:brain: there is no such boundary. Give one of these:",
+            "amount:brain: there is no such boundary. Use one of these:",
         ),
         (Change("amount", 3.0, "1"), "amount:1: the boundary does not move"),
     ],

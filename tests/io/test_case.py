@@ -293,7 +293,7 @@ def test_unused_columns_of_a_rule_may_contain_their_defaults(tmp_path):
             "--hold-edge --labels .",
             "the folder contains no DICOM file. Give a folder with one series.",
         ),
-        ("--hold-edge --labels labels.png --materials .", "it is a folder. Name a file in it."),
+        ("--hold-edge --labels labels.png --materials .", "it is a folder. Choose a file in it."),
         ("--hold-edge --labels empty.png", "it is empty. Supported suffixes are .png"),
     ],
 )
@@ -344,15 +344,18 @@ def test_options_that_a_study_contains_are_refused_and_guesses_cause_a_note(file
     ("command", "sentence"),
     [
         (("export", "gone.study", "f.mha"), "gone.study: there is no such file or folder. Check"),
-        (("export", ".", "f.mha"), "it is a folder. Name a file in it."),
+        (("export", ".", "f.mha"), "it is a folder. Choose a file in it."),
         (
             ("export", "f.mha", "no/f.nrrd"),
             "cannot save the file: its folder does not exist. Create",
         ),
-        (("export", "f.mha", "folder.mha"), "cannot save the file: it is a folder. Give the name"),
+        (
+            ("export", "f.mha", "folder.mha"),
+            "cannot save the file: it is a folder. Choose a file name",
+        ),
         (
             ("apply", "f.mha", "rim.png", "-o", "rim.png"),
-            "it is a file, not a folder. Name",
+            "it is a file, not a folder. Choose",
         ),
         (("measure", "gone.study"), "gone.study: there is no such file or folder. Check its name."),
         (("replay", "gone.study"), "gone.study: there is no such file or folder. Check its name."),

@@ -137,7 +137,7 @@ ANSWER = 'sys.stdin.buffer.readline(); print("{\\"refused\\": \\"fine\\"}", flus
         ("while True: pass", "did not finish"),
         ("sys.stdin.buffer.readline(); kept = b'a' * 2**28; time.sleep(99)", "too much memory"),
         ("time.sleep(99)", "does not respond"),
-        (CLAIM, "claims more pixels"),
+        (CLAIM, "contains fewer pixels"),
         (ANSWER, "fine"),
     ],
 )

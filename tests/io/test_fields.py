@@ -151,11 +151,11 @@ def test_a_gap_beside_static_tissue_is_interpolated_from_its_rim():
             "f.mha",
             {"spacing": (1, 0)},
             ProblemError,
-            r"spacing: is \(1, 0\)\. Give lengths above 0",
+            r"spacing: is \(1, 0\)\. Pass positive lengths",
         ),
-        ("f.mha", {"spacing": (1, 1, 1, 1)}, ProblemError, r"Give 2 or 3 lengths"),
-        ("f.mha", {"origin": (1, 2, 3)}, ProblemError, r"origin: is \(1, 2, 3\)\. Give 2 lengths"),
-        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "Give an orthogonal"),
+        ("f.mha", {"spacing": (1, 1, 1, 1)}, ProblemError, r"Pass 2 or 3 lengths"),
+        ("f.mha", {"origin": (1, 2, 3)}, ProblemError, r"origin: is \(1, 2, 3\)\. Pass 2 lengths"),
+        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "Pass an orthogonal"),
     ],
 )
 def test_an_invalid_field_is_refused_in_one_sentence_and_no_file_is_written(

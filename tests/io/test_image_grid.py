@@ -171,7 +171,7 @@ def test_a_slice_with_unknown_place_is_refused_for_a_volume(tmp_path, capsys):
 def test_a_field_without_a_place_is_exported_only_on_request(tmp_path):
     grid, path = Grid(SHAPE, SPACING), tmp_path / "field.mha"
     solution = solved(grid)
-    with pytest.raises(ProblemError, match=r"has no place.*Grid\.from_image.*placed=False"):
+    with pytest.raises(ProblemError, match=r"has no position.*Grid\.from_image.*placed=False"):
         export_field(path, solution)
     assert not path.exists()
     export_field(path, solution, placed=False)
@@ -184,7 +184,7 @@ def test_a_field_without_a_place_is_exported_only_on_request(tmp_path):
     np.testing.assert_allclose(sitk.ReadImage(str(path)).GetDirection(), oblique().ravel())
     with pytest.raises(ProblemError, match=r"has pixels of 2 x 1 x 1\.5"):
         export_field(path, solved(Grid(SHAPE, (1, 1, 1))), grid=Grid.from_image(scan()))
-    with pytest.raises(ProblemError, match="Give the grid of its image"):
+    with pytest.raises(ProblemError, match="Pass the grid of its image"):
         export_field(path, solution, grid=Grid.from_image(scan(), slice=2))
 
 
@@ -197,22 +197,25 @@ def test_pictures_have_pixels_without_a_place(tmp_path):
     pull = Motion(hold_edge=True, drawing=Drawing((Arrow((2, 3), (0, 1), 1),)))
     solution = solve_study(Study(grid, Tissue(stiffness=np.ones((5, 6))), pull), backend="cpu")
     with pytest.raises(
-        ProblemError, match=r"For pictures \(.png, .tif\), which have no place, use"
+        ProblemError, match=r"For pictures \(.png, .tif\), which have no position, pass"
     ):
         export_field(tmp_path / "a.mha", solution)
-    with pytest.raises(ProblemError, match="grid: has no place, as is the case for pictures"):
+    with pytest.raises(
+        ProblemError,
+        match="grid: has no position in world coordinates, as is the case for pictures",
+    ):
         export_field(tmp_path / "a.mha", solution, grid=grid)
 
 
 def test_an_array_a_sheared_image_or_a_missing_slice_is_refused():
     image = scan()
     for wrong, said in (
-        (np.zeros((3, 4)), r"For an array, which has no place"),
+        (np.zeros((3, 4)), r"For an array, which has no position"),
         (SimpleNamespace(affine=np.eye(4), dataobj=np.zeros((2, 3, 4, 5))), "has shape"),
     ):
         with pytest.raises(ArgumentError, match=said):
             Grid.from_image(wrong)
-    with pytest.raises(ArgumentError, match=r"has 12 slices along axis 1. Give 0 to 11"):
+    with pytest.raises(ArgumentError, match=r"has 12 slices along axis 1. Pass 0 to 11"):
         Grid.from_image(image, slice=12, axis=1)
     with pytest.raises(ArgumentError, match="axis is 3"):
         Grid.from_image(image, slice=0, axis=3)
@@ -220,7 +223,7 @@ def test_an_array_a_sheared_image_or_a_missing_slice_is_refused():
         Grid.from_image(sitk.Image([5, 6], sitk.sitkFloat32), slice=0)
     sheared = nibabel_of(image)
     sheared.affine[0, 1] += 0.5
-    with pytest.raises(ProblemError, match="Give an orthogonal"):
+    with pytest.raises(ProblemError, match="Pass an orthogonal"):
         Grid.from_image(sheared)
     with pytest.raises((OSError, HmrfError)):
         Grid.from_image("no such file.nii")
@@ -335,5 +338,5 @@ def test_a_text_is_refused_as_a_flag_of_an_export(name, tmp_path):
 def test_a_nibabel_image_without_an_affine_is_refused():
     given = nibabel_of(scan())
     given.affine = None
-    with pytest.raises(ArgumentError, match=r"has the affine None\. Give the image a 4 x 4"):
+    with pytest.raises(ArgumentError, match=r"has the affine None\. Pass an image with a 4 x 4"):
         Grid.from_image(given)

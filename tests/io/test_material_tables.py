@@ -80,7 +80,7 @@ def spoilt(**changes):
         (spoilt(stiffness=-2), "stiffness is '-2'"),
         (spoilt(stiffness=float("nan")), "stiffness is 'nan'"),
         (spoilt(stiffness=10**400), "stiffness is '1000"),
-        (spoilt(stiffness=float("inf")), "'inf'. It must be: a number, 0 or more, or \"rigid\""),
+        (spoilt(stiffness=float("inf")), "'inf'. It must be: a non-negative number, or \"rigid\""),
         (spoilt(stiffness="inf"), "stiffness is 'inf'"),
         (spoilt(stiffness=0), "above 0"),
         (spoilt(poisson=0.5), "poisson is '0.5'. It must be: less than or equal to 0.499"),

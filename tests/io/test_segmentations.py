@@ -158,7 +158,7 @@ def test_label_names_are_read_from_tables_of_other_tools(tmp_path, file, content
         (
             "a.txt",
             b"\xff\xfe1",
-            r"a\.txt is not text in UTF-8\. Give a table as text",
+            r"a\.txt is not UTF-8 text\. Give a table as text",
         ),
     ],
 )

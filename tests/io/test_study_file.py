@@ -345,7 +345,7 @@ def test_devices_and_pipes_are_refused_as_studies_and_tables(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"spacing": (1.0, 1.0)}, r"has pixels of 1 x 1 millimeter.*Give the solution of this"),
+        ({"spacing": (1.0, 1.0)}, r"has pixels of 1 x 1 millimeter.*Use the solution of this"),
         ({"unit": "um"}, r"has pixels of 0\.5 x 0\.8 um, but the study has"),
         (
             {"frame": Frame.at((0.5, 0.8), ("mm",) * 2, affine=np.diag([1, -1, 1])).as_dict()},

@@ -279,7 +279,7 @@ def test_pictures_and_movies_of_a_volume_are_refused(solution, tmp_path):
     with pytest.raises(ProblemError, match="displacement: belongs to a volume"):
         write_result_pictures(tmp_path, solution, smooth_image())
     assert not list(tmp_path.iterdir())
-    with pytest.raises(ProblemError, match="displacement: is that of a volume"):
+    with pytest.raises(ProblemError, match="displacement: belongs to a volume"):
         write_movie(tmp_path / "a.gif", solution, smooth_image())
 
 

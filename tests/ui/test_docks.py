@@ -324,5 +324,5 @@ def test_undo_in_the_palette_undoes_a_drawing(window, run_command, qtbot):
 
 def test_a_command_without_a_window_raises_an_error(monkeypatch):
     monkeypatch.setattr("napari.current_viewer", lambda: None)
-    with pytest.raises(HmrfError, match="no napari window"):
+    with pytest.raises(HmrfError, match="No napari window"):
         dock()

@@ -329,7 +329,7 @@ def test_a_failure_to_save_is_reported_in_a_plain_sentence(
     (tmp_path / "folder.mha").mkdir()
     for name, why in (
         ("gone/a.mha", "its folder does not exist. Create the folder first, or choose another."),
-        ("folder.mha", "it is a folder. Give the name of a file."),
+        ("folder.mha", "it is a folder. Choose a file name."),
     ):
         set_save_path(tmp_path / name)
         Screen(dock).entry("More", "Save field for images").trigger()
