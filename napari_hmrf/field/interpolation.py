@@ -22,8 +22,8 @@ def look_up(image, smooth, gaps, source, state, tissue, nearest, whole, fill, mo
     smooth : ndarray, shape (H, W, channels)
         Copy of the image for interpolation, without values that are not finite.
     gaps : bool
-        True if the image has values that are not finite. Such a value is copied to each pixel with
-        an origin nearest to it.
+        True if the image has values that are not finite. If the value nearest to the origin of a
+        pixel is not finite, it is copied to that pixel.
     source, state
         Output of `triangle_raster.rasterise`.
     tissue : ndarray, shape (H, W), bool

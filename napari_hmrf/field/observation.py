@@ -62,7 +62,7 @@ class PixelField(NamedTuple):
         return cls(DisplacementField.in_pixels(pixels), place)
 
     def on(self, frame: Frame, shape: tuple[int, ...]) -> Observation:
-        """Resample the field on the pixels of a slice or volume, by world coordinates.
+        """Resample the field to the pixels of a slice or volume, using world coordinates.
 
         If only one of the two grids has a unit of length, their pixels are assumed to correspond
         one to one.
@@ -88,8 +88,8 @@ class PixelField(NamedTuple):
         if min(frame.plane) + more < 0 or max((1, *own[: max(more, 0)])) > 1:
             raise ProblemError(
                 "observed",
-                f"is {grid_in_words(own)}, and the image is not a slice of this grid. Give both "
-                "the same axes.",
+                f"is {grid_in_words(own)}, and the image is not a slice of this grid. Use the "
+                "same axes for both.",
             )
         to, back = self.frame.from_pixels_of(frame), frame.from_pixels_of(self.frame)
         if to is None or back is None:
@@ -100,7 +100,7 @@ class PixelField(NamedTuple):
         known = ((at > -_REACH) & (at < np.array(own) - 1 + _REACH)).all(axis=1)
         if not known.any():
             raise ProblemError(
-                "observed", "lies elsewhere than the image. Give both the same place."
+                "observed", "does not overlap the image. Use the same position for both."
             )
         steps = np.zeros((len(at), frame.ndim))
         steps[known] = self.field.at(at[known]) @ back[:, :-1].T
@@ -116,15 +116,15 @@ class PixelField(NamedTuple):
             raise ProblemError(
                 "observed",
                 f"is {grid_in_words(own)} in {self.frame.unit}, but the image is "
-                f"{grid_in_words(shape)} in {frame.unit}. Give the image its place in units of "
-                "length, or use a field on its pixels.",
+                f"{grid_in_words(shape)} in {frame.unit}. Set the scale of the image in a unit of "
+                "length, or use a field on the pixels of the image.",
             )
         ends, last = [axis - 1 for axis in axes], range(-len(axes) - 1, -1)
         ordered = np.moveaxis(self.field.displacement, ends, tuple(last))
         d = ordered.reshape(*shape, -1)[..., axes] * frame.spacing
         note = (
             f"is in {self.frame.unit} and the image in {frame.unit}: the pixels of both are "
-            "assumed to be the same. Give the image its unit of length if that is wrong"
+            "assumed to be the same. If they are not, set the unit of length of the image"
         )
         return Observation(d.astype(np.float32), np.ones(shape, bool), 0.0, note)
 

@@ -22,7 +22,7 @@ from napari_hmrf.solver.solution import Solution
 Array = npt.NDArray[Any]
 #: Largest distance, in pixels, between corresponding pixels of equal grids.
 _SAME = 1e-3
-#: Largest distance between a point on a slice and the centre of the slice, in slices.
+#: Largest distance, in slices, between a point on a slice and the centre plane of the slice.
 _ON = 0.5
 #: Names of axes that are spatial even without a unit of length.
 _DEPTHS = ("z", "depth", "slice", "plane", "section")
@@ -81,7 +81,7 @@ class OtherGrid:
         transform = frame.from_pixels_of(own, counted)
         if transform is None:
             raise ProblemError(
-                "observed", "has other units than the result. Give both the same units."
+                "observed", "has other units than the result. Use the same units for both."
             )
         to = transform[counted]
         out = to[len(plane) :]
@@ -121,7 +121,7 @@ class OtherGrid:
             index = np.zeros(n)
             index[others] = numbers
             at = np.round(self.to @ [*index, 1.0], 6)
-            if before is None or not np.array_equal(at, before):  # it is the same at all times
+            if before is None or not np.array_equal(at, before):  # equal along a time axis
                 before, origins = at, self._origins_on(index, slices.shape[len(others) : n])
             if origins is not None:
                 picture = slices[numbers]

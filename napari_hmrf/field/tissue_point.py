@@ -16,7 +16,7 @@ from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
 #: Remark after the Jacobian at a fold, where the displayed value is the smallest determinant of the
-#: elements around the site; elsewhere it is their mean.
+#: elements around the site; elsewhere, the displayed value is the mean of these determinants.
 _FOLDS = " (folds: value at the worst corner)"
 _FULL = 100
 

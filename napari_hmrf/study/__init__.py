@@ -15,7 +15,7 @@ A field is computed in five steps, without napari or Qt:
 4. *Solve.* ``solve_study()`` in `ground` solves the problem once, from a cold start. In the window,
    `engine` solves the newest study, starting from the last solution, and warps its image. During a
    drag, `drag_preview` selects a tolerance and a `coarse_grid` that allow several images a second.
-5. *Solution.* The ``Solution`` is in the unit of the grid and includes its place in the world, so
-   ``io/`` can write it to files and ``layers/`` can display it. `shortcomings` adds notes on folds,
-   and on motion that was applied only in part.
+5. *Solution.* The ``Solution`` is in the unit of the grid and includes its position in the world,
+   so ``io/`` can write it to files and ``layers/`` can display it. `shortcomings` adds notes on
+   folds, and on motion that was applied only in part.
 """

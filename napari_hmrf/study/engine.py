@@ -2,7 +2,7 @@
 
 All computation is on the compute thread. While a study is solved, only the latest request remains
 pending. Each solve is a warm start unless a cold start is requested. Parts that are common to two
-consecutive studies are computed once.
+consecutive studies are computed only once.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Engine:
     deliver : callable
         Called with a `Deformation` on the compute thread; it should only forward its argument.
     doing : str
-        Description of the solve, and how to stop it: a clause for messages of jobs that are queued
+        Clause that describes the solve and how to stop it, for messages of jobs that are queued
         behind the solve.
     overlay : callable, optional
         Callback of type `Overlay`, called on the compute thread.
@@ -137,7 +137,7 @@ class Engine:
         self._live.optimizer, self._live.backend = study.optimizer, backend
         state = partial(self._state, study, cold_start, preview)
         patience = None if cold_start else patience_for(study, preview)
-        # Without patience, a preview would cost more time than it saves.
+        # If the patience is 0, a preview would cost more time than it saves.
         self._generation = self._live.submit(state, preview=bool(patience), patience=patience)
         return self._generation
 
@@ -260,15 +260,15 @@ class Engine:
 def patience_for(study: Study, preview: Preview | None) -> float:
     """Return how long a solve continues while a newer study is pending, in seconds.
 
-    A solve is not cancelled immediately, because otherwise tissue would not move during a drag
-    without pauses. The time is 0 for a volume on its full grid, because that solution would be
-    stale before it is displayed.
+    If each solve were cancelled immediately, tissue would not move during a drag without pauses.
+    The time is 0 for a volume on its full grid, because the solution would be stale before it is
+    displayed.
     """
     return 0.0 if preview is None and len(study.grid.shape) == 3 else 3.0
 
 
 class _StillError(HmrfError):
-    """Signal that a study has no boundary conditions or loads."""
+    """Signal for a study without boundary conditions or loads."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Model of the studies in a viewer, which forms, tools and the solver share.
+"""Model of the studies in a viewer, shared by forms, tools and the solver.
 
 The parts of a study have different owners: a drawing belongs to a slice, a table of materials or
 rules to a Labels layer, a choice of layers to an image, and the tissue model to the viewer. Each
@@ -305,7 +305,7 @@ class StudyModel(EditHistory):
     def set_table(
         self, kind: TableKind, layer: Hashable, table: RowTable[Any], word: str = ""
     ) -> None:
-        """Change the table of a layer, as a step named `word`, or without a step if it is ""."""
+        """Change the table of a layer as a step named `word`, or without a step if `word` is ""."""
         part = Part(kind, layer)
         if self.setdefault(part, table) != table:
             self._set(part, table, word)
@@ -338,7 +338,7 @@ class StudyModel(EditHistory):
         return self.in_progress == self.slice
 
     def draw(self, drawing: Drawing, word: str) -> None:
-        """Change the drawing, as a step named `word`, or without a step if it is ""."""
+        """Change the drawing as a step named `word`, or without a step if `word` is ""."""
         self.setdefault(self.slice, Drawing())
         self._set(self.slice, drawing, word)
 
@@ -356,7 +356,7 @@ class StudyModel(EditHistory):
             If no drag of the selected drawing is in progress.
         """
         if not self.drawing_in_progress:
-            raise RuntimeError("no edit has begun; call begin_drawing() first, or draw()")
+            raise RuntimeError("no edit is in progress; call begin_drawing() first, or use draw()")
         self.update(drawing)
 
     def end_drawing(self) -> str:
@@ -388,10 +388,10 @@ class StudyModel(EditHistory):
         self._set(part, now, word if step else "")
 
     def _change_earlier(self, part: Part, before: Any, now: Any, changed: list[str]) -> None:
-        """Apply a change without a step to the stored states of a part in the history.
+        """Apply a change that is not a step to the stored states of a part in the history.
 
-        Undo then preserves the change. A state in which a changed attribute has another value
-        retains this value.
+        Undo then preserves the change. A state in which a changed attribute has a different value
+        retains that value.
         """
         for steps in (self._past, self._future):
             for number, step in enumerate(steps):

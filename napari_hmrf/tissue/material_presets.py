@@ -83,12 +83,12 @@ class Preset:
         for row in rows:
             if row.label in now:
                 if _key(row) != _key(now[row.label]):
-                    words.append(f"'{row.name}' is {now[row.label].name} now")
+                    words.append(f"'{row.name}' is now {now[row.label].name}")
             elif first is None or not row.is_deformable:
                 now[row.label] = row
             else:
                 now[row.label] = replace(row, stiffness=first.stiffness, poisson=first.poisson)
-                words.append(f"'{row.name}' is as stiff as {first.name} now")
+                words.append(f"'{row.name}' is now as stiff as {first.name}")
         materials = (replace(each, label=label) for label, each in sorted(now.items()))
         return tuple(materials), f"{', '.join(words)}." if words else ""
 

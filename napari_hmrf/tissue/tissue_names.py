@@ -138,7 +138,7 @@ class NamedMaterials:
             sentences.append(f"{published[0].upper()}{published[1:]}.")
         if first is not None and guessed:
             unknown = ", ".join(guessed)
-            sentences.append(f"No stiffness is known for {unknown}, now as stiff as {first.name}.")
+            sentences.append(f"No stiffness is known for {unknown}: that of {first.name} is used.")
         return tuple(now), " ".join(sentences)
 
 
