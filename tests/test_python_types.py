@@ -105,11 +105,11 @@ def test_a_problem_in_place_of_a_study_is_refused_with_a_hint_to_solve(call):
 @pytest.mark.parametrize(
     ("shape", "spacing", "said"),
     [
-        (64, (1, 1), r"grid: has shape 64\. Give the number of pixels along each axis"),
+        (64, (1, 1), r"grid: has shape 64\. Pass the number of pixels along each axis"),
         (ONES, (1, 1), "grid: has shape array"),
         ((6, 7, 8, 9), (1, 1), "grid: has shape"),
         ((6, 0), (1, 1), r"grid: has shape \(6, 0\)"),
-        (SHAPE, "mm", r"spacing: is 'mm'\. Give 2 positive, finite pixel sizes"),
+        (SHAPE, "mm", r"spacing: is 'mm'\. \w+ 2 positive, finite pixel sizes"),
         (SHAPE, (1, 1, 1), "spacing: is"),
         (SHAPE, (1, -1), "spacing: is"),
     ],

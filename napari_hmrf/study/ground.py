@@ -293,9 +293,9 @@ def refuse_unknown(study: Study) -> None:
     if names:
         raise LayerError(
             study.named("tissue", "image"),
-            f"has rigid tissue ({' and '.join(names)}), which is not supported by the paper's model or "
-            "by a model with boundaries that may slip. Use the elastic model that holds by confidence "
-            "(`penalty=None`), or use a finite stiffness.",
+            f"has rigid tissue ({' and '.join(names)}), which is not supported by the paper's "
+            "model or by a model with boundaries that may slip. Use the elastic model that holds "
+            "by confidence (`penalty=None`), or use a finite stiffness.",
         )
 
 
@@ -426,8 +426,8 @@ def _refuse_other_axes(study: Study) -> None:
         if len(place) != axes:
             raise ProblemError(
                 study.named("drawing"),
-                f"has the {type(mark).__name__} at {place}, in {len(place)} axes, but the grid has "
-                f"{axes}. Use positions {'(row, col)' if axes == 2 else '(plane, row, col)'}.",
+                f"has the {type(mark).__name__} at {place}, with {len(place)} axes, but the grid "
+                f"has {axes}. Use positions {'(row, col)' if axes == 2 else '(plane, row, col)'}.",
             )
 
 
@@ -440,7 +440,8 @@ def _tissue_of(study: Study) -> Ground:
         known, name = tissue.materials, study.named("tissue", "image")
         new = [default_material(label, known) for label in unlisted(tissue.labels, known)]
         notes += [
-            f"label {row.label} of '{name}' is not in the table: stiffness {row.stiffness:g} is assumed"
+            f"label {row.label} of '{name}' is not in the table: stiffness {row.stiffness:g} is "
+            "assumed"
             for row in new
         ]
         palette = Palette((*known, *new), tissue.unit, is_table=True)

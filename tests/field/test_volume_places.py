@@ -124,7 +124,7 @@ def test_the_frame_of_a_volume_survives_a_file_round_trip(plane):
 
 @pytest.mark.parametrize("plane", [(0, 1, 1), (0, 1, 3), (0, 1, 2, 3), (0,)])
 def test_a_frame_with_invalid_axes_is_rejected(plane):
-    with pytest.raises(ValueError, match="its plane is"):
+    with pytest.raises(ValueError, match="its plane "):
         Frame.from_dict({**place().as_dict(), "plane": plane})
 
 

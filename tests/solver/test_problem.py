@@ -153,7 +153,7 @@ def test_a_volume_has_three_components_and_three_spacings():
     assert Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m).spacing == (1, 1, 1)
     with pytest.raises(ProblemError, match=r"\(3, 4, 5, 3\) is needed"):
         Problem(np.zeros((3, 4, 5, 2)), np.ones((3, 4, 5, 3)), m)
-    with pytest.raises(ProblemError, match="Give 3 positive"):
+    with pytest.raises(ProblemError, match="3 positive"):
         Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m, spacing=(1, 1))
 
 

@@ -126,7 +126,7 @@ class Drawing:
                     "landmarks",
                     f"have {int(outside.sum())} of {len(sources)} sources outside the image, the "
                     f"first being number {first} at {tuple(sources[first].tolist())}. Pass pixel "
-                    "positions, (row, col) or (plane, row, col), and remove pairs outside the image.",
+                    "positions, (row, col) or (plane, row, col), and remove the pairs outside.",
                 )
         pairs = zip(sources.tolist(), targets.tolist(), strict=True)
         return cls(tuple(Landmark(tuple(at), tuple(to), radius, confidence) for at, to in pairs))

@@ -105,8 +105,8 @@ class _Checked:
         if len({len(place) for place in self._places}) > 1:
             raise ProblemError(
                 "drawing",
-                "has a mark that mixes positions in two and in three axes. Use (row, col) in an image, "
-                "or (plane, row, col) in a volume.",
+                "has a mark that mixes positions in two and in three axes. Use (row, col) in an "
+                "image, or (plane, row, col) in a volume.",
             )
 
     @property
