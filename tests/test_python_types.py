@@ -128,8 +128,8 @@ def test_a_grid_accepts_any_sequence_as_shape_and_one_number_as_spacing():
 @pytest.mark.parametrize(
     ("shape", "mark", "said"),
     [
-        (SHAPE, Arrow((1, 3, 3), (0, 0, 1), 1), r"the Arrow at \(1.0, 3.0, 3.0\), of 3 axes"),
-        ((5, *SHAPE), PULL, r"of 2 axes, but the grid has 3\. .* as \(plane, row, col\)"),
+        (SHAPE, Arrow((1, 3, 3), (0, 0, 1), 1), r"the Arrow at \(1.0, 3.0, 3.0\), with 3 axes"),
+        ((5, *SHAPE), PULL, r"with 2 axes, but the grid has 3\. .* as \(plane, row, col\)"),
         (SHAPE, Landmark((1, 3, 3), (1, 3, 4), 1), r"the Landmark .* as \(row, col\)"),
         (SHAPE, Stroke("pin", (((1, 3, 3),),), 1), "the Stroke at"),
     ],

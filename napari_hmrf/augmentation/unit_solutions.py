@@ -24,7 +24,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 #: Largest allowed error of a linear combination, in pixels.
 WRONG = 5e-3
-# Number of values that are summed together, so that they fit into the CPU cache.
+# Number of values that are summed together, small enough to fit into the CPU cache.
 _BLOCK = 1 << 16
 _GIB = 2.0**30
 

@@ -36,7 +36,7 @@ _Kind = Literal["smallest", "mean", "mean or fold"]
 _KINDS: tuple[_Kind, ...] = get_args(_Kind)
 # Upper bound of the distance between grid lines, in pixels; it exceeds the size of any image.
 _FAR = 2**31
-# Arrows shorter than this fraction of the longest arrow are omitted: they would look like dots.
+# Arrows shorter than this fraction of the longest arrow are omitted, as they would look like dots.
 _LEAST = 0.1
 
 
@@ -202,7 +202,9 @@ def deformation_grid(
     pieces = _checked_count("pieces", pieces, "pieces")
     moved, mask = moved_sites(displacement, spacing, tissue)
     if mask.ndim != 2:
-        raise ProblemError("displacement", "belongs to a volume. Pass that of one of its slices.")
+        raise ProblemError(
+            "displacement", "belongs to a volume. Draw the grid of one of its slices."
+        )
     sizes = checked_sizes(spacing)
     rows, cols = (min(max(1, round(every * min(sizes) / size)), _FAR) for size in sizes)
     along_cols = _lines(moved, mask, rows, max(1, cols // pieces))

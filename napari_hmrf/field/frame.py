@@ -79,7 +79,7 @@ class Frame:
         axis_labels: Sequence[str] | None = None,
         volume: bool = False,
     ) -> Frame:
-        """Return the place of a slice along the last two axes of an unrotated layer.
+        """Return the frame of a slice along the last two axes of an unrotated layer.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class Frame:
         affine : array_like, shape (D + 1, D + 1), optional
             Homogeneous transform to the world that is applied after the scale.
         volume : bool
-            If True, return the place of a volume along the last three axes.
+            If True, return the frame of a volume along the last three axes.
 
         Returns
         -------
@@ -207,7 +207,7 @@ class Frame:
         return ", ".join(names)
 
     def plane_at(self, across: int, number: int) -> Frame:
-        """Return the place of one plane of this volume, given its index along the axis `across`."""
+        """Return the frame of one plane of this volume, given its index along the axis `across`."""
         index = list(self.index)
         index[self.plane[across]] = number
         plane = (*self.plane[:across], *self.plane[across + 1 :])
@@ -289,7 +289,7 @@ class Frame:
         }
 
     def same_place(self, other: Frame, shape: tuple[int, ...]) -> bool:
-        """Return whether a slice with the given shape covers the same region in two frames.
+        """Return whether a slice with the given shape covers the same region in both frames.
 
         Only the axes that both layers have are compared, because napari shows a layer with fewer
         dimensions on all slices.
@@ -306,7 +306,7 @@ class Frame:
         Parameters
         ----------
         other : Frame
-            Place of any slice of the other layer, which may have more or fewer axes.
+            Frame of any slice of the other layer, which may have more or fewer axes.
         sizes : sequence of int
             Number of pixels of the other layer along each axis.
         shape : tuple of int
@@ -334,7 +334,7 @@ class Frame:
     def place_of(
         self, pixel: npt.NDArray[np.float64], shape: tuple[int, ...]
     ) -> tuple[float, ...] | None:
-        """Return the position on the slice of a point of the layer; None if it is outside.
+        """Return the position of a layer point on the slice, or None if the point is not on it.
 
         Parameters
         ----------
@@ -361,7 +361,7 @@ class Frame:
         Parameters
         ----------
         other : Frame
-            Place in the other layer, which may have more or fewer axes.
+            Frame of the other layer, which may have more or fewer axes.
         axes : iterable of int, optional
             Axes of this layer to transform; by default all axes that both layers have. Along the
             remaining axes the result is the position of the slice.
@@ -395,18 +395,18 @@ class Frame:
         return corners
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the place as a dictionary of JSON types, as in `Solution.frame`."""
+        """Return the frame as a dictionary of JSON types, as in `Solution.frame`."""
         values = asdict(self)
         return {name: values[name] for name in _STORED}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Frame:
-        """Create a place from a dictionary as returned by `as_dict`.
+        """Create a frame from a dictionary, as returned by `as_dict`.
 
         Raises
         ------
         ValueError
-            If a value is missing or invalid, or no layer can have this place.
+            If a value is missing or invalid, or if no layer can have this frame.
         """
         try:
             given = {name: values[name] for name in _STORED}
@@ -423,7 +423,7 @@ class Frame:
         return frame
 
     def _check(self) -> None:
-        """Raise a ValueError if no layer can have this place."""
+        """Raise a ValueError if no layer can have this frame."""
         ndim, plane = self.ndim, self.plane
         known = len(plane) in (2, 3) and len({*plane}) == len(plane)
         if not known or not all(0 <= axis < ndim for axis in plane):
@@ -455,12 +455,12 @@ class Frame:
 
     @classmethod
     def of_solution(cls, solution: Solution) -> Frame:
-        """Return the place of a solution; the origin, in pixels, if it has no `frame`.
+        """Return the frame of a solution; if it has none, a frame at the origin, in pixels.
 
         Raises
         ------
         ValueError
-            As for `from_dict`, or if the place and the solution differ in their number of axes.
+            As for `from_dict`, or if the frame and the solution differ in their number of axes.
         """
         n = solution.tissue.ndim
         if not solution.frame:

@@ -42,14 +42,14 @@ class Observation(NamedTuple):
 
 
 class PixelField(NamedTuple):
-    """Displacement field in pixels, and the place of its grid.
+    """Displacement field in pixels, and the frame of its grid.
 
     Attributes
     ----------
     field : DisplacementField
         Field in the pixels of its grid, with one component for each axis of the grid.
     frame : Frame
-        Place of the first site of the grid.
+        Frame of the grid, which defines the position of its first site.
     """
 
     field: DisplacementField
@@ -70,7 +70,7 @@ class PixelField(NamedTuple):
         Parameters
         ----------
         frame : Frame
-            Place of the slice or volume.
+            Frame of the slice or volume.
         shape : tuple of int
             Shape of the slice or volume.
 
@@ -142,7 +142,7 @@ def arrow_observation(
     vectors : ndarray, shape (N, 2, D)
         Arrows of a Vectors layer as (start, step), in the pixels of the image.
     own : Frame
-        Place of the slice or volume in the layer.
+        Frame of the slice or volume in the layer.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis of the grid, in the unit of the displacement.
     shape : tuple of int, shape (n,)

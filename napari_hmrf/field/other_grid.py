@@ -60,7 +60,7 @@ class OtherGrid:
         ----------
         solution : Solution
         frame, own : Frame
-            Places of the solution and of the grid.
+            Frames of the solution and of the grid.
 
         Returns
         -------
@@ -69,7 +69,7 @@ class OtherGrid:
         Raises
         ------
         ProblemError
-            If the units of the grid cannot be converted to those of the solution, or the grid is
+            If the units of the grid cannot be converted to the units of the solution, or the grid is
             at an angle to the slice of the solution.
         """
         more = own.ndim - frame.ndim
@@ -87,7 +87,7 @@ class OtherGrid:
         out = to[len(plane) :]
         out[:, -1] -= np.array(frame.index)[across]
         if np.abs(out[:, plane]).max(initial=0.0) * max(solution.tissue.shape) > 1:
-            raise ProblemError("observed", "is at an angle to the result. Resample one of them.")
+            raise ProblemError("observed", "is at an angle to the result. Resample one of the two.")
         return cls(solution, to, plane)
 
     def moved_points(self, points: Array) -> Array:

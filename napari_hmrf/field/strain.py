@@ -367,7 +367,7 @@ def symmetric(tensor: Float64Array) -> Float64Array:
 
 
 def _as_strain(strain: npt.ArrayLike, *axes: int) -> Float64Array:
-    """Check that strains are (n, n) tensors with n in `axes`; return them as float64."""
+    """Check that strains are (n, n) tensors with n in `axes`, and convert them to float64."""
     tensor = as_numbers("strain", strain).astype(np.float64, copy=False)
     if tensor.shape[-2:] not in [(n, n) for n in axes]:
         needed = " or ".join(f"(..., {n}, {n})" for n in axes)

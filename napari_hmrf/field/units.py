@@ -82,7 +82,7 @@ def is_unit(unit: str) -> bool:
 
 
 def unit_symbol(unit: str) -> str:
-    """Return the symbol of a unit of length, such as "px" or "mm"; its name if it has none."""
+    """Return the symbol of a unit of length, such as "px" or "mm", or its name if it has none."""
     if unit == "pixel":
         return "px"
     import pint  # heavy: pint

@@ -230,7 +230,7 @@ class Engine:
     def _try_to_move(
         self, request: Deformation, solution: Solution | None
     ) -> tuple[tuple[Array | None, tuple[Array, ...]], Exception | None]:
-        """Warp the image and its overlays; return them, and the error if warping failed."""
+        """Return the warped image and overlays, and the error if warping failed."""
         try:
             return self._moved(request, solution), None
         except Cancelled:

@@ -51,7 +51,7 @@ from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
 
 _OVER = (
-    "the drawing moves tissue that is painted as held, and takes precedence where they overlap; "
+    "the drawing moves tissue that is painted as held, and takes precedence at overlaps; "
     "make the drawing smaller, or move it farther away"
 )
 
@@ -427,7 +427,8 @@ def _refuse_other_axes(study: Study) -> None:
             raise ProblemError(
                 study.named("drawing"),
                 f"has the {type(mark).__name__} at {place}, with {len(place)} axes, but the grid "
-                f"has {axes}. Use positions {'(row, col)' if axes == 2 else '(plane, row, col)'}.",
+                f"has {axes}. Pass positions as "
+                f"{'(row, col)' if axes == 2 else '(plane, row, col)'}.",
             )
 
 

@@ -127,7 +127,7 @@ class Grid:
 
     @property
     def known_place(self) -> Frame:
-        """Place of a grid that is known to have one, such as a grid read from layers."""
+        """Place of a grid that is known to have a place, such as a grid read from layers."""
         assert self.place is not None
         return self.place
 
@@ -266,7 +266,7 @@ class Tissue:
         scale: float | None = None,
         unit: str = "",
     ) -> Tissue:
-        """Create a tissue map from probability maps, such as those of a segmentation.
+        """Create a tissue map from probability maps, for example from a segmentation.
 
         Each pixel is assigned its most likely tissue, or label 0 where "none" is more likely, as
         ``--maps`` does in the shell.
@@ -280,8 +280,8 @@ class Tissue:
             these names, from `materials_by_name`. "none" is the material of pixels without a likely
             tissue; if it is missing, these pixels are as stiff as the first tissue.
         scale : {1, 100, 255}, optional
-            Value that means certainty in all maps; by default the smallest of these values that no
-            map exceeds. Pass the scale if the maps are parts of larger maps, such as slices,
+            Value that means certainty in all maps; by default the smallest of 1, 100 and 255 that
+            no map exceeds. Pass the scale if the maps are parts of larger maps, such as slices,
             because all values of a part may be small.
         unit : str
             Unit of stiffness.
@@ -358,7 +358,7 @@ class Motion:
     rules : tuple of BoundaryRule
         Rules of the labels.
     observed : ndarray, shape ([D,] H, W, n), optional
-        Observed material displacement, such as that of a registration, in the order of the axes
+        Observed material displacement, for example from a registration, in the order of the axes
         and in the unit of the grid.
     confidence : ndarray, shape ([D,] H, W) or ([D,] H, W, n), optional
         Confidence in the observed displacement, from 0 (none) to 1 (certain), as in a `Problem`.

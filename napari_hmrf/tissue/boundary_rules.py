@@ -112,7 +112,7 @@ class Material:
     def as_row(self) -> dict[str, Any]:
         """Convert the material to JSON types; an infinite stiffness becomes "rigid"."""
         row = asdict(self)
-        if not self.grows:  # so that earlier versions can read the row
+        if not self.grows:  # earlier versions can then read the row
             del row["growth"]
         return {**row, "stiffness": _RIGID} if self.is_rigid else row
 

@@ -689,7 +689,7 @@ def test_a_frame_is_restored_from_json():
     viewer, wanted = stack(scale=(5.0, 0.5, 1.0), units=("mm", "mm", "mm"))
     frame = frame_of(wanted.image, View.of(viewer.dims))
     assert Frame.from_dict(json.loads(json.dumps(frame.as_dict()))) == frame
-    with pytest.raises(ValueError, match="place of a slice"):
+    with pytest.raises(ValueError, match="invalid slice position"):
         Frame.from_dict({"plane": [0, 1]})
 
 

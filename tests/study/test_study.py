@@ -78,7 +78,7 @@ def test_tissue_is_elastic_by_default_and_a_prior_can_be_given():
     in_detail = pulled(prior=ElasticPrior(0.3, plane="strain"))
     assert in_detail.prior.poisson == 0.3
     assert replace(in_detail, motion=Motion(hold_edge=True)).prior.poisson == 0.3
-    with pytest.raises(ArgumentError, match="no model 'rubber'"):
+    with pytest.raises(ArgumentError, match="unknown model 'rubber'"):
         pulled(model="rubber")
 
 
