@@ -1,4 +1,4 @@
-"""Pairs of images with a known deformation, for the validation of a registration."""
+"""Pairs of images with a known deformation, for validating image registration."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Truth:
     farthest : float
         Largest displacement of the tissue, in the unit of the study.
     scale : float
-        Factor, at most 1, by which the drawn deformation was multiplied so that tissue is not
-        compressed too much.
+        Factor, at most 1, by which the drawn deformation was multiplied to limit the
+        compression of tissue.
     inexact : float
         Largest error, in pixels, of the written field, which is the inverse of the motion.
     """

@@ -77,8 +77,8 @@ class RandomSample:
     causes : Causes
         Pulls, growth and weight that cause the motion, already multiplied by `scale`.
     scale : float
-        Factor, at most 1, by which the drawn deformation was multiplied so that tissue is not
-        compressed too much.
+        Factor, at most 1, by which the drawn deformation was multiplied to limit the
+        compression of tissue.
     case : MovableTissue
         Tissue that was deformed.
     """

@@ -389,8 +389,8 @@ def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
 
 def _is_little_strained(moved: Float64Array) -> bool:
     """Return whether the strain is small enough everywhere to exclude folds."""
-    # If each step between neighbours differs by less than half a pixel, along both axes, from the
-    # step at rest, then the matrix of steps is diagonally dominant and its determinant is positive.
+    # If each component of each step between neighbours differs by less than half a pixel from the
+    # step at rest, the matrix of steps is diagonally dominant and its determinant is positive.
     return all(
         bool(np.abs(np.diff(moved, axis=axis) - step).max(initial=0) < 0.5)
         for axis, step in enumerate(np.eye(2))

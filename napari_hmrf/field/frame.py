@@ -182,7 +182,7 @@ class Frame:
         letters, unit = PATIENT_AXES.get(self.axis_labels[axis]), self.units[axis]
         if letters is None or unit == "pixel":
             return ""
-        # The position is measured along the normal: all points of an oblique slice share it.
+        # The position along the normal is the same for all points of an oblique slice.
         matrix = np.array(self.matrix)
         normal = np.linalg.inv(matrix)[axis, :-1]
         towards = math.copysign(float(np.linalg.norm(normal)), normal[axis])

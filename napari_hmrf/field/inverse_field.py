@@ -134,7 +134,7 @@ def _refined(
     origins: Float64Array,
 ) -> tuple[Float64Array, npt.NDArray[np.bool_]]:
     """Return origins refined for trilinear motion, and a mask of origins inside the tissue."""
-    # The field is extended beyond the tissue so that Newton steps that leave the tissue can return.
+    # Extend the field beyond the tissue, so that Newton steps that leave the tissue can return.
     refined = origins_at(_extended(pixels, tissue), points, origins)
     near = (np.abs(refined - origins) < 1).all(axis=-1)
     # At the border of the tissue, motion is defined on tetrahedra only and is not refined.
@@ -174,7 +174,7 @@ def _by_newton(
         at = origins[active]
         values, slopes = interpolate_with_slopes(pixels, at)
         slope = slopes + np.eye(3)
-        # Replace singular slopes, which occur at folds, by the identity.
+        # Replace singular slopes, which occur at folds, with the identity.
         slope[np.abs(np.linalg.det(slope)) < 1e-3] = np.eye(3)
         step = np.linalg.solve(slope, (at + values - targets[active])[..., None])[..., 0]
         length = np.linalg.norm(step, axis=-1, keepdims=True)

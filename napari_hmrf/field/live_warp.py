@@ -244,7 +244,7 @@ class Warper:
         return d, mask
 
     def replace(self, number: int, picture: Picture) -> None:
-        """Replace an image by another image on the same grid."""
+        """Replace an image with another image on the same grid."""
         self._looks[number] = _PreparedPicture(picture, self.shape)
 
     def _without_loops(

@@ -38,9 +38,9 @@ class OtherGrid:
     ----------
     solution : Solution
     to : ndarray, shape (m + k, n + 1)
-        Transform from homogeneous pixels of the grid. The first m rows give pixels along the axes
-        of the solution. The other k rows give the distance from the slice of the solution, in
-        slices, along the axes perpendicular to the slice.
+        Transform of homogeneous pixels of the grid. The first m rows yield pixels along the axes
+        of the solution. The other k rows yield the distance, in slices, from the slice of the
+        solution along each axis perpendicular to it.
     plane : sequence of int, shape (m,)
         Axes of the grid that correspond to the axes of the solution.
     """
@@ -69,8 +69,8 @@ class OtherGrid:
         Raises
         ------
         ProblemError
-            If the units of the grid cannot be converted to the units of the solution, or the grid is
-            at an angle to the slice of the solution.
+            If the units of the grid cannot be converted to the units of the solution, or the grid
+            is at an angle to the slice of the solution.
         """
         more = own.ndim - frame.ndim
         plane = [axis + more for axis in frame.plane]

@@ -266,16 +266,16 @@ def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
 
 
 def filled_in(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], BoolArray]:
-    """Replace each NaN or infinite value by the value of the nearest finite pixel.
+    """Replace each NaN or infinite value with the value of the nearest finite pixel.
 
     This is required before interpolation, because a NaN spreads even with a weight of 0.
 
     Returns
     -------
     values : ndarray, shape ([D,] H, W)
-        Filled values; the given array itself if all or none of its values are finite.
+        Filled values; the input array itself if all or none of its values are finite.
     bad : ndarray, shape ([D,] H, W), bool
-        Mask of the given values that are not finite.
+        Mask of the input values that are not finite.
     """
     bad = ~np.isfinite(values)
     if bad.any() and not bad.all():

@@ -184,7 +184,7 @@ def green_lagrange_strain(
 
 def green_lagrange(gradient: Float64Array) -> Float64Array:
     """Return the Green-Lagrange strain of displacement gradients H, shape (N, n, n)."""
-    # Compute (F^T F - I) / 2 from H: in F, small strains would be lost to rounding next to 1.
+    # Compute (F^T F - I) / 2 from H, because F would lose small strains to rounding next to 1.
     product = np.einsum("...ki,...kj->...ij", gradient, gradient)
     return np.asarray(symmetric(gradient) + product / 2)
 

@@ -304,7 +304,7 @@ def _tetrahedra(moved, tissue, source, state, reach, first, past):
 @_callee
 def _patch(moved, source, state, longest, first, past, plane, row, col, one, other):
     """Draw a moved square, spanned by two unit steps from a site, onto empty voxels."""
-    # If one step is (0, 0, 0), the square is a line; if both steps are, the square is a point.
+    # If one step is (0, 0, 0), the square is a line; if both steps are 0, the square is a point.
     _, height, width = state.shape
     i, j, k = plane + one[0], row + one[1], col + one[2]
     az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]

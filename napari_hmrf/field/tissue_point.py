@@ -83,7 +83,7 @@ class Points:
         return inverse_point(place, *field, self._farthest, fraction)
 
     def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the moved positions, (N, n) in pixels, of tissue points, (N, n) in pixels."""
+        """Return the moved positions of tissue points, both of shape (N, n) in pixels."""
         return moved_points(places, self._solution.displacement, spacing=self._solution.spacing)
 
     def at(self, place: tuple[float, ...], fraction: float = 0.0) -> Probe | None:
@@ -106,7 +106,7 @@ class Points:
         if not (site and holds(solution.tissue, site)):
             return None
         step = solution.displacement[site]
-        # The values at a site depend only on neighbouring sites; a whole volume would be slow.
+        # The values at a site depend only on neighbouring sites; computing all sites would be slow.
         around = tuple(slice(max(at - 1, 0), at + 2) for at in site)
         near = replace(
             solution,

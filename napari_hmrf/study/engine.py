@@ -335,7 +335,7 @@ class Deformation:
         return point if is_tissue else None
 
     def moved_positions(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the moved positions, (N, n) in pixels, of tissue points, (N, n) in pixels."""
+        """Return the moved positions of tissue points, both of shape (N, n) in pixels."""
         if self.solution is None or not len(points):
             return points
         return self._points.after(points / self.grid.step) * self.grid.step

@@ -47,7 +47,7 @@ from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 #: Stiffness of the subject and of its dark surroundings if there is no tissue map. The surroundings
-#: are too soft to impede motion, but as tissue they still constrain the subject.
+#: are too soft to impede motion, but because they are tissue, they still constrain the subject.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
 
 _OVER = (

@@ -114,7 +114,7 @@ class Grid:
                 f"has {len(self.shape)} axes, but its place has {len(place.plane)}. Pass the place "
                 "of the same slice or volume.",
             )
-        # The pixel is a known unit for a place, but an unknown unit for the grid.
+        # "pixel" is a known unit for a place, but an unknown unit for the grid.
         is_same_kind = (self.unit in UNKNOWN_UNITS) == (place.unit in UNKNOWN_UNITS)
         sizes = place.spacing
         if not (is_same_kind and has_same_spacing(self.spacing, self.unit, sizes, place.unit)):
@@ -608,7 +608,7 @@ class Study:
 
     @contextmanager
     def naming(self, drawn: bool = True) -> Iterator[None]:
-        """Replace argument names in error messages by the names of the study's parts.
+        """Replace argument names in error messages with the names of the study's parts.
 
         Parameters
         ----------
@@ -634,7 +634,7 @@ class Study:
             yield
 
     def in_words(self, error: Exception) -> Exception:
-        """Return an error with argument names replaced by the names of the study's parts."""
+        """Return an error with argument names replaced with the names of the study's parts."""
         try:
             with self.naming():
                 raise error

@@ -51,13 +51,14 @@ class Preset:
         return f"Preset({self.name!r}, {len(self.materials)} materials)"
 
     def replace_materials(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
-        """Replace the materials of a table by the materials of the preset.
+        """Replace the materials of a table with the materials of the preset.
 
-        A row is replaced by the preset's material with the same name. If there is no such material,
-        the row is replaced by the material with the same label, unless the name of that material
+        A row is replaced with the preset's material of the same name. If there is no such material,
+        the row is replaced with the material of the same label, unless the name of that material
         matches another row. The remaining materials of the preset are added. A row that is not
-        replaced is unchanged if it is void or rigid. A deformable row that is not replaced gets the
-        stiffness of the preset's first tissue, because the old stiffness may be in another unit.
+        replaced is unchanged if it is void or rigid. A deformable row that is not replaced is
+        assigned the stiffness of the preset's first tissue, because the old stiffness may be in
+        another unit.
 
         Parameters
         ----------

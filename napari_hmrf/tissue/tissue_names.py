@@ -108,8 +108,8 @@ class NamedMaterials:
         """Replace the materials of a table, label by label.
 
         A row with an unknown label is unchanged if it is void or rigid. A deformable row with an
-        unknown label gets the stiffness of the first known deformable material, because the old
-        stiffness may be in another unit.
+        unknown label is assigned the stiffness of the first known deformable material, because the
+        old stiffness may be in another unit.
 
         Parameters
         ----------
