@@ -204,7 +204,7 @@ def control_patches(
             "smaller radius.",
         )
     at = sites * np.asarray(spacing)
-    room = depth[tuple(sites.T)].astype(np.float64)  # distance from edges, fixed and rigid tissue
+    room = depth[tuple(sites.T)].astype(np.float64)  # distance to edges, fixed and rigid tissue
     patches, centres = np.zeros(m.shape, dtype=np.int32), np.empty((0, m.ndim))
     axes = np.ogrid[tuple(map(slice, m.shape))]
     # Place each patch at the site with the most room. Each placed patch limits the room of a site

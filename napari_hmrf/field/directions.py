@@ -144,7 +144,7 @@ class Directions(NamedTuple):
         return next((each for each in same if np.allclose(each, step, atol=1e-6)), step)
 
     def steps_with(self, step: tuple[float, ...]) -> list[tuple[str, tuple[float, ...]]]:
-        """Return `steps`, followed by the given step if it is not empty and not among them."""
+        """Return `steps`, followed by the given step if it is neither empty nor included."""
         steps = self.steps
         if step and step not in [each for _, each in steps]:
             steps.append((self.step(tuple(round(part, 2) for part in self.to_display(step))), step))

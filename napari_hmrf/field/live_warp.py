@@ -330,7 +330,7 @@ class _PreparedPicture:
         source, covered = origins
         planes, first, image = source[covered, 0], 0, self._image
         if self._order < 2 and len(planes):
-            # Include neighbouring planes: they are used to replace values that are not finite.
+            # Include neighbouring planes, which are used to replace values that are not finite.
             first = max(0, int(planes.min()) - 2)
             image = image[first : int(planes.max()) + 4]
         moved = sampled(image, source - (first, 0, 0), self._order)

@@ -34,7 +34,7 @@ class Measurement(NamedTuple):
     size : float
         Area, or volume, before the motion, in the squared, or cubed, unit of the spacing.
     size_change : float
-        Change of the area or volume, in per cent, computed from the cells between sites. Each cell
+        Change in the area or volume, in per cent, computed from the cells between sites. Each cell
         counts towards the tissues at its corners; inverted cells have negative size.
     mean_displacement, largest_displacement : float
         Mean and largest length of the displacement, in the unit of the spacing.

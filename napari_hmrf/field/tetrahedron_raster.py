@@ -19,7 +19,7 @@ _kept = {"cache": True, "nogil": True, **_LOOPS}
 
 # Tolerance, in barycentric coordinates, for a voxel to be inside a tetrahedron.
 _SIDE = 1e-9
-# Six times the volume, in voxels, below which a tetrahedron has collapsed and covers no voxel.
+# Six times the volume, in voxels, below which a tetrahedron is collapsed and covers no voxel.
 _COLLAPSED = 1e-12
 # Largest distance, in voxels, between two origins of a voxel that belong to the same tissue.
 _NEAR = 1.0
@@ -582,7 +582,7 @@ def outline(moved, tissue, outer, reach, longest, begin, end, slabs, source, sta
         Output of `surface`.
     longest : float
         Sum of the sides of the volume, in voxels. It limits the number of points of lines and
-        squares that are stretched further than this.
+        squares that are stretched to a greater length.
     moved, tissue, reach, begin, end, slabs, source, state
         As for `rasterise`, which must be called first. `state` is 2 where the outline is drawn. If
         all planes are given (P = D), the `source` of each empty voxel outside tissue is the voxel.

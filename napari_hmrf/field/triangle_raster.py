@@ -23,7 +23,7 @@ _kept = {"cache": True, "nogil": True, **_LOOPS}
 
 # Tolerance, in barycentric coordinates, for a pixel to be inside a triangle.
 _EDGE = 1e-9
-# Twice the area, in pixels, below which a triangle has collapsed and covers no pixel.
+# Twice the area, in pixels, below which a triangle is collapsed and covers no pixel.
 _COLLAPSED = 1e-12
 # Largest distance, in pixels, between two origins of a pixel that belong to the same tissue.
 _NEAR = 1.0

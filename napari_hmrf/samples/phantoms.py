@@ -98,7 +98,7 @@ class Phantom:
         Parameters
         ----------
         strain : float
-            Growth of the tumour, as a relative change of length. With the default, the rim of the
+            Growth of the tumour, as a relative change in length. With the default, the rim of the
             tumour moves by about 8 pixels at size 300, as in "mass-effect".
 
         Returns

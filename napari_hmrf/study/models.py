@@ -14,7 +14,7 @@ from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
-#: Default prior and optimizer of a study.
+#: Default prior and default optimizer of a study.
 USUAL_PRIOR, USUAL_OPTIMIZER = ElasticPrior(), Multigrid()
 #: Holding force in the form that enforces all observations exactly, regardless of confidence.
 HOLD_ALL = 1e6

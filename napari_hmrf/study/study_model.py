@@ -2,7 +2,7 @@
 
 The parts of a study have different owners: a drawing belongs to a slice, a table of materials or
 rules to a Labels layer, a choice of layers to an image, and the tissue model to the viewer. Each
-part is stored once, and an edit of a part changes the studies of all slices that use the part.
+part is stored once, and an edit to a part changes the studies of all slices that use the part.
 Layers can be any hashable objects; this module does not import napari or Qt.
 """
 
@@ -43,7 +43,7 @@ BRIGHTNESS = "brightness"
 # Attributes of `ImageChoice` that may be layers.
 _LAYER_NAMES = "tissue", "boundary", "confidence", "compare_with"
 # Name of the step that changes a choice, by attribute. The first changed attribute in this order
-# determines the name. A change of other attributes, such as solver details, is not a step.
+# determines the name. A change to other attributes, such as solver details, is not a step.
 _STEP_NAMES = {
     "name": "chose another model",
     "plane": "chose another plane",
@@ -256,7 +256,7 @@ class StudyModel(EditHistory):
         ----------
         choice : ModelChoice
         step : bool
-            If True, undo can restore the previous model; a change of solver details alone is not a
+            If True, undo can restore the previous model; a change to solver details alone is not a
             step.
         """
         self._edit(MODEL_PART, choice, step)
@@ -334,7 +334,7 @@ class StudyModel(EditHistory):
 
     @property
     def drawing_in_progress(self) -> bool:
-        """True if an edit of the selected drawing is in progress."""
+        """True if an edit to the selected drawing is in progress."""
         return self.in_progress == self.slice
 
     def draw(self, drawing: Drawing, word: str) -> None:

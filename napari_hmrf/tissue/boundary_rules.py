@@ -61,7 +61,7 @@ class Material:
         Poisson's ratio, from 0 to 0.499. Only elastic models use this value, and only for
         deformable tissue.
     growth : float or tuple of float
-        Relative change of length of unconstrained tissue: 0.1 means 10 % longer. One number for
+        Relative change in length of unconstrained tissue: 0.1 means 10 % longer. One number for
         all directions, or one number for each axis: (row, col), or (plane, row, col) in a volume.
         Void and rigid tissue do not grow.
 

@@ -20,7 +20,7 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 
 FloatArray = npt.NDArray[np.float32]
-#: Label of pixels that have a stiffness, but no row in the table.
+#: Label of pixels that have a stiffness but no row in the table.
 OTHER = -1
 _VOID = Material(0, "no tissue", 0.0)
 

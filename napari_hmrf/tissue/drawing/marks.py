@@ -21,7 +21,7 @@ from napari_hmrf.errors import ProblemError
 Point = tuple[float, ...]
 #: Components of a displacement that a mark prescribes; in a volume, "both" means all three.
 Components = Literal["both", "row", "col"]
-#: Slice of the prescribed components, counted from the last axis, for slices and volumes.
+#: Index slice that selects the prescribed components, counted from the last axis.
 COMPONENTS = {"both": slice(None), "row": slice(-2, -1), "col": slice(-1, None)}
 #: Effects of a brush on the tissue under it.
 Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]

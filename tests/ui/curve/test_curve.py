@@ -173,8 +173,8 @@ def test_fields_show_and_edit_the_curve(editor, person, qtbot):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("50: 10; 100: 0", "needs a stiffness at intensity 100 that is above 0"),
-        ("50: 10; 100: soft", "needs a stiffness at intensity 100 that is above 0"),
+        ("50: 10; 100: 0", "requires a stiffness at intensity 100 that is above 0"),
+        ("50: 10; 100: soft", "requires a stiffness at intensity 100 that is above 0"),
         ("50: 10", "two or more"),
         ("50: 10; 50: 20", "has intensity 50 twice. List each once"),
         ("50: 10; 100", "above 0"),
