@@ -160,7 +160,9 @@ def arrow_observation(
     """
     bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
     if len(bad):
-        raise ProblemError("observed", f"has NaN or infinity in vector {bad[0]}. Remove it.")
+        raise ProblemError(
+            "observed", f"has NaN or infinity in vector {bad[0]}. Remove the vector."
+        )
     others, here = list(own.others), own.has(vectors[:, 0])
     inward = vectors[:, 1][:, list(own.plane)].any(axis=1)
     outward = vectors[:, 1][:, others].any(axis=1) & ~inward
@@ -174,7 +176,7 @@ def arrow_observation(
             "observed",
             f"has {len(outside)} vectors that start outside the image of {grid_in_words(shape)} "
             f"pixels, the first being vector {rows[first]} at {tuple(at[first].tolist())}. "
-            "Remove them.",
+            "Remove these vectors.",
         )
     y = np.zeros((*shape, len(shape)), dtype=np.float32)
     known = np.zeros(shape, dtype=bool)

@@ -81,7 +81,7 @@ class OtherGrid:
         transform = frame.from_pixels_of(own, counted)
         if transform is None:
             raise ProblemError(
-                "observed", "has other units than the result. Use the same units for both."
+                "observed", "has different units from the result. Use the same units for both."
             )
         to = transform[counted]
         out = to[len(plane) :]

@@ -57,7 +57,7 @@ class SolverDetails:
     reading: Conditional = _form_field(  # noqa: RUF009 - a new field on each call
         "centred",
         "reading",
-        "Lines of three pixels (the paper's cliques) with which a pixel is compared.\n"
+        "Lines of three pixels (the paper's cliques) used to compare a pixel with others.\n"
         "centred: lines with the pixel in the middle. Closest to finite elements.\n"
         "blanket: all lines that contain the pixel. Borders of stiff and soft tissue hardly move.",
     )

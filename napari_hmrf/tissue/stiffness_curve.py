@@ -77,13 +77,15 @@ class StiffnessCurve:
         void_below = None if self.void_below is None else real(self.void_below)
         intensities = [intensity for intensity, _ in points]
         if not all(map(math.isfinite, intensities)):
-            raise _bad("has a point that is not a pair of numbers. Use intensity and stiffness")
+            raise _bad(
+                "has a point that is not a pair of numbers. Use (intensity, stiffness) pairs"
+            )
         if len(points) < 2:
             raise _bad("has fewer than two points. Use two or more, with different intensities")
         for before, after in pairwise(intensities):
             if before >= after:
                 twice = "twice" if before == after else f"after {before:g}"
-                raise _bad(f"has intensity {after:g} {twice}. List each once, in rising order")
+                raise _bad(f"has intensity {after:g} {twice}. List each once, in increasing order")
         for intensity, stiffness in points:
             if not 0 < stiffness <= LARGEST_STIFFNESS:
                 most = f"above 0, and no larger than {LARGEST_STIFFNESS:.2g}"
@@ -174,7 +176,7 @@ class StiffnessCurve:
         """
         known = [field.name for field in fields(cls)]
         if not isinstance(values, Mapping) or "points" not in values or set(values) - set(known):
-            raise _bad(f"is not stored as a curve. Pass a mapping of {', '.join(known)}")
+            raise _bad(f"is not stored as a curve. Pass a mapping with the keys {', '.join(known)}")
         return cls(**dict(values))
 
     @classmethod
