@@ -78,7 +78,7 @@ class StiffnessCurve:
         intensities = [intensity for intensity, _ in points]
         if not all(map(math.isfinite, intensities)):
             raise _bad(
-                "has a point that is not a pair of numbers. Use (intensity, stiffness) pairs"
+                "has a point that is not a pair of numbers. Use pairs of intensity and stiffness"
             )
         if len(points) < 2:
             raise _bad("has fewer than two points. Use two or more, with different intensities")
