@@ -63,7 +63,7 @@ _log = logging.getLogger("napari_hmrf")
 
 @dataclass(frozen=True, eq=False)
 class RandomSample:
-    """Random deformation of the tissue of a case.
+    """Random deformation of a case.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ _NEARLY = 0.01
 #: Smallest end of a scale; for values in per cent, the smallest end is 100 times this value.
 SMALLEST = 1e-3
 # Possible ends of a symmetric scale, up to a power of ten. napari labels such a scale with at least
-# two numbers. If the end were 0.45 or 0.8, for example, it would label only the 0.
+# two numbers. If the end were 0.45 or 0.8, for example, napari would label only the 0.
 _ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 10.0)
 
 

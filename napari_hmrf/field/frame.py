@@ -33,7 +33,7 @@ _FARTHEST = 2**31
 
 @dataclass(frozen=True)
 class Frame:
-    """Position of a slice or a volume in the world: its axes in a layer, and the transform.
+    """Position of a slice or volume in the world: its axes in a layer and the layer's transform.
 
     A volume has a depth axis before rows and columns. Below, "slice" also means a volume.
 

@@ -276,7 +276,7 @@ def _added(
 ) -> Float64Array:
     """Return the position of each site, in pixels, at a fraction of the displacement."""
     # Planes are processed one by one, because a plane fits into the CPU cache. The components of a
-    # row form one line, because a NumPy inner loop over 3 numbers is as slow as one over a hundred.
+    # row form one line, because a NumPy loop over 3 numbers is as slow as a loop over a hundred.
     (height, width), n = mask.shape[-2:], mask.ndim
     moved, size = np.empty(d.shape), np.tile(sizes, width)
     scaled = bool((sizes != 1).any())
