@@ -232,7 +232,7 @@ def test_a_painted_label_without_a_rule_is_refused(files, capsys):
 def test_a_model_has_the_same_names_in_python_and_in_the_shell(files, capsys):
     assert parts_of("large-motion") == parts_of("large motion")
     assert Study(Grid(SHAPE, (1.0, 1.0)), model="large-motion").model_name == "large motion"
-    with pytest.raises(HmrfError, match=r"there is no model 'soft'\. Use one of .elastic"):
+    with pytest.raises(HmrfError, match=r"unknown model 'soft'\. Use one of .elastic"):
         parts_of("soft")
     code, out, _ = run(f"{SOLVE} -o out --model large_motion", capsys)
     assert code == 0

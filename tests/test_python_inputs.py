@@ -69,9 +69,9 @@ def test_a_grid_converts_points_in_physical_space_to_pixels():
     np.testing.assert_allclose(plane.to_pixels(points[:1]), [[1.0, 3.0]], atol=1e-12)
     with pytest.raises(ProblemError, match="up to 4 slices away from the slice"):
         plane.to_pixels(points)
-    with pytest.raises(ProblemError, match=r"Give \(N, 3\) numbers"):
+    with pytest.raises(ProblemError, match=r"Pass \(N, 3\) numbers"):
         grid.to_pixels([[1, 2]])
-    with pytest.raises(ProblemError, match=r"has no place. Use Grid\.from_image"):
+    with pytest.raises(ProblemError, match=r"has no position in the world. Use Grid\.from_image"):
         Grid(SHAPE, (1.0, 1.0)).to_pixels([[1, 2]])
 
 
@@ -123,7 +123,7 @@ def test_published_stiffness_is_found_by_name_and_unknown_names_are_refused():
     motion = Motion(hold_edge=True, labels=pull, rules=(BoundaryRule(1, "move", vector=(0, 1)),))
     solved = solve_study(Study(Grid(SHAPE, (1.0, 1.0)), tissue, motion), backend="cpu")
     assert solved.displacement[10, 11, 1] == pytest.approx(1)
-    with pytest.raises(ProblemError, match=r"no published stiffness for 'xyz'\. Give"):
+    with pytest.raises(ProblemError, match=r"no published stiffness for 'xyz'\. Pass"):
         Tissue.from_maps({"xyz": np.ones(SHAPE)})
 
 
@@ -138,11 +138,11 @@ def test_published_stiffness_is_found_by_name_and_unknown_names_are_refused():
             {"b": 1},
             "no material for 'a' and has no map for the material 'b'",
         ),
-        ({"a": np.ones((2, 3))}, {"a": "soft"}, "Give a Material, or a stiffness"),
+        ({"a": np.ones((2, 3))}, {"a": "soft"}, "Pass a Material or a stiffness"),
         (
             {"a": np.ones((2, 3)), "wm": np.full((2, 3), 60.0)},
             {"a": 1, "wm": 1},
-            r"up to 1 in map 1 \(a\), but up to 60 in the map wm. Give probabilities .*scale=",
+            r"up to 1 in map 1 \(a\), but up to 60 in the map wm. Use probabilities .*scale=",
         ),
         ({"a": np.full((2, 3), 300.0)}, {"a": 1}, r"up to 300 in map 1 \(a\)"),
         ({"a": np.full((2, 3), np.nan)}, {"a": 1}, r"NaN or infinite values in map 1 \(a\)"),
@@ -163,7 +163,7 @@ def test_the_scale_of_maps_is_common_to_all_maps_or_given():
     assert Tissue.from_maps(floats, materials).labels.tolist() == [[0, 2, 1]]
     with pytest.raises(ProblemError, match=r"above the scale of 1 in map 1 \(a\)"):
         Tissue.from_maps(shares, materials, scale=1)
-    with pytest.raises(ProblemError, match=r"a scale of 2\. Give 1, 100 or 255"):
+    with pytest.raises(ProblemError, match=r"a scale of 2\. Use 1, 100 or 255"):
         Tissue.from_maps(shares, materials, scale=2)
 
 

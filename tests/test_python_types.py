@@ -105,7 +105,7 @@ def test_a_problem_in_place_of_a_study_is_refused_with_a_hint_to_solve(call):
 @pytest.mark.parametrize(
     ("shape", "spacing", "said"),
     [
-        (64, (1, 1), r"grid: has shape 64\. Give the number of pixels along each axis"),
+        (64, (1, 1), r"grid: has shape 64\. Pass the number of pixels along each axis"),
         (ONES, (1, 1), "grid: has shape array"),
         ((6, 7, 8, 9), (1, 1), "grid: has shape"),
         ((6, 0), (1, 1), r"grid: has shape \(6, 0\)"),
@@ -128,8 +128,8 @@ def test_a_grid_accepts_any_sequence_as_shape_and_one_number_as_spacing():
 @pytest.mark.parametrize(
     ("shape", "mark", "said"),
     [
-        (SHAPE, Arrow((1, 3, 3), (0, 0, 1), 1), r"the Arrow at \(1.0, 3.0, 3.0\), of 3 axes"),
-        ((5, *SHAPE), PULL, r"of 2 axes, but the grid has 3\. .* as \(plane, row, col\)"),
+        (SHAPE, Arrow((1, 3, 3), (0, 0, 1), 1), r"the Arrow at \(1.0, 3.0, 3.0\), with 3 axes"),
+        ((5, *SHAPE), PULL, r"with 2 axes, but the grid has 3\. .* as \(plane, row, col\)"),
         (SHAPE, Landmark((1, 3, 3), (1, 3, 4), 1), r"the Landmark .* as \(row, col\)"),
         (SHAPE, Stroke("pin", (((1, 3, 3),),), 1), "the Stroke at"),
     ],

@@ -74,7 +74,7 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
     if displacements.shape != needed or not len(centres):
         raise Invalid(f"its solutions have shape {displacements.shape}, not {needed}")
     if not array_file.is_finite(displacements):
-        raise Invalid("its solutions have NaN or infinite values")
+        raise Invalid("its solutions contain NaN or infinite values")
     return UnitSolutions(case, displacements, tissue)
 
 

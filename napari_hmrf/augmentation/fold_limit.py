@@ -19,9 +19,9 @@ BoolArray = npt.NDArray[np.bool_]
 
 # Relative accuracy of the scale.
 _NEAR = 1e-4
-# Margin above the smallest allowed determinant, which is larger than rounding errors.
+# Margin above the smallest allowed determinant, chosen larger than rounding errors.
 _MARGIN = 1e-5
-# Number of sites processed together, so that intermediate arrays stay in the cache.
+# Number of sites processed together, small enough for intermediate arrays to fit into the cache.
 _SITES = 1 << 17
 
 

@@ -1,4 +1,4 @@
-"""Pairs of images with a known deformation, for the validation of a registration."""
+"""Pairs of images with a known deformation, for validating image registration."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class Truth:
     farthest : float
         Largest displacement of the tissue, in the unit of the study.
     scale : float
-        Factor, at most 1, by which the drawn deformation was multiplied so that tissue is not
-        compressed too much.
+        Factor, at most 1, by which the drawn deformation was multiplied to limit the
+        compression of tissue.
     inexact : float
-        Largest error of the written field, which is the inverse of the motion, in pixels.
+        Largest error, in pixels, of the written field, which is the inverse of the motion.
     """
 
     folder: Path
@@ -111,7 +111,7 @@ def write_truth(
     HmrfError, OSError
         As for `read_case` and `RandomDeformation`, or if the case has no image or no labels.
     """
-    refuse_unless(is_whole(count) and count >= 1, "count", count, "a whole number of at least 1")
+    refuse_unless(is_whole(count) and count >= 1, "count", count, "a positive whole number")
     study = read_case(case)
     image, labels = study.pictures.image, study.tissue.labels
     if image is None or labels is None:
@@ -160,7 +160,7 @@ def _write_motion(within: Path, sample: RandomSample, solution: Solution, place:
     points = landmarks(sample.tissue)
     ends = []
     for each in (points, sample.points(points)):
-        # The place of a slice has an additional first axis, on which the index is 0.
+        # The place of a slice has an additional first axis, along which the index is 0.
         ends.append(place.to_space(np.pad(each, ((0, 0), (len(place.spacing) - n, 0)))))
     write_points(within / "landmarks.csv", *ends)
     return inexact

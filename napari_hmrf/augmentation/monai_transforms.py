@@ -40,8 +40,8 @@ class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
     """Transform that warps all arrays of a dictionary with the same random deformation.
 
     The interface is similar to `Rand2DElasticd` and `Rand3DElasticd`, but the deformation is
-    physical: bone stays rigid, air is void, and tissue does not fold. Arrays are channel first, and
-    are returned with their type: NumPy array, torch tensor or `MetaTensor`.
+    physical: bone stays rigid, air is void, and tissue does not fold. Arrays are channel-first, and
+    their type is preserved: NumPy array, torch tensor or `MetaTensor`.
 
     Parameters
     ----------
@@ -80,12 +80,12 @@ class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
         if not set(self.mode) <= set(_ORDERS):
             raise ArgumentError(f"mode must be one of {', '.join(_ORDERS)}, not {self.mode}")
         if not (isinstance(deformation, RandomDeformation) or callable(deformation)):
-            raise ArgumentError("deformation must be a RandomDeformation, or a callable")
+            raise ArgumentError("deformation must be a RandomDeformation or a callable")
         self.deformation = deformation
         self._seed = 0
 
     def randomize(self, data: Any = None) -> None:
-        """Draw whether the next dictionary is deformed, and the seed of its sample."""
+        """Draw at random whether the next dictionary is deformed, and the seed of its sample."""
         super().randomize(data)
         self._seed = int(self.R.randint(2**31 - 1))
 

@@ -2,7 +2,8 @@
 
 Linear elasticity allows superposition: the displacement due to two pulls is the sum of the
 displacements due to each pull. Therefore one unit solution is computed for each cause of motion,
-and each random field is a random linear combination of the unit solutions, as accurate as a solve.
+and each random field is a random linear combination of the unit solutions, which is as accurate as
+a solve.
 A combination that would compress tissue too much is scaled down, so tissue does not fold.
 """
 
@@ -62,7 +63,7 @@ _log = logging.getLogger("napari_hmrf")
 
 @dataclass(frozen=True, eq=False)
 class RandomSample:
-    """One random deformation.
+    """Random deformation of a case.
 
     Attributes
     ----------
@@ -76,8 +77,8 @@ class RandomSample:
     causes : Causes
         Pulls, growth and weight that cause the motion, already multiplied by `scale`.
     scale : float
-        Factor, at most 1, by which the drawn deformation was multiplied so that tissue is not
-        compressed too much.
+        Factor, at most 1, by which the drawn deformation was multiplied to limit the
+        compression of tissue.
     case : MovableTissue
         Tissue that was deformed.
     """
@@ -263,7 +264,7 @@ class RandomDeformation:
         If an argument has the wrong type or is out of range.
     ProblemError
         If the labels and materials do not define a valid problem, if the tissue does not have room
-        for a patch, or if the unit solutions need more than `memory`.
+        for a patch, or if the unit solutions require more than `memory`.
     ConvergenceError, BackendError
         As for `solve`.
 
@@ -310,11 +311,9 @@ class RandomDeformation:
         ):
             right = value is None or low < real(value) < math.inf
             refuse_unless(right, name, value, requirement)
-        refuse_unless(0 <= real(weight) < math.inf, "weight", weight, "a number of at least 0")
+        refuse_unless(0 <= real(weight) < math.inf, "weight", weight, "a non-negative number")
         count = _PATCHES[n] if patches is None else patches
-        refuse_unless(
-            is_whole(count) and count >= 1, "patches", count, "a whole number of at least 1"
-        )
+        refuse_unless(is_whole(count) and count >= 1, "patches", count, "a positive whole number")
         above = 0 < real(least_jacobian) < 1
         refuse_unless(above, "least_jacobian", least_jacobian, "a number above 0 and below 1")
         usual = usual_radius(image.shape, sizes)
@@ -383,7 +382,7 @@ class RandomDeformation:
     def read(cls, path: str | os.PathLike[str]) -> RandomDeformation:
         """Read a file that `write` has written, without solving again.
 
-        The same seed gives bit-identical samples before writing and after reading.
+        The same seed yields bit-identical samples before writing and after reading.
 
         Parameters
         ----------
@@ -397,7 +396,7 @@ class RandomDeformation:
         Raises
         ------
         FileFormatError
-            If the file is damaged or of another format.
+            If the file is damaged or has another format.
         OSError
             If the file cannot be opened.
         """
@@ -419,7 +418,7 @@ class RandomDeformation:
         Parameters
         ----------
         seed : int, sequence of int or numpy.random.Generator, optional
-            Seed of the random numbers: the same seed gives a bit-identical displacement for the
+            Seed of the random numbers: the same seed yields a bit-identical displacement for the
             same unit solutions. A generator is advanced. The default is an unpredictable seed.
 
         Returns
@@ -443,14 +442,14 @@ class RandomDeformation:
         return sample
 
     def _warn_if_small(self, sample: RandomSample) -> None:
-        """Log a warning if the amplitude of a sample is below the lower bound, but only once."""
+        """Log a warning, only once, if the amplitude of a sample is below the lower bound."""
         least = self.amplitude[0]
         if self._has_warned or sample.amplitude >= least * (1 - 1e-6):
             return
         self._has_warned = True
         _log.warning(
             "the smallest amplitude is %.3g, but a sample has only %.3g: a larger pull would "
-            "compress tissue to less than %.3g of its size (`least_jacobian`). Give a smaller "
+            "compress tissue to less than %.3g of its size (`least_jacobian`). Use a smaller "
             "amplitude or fewer patches (`amplitude, patches; or a larger smoothness`). This "
             "warning is logged once.",
             least,
@@ -474,7 +473,7 @@ def _generator(seed: Seed) -> np.random.Generator:
         return np.random.default_rng(seed)
     except (TypeError, ValueError) as error:
         raise ArgumentError(
-            f"seed must be a whole number of at least 0, or a Generator, not {seed!r}"
+            f"seed must be a non-negative whole number or a Generator, not {seed!r}"
         ) from error
 
 

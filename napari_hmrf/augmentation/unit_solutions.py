@@ -22,9 +22,9 @@ from napari_hmrf.tissue.normals import outer_rim
 Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-#: Largest error of a linear combination, in pixels.
+#: Largest allowed error of a linear combination, in pixels.
 WRONG = 5e-3
-# Number of values that are summed together, so that they fit into the CPU cache.
+# Number of values that are summed together, small enough to fit into the CPU cache.
 _BLOCK = 1 << 16
 _GIB = 2.0**30
 
@@ -200,15 +200,15 @@ def control_patches(
     if not len(sites):
         raise ProblemError(
             "labels",
-            f"have no soft tissue with room for a control patch of radius {radius:g}. Give a "
+            f"have no soft tissue with room for a control patch of radius {radius:g}. Use a "
             "smaller radius.",
         )
     at = sites * np.asarray(spacing)
-    room = depth[tuple(sites.T)].astype(np.float64)  # distance from edges, fixed and rigid tissue
+    room = depth[tuple(sites.T)].astype(np.float64)  # distance to edges, fixed and rigid tissue
     patches, centres = np.zeros(m.shape, dtype=np.int32), np.empty((0, m.ndim))
     axes = np.ogrid[tuple(map(slice, m.shape))]
-    # Place each patch at the site with the most room, which is at most half the distance to each
-    # existing patch.
+    # Place each patch at the site with the most room. Each placed patch limits the room of a site
+    # to half the distance between the site and the patch.
     while len(centres) < count and room.max() > radius:
         centre = at[room.argmax()]
         centres = np.concatenate([centres, centre[None]])
@@ -294,7 +294,7 @@ def solve_units(
     Raises
     ------
     ProblemError
-        If the solutions need more than `memory`, or if the case is not a valid problem.
+        If the solutions require more than `memory`, or if the case is not a valid problem.
     ConvergenceError, BackendError
         As for `solve`.
     """
@@ -305,7 +305,7 @@ def solve_units(
     if needed > allowed:
         raise ProblemError(
             "labels",
-            f"are {grid_in_words(case.grid.shape)}; their {len(units)} unit solutions need "
+            f"are {grid_in_words(case.grid.shape)}; their {len(units)} unit solutions require "
             f"{needed / _GIB:.2g} GiB of memory, but only {allowed / _GIB:.2g} GiB are allowed, "
             f"enough for {int(allowed / needed * len(units))}. Crop the labels, use fewer patches, "
             "or allow more memory.",

@@ -17,12 +17,12 @@ from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.solver.solution import Solution
 
-#: Kinds of site that can be marked: folded sites, and sites that overlap other tissue.
+#: Kinds of sites that can be marked: folded sites, and sites that overlap other tissue.
 Mark = Literal["folds", "overlaps"]
 MARKS: tuple[Mark, ...] = get_args(Mark)
 #: Number of grid lines that cross the longer side of an image.
 _LINES = 30
-#: Size of the cache of moments, in bytes. Cached moments are not computed again.
+#: Size limit, in bytes, of the cache of computed moments.
 _KEPT = 256 * 2**20
 
 
@@ -112,9 +112,9 @@ class Motion:
 
     @property
     def finest(self) -> float:
-        """Smallest step between fractions at which all moments fit in the cache.
+        """Smallest step between fractions for which all moments fit in the cache.
 
-        It is 0 if the cache is empty.
+        The step is 0 if the cache is empty.
         """
         sizes = [moment.nbytes for moment in [*self._cache.values()]]
         return max(sizes, default=0) / _KEPT
@@ -205,7 +205,7 @@ def fullest_planes(marks: npt.NDArray[Any]) -> tuple[int, ...]:
 def _moved_sites(
     solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return the marked sites, (N, n), that stay in the image, and their moved pixels, (N, n)."""
+    """Return the marked sites, (N, n), that remain in the image, and their moved pixels, (N, n)."""
     sites = np.argwhere(marks)
     step = fraction * solution.displacement[marks] / solution.spacing
     places = np.rint(sites + step).astype(np.intp)

@@ -36,7 +36,7 @@ def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     colours = as_numbers("colours", colours)
     if colours.ndim == 0 or colours.shape[-1] not in (3, 4):
         raise ProblemError(
-            "colours", f"has shape {colours.shape}. Give (..., 3 or 4): red, green, blue."
+            "colours", f"has shape {colours.shape}. Pass (..., 3 or 4): red, green, blue."
         )
     bright: npt.NDArray[np.float32] = colours[..., :3].astype(np.float32) @ _LUMINANCE
     return bright
@@ -54,7 +54,7 @@ def edge_confidence(image: npt.NDArray[Any], *, axes: int = 2) -> npt.NDArray[np
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        1 at the steepest tenth of the pixels.
+        1 at the steepest tenth of the pixels, 0 elsewhere.
     """
     from skimage.filters import gaussian, sobel  # heavy: skimage
 

@@ -18,14 +18,14 @@ FOLDED = "#ffee00"
 OPACITY = 0.8
 # Fraction of the colour range above which colours have full opacity.
 _OPAQUE = 0.4
-# Percentile of the absolute values at the end of a scale; a few values, at corners, exceed it.
+# Percentile of the absolute values that sets the end of a scale; outliers at corners exceed it.
 _WITHIN = 99.0
 # Values beyond a scale by less than this fraction of its range are not reported.
 _NEARLY = 0.01
-#: Smallest end of a scale, for values that are not in per cent. In per cent it is 100 times this.
+#: Smallest end of a scale; for values in per cent, the smallest end is 100 times this value.
 SMALLEST = 1e-3
-# Possible ends of a symmetric scale, up to a power of ten. napari writes at least two numbers
-# beside a scale with such an end; with an end such as 0.45 or 0.8 it writes only the 0.
+# Possible ends of a symmetric scale, up to a power of ten. napari labels such a scale with at least
+# two numbers. If the end were 0.45 or 0.8, for example, napari would label only the 0.
 _ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 10.0)
 
 
@@ -79,7 +79,7 @@ def reach_of(values: npt.NDArray[Any], signed: bool = False, least: float = SMAL
 
 
 def beyond(values: npt.NDArray[Any], limits: tuple[float, float]) -> str:
-    """Describe the values beyond the ends of a scale in a clause; "" if there are none.
+    """Return a clause about the values beyond the ends of a scale; "" if there are none.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ class Comparison(NamedTuple):
     part: float
 
     def in_words(self, solution: Solution, unit: str) -> str:
-        """Describe the comparison in a sentence, in which rounding errors are shown as 0.
+        """Describe the comparison in one sentence; rounding errors are shown as 0.
 
         Parameters
         ----------
@@ -56,16 +56,16 @@ class Comparison(NamedTuple):
 
 
 def compare(solution: Solution, frame: Frame, field: PixelField, reference: str) -> Comparison:
-    """Compare a result with a reference field that is resampled on the pixels of the result.
+    """Compare a result with a reference field, resampled to the pixels of the result.
 
     Parameters
     ----------
     solution : Solution
         Result of a slice or a volume.
     frame : Frame
-        Place of the result in the world.
+        Position of the result in world coordinates.
     field : PixelField
-        Reference field, which may have another place and other pixels.
+        Reference field, which may have a different position and pixel grid.
     reference : str
         Name of the reference.
 

@@ -29,14 +29,14 @@ from napari_hmrf.solver.backends.thread import compute_thread
 
 FloatArray = npt.NDArray[np.float32]
 
-# Rows of an image, and planes of a volume, that are processed together.
+# Number of rows of an image, and of planes of a volume, that are processed together.
 _STRIP, _SLAB = 64, 8
-# Reductions of the determinants around a site; the loop for volumes receives the index.
+# Ways to reduce the determinants around a site; the loop for volumes receives the index.
 _Kind = Literal["smallest", "mean", "mean or fold"]
 _KINDS: tuple[_Kind, ...] = get_args(_Kind)
-# Upper bound of the distance between lines, in pixels; it exceeds the size of any image.
+# Upper bound of the distance between grid lines, in pixels; it exceeds the size of any image.
 _FAR = 2**31
-# Arrows shorter than this fraction of the longest arrow are omitted: they would look like dots.
+# Arrows shorter than this fraction of the longest arrow are omitted, as they would look like dots.
 _LEAST = 0.1
 
 
@@ -70,9 +70,9 @@ def jacobian_determinant(
 ) -> FloatArray:
     """Return the Jacobian determinant det(I + dd/dX), the ratio of areas or volumes, at each site.
 
-    At 1 the size of the tissue is unchanged; below 1 tissue shrinks, above 1 it grows, and at 0 or
-    below it is folded. Differences are central, or one-sided if a neighbour is missing. If both
-    neighbours along an axis are missing, the tissue is assumed to be unstrained along that axis.
+    A value of 1 means unchanged size, below 1 shrinkage, above 1 growth, and 0 or below a fold.
+    Differences are central, or one-sided if a neighbour is missing. If both neighbours along an
+    axis are missing, the tissue is assumed to be unstrained along that axis.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def jacobian_determinant(
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis; a scalar applies to all axes.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        Mask of the tissue; by default all sites. No difference crosses the border of the tissue.
+        Mask of the tissue; by default all sites. Differences do not cross the border of the tissue.
 
     Returns
     -------
@@ -202,7 +202,9 @@ def deformation_grid(
     pieces = _checked_count("pieces", pieces, "pieces")
     moved, mask = moved_sites(displacement, spacing, tissue)
     if mask.ndim != 2:
-        raise ProblemError("displacement", "is for a volume. Draw the grid of one of its slices.")
+        raise ProblemError(
+            "displacement", "belongs to a volume. Draw the grid of one of its slices."
+        )
     sizes = checked_sizes(spacing)
     rows, cols = (min(max(1, round(every * min(sizes) / size)), _FAR) for size in sizes)
     along_cols = _lines(moved, mask, rows, max(1, cols // pieces))
@@ -212,7 +214,7 @@ def deformation_grid(
 
 def _checked_count(name: str, count: int, of: str) -> int:
     if not (is_whole(count) and count >= 1):
-        raise ProblemError(name, f"is {shown(count)}. Give a whole number of {of}, at least 1.")
+        raise ProblemError(name, f"is {shown(count)}. Pass a whole number of {of}, at least 1.")
     return int(count)
 
 
@@ -241,7 +243,7 @@ def arrows(
     Returns
     -------
     ndarray, shape (N, 2, n), float32
-        Arrows as (start, step), in pixels, without scaling.
+        Arrows as (start, step), in pixels, not scaled.
 
     Raises
     ------
@@ -249,7 +251,7 @@ def arrows(
         As for `jacobian_determinant`, or if `about` is less than 1.
     """
     if not real(about) >= 1:
-        raise ProblemError("about", f"is {shown(about)}. Give a number of at least 1.")
+        raise ProblemError("about", f"is {shown(about)}. Pass a number of at least 1.")
     moved, mask = moved_sites(displacement, spacing, tissue)
     steps = _lattice(mask.sum() / about, checked_sizes(spacing, mask.ndim))
     chosen = np.zeros_like(mask)
@@ -259,7 +261,7 @@ def arrows(
     )
     chosen[lines] = mask[lines]
     starts = np.argwhere(chosen)
-    if not len(starts):  # the lattice contains no tissue
+    if not len(starts):  # no lattice point is in tissue
         sites = np.argwhere(mask)
         starts = sites[:: max(1, round(len(sites) / about))]
     ends = moved[tuple(starts.T)]
@@ -299,8 +301,9 @@ def arrows_in_slices(
 
     The slice with the most tissue has approximately `about` arrows. Arrows start at voxels with
     x + s y + s^2 z = 0 modulo m, where m is the number of voxels per arrow in that slice and s is
-    near the golden section of m. Slices along any axis therefore show no visible rows of arrows.
-    Very short arrows are omitted. The parameters, return value and errors are those of `arrows`.
+    close to the golden section of m. Slices along any axis therefore show no visible rows of
+    arrows. Very short arrows are omitted. The parameters, return value and errors are those of
+    `arrows`.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     sites = max(1, round(int(mask.sum(axis=(1, 2)).max()) / about))
@@ -352,7 +355,7 @@ def _apart(arrows: FloatArray, gap: float, spacing: Float64Array) -> npt.NDArray
     """
     if not len(arrows):
         return np.zeros(0, dtype=np.intp)
-    # A cell is as long as the gap: a chosen arrow occupies its cells and their neighbours.
+    # Cells are as long as the gap, so a chosen arrow blocks its own cells and their neighbours.
     starts, steps = arrows[:, 0] * spacing / gap, arrows[:, 1] * spacing / gap
     lowest = np.minimum(starts, starts + steps).min(axis=0) - 1
     starts = starts - lowest
@@ -386,8 +389,8 @@ def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
 
 def _is_little_strained(moved: Float64Array) -> bool:
     """Return whether the strain is small enough everywhere to exclude folds."""
-    # If each step between neighbours differs by less than half a pixel, along both axes, from the
-    # step at rest, then the matrix of steps is diagonally dominant and its determinant is positive.
+    # If each component of each step between neighbours differs by less than half a pixel from the
+    # step at rest, the matrix of steps is diagonally dominant and its determinant is positive.
     return all(
         bool(np.abs(np.diff(moved, axis=axis) - step).max(initial=0) < 0.5)
         for axis, step in enumerate(np.eye(2))
@@ -477,7 +480,7 @@ def one_sided_differences(
 ) -> list[Float64Array]:
     """Return the differences with the next and the previous site along the first axis.
 
-    If one neighbour is missing, both differences are those with the existing neighbour. If both
+    If one neighbour is missing, both differences are computed from the existing neighbour. If both
     neighbours are missing, both differences are `unstrained`.
 
     Parameters
@@ -485,7 +488,7 @@ def one_sided_differences(
     moved : ndarray, shape ([D,] H, W, n)
         Moved positions of all sites, from `moved_sites`.
     mask : ndarray of bool, shape ([D,] H, W)
-        Mask of the tissue; no difference crosses its border.
+        Mask of the tissue; differences do not cross its border.
     unstrained : ndarray, shape (n,)
         Step to the next site in unstrained tissue.
 

@@ -1,6 +1,6 @@
 """Directions of the rows and columns of a slice, in the patient or on the screen.
 
-Directions in the patient are known if the axes of the layer, study or result have the names of
+Directions in the patient are known if the axes of the layer, study or result are named after
 patient axes, as in medical scans.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from napari_hmrf.field.drawn_slice import nearest_axes, rotation_of
 from napari_hmrf.field.frame import PATIENT_AXES, Frame, as_tuples
 
-#: Smallest cosine between a pixel axis and its named direction; sheared axes may be below it.
+#: Smallest cosine between a pixel axis and its direction; below it, no directions are named.
 _ASIDE = 0.5
 #: Pairs of opposite directions.
 _PAIRS = (
@@ -26,7 +26,7 @@ _PAIRS = (
     ("deeper", "shallower"),
 )
 _OPPOSITE = {way: other for pair in _PAIRS for way, other in (pair, pair[::-1])} | {"": ""}
-#: Side of the patient by its letter.
+#: Side of the patient for each letter.
 _SIDES = {"S": "head", "I": "feet", "A": "front", "P": "back", "R": "right", "L": "left"}
 
 
@@ -38,9 +38,9 @@ class Directions(NamedTuple):
     directions are "".
 
     Components of a displacement have the order and sign of the pixel axes. A medical image that is
-    stored mirrored is displayed unmirrored, so its column numbers increase to the left. For a layer
-    that is rotated by an angle, within its slices or out of them, displayed components are along
-    the directions of the screen or of the patient.
+    stored mirrored is displayed unmirrored, so its column numbers increase to the left. If a layer
+    is rotated, within its slices or out of them, the displayed components are along the directions
+    of the screen or of the patient.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Directions(NamedTuple):
     order : tuple of int
         Axes of the displacement, in the order ([deep,] rows, columns).
     turn : nested tuple of float, shape (n, n)
-        Rotation matrix from components along the axes, in the order `order`, to components along
+        Matrix that rotates components along the axes, ordered as in `order`, to components along
         the named directions; empty if the axes are not rotated.
     """
 
@@ -144,7 +144,7 @@ class Directions(NamedTuple):
         return next((each for each in same if np.allclose(each, step, atol=1e-6)), step)
 
     def steps_with(self, step: tuple[float, ...]) -> list[tuple[str, tuple[float, ...]]]:
-        """Return `steps`, followed by the given step if it is not empty and not among them."""
+        """Return `steps`, followed by the given step if it is neither empty nor included."""
         steps = self.steps
         if step and step not in [each for _, each in steps]:
             steps.append((self.step(tuple(round(part, 2) for part in self.to_display(step))), step))
@@ -167,19 +167,19 @@ class Directions(NamedTuple):
         return f"to {way}" if way in _SIDES else way
 
     def only(self, axis: int) -> str:
-        """Return the label of the choice to constrain one axis only: "A-P only (rows)"."""
+        """Return the label of the option to constrain one axis only, such as "A-P only (rows)"."""
         name, both = ("rows", "columns")[axis], self.both(axis)
         return f"{both} only ({name})" if both else f"across the image's {name} only"
 
     def both(self, axis: int) -> str:
-        """Return the names of both directions of an axis: "up and down", "A-P"; "" if rotated."""
+        """Return both directions of an axis, such as "up and down" or "A-P"; "" if rotated."""
         way = self[:2][axis]
         if not way or self.turn:
             return ""
         return ("-" if way in _SIDES else " and ").join(next(p for p in _PAIRS if way in p))
 
     def step(self, seen: tuple[float, ...]) -> str:
-        """Describe a step from its components along directions: "5 down, 10 right", "5 P, 10 R"."""
+        """Describe a step by its components, such as "5 down, 10 right" or "5 P, 10 R"."""
         if not self.rows:
             return f"({', '.join(f'{length:g}' for length in seen)})"
         ways = (self.deep, self.rows, self.cols)[-len(seen) :]

@@ -1,4 +1,4 @@
-"""Forward or backward displacement field, as it is stored in a file or a layer."""
+"""Forward or backward displacement field, as stored in a file or a layer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pixels that napari draws of a layer with a transform that tilts the slices.
+"""Pixels that napari draws for a layer with tilted slices.
 
 napari ignores rotations out of a slice. It places rows and columns by the transform restricted to
 the displayed axes, and selects the slice by the inverse transform restricted to the other axes,
@@ -31,7 +31,7 @@ def pixel_drawn(matrix: Array, drawn: list[int], world: Array) -> Array:
     Returns
     -------
     ndarray, shape (D,)
-        Position in pixels, which is a whole number on axes that are not displayed.
+        Position in pixels, which is a whole number along axes that are not displayed.
     """
     inverse, others = np.linalg.inv(matrix), _others(matrix, drawn)
     pixel = np.empty(len(world))

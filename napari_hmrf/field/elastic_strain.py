@@ -13,10 +13,11 @@ and, perpendicular to an image,
     large motion        e_z = nu (1 - J^2) / (2 (1 - 2 nu + nu J^2))   e_z = ((1 + g_z)^-2 - 1) / 2
 
 In plane stress, the stress perpendicular to the slice is zero, which determines e_z. Shear strains
-perpendicular to the image are assumed to be 0. Differences are those of `green_lagrange_strain`.
-Growth and Poisson's ratio at a site are means over the elements around the site, as in the model.
+perpendicular to the image are assumed to be 0. Derivatives are computed as in
+`green_lagrange_strain`. Growth and Poisson's ratio at a site are means over the elements around the
+site, as in the model.
 
-The paper's model has neither Poisson's ratio nor a third direction, and growth is unknown for a
+The paper's model has neither a Poisson's ratio nor a third direction, and growth is unknown for a
 displacement without a model. In these two cases the total Green-Lagrange strain is used.
 """
 
@@ -89,14 +90,15 @@ def elastic_strain(solution: Solution) -> FloatArray:
     Returns
     -------
     ndarray, shape ([D,] H, W, 3, 3), float32
-        Symmetric tensors before the motion, with components in axis order. For an image, the first
+        Symmetric tensors at the undeformed sites, in axis order. For an image, the first
         component is perpendicular to the image. Small strain for `ElasticPrior`, Green-Lagrange
         strain for `NeoHookeanPrior`. NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        If the model has no elastic strain, or the file of the solution lacks the parameters.
+        If the model has no elastic strain, or the solution was read from a file without growth and
+        Poisson's ratios.
     """
     if solution.elasticity is None:
         raise ProblemError(
@@ -112,7 +114,7 @@ def elastic_strain(solution: Solution) -> FloatArray:
 
 
 def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1.0) -> FloatArray:
-    """Compute a scalar from the strain at each site, for the kind of strain of `strain_kind`.
+    """Compute a scalar from the strain at each site; `strain_kind` gives the kind of strain.
 
     Parameters
     ----------
@@ -140,8 +142,8 @@ def _total(
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
     """Compute the total Green-Lagrange strain in a range of the first axis.
 
-    Return the strain, (N, n, n), the strain perpendicular to the image, 0, and the mask of the N
-    sites.
+    Return the strain, (N, n, n), the strain perpendicular to the image, which is 0, and the mask of
+    the N sites.
     """
     d = solution.displacement[sites] * np.float32(fraction)
     gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
@@ -160,7 +162,7 @@ def _elastic(
     assert elasticity is not None
     strain, across, mask = _of_model(solution, elasticity, sites, fraction)
     if elasticity.rigid is not None:
-        # Differences at the border of rigid tissue include soft neighbours, but its strain is 0.
+        # Differences at the border involve soft neighbours, but rigid tissue has no strain.
         rigid = elasticity.rigid[sites][mask]
         strain[rigid], across = 0, np.where(rigid, 0.0, across)
     return strain, across, mask

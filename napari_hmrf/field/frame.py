@@ -1,4 +1,4 @@
-"""Place of a slice or a volume in the world, independent of the layer."""
+"""Position of a slice or a volume in world coordinates, independent of the layer."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ Matrix = tuple[tuple[float, ...], ...]
 #: Names of the world axes of a layer in patient coordinates. Each name is the side of the patient
 #: towards which coordinates increase, with the letters of that side and of the opposite side.
 PATIENT_AXES = {"superior": ("S", "I"), "posterior": ("P", "A"), "left": ("L", "R")}
-#: Attributes of a layer, and keyword arguments of a new layer, that define its place.
+#: Attributes of a layer, and keyword arguments of a new layer, that define its position.
 PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 #: Attributes of a `Frame` that are stored in files.
 _STORED = ("plane", "index", *PLACE, "matrix")
-#: Largest distance, in pixels, between corresponding corners of layers at the same place.
+#: Largest distance, in pixels, between corresponding corners of layers at the same position.
 _TOLERANCE = 1e-3
-#: Upper bound of the index of a slice in a file.
+#: Upper bound of a slice index in a file.
 _FARTHEST = 2**31
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Place of a slice or a volume in the world: its axes in a layer, and the layer's transform.
+    """Position of a slice or volume in the world: its axes in a layer and the layer's transform.
 
     A volume has a depth axis before rows and columns. Below, "slice" also means a volume.
 
@@ -79,7 +79,7 @@ class Frame:
         axis_labels: Sequence[str] | None = None,
         volume: bool = False,
     ) -> Frame:
-        """Return the place of a slice along the last two axes of an unrotated layer.
+        """Return the frame of a slice along the last two axes of an unrotated layer.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class Frame:
         affine : array_like, shape (D + 1, D + 1), optional
             Homogeneous transform to the world that is applied after the scale.
         volume : bool
-            If True, return the place of a volume along the last three axes.
+            If True, return the frame of a volume along the last three axes.
 
         Returns
         -------
@@ -178,18 +178,18 @@ class Frame:
         return self._named(seen, placed=True)
 
     def _in_patient(self, axis: int) -> str:
-        """Return the position of the slice on an axis of the patient; "" for other axes."""
+        """Return the position of the slice along a patient axis; "" for other axes."""
         letters, unit = PATIENT_AXES.get(self.axis_labels[axis]), self.units[axis]
         if letters is None or unit == "pixel":
             return ""
-        # The position is measured along the normal: all points of an oblique slice share it.
+        # The position along the normal is the same for all points of an oblique slice.
         matrix = np.array(self.matrix)
         normal = np.linalg.inv(matrix)[axis, :-1]
         towards = math.copysign(float(np.linalg.norm(normal)), normal[axis])
         far = float(normal @ (matrix @ [*self.index, 1.0])[:-1]) / towards
         # Round to a hundredth of the distance between slices, or finer.
         digits = max(2 + math.ceil(math.log10(abs(towards))), 0)
-        # The first rounding removes rounding errors of files and of the inverse matrix.
+        # The first rounding removes rounding errors in the file and in the inverse matrix.
         far = round(round(far, digits + 4), digits)
         return f"{letters[int(far < 0)]} {abs(far):.12g} {unit_symbol(unit)}"
 
@@ -207,7 +207,7 @@ class Frame:
         return ", ".join(names)
 
     def plane_at(self, across: int, number: int) -> Frame:
-        """Return the place of one plane of this volume, from its number on the axis `across`."""
+        """Return the frame of one plane of this volume, given its index along the axis `across`."""
         index = list(self.index)
         index[self.plane[across]] = number
         plane = (*self.plane[:across], *self.plane[across + 1 :])
@@ -251,8 +251,8 @@ class Frame:
     def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Return arrows of the slice, (N, 2, n), as arrows of the layer, (N, 2, D).
 
-        Arrows are (start, step) in pixels. If there are no arrows, a two-dimensional layer gets
-        one invisible arrow of length 0, because napari cannot draw an empty layer in 3D.
+        Arrows are (start, step) in pixels. If a two-dimensional layer would have no arrows, one
+        invisible arrow of length 0 is returned, because napari cannot draw an empty layer in 3D.
         """
         if not len(arrows) and self.ndim == 2:
             arrows = np.zeros((1, 2, 2))
@@ -262,7 +262,7 @@ class Frame:
         return placed
 
     def placement(self, image: bool = False) -> dict[str, Any]:
-        """Return keyword arguments that place a new layer where its source layer is.
+        """Return keyword arguments that put a new layer at the position of its source layer.
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ class Frame:
         }
 
     def same_place(self, other: Frame, shape: tuple[int, ...]) -> bool:
-        """Return whether a slice with the given shape covers the same region in two frames.
+        """Return whether a slice with the given shape covers the same region in both frames.
 
         Only the axes that both layers have are compared, because napari shows a layer with fewer
         dimensions on all slices.
@@ -306,7 +306,7 @@ class Frame:
         Parameters
         ----------
         other : Frame
-            Place of any slice of the other layer, which may have more or fewer axes.
+            Frame of any slice of the other layer, which may have more or fewer axes.
         sizes : sequence of int
             Number of pixels of the other layer along each axis.
         shape : tuple of int
@@ -334,7 +334,7 @@ class Frame:
     def place_of(
         self, pixel: npt.NDArray[np.float64], shape: tuple[int, ...]
     ) -> tuple[float, ...] | None:
-        """Return the position on the slice of a point of the layer; None if it is outside.
+        """Return the position of a layer point on the slice, or None if the point is not on it.
 
         Parameters
         ----------
@@ -361,7 +361,7 @@ class Frame:
         Parameters
         ----------
         other : Frame
-            Place in the other layer, which may have more or fewer axes.
+            Frame of the other layer, which may have more or fewer axes.
         axes : iterable of int, optional
             Axes of this layer to transform; by default all axes that both layers have. Along the
             remaining axes the result is the position of the slice.
@@ -395,41 +395,41 @@ class Frame:
         return corners
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the place as a dictionary of JSON types, as in `Solution.frame`."""
+        """Return the frame as a dictionary of JSON types, as in `Solution.frame`."""
         values = asdict(self)
         return {name: values[name] for name in _STORED}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Frame:
-        """Create a place from a dictionary as returned by `as_dict`.
+        """Create a frame from a dictionary, as returned by `as_dict`.
 
         Raises
         ------
         ValueError
-            If a value is missing or invalid, or no layer can have this place.
+            If a value is missing or invalid, or if no layer can have this frame.
         """
         try:
             given = {name: values[name] for name in _STORED}
             frame = _PLACES.validate_python(given)
             frame._check()
         except KeyError as error:
-            raise ValueError(f"not the place of a slice: it lacks {error}") from error
+            raise ValueError(f"invalid slice position: it lacks {error}") from error
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"]))
-            raise ValueError(f"not the place of a slice: {where}: {first['msg']}") from error
+            raise ValueError(f"invalid slice position: {where}: {first['msg']}") from error
         except ValueError as error:
-            raise ValueError(f"not the place of a slice: {error}") from error
+            raise ValueError(f"invalid slice position: {error}") from error
         return frame
 
     def _check(self) -> None:
-        """Raise a ValueError if no layer can have this place."""
+        """Raise a ValueError if no layer can have this frame."""
         ndim, plane = self.ndim, self.plane
         known = len(plane) in (2, 3) and len({*plane}) == len(plane)
         if not known or not all(0 <= axis < ndim for axis in plane):
-            raise ValueError(f"its plane is {plane} of {ndim} axes")
+            raise ValueError(f"its plane {plane} is invalid for {ndim} axes")
         if not all(abs(at) < _FARTHEST for at in self.index):
-            raise ValueError(f"its index is {self.index}")
+            raise ValueError(f"its index {self.index} is out of range")
         square = np.ndim(self.shear) == 2
         for name, size in {
             **dict.fromkeys(("scale", "translate", "units", "axis_labels"), (ndim,)),
@@ -442,7 +442,7 @@ class Frame:
             if found != size:
                 raise ValueError(f"its {name} has shape {found}, not {size}")
         if 0 in self.scale:
-            raise ValueError(f"its scale is {self.scale}")
+            raise ValueError(f"its scale {self.scale} contains 0")
         for name in ("rotate", "affine", "matrix"):
             values = np.array(getattr(self, name))
             if len(values) > ndim and values[-1].tolist() != [0.0] * ndim + [1.0]:
@@ -451,23 +451,23 @@ class Frame:
                 raise ValueError(f"its {name} is singular")
         factors = [unit_factor(self.units[axis], self.unit) for axis in plane]
         if not all(is_unit(unit) for unit in self.units) or np.isnan(factors).any():
-            raise ValueError(f"its units are {self.units}")
+            raise ValueError(f"its units {self.units} are unknown or incompatible")
 
     @classmethod
     def of_solution(cls, solution: Solution) -> Frame:
-        """Return the place of a solution; without `frame`, a place at the origin, in pixels.
+        """Return the frame of a solution; if it has none, a frame at the origin, in pixels.
 
         Raises
         ------
         ValueError
-            As for `from_dict`, or if the place and the solution differ in their number of axes.
+            As for `from_dict`, or if the frame and the solution differ in their number of axes.
         """
         n = solution.tissue.ndim
         if not solution.frame:
             return cls.at(solution.spacing, ("pixel",) * n, volume=n == 3)
         frame = cls.from_dict(solution.frame)
         if len(frame.plane) != n:
-            raise ValueError(f"its plane is {frame.plane} of a solution of {n} axes")
+            raise ValueError(f"its plane {frame.plane} does not match a solution with {n} axes")
         return frame
 
 
@@ -477,7 +477,7 @@ _PLACES = TypeAdapter(Frame)
 
 @dataclass(frozen=True)
 class SlicePlace:
-    """Slice of a layer: its axes, its position on each axis, and its displayed name."""
+    """Slice of a layer: its axes, its position along each axis, and its displayed name."""
 
     plane: tuple[int, ...]
     index: tuple[int, ...]

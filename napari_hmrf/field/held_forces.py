@@ -26,7 +26,7 @@ class HeldForce(NamedTuple):
     sites : int
         Number of pixels or voxels.
     force : tuple of float
-        Sum of the forces on the tissue, in the order of the axes and the unit of `reactions`.
+        Sum of the forces on the tissue, in axis order, in the unit of `reactions`.
     """
 
     moves: bool

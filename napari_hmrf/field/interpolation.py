@@ -22,18 +22,18 @@ def look_up(image, smooth, gaps, source, state, tissue, nearest, whole, fill, mo
     smooth : ndarray, shape (H, W, channels)
         Copy of the image for interpolation, without values that are not finite.
     gaps : bool
-        True if the image has values that are not finite. Such a value is copied to each pixel with
-        an origin nearest to it.
+        True if the image has values that are not finite. If the value nearest to the origin of a
+        pixel is not finite, it is copied to that pixel.
     source, state
         Output of `triangle_raster.rasterise`.
     tissue : ndarray, shape (H, W), bool
-        Mask of the tissue. Pixels outside tissue that no tissue reaches retain their value.
+        Mask of the tissue. Pixels outside tissue that no tissue reaches retain their values.
     nearest : bool
         If True, copy the nearest pixel; if False, interpolate between the four nearest pixels.
     whole : bool
         If True, round to integers.
     fill
-        Value of the pixels that tissue leaves uncovered, in the type of the image.
+        Value of uncovered pixels, in the type of the image.
     moved : ndarray, shape (H, W, channels)
         Output.
     """

@@ -16,9 +16,9 @@ from napari_hmrf.solver.problem import as_numbers
 
 Float64Array = npt.NDArray[np.float64]
 
-#: Length of a Newton step, in pixels, below which the iteration stops; largest number of steps.
+#: Newton step length, in pixels, below which the iteration stops; and maximum number of steps.
 _NEAR, _STEPS = 1e-6, 30
-#: Largest Newton step, in pixels. Slopes are unreliable predictors at larger distances.
+#: Largest length of a Newton step, in pixels; slopes are unreliable at larger distances.
 _FARTHEST = 4.0
 #: Number of points that are inverted together, which limits memory to a few MB.
 _AT_ONCE = 2**14
@@ -33,11 +33,11 @@ class Inverse(NamedTuple):
         Displacement u from each grid point P, after the motion, to its origin P + u(P), in the unit
         of the spacing.
     residual : float
-        Largest distance, in pixels, between P and the point to which the field moves P + u(P),
-        for the sites P that moved tissue covers. In a volume with a mask, sites with an origin in
-        the outermost layer of the tissue are excluded. NaN if there are no such sites. A field on a
-        whole volume has no inverse at folds, and its residual is large there. At folds of a slice,
-        or of a volume with a mask, the origin is in the part of the tissue that is not inverted.
+        Largest distance, in pixels, between a site P and the point to which the field moves
+        P + u(P), over the sites that moved tissue covers. In a volume with a mask, sites with an
+        origin in the outermost layer of the tissue are excluded. NaN if no sites remain. A field
+        on a whole volume has no inverse at folds, and its residual is large there. At folds of a
+        slice, or of a volume with a mask, the origin is in the non-inverted part of the tissue.
     """
 
     displacement: Float64Array
@@ -64,7 +64,7 @@ def inverse_displacement(
         Size of a pixel along each axis.
     tissue : array_like of bool, shape ([D,] H, W), optional
         Mask of the tissue that moves; by default all sites. A gap between moved tissue and other
-        sites is filled as if the field were continuous across their border.
+        sites is filled as if the field were continuous across the border between them.
 
     Returns
     -------
@@ -133,8 +133,8 @@ def _refined(
     points: Float64Array,
     origins: Float64Array,
 ) -> tuple[Float64Array, npt.NDArray[np.bool_]]:
-    """Refine origins for trilinear motion; return them and a mask of origins inside the tissue."""
-    # The field is extended beyond the tissue so that Newton steps that leave the tissue can return.
+    """Return origins refined for trilinear motion, and a mask of origins inside the tissue."""
+    # Extend the field beyond the tissue, so that Newton steps that leave the tissue can return.
     refined = origins_at(_extended(pixels, tissue), points, origins)
     near = (np.abs(refined - origins) < 1).all(axis=-1)
     # At the border of the tissue, motion is defined on tetrahedra only and is not refined.
@@ -174,7 +174,7 @@ def _by_newton(
         at = origins[active]
         values, slopes = interpolate_with_slopes(pixels, at)
         slope = slopes + np.eye(3)
-        # Replace singular slopes, which occur at folds, by the identity.
+        # Replace singular slopes, which occur at folds, with the identity.
         slope[np.abs(np.linalg.det(slope)) < 1e-3] = np.eye(3)
         step = np.linalg.solve(slope, (at + values - targets[active])[..., None])[..., 0]
         length = np.linalg.norm(step, axis=-1, keepdims=True)

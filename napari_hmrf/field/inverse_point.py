@@ -13,15 +13,15 @@ import numpy.typing as npt
 from napari_hmrf.field.moved_points import interpolate_with_slopes
 
 Point = TypeVar("Point", bound=tuple[float, ...])
-#: Largest distance, in pixels, between a point and the nearest moved site; beyond it is a gap.
+#: Largest distance, in pixels, from a point to the nearest moved site; points beyond are in a gap.
 _APART = 3.0
-#: Tolerance, in barycentric coordinates, for a point to be inside a tetrahedron; and six times the
-#: volume below which a tetrahedron has collapsed.
+#: Tolerance of the barycentric coordinates of points inside a tetrahedron; and six times the volume
+#: below which a tetrahedron is treated as collapsed.
 _SIDE, _COLLAPSED = 1e-9, 1e-12
 #: Residual, in pixels, below which an origin is exact; largest number of Newton steps; and
 #: determinant of the slopes below which a step is undefined.
 _EXACT, _STEPS, _FLAT = 1e-7, 8, 1e-3
-#: Corners of the six tetrahedra of a cell, as in `inverse_map`. The corners of each tetrahedron are
+#: Corners of the six tetrahedra of a cell, as in `inverse_map`. The corners of each tetrahedron lie
 #: on a path of three edges from the first to the last corner of the cell.
 _TETRAHEDRA = np.array(
     [
@@ -39,7 +39,7 @@ def inverse_point(
     farthest: npt.NDArray[np.floating] | None = None,
     fraction: float = 1.0,
 ) -> Point | None:
-    """Invert the motion at one point, accurate to a fraction of a pixel.
+    """Invert the motion at one point, to within a fraction of a pixel.
 
     This is faster than inverting the motion at all sites. In a volume the result is exact for
     motion that is trilinear in each cell.
@@ -63,7 +63,7 @@ def inverse_point(
     Returns
     -------
     tuple of float, or None
-        Origin X, in pixels, with X + fraction d(X) at the point; None if no tissue is there.
+        Origin X, in pixels, for which X + fraction d(X) is the point; None if no tissue is there.
     """
     size = np.asarray(spacing, dtype=np.float64)
     most = farthest_of(displacement) if farthest is None else farthest
@@ -110,7 +110,11 @@ def _near_site(
 def _in_cells(
     moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
 ) -> npt.NDArray[np.float64] | None:
-    """Find the origin for trilinear motion, from its tetrahedron, in cells that are all tissue."""
+    """Return the origin of a point for motion that is trilinear in each cell, or None.
+
+    The origin for motion that is linear on tetrahedra is returned without refinement if its
+    tetrahedron is inverted, if a cell contains sites outside tissue, or if Newton's method fails.
+    """
     start, is_upright = _in_tetrahedra(moved, tissue, point)
     if start is None or not is_upright:
         return start
@@ -136,9 +140,10 @@ def _in_cells(
 def _in_tetrahedra(
     moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
 ) -> tuple[npt.NDArray[np.float64] | None, bool]:
-    """Return the origin from the moved tetrahedron around a point, and whether it is not inverted.
+    """Return the origin of a point, and whether its tetrahedron is upright, that is, not inverted.
 
-    An inverted tetrahedron is used only if no other tetrahedron contains the point.
+    An inverted tetrahedron is used only if no other tetrahedron contains the point. If there is no
+    tetrahedron around the point, the origin is None.
     """
     cells = [
         moved[tuple(slice(one, size - 1 + one) for one, size in zip(at, tissue.shape, strict=True))]

@@ -1,8 +1,8 @@
 """Repeated warping of the same images, during editing or while a slider is moved.
 
-Results for slices equal those of `warp` and take a tenth of the time, because memory is reused,
-all cores are used, and images are prepared only once. A whole volume takes as long as in `warp`;
-a single slice of a volume takes a hundredth of that time.
+For slices, the results equal those of `warp` and are computed in a tenth of the time, because
+memory is reused, all cores are used, and images are prepared only once. Warping a whole volume
+takes as long as with `warp`; warping a single slice of a volume takes a hundredth of that time.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ from napari_hmrf.solver.problem import as_numbers
 #: Description of the task for other users of the compute thread.
 _DOING = "warping pictures"
 # Dtypes that the compiled loops support. Other dtypes are converted to a supported dtype that
-# represents all their values, to avoid compiling more loops. 64-bit integers do not fit a double.
+# represents all their values, to avoid compiling more loops. A double cannot represent all 64-bit
+# integers.
 _KNOWN = ("uint8", "float32", "float64")
 _INTERPOLATED = {
     **{name: name for name in _KNOWN},
@@ -75,7 +76,7 @@ class Warper:
     Parameters
     ----------
     pictures : Picture, sequence of Picture, or array_like
-        Images on one grid; a single image may be an array.
+        Images on one grid; a single image may be passed as an array.
     spacing : sequence of float, shape (2,) or (3,)
         Size of a pixel along each axis; three entries for a volume.
 
@@ -203,7 +204,7 @@ class Warper:
         Returns
         -------
         list of ndarray, shape (H, W) or (H, W, channels)
-            This slice of the results of `__call__`; new arrays on each call.
+            The requested slice of the results of `__call__`; new arrays on each call.
 
         Raises
         ------
@@ -215,7 +216,7 @@ class Warper:
         d, mask = self._checked(displacement, tissue, sites)
         if not (len(self.shape) == 3 and is_whole(number) and 0 <= number < self.shape[0]):
             raise ProblemError(
-                "number", f"is {shown(number)}. Give the index of a slice of {self.shape} voxels."
+                "number", f"is {shown(number)}. Pass the index of a slice of {self.shape} voxels."
             )
 
         def warped() -> list[npt.NDArray[Any]]:
@@ -227,7 +228,7 @@ class Warper:
     def _checked(
         self, displacement: npt.ArrayLike, tissue: npt.ArrayLike | None, sites: tuple[int, ...]
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-        """Return the displacement on `sites` and the tissue, checked, in dtypes of the loops."""
+        """Check the displacement on `sites` and the tissue; convert them to dtypes of the loops."""
         d = np.ascontiguousarray(as_numbers("displacement", displacement), dtype=np.float32)
         mask = self._everything
         if tissue is not None:
@@ -238,12 +239,12 @@ class Warper:
         ):
             if array.shape != expected:
                 raise ProblemError(
-                    name, f"has shape {array.shape}, but the images need shape {expected}."
+                    name, f"has shape {array.shape}, but the images require shape {expected}."
                 )
         return d, mask
 
     def replace(self, number: int, picture: Picture) -> None:
-        """Replace an image by another image on the same grid."""
+        """Replace an image with another image on the same grid."""
         self._looks[number] = _PreparedPicture(picture, self.shape)
 
     def _without_loops(
@@ -329,7 +330,7 @@ class _PreparedPicture:
         source, covered = origins
         planes, first, image = source[covered, 0], 0, self._image
         if self._order < 2 and len(planes):
-            # Include neighbouring planes: they are used to replace values that are not finite.
+            # Include neighbouring planes, which are used to replace values that are not finite.
             first = max(0, int(planes.min()) - 2)
             image = image[first : int(planes.max()) + 4]
         moved = sampled(image, source - (first, 0, 0), self._order)

@@ -23,7 +23,7 @@ _SLAB = 8
 
 
 class Measurement(NamedTuple):
-    """Measurements of the tissue under one label.
+    """Measurements of the tissue with one label.
 
     Attributes
     ----------
@@ -32,13 +32,12 @@ class Measurement(NamedTuple):
     pixels : int
         Number of pixels of the tissue before the motion.
     size : float
-        Area before the motion, in the squared unit of the spacing; for a volume, its volume in the
-        cubed unit.
+        Area, or volume, before the motion, in the squared, or cubed, unit of the spacing.
     size_change : float
-        Change of the area or volume, in per cent, computed from the cells between sites. Each cell
+        Change in the area or volume, in per cent, computed from the cells between sites. Each cell
         counts towards the tissues at its corners; inverted cells have negative size.
     mean_displacement, largest_displacement : float
-        Length of the displacement, in the unit of the spacing.
+        Mean and largest length of the displacement, in the unit of the spacing.
     mean_strain, largest_strain : float
         Von Mises equivalent strain, in per cent, of the kind given by `strain`.
     folds : int
@@ -73,7 +72,7 @@ def measure(
     labels : array_like of int, shape ([D,] H, W)
         Labels before the motion. Pixels outside the solution's tissue are ignored.
     names : mapping of int to str, optional
-        Name of the tissue under each label.
+        Name of the tissue with each label.
 
     Returns
     -------
@@ -101,7 +100,7 @@ def measure(
     if image.shape != tissue.shape or image.dtype.kind not in "biu":
         raise ProblemError(
             "labels",
-            f"are {grid_in_words(image.shape)} of type {image.dtype}. Give whole numbers on the "
+            f"are {grid_in_words(image.shape)} of type {image.dtype}. Pass whole numbers on the "
             f"{grid_in_words(tissue.shape)} pixels of the solution.",
         )
     spacing = solution.spacing
@@ -150,8 +149,8 @@ def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
 def _cells(moved: Float64Array, mask: BoolArray) -> Float64Array:
     """Return the area, or volume, of the cells between sites, 1 at rest; NaN outside tissue."""
     # The size is exact if tissue moves linearly along the edges of cells, and is negative for
-    # inverted cells. The sum of the sizes is then the area within the outer border of the tissue,
-    # which a sum of determinants at the sites is not.
+    # inverted cells. Unlike a sum of determinants at the sites, the sum of the sizes then equals
+    # the area within the outer border of the tissue.
     corners = [moved[each] for each in _corners(mask.ndim)]
     if mask.ndim == 2:
         a, b, c, d = corners

@@ -24,7 +24,7 @@ _ANGLES = np.linspace(0, 2 * np.pi, 21)
 CIRCLE = np.stack([np.sin(_ANGLES), np.cos(_ANGLES)], axis=-1)
 #: Length of the barbs, and half-width of the cross on fixed tissue, in radii of the patch.
 _BARB = 0.5
-#: Half the length of a double arrow, in radii of the patch; length of its barbs relative to that.
+#: Half-length of a double arrow, in radii of the patch; its barbs, relative to the half-length.
 _BEYOND, _TIP = 1.4, 0.25
 #: Directions of the arms of the crosses in `motion_marks`.
 _X = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -119,7 +119,7 @@ def patch_lines(
 
 
 def motion_marks(at: Array, by: Array, known: Array, apart: float) -> Float64Array:
-    """Return marks for the prescribed motion of sites: an arrow, a cross or a double arrow each.
+    """Return a mark for the prescribed motion of each site: an arrow, a cross or a double arrow.
 
     In a volume the marks are in planes perpendicular to the first axis.
 

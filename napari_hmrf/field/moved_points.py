@@ -11,7 +11,7 @@ import scipy
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
 
-#: Number of line segments that replace a side of a rectangle; number that replace an ellipse.
+#: Numbers of line segments that replace each side of a rectangle, and an ellipse.
 _PIECES, _ROUND = 8, 64
 
 
@@ -23,7 +23,7 @@ def moved_points(
     Parameters
     ----------
     points : array_like, shape (N, n)
-        Positions in pixels, in axis order. Points outside the image move like the nearest point of
+        Positions in pixels, in axis order. Points outside the image move like the nearest point on
         its border.
     displacement : array_like, shape ([D,] H, W, n)
         Material displacement, in the unit of `spacing`.
@@ -44,7 +44,7 @@ def moved_points(
     at = as_numbers("points", points).astype(np.float64)
     n = d.shape[-1]
     if at.ndim != 2 or at.shape[1] != n:
-        raise ProblemError("points", f"have shape {at.shape}. Give (N, {n}), a row for each point.")
+        raise ProblemError("points", f"have shape {at.shape}. Pass (N, {n}), a row for each point.")
     return at + interpolate_linearly(d, at) / spacing
 
 
@@ -73,7 +73,7 @@ def refuse_outside(points: npt.ArrayLike, shape: tuple[int, ...]) -> None:
     raise ProblemError(
         "points",
         f"lie outside the grid of {grid_in_words(shape)} pixels, the first at "
-        f"{tuple(at[0].tolist())}. Give positions in pixels; Grid.to_pixels(points) converts "
+        f"{tuple(at[0].tolist())}. Pass positions in pixels; Grid.to_pixels(points) converts "
         "points in mm.",
     )
 

@@ -42,14 +42,14 @@ class Observation(NamedTuple):
 
 
 class PixelField(NamedTuple):
-    """Displacement field in pixels, and the place of its grid.
+    """Displacement field in pixels, and the frame of its grid.
 
     Attributes
     ----------
     field : DisplacementField
         Field in the pixels of its grid, with one component for each axis of the grid.
     frame : Frame
-        Place of the first site of the grid.
+        Frame of the grid, which defines the position of its first site.
     """
 
     field: DisplacementField
@@ -62,7 +62,7 @@ class PixelField(NamedTuple):
         return cls(DisplacementField.in_pixels(pixels), place)
 
     def on(self, frame: Frame, shape: tuple[int, ...]) -> Observation:
-        """Resample the field on the pixels of a slice or volume, by world coordinates.
+        """Resample the field to the pixels of a slice or volume, using world coordinates.
 
         If only one of the two grids has a unit of length, their pixels are assumed to correspond
         one to one.
@@ -70,7 +70,7 @@ class PixelField(NamedTuple):
         Parameters
         ----------
         frame : Frame
-            Place of the slice or volume.
+            Frame of the slice or volume.
         shape : tuple of int
             Shape of the slice or volume.
 
@@ -88,8 +88,8 @@ class PixelField(NamedTuple):
         if min(frame.plane) + more < 0 or max((1, *own[: max(more, 0)])) > 1:
             raise ProblemError(
                 "observed",
-                f"is {grid_in_words(own)}, and the image is not a slice of this grid. Give both "
-                "the same axes.",
+                f"is {grid_in_words(own)}, and the image is not a slice of this grid. Use the "
+                "same axes for both.",
             )
         to, back = self.frame.from_pixels_of(frame), frame.from_pixels_of(self.frame)
         if to is None or back is None:
@@ -100,7 +100,7 @@ class PixelField(NamedTuple):
         known = ((at > -_REACH) & (at < np.array(own) - 1 + _REACH)).all(axis=1)
         if not known.any():
             raise ProblemError(
-                "observed", "lies elsewhere than the image. Give both the same place."
+                "observed", "does not overlap the image. Use the same position for both."
             )
         steps = np.zeros((len(at), frame.ndim))
         steps[known] = self.field.at(at[known]) @ back[:, :-1].T
@@ -116,15 +116,15 @@ class PixelField(NamedTuple):
             raise ProblemError(
                 "observed",
                 f"is {grid_in_words(own)} in {self.frame.unit}, but the image is "
-                f"{grid_in_words(shape)} in {frame.unit}. Give the image its place in units of "
-                "length, or use a field on its pixels.",
+                f"{grid_in_words(shape)} in {frame.unit}. Set the scale of the image in a unit of "
+                "length, or use a field on the pixels of the image.",
             )
         ends, last = [axis - 1 for axis in axes], range(-len(axes) - 1, -1)
         ordered = np.moveaxis(self.field.displacement, ends, tuple(last))
         d = ordered.reshape(*shape, -1)[..., axes] * frame.spacing
         note = (
             f"is in {self.frame.unit} and the image in {frame.unit}: the pixels of both are "
-            "assumed to be the same. Give the image its unit of length if that is wrong"
+            "assumed to be the same. If they are not, set the unit of length of the image"
         )
         return Observation(d.astype(np.float32), np.ones(shape, bool), 0.0, note)
 
@@ -142,7 +142,7 @@ def arrow_observation(
     vectors : ndarray, shape (N, 2, D)
         Arrows of a Vectors layer as (start, step), in the pixels of the image.
     own : Frame
-        Place of the slice or volume in the layer.
+        Frame of the slice or volume in the layer.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis of the grid, in the unit of the displacement.
     shape : tuple of int, shape (n,)
@@ -160,7 +160,9 @@ def arrow_observation(
     """
     bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
     if len(bad):
-        raise ProblemError("observed", f"has NaN or infinity in vector {bad[0]}. Remove it.")
+        raise ProblemError(
+            "observed", f"has NaN or infinity in vector {bad[0]}. Remove the vector."
+        )
     others, here = list(own.others), own.has(vectors[:, 0])
     inward = vectors[:, 1][:, list(own.plane)].any(axis=1)
     outward = vectors[:, 1][:, others].any(axis=1) & ~inward
@@ -174,7 +176,7 @@ def arrow_observation(
             "observed",
             f"has {len(outside)} vectors that start outside the image of {grid_in_words(shape)} "
             f"pixels, the first being vector {rows[first]} at {tuple(at[first].tolist())}. "
-            "Remove them.",
+            "Remove these vectors.",
         )
     y = np.zeros((*shape, len(shape)), dtype=np.float32)
     known = np.zeros(shape, dtype=bool)

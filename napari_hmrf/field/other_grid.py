@@ -22,7 +22,7 @@ from napari_hmrf.solver.solution import Solution
 Array = npt.NDArray[Any]
 #: Largest distance, in pixels, between corresponding pixels of equal grids.
 _SAME = 1e-3
-#: Largest distance between a point on a slice and the centre of the slice, in slices.
+#: Largest distance, in slices, between a point on a slice and the centre plane of the slice.
 _ON = 0.5
 #: Names of axes that are spatial even without a unit of length.
 _DEPTHS = ("z", "depth", "slice", "plane", "section")
@@ -38,9 +38,9 @@ class OtherGrid:
     ----------
     solution : Solution
     to : ndarray, shape (m + k, n + 1)
-        Transform from homogeneous pixels of the grid. The first m rows give pixels along the axes
-        of the solution. The other k rows give the distance from the slice of the solution, in
-        slices, along the axes perpendicular to the slice.
+        Transform of homogeneous pixels of the grid. The first m rows yield pixels along the axes
+        of the solution. The other k rows yield the distance, in slices, from the slice of the
+        solution along each axis perpendicular to it.
     plane : sequence of int, shape (m,)
         Axes of the grid that correspond to the axes of the solution.
     """
@@ -60,7 +60,7 @@ class OtherGrid:
         ----------
         solution : Solution
         frame, own : Frame
-            Places of the solution and of the grid.
+            Frames of the solution and of the grid.
 
         Returns
         -------
@@ -69,8 +69,8 @@ class OtherGrid:
         Raises
         ------
         ProblemError
-            If the units of the grid cannot be converted to those of the solution, or the grid is
-            at an angle to the slice of the solution.
+            If the units of the grid cannot be converted to the units of the solution, or the grid
+            is at an angle to the slice of the solution.
         """
         more = own.ndim - frame.ndim
         plane = [axis + more for axis in frame.plane]
@@ -81,13 +81,13 @@ class OtherGrid:
         transform = frame.from_pixels_of(own, counted)
         if transform is None:
             raise ProblemError(
-                "observed", "has other units than the result. Give both the same units."
+                "observed", "has different units from the result. Use the same units for both."
             )
         to = transform[counted]
         out = to[len(plane) :]
         out[:, -1] -= np.array(frame.index)[across]
         if np.abs(out[:, plane]).max(initial=0.0) * max(solution.tissue.shape) > 1:
-            raise ProblemError("observed", "is at an angle to the result. Resample one of them.")
+            raise ProblemError("observed", "is at an angle to the result. Resample one of the two.")
         return cls(solution, to, plane)
 
     def moved_points(self, points: Array) -> Array:
@@ -121,7 +121,7 @@ class OtherGrid:
             index = np.zeros(n)
             index[others] = numbers
             at = np.round(self.to @ [*index, 1.0], 6)
-            if before is None or not np.array_equal(at, before):  # it is the same at all times
+            if before is None or not np.array_equal(at, before):  # equal along a time axis
                 before, origins = at, self._origins_on(index, slices.shape[len(others) : n])
             if origins is not None:
                 picture = slices[numbers]

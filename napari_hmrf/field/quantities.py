@@ -52,7 +52,7 @@ class Coloured(NamedTuple):
     signed : bool
         True if the middle of the scale means no change; False if its lower end does.
     folded : bool
-        True if tissue is folded; values at folds are at the lower limit or below.
+        True if any tissue is folded; values at folds are at or below the lower limit.
     """
 
     values: FloatArray

@@ -1,7 +1,7 @@
-"""Compilation of the loops and shaders of a drag, before the first drag.
+"""Trial run that compiles the loops and shaders of a drag before the first drag.
 
-Compiled code is cached on disk, so compilation takes time only once per computer. Without this
-module, the first drag would wait for the compiler.
+Compiled code is cached on disk, so compilation takes time only once per computer. Without the
+trial run, the first drag would wait for the compiler.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def rehearse(
     left: CancelFlag,
     more: bool = False,
 ) -> None:
-    """Solve a small problem and warp a small image, to compile the code of a drag.
+    """Solve a small problem and warp a small image, to compile the code that a drag uses.
 
     Call on the compute thread only.
 

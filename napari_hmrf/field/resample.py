@@ -57,7 +57,7 @@ def resample(
     if source.shape != (*mask.shape, mask.ndim) or mask.ndim not in (2, 3):
         raise ProblemError(
             "coordinates",
-            f"have shape {source.shape}, but covered has {mask.shape}. Give both results of "
+            f"have shape {source.shape}, but covered has {mask.shape}. Pass both results of "
             "inverse_map.",
         )
     picture = as_image(image, mask.shape)
@@ -72,7 +72,7 @@ def resample(
         if (mask & ~known).any():
             raise ProblemError(
                 "coordinates",
-                f"are NaN or infinite at {int((mask & ~known).sum())} covered pixels. Give both "
+                f"are NaN or infinite at {int((mask & ~known).sum())} covered pixels. Pass both "
                 "results of inverse_map.",
             )
         source = np.where(known[..., None], source, 0.0)
@@ -236,7 +236,7 @@ def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
         raise ProblemError(
             "image",
             f"has shape {picture.shape}, but the displacement is on a grid of {tuple(grid)}. "
-            f"Give an image {given} on the same pixel grid.",
+            f"Pass an image {given} on the same pixel grid.",
         )
     return picture
 
@@ -261,21 +261,21 @@ def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
     except (TypeError, ValueError, OverflowError):
         fits = False
     if not fits:
-        raise ProblemError("fill", f"is {shown(fill)}. Give a value that fits the type {dtype}.")
+        raise ProblemError("fill", f"is {shown(fill)}. Pass a value that fits the type {dtype}.")
     return np.asarray(fill).astype(dtype)
 
 
 def filled_in(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], BoolArray]:
-    """Replace each NaN or infinite value by the value of the nearest finite pixel.
+    """Replace each NaN or infinite value with the value of the nearest finite pixel.
 
     This is required before interpolation, because a NaN spreads even with a weight of 0.
 
     Returns
     -------
     values : ndarray, shape ([D,] H, W)
-        Filled values; the given array itself if all or none of its values are finite.
+        Filled values; the input array itself if all or none of its values are finite.
     bad : ndarray, shape ([D,] H, W), bool
-        Mask of the given values that are not finite.
+        Mask of the input values that are not finite.
     """
     bad = ~np.isfinite(values)
     if bad.any() and not bad.all():
@@ -302,7 +302,7 @@ def _interpolated(
             moved = np.where(bad[nearest], channel[nearest], moved)
         return moved
     bounds = np.iinfo(channel.dtype)
-    # The largest 64-bit integers are not floats; use the next lower float, which is in the range.
+    # A float cannot represent the largest 64-bit integers, so use the next lower float.
     highest = float(bounds.max)
     if int(highest) > bounds.max:
         highest = math.nextafter(highest, 0)

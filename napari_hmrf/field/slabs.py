@@ -47,7 +47,7 @@ def with_neighbours(slab: slice, depth: int) -> tuple[slice, slice]:
     slab : slice
         Range of planes.
     depth : int
-        Number of planes of the volume; the result does not exceed them.
+        Number of planes of the volume, to which the result is clipped.
 
     Returns
     -------

@@ -171,7 +171,7 @@ def green_lagrange_strain(
     Returns
     -------
     ndarray, shape ([D,] H, W, n, n), float32
-        Symmetric tensors before the motion, with components in axis order. NaN outside tissue.
+        Symmetric tensors at the undeformed sites, in axis order. NaN outside tissue.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def green_lagrange_strain(
 
 def green_lagrange(gradient: Float64Array) -> Float64Array:
     """Return the Green-Lagrange strain of displacement gradients H, shape (N, n, n)."""
-    # Compute (F^T F - I) / 2 from H: in F, small strains would be lost to rounding next to 1.
+    # Compute (F^T F - I) / 2 from H, because F would lose small strains to rounding next to 1.
     product = np.einsum("...ki,...kj->...ij", gradient, gradient)
     return np.asarray(symmetric(gradient) + product / 2)
 
@@ -265,8 +265,9 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
     """Return the von Mises equivalent strain, a scalar measure of distortion.
 
     The equivalent strain is sqrt(2/3 e':e'), where e' = e - tr(e)/3 I is the deviatoric part of the
-    strain, which changes the shape but not the volume. For a bar of incompressible tissue that is
-    stretched by e along its axis it equals e; for a simple shear by g it equals g / sqrt(3).
+    strain, which changes the shape but not the volume. The equivalent strain equals e for a bar of
+    incompressible tissue that is stretched by e along its axis, and g / sqrt(3) for a simple shear
+    by g.
 
     Parameters
     ----------
@@ -289,7 +290,7 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
     """
     tensor = _as_strain(strain, 2, 3)
     across = as_numbers("through", through).astype(np.float64)
-    # Differences of infinite strains are invalid, and squares of very large strains overflow.
+    # Subtracting infinite strains is invalid, and squaring very large strains overflows.
     with np.errstate(invalid="ignore", over="ignore"):
         if tensor.shape[-1] == 3:
             mean = np.trace(tensor, axis1=-1, axis2=-2)[..., None, None] / 3
@@ -366,11 +367,11 @@ def symmetric(tensor: Float64Array) -> Float64Array:
 
 
 def _as_strain(strain: npt.ArrayLike, *axes: int) -> Float64Array:
-    """Check that strains are (n, n) tensors with n in `axes`; return them as float64."""
+    """Check that strains are (n, n) tensors with n in `axes`, and convert them to float64."""
     tensor = as_numbers("strain", strain).astype(np.float64, copy=False)
     if tensor.shape[-2:] not in [(n, n) for n in axes]:
         needed = " or ".join(f"(..., {n}, {n})" for n in axes)
         raise ProblemError(
-            "strain", f"has shape {tensor.shape}. Give {needed}, in the order of the axes."
+            "strain", f"has shape {tensor.shape}. Pass {needed}, in the order of the axes."
         )
     return tensor

@@ -1,8 +1,8 @@
 """Compiled loops that rasterize the moved tetrahedra of a volume into an inverse map.
 
 This module imports numba. `warp` imports this module when the first volume is warped, and only then
-are its loops compiled. All loops are in one file, because a change of this file invalidates numba's
-cache, but a change of an imported module does not.
+are its loops compiled. All loops are in one file, because a change to this file invalidates numba's
+cache, but a change to an imported module does not.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
@@ -19,7 +19,7 @@ _kept = {"cache": True, "nogil": True, **_LOOPS}
 
 # Tolerance, in barycentric coordinates, for a voxel to be inside a tetrahedron.
 _SIDE = 1e-9
-# Six times the volume, in voxels, below which a tetrahedron has collapsed and covers no voxel.
+# Six times the volume, in voxels, below which a tetrahedron is collapsed and covers no voxel.
 _COLLAPSED = 1e-12
 # Largest distance, in voxels, between two origins of a voxel that belong to the same tissue.
 _NEAR = 1.0
@@ -37,9 +37,9 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 # Residual, in voxels, below which an origin is exact; largest number of Newton steps; and
 # determinant of the gradient below which a step is undefined.
 _EXACT, _STEPS, _FLAT = 1e-7, 8, 1e-3
-# Largest difference, in voxels and summed over the axes, between the displacements of a cell's
-# corners for which inversion is not checked. Below 1, the edge matrix of a tetrahedron is never
-# singular.
+# Largest difference between the displacements of a cell's corners, in voxels summed over the axes,
+# up to which the cell is not checked for inversion. Below 1, the edge matrix of a tetrahedron is
+# never singular.
 _ALIKE = 0.9
 
 
@@ -62,7 +62,7 @@ def _mark(source, state, value, plane, row, col, from_plane, from_row, from_col)
 @_callee
 def _draw(moved, source, state, value, first, past, plane, row, col, way):
     """Draw a moved tetrahedron if it has the requested orientation; return True if inverted."""
-    # With `value` 2, draw tetrahedra that are not inverted; with `value` 1, draw inverted ones. A
+    # With `value` 2, draw non-inverted tetrahedra; with `value` 1, draw inverted tetrahedra. A
     # voxel with a state of at least `value` is unchanged, except that its state becomes `TWICE` if
     # the new origin is distant. Only planes from `first` to `past` - 1 are drawn. For a tetrahedron
     # that does not intersect these planes, the result is False.
@@ -148,7 +148,7 @@ def _is_face(tissue, plane, row, col):
 
 @_callee
 def _steps_of(moved, plane, row, col):
-    """Return the smallest and the largest displacement, per axis, of the sites of `_is_face`."""
+    """Return the smallest and the largest displacement, per axis, of the corners of a cell face."""
     least, most = (math.inf, math.inf, math.inf), (-math.inf, -math.inf, -math.inf)
     for corner in range(4):
         i, j = plane + corner // 2, row + corner % 2
@@ -160,7 +160,7 @@ def _steps_of(moved, plane, row, col):
 
 @_callee
 def _claims(moved, source, state, plane, row, col, way, to_plane, to_row, to_col):
-    """Draw a tetrahedron that is not inverted onto a voxel; return whether it covers the voxel."""
+    """Draw a non-inverted tetrahedron onto a voxel; return whether it covers the voxel."""
     b0, b1, b2 = _SECOND[way]
     c0, c1, c2 = _THIRD[way]
     az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
@@ -304,7 +304,7 @@ def _tetrahedra(moved, tissue, source, state, reach, first, past):
 @_callee
 def _patch(moved, source, state, longest, first, past, plane, row, col, one, other):
     """Draw a moved square, spanned by two unit steps from a site, onto empty voxels."""
-    # If one step is (0, 0, 0), the square is a line; if both steps are, the square is a point.
+    # If one step is (0, 0, 0), the square is a line; if both steps are 0, the square is a point.
     _, height, width = state.shape
     i, j, k = plane + one[0], row + one[1], col + one[2]
     az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
@@ -551,14 +551,14 @@ def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
     reach : ndarray, shape (D, 2), float64
         Output of `surface`.
     begin, end : int
-        Range of the planes of voxels to draw; `end` is excluded.
+        Range of the planes of voxels to draw; `end` is exclusive.
     slabs : int
         Number of slabs into which these planes are divided: one or a few for each core.
     source : ndarray, shape (P, H, W, 3), float64
         Output, initially 0: origin of the tissue on each voxel, in voxels.
     state : ndarray, shape (P, H, W), uint8
         Output, initially 0: 0 if no tissue has moved onto the voxel; 1 for an inverted
-        tetrahedron; 2 for a tetrahedron that is not inverted; 3 for two such tetrahedra with
+        tetrahedron; 2 for a non-inverted tetrahedron; 3 for two non-inverted tetrahedra with
         origins more than a voxel apart.
     """
     for number in numba.prange(slabs):
@@ -570,7 +570,7 @@ def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
 
 @numba.njit(parallel=True, **_kept)
 def outline(moved, tissue, outer, reach, longest, begin, end, slabs, source, state):
-    """Fill the voxels that no tetrahedron covers: with the outline of the tissue, or as void.
+    """Fill the voxels that no tetrahedron covers, with the outline of the tissue or as void.
 
     The outline consists of the outermost sites, and the lines and squares between them. With
     the outline, tissue that is one voxel thin remains visible, and all tissue extends half a voxel
@@ -582,7 +582,7 @@ def outline(moved, tissue, outer, reach, longest, begin, end, slabs, source, sta
         Output of `surface`.
     longest : float
         Sum of the sides of the volume, in voxels. It limits the number of points of lines and
-        squares that are stretched further than this.
+        squares that are stretched to a greater length.
     moved, tissue, reach, begin, end, slabs, source, state
         As for `rasterise`, which must be called first. `state` is 2 where the outline is drawn. If
         all planes are given (P = D), the `source` of each empty voxel outside tissue is the voxel.

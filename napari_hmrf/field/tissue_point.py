@@ -16,7 +16,7 @@ from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
 #: Remark after the Jacobian at a fold, where the displayed value is the smallest determinant of the
-#: elements around the site; elsewhere it is their mean.
+#: elements around the site; elsewhere, the displayed value is the mean of these determinants.
 _FOLDS = " (folds: value at the worst corner)"
 _FULL = 100
 
@@ -83,7 +83,7 @@ class Points:
         return inverse_point(place, *field, self._farthest, fraction)
 
     def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the moved positions, (N, n) in pixels, of tissue points, (N, n) in pixels."""
+        """Return the moved positions of tissue points, both of shape (N, n) in pixels."""
         return moved_points(places, self._solution.displacement, spacing=self._solution.spacing)
 
     def at(self, place: tuple[float, ...], fraction: float = 0.0) -> Probe | None:
@@ -106,7 +106,7 @@ class Points:
         if not (site and holds(solution.tissue, site)):
             return None
         step = solution.displacement[site]
-        # The values at a site depend only on neighbouring sites; a whole volume would be slow.
+        # The values at a site depend only on neighbouring sites; computing all sites would be slow.
         around = tuple(slice(max(at - 1, 0), at + 2) for at in site)
         near = replace(
             solution,

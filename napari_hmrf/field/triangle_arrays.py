@@ -18,7 +18,7 @@ Mask = npt.NDArray[np.bool_]
 
 # Tolerances as in `triangle_raster`.
 _EDGE, _COLLAPSED, _NEAR = 1e-9, 1e-12, 1.0
-# States of a pixel: no tissue; inverted triangle; triangle that is not inverted; two of the latter.
+# States of a pixel: no tissue; inverted triangle; non-inverted triangle; two non-inverted ones.
 _EMPTY, _TURNED, _KEPT, TWICE = 0, 1, 2, 3
 # Number of pixels that are tested together.
 _AT_ONCE = 1_000_000

@@ -1,7 +1,7 @@
 """Compiled loops that rasterize the moved triangles of an image into an inverse map.
 
 This module imports numba. `warp` imports this module on first use. All loops are in one file,
-because a change of this file invalidates numba's cache, but a change of an imported module does
+because a change to this file invalidates numba's cache, but a change to an imported module does
 not.
 """
 
@@ -13,8 +13,8 @@ import math
 import numba
 import numpy as np
 
-# Decorators of functions that only compiled code calls. `_inlined` avoids a function call for each
-# cell, which would be a quarter of the run time.
+# Decorators for functions that only compiled code calls. `_inlined` avoids a function call for each
+# cell; the calls would take a quarter of the run time.
 _LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
 _inlined = numba.njit(no_cpython_wrapper=True, forceinline=True, **_LOOPS)
@@ -23,7 +23,7 @@ _kept = {"cache": True, "nogil": True, **_LOOPS}
 
 # Tolerance, in barycentric coordinates, for a pixel to be inside a triangle.
 _EDGE = 1e-9
-# Twice the area, in pixels, below which a triangle has collapsed and covers no pixel.
+# Twice the area, in pixels, below which a triangle is collapsed and covers no pixel.
 _COLLAPSED = 1e-12
 # Largest distance, in pixels, between two origins of a pixel that belong to the same tissue.
 _NEAR = 1.0
@@ -33,10 +33,10 @@ TWICE = 3
 
 @_inlined
 def _draw(moved, source, state, value, first, past, a_row, a_col, b_row, b_col, c_row, c_col):
-    """Draw the moved triangle a, b, c if it has the requested orientation; True if inverted."""
-    # With `value` 2, draw triangles that are not inverted; with `value` 1, draw inverted ones. A
-    # pixel with a state of at least `value` is unchanged, except that its state becomes `TWICE` if
-    # the new origin is distant. Only rows from `first` to `past` - 1 are drawn.
+    """Draw a moved triangle if it has the requested orientation; return True if inverted."""
+    # With `value` 2, draw non-inverted triangles; with `value` 1, draw inverted triangles. A pixel
+    # with a state of at least `value` is unchanged, except that its state becomes `TWICE` if the
+    # new origin is distant. Only rows from `first` to `past` - 1 are drawn.
     ay = moved[a_row, a_col, 0]
     ax = moved[a_row, a_col, 1]
     by = moved[b_row, b_col, 0] - ay
@@ -263,8 +263,8 @@ def rasterise(moved, tissue):
         Origin of the tissue on each pixel, in pixels.
     state : ndarray, shape (H, W), uint8
         0 if no tissue has moved onto the pixel; 1 for an inverted triangle; 2 for a line or a
-        triangle that is not inverted; 3 for two triangles that are not inverted, with origins more
-        than a pixel apart.
+        non-inverted triangle; 3 for two non-inverted triangles with origins more than a pixel
+        apart.
     """
     height, width = tissue.shape
     source = np.zeros((height, width, 2))
@@ -314,7 +314,7 @@ def rasterise_displaced(
     height, width = tissue.shape
     fine = np.ones(height, np.bool_)
     for number in numba.prange(height):
-        row = np.int64(number)  # the counter of a numba parallel loop has another integer type
+        row = np.int64(number)  # the counter of a numba parallel loop has a different integer type
         for col in range(width):
             # The displacement outside tissue is ignored.
             by_row = fraction * displacement[row, col, 0] if tissue[row, col] else 0.0

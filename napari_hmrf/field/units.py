@@ -1,7 +1,7 @@
 """Units of length, named as in layers and files, and rounding of displayed lengths.
 
-The functions import pint on first use, because that import takes a third of the time to import the
-package.
+The functions import pint on first use, because importing pint would take a third of the import time
+of the package.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def unit_factor(unit: str, to: str) -> float:
 def has_same_spacing(
     spacing: Sequence[float], unit: str, other: Sequence[float], other_unit: str
 ) -> bool:
-    """Return whether two pixels have the same size, up to rounding errors of files.
+    """Return whether two pixels have the same size, up to rounding errors in the files.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def has_same_spacing(
     Returns
     -------
     bool
-        True if the sizes are equal; False if the units cannot be converted.
+        True if the sizes are equal; False if they differ or the units cannot be converted.
     """
     is_known = unit not in UNKNOWN_UNITS and other_unit not in UNKNOWN_UNITS
     factor = unit_factor(unit, other_unit) if is_known else 1.0
@@ -82,7 +82,7 @@ def is_unit(unit: str) -> bool:
 
 
 def unit_symbol(unit: str) -> str:
-    """Return the symbol of a unit of length, such as "px" or "mm"; its name if it has none."""
+    """Return the symbol of a unit of length, such as "px" or "mm", or its name if it has none."""
     if unit == "pixel":
         return "px"
     import pint  # heavy: pint

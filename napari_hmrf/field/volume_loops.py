@@ -27,8 +27,8 @@ def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
     smooth : ndarray, shape (D, H, W, channels)
         Copy of the image for interpolation, without values that are not finite.
     gaps : bool
-        True if the image has values that are not finite. Such a value is copied to each voxel with
-        an origin nearest to it.
+        True if the image has values that are not finite. If the value nearest to the origin of a
+        voxel is not finite, it is copied to that voxel.
     source : ndarray, shape (P, H, W, 3), float64
         Origins of the voxels of some planes, from `inverse_map`.
     covered : ndarray, shape (P, H, W), bool
@@ -94,8 +94,8 @@ def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
 @_callee
 def _steps(moved, tissue, plane, row, col, i, j, k):
     """Return the differences with the next and the previous site in the direction (i, j, k)."""
-    # If one neighbour is missing, both differences are those with the existing neighbour. If both
-    # are missing, both differences are the undeformed step.
+    # If one neighbour is missing, both differences are computed from the existing neighbour. If
+    # both neighbours are missing, both differences are the undeformed step.
     depth, height, width = tissue.shape
     z, y, x = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
     following = previous = 1.0 * i, 1.0 * j, 1.0 * k

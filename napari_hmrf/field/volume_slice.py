@@ -92,7 +92,7 @@ def _planes_near(ends: Float64Array, number: int, depth: int, every: int) -> tup
 
     `ends`, (2, D'), is the range of the displacement along the first axis in each coarse plane.
     """
-    # The target of a NaN is unknown. If the NaN is in tissue, `moved_sites` raises an error later.
+    # A voxel with a NaN may move anywhere. If it is tissue, `moved_sites` raises an error later.
     lowest = np.nan_to_num(ends.min(axis=0), nan=-np.inf)
     highest = np.nan_to_num(ends.max(axis=0), nan=np.inf)
     planes, last = np.arange(depth), len(lowest) - 1

@@ -89,7 +89,7 @@ def inverse_map(
 ) -> tuple[Float64Array, BoolArray]:
     """Compute the origin of each pixel: the position of its tissue before the motion.
 
-    Where tissue has folded over itself, the part that is not inverted is visible.
+    Where tissue has folded over itself, the non-inverted part is visible.
 
     Parameters
     ----------
@@ -131,9 +131,8 @@ def inverse_map_and_overlaps(
     coordinates, covered
         As in `inverse_map`.
     overlaps : ndarray, shape ([D,] H, W), bool
-        Mask of the pixels onto which tissue that is not inverted has moved from two positions more
-        than a pixel apart. Either part may be visible. Tissue that is only one pixel thin is
-        ignored.
+        Mask of the pixels onto which non-inverted tissue has moved from two positions more than a
+        pixel apart. Either part may be visible. Tissue that is only one pixel thin is ignored.
 
     Raises
     ------
@@ -253,7 +252,7 @@ def moved_sites(
             raise ProblemError(
                 "tissue",
                 f"has shape {mask.shape}, but the displacement has shape {d.shape}, so "
-                f"{d.shape[:-1]} is needed. Give both on the same pixel grid.",
+                f"{d.shape[:-1]} is needed. Use the same pixel grid for both.",
             )
     moved = _added(d, sizes, mask, fraction)
     if not all(map(_is_finite, moved)):
@@ -277,7 +276,7 @@ def _added(
 ) -> Float64Array:
     """Return the position of each site, in pixels, at a fraction of the displacement."""
     # Planes are processed one by one, because a plane fits into the CPU cache. The components of a
-    # row form one line, because NumPy inner loops over 3 numbers are as slow as over a hundred.
+    # row form one line, because a NumPy loop over 3 numbers is as slow as a loop over a hundred.
     (height, width), n = mask.shape[-2:], mask.ndim
     moved, size = np.empty(d.shape), np.tile(sizes, width)
     scaled = bool((sizes != 1).any())
@@ -303,7 +302,7 @@ def checked_sizes(spacing: Spacing, axes: int = 2) -> Float64Array:
     sizes = np.array(reals((spacing,) * axes if one else spacing, axes))
     if not (np.isfinite(sizes) & (sizes > 0)).all():
         raise ProblemError(
-            "spacing", f"is {shown(spacing)}. Give {axes} positive, finite pixel sizes."
+            "spacing", f"is {shown(spacing)}. Pass {axes} positive, finite pixel sizes."
         )
     return sizes
 
@@ -314,7 +313,7 @@ def as_field(displacement: npt.ArrayLike) -> npt.NDArray[Any]:
     if d.ndim not in (3, 4) or d.shape[-1] != d.ndim - 1:
         raise ProblemError(
             "displacement",
-            f"has shape {d.shape}. Give (H, W, 2), or (D, H, W, 3) for a volume: one vector per "
+            f"has shape {d.shape}. Pass (H, W, 2), or (D, H, W, 3) for a volume: one vector per "
             "pixel, in the order of the axes.",
         )
     return d

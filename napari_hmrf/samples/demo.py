@@ -63,7 +63,7 @@ class Demonstration:
             ("renderer", f"{run.renderer} ({run.backend})"),
             ("levels", f"{len(solution.levels)}"),
             ("iterations", f"{solution.iterations}"),
-            ("seconds", f"{run.seconds:.2f} (and {run.preparation_seconds:.2f} to get ready)"),
+            ("seconds", f"{run.seconds:.2f} (plus {run.preparation_seconds:.2f} to prepare)"),
             ("mean energy", f"{solution.mean_energy:.4g} px^2 per site"),
             *self._distances(),
             ("folds", f"{self.folds}"),

@@ -98,7 +98,7 @@ class Phantom:
         Parameters
         ----------
         strain : float
-            Growth of the tumour, as a relative change of length. With the default, the rim of the
+            Growth of the tumour, as a relative change in length. With the default, the rim of the
             tumour moves by about 8 pixels at size 300, as in "mass-effect".
 
         Returns
@@ -137,7 +137,7 @@ def phantom(name: str, size: int = 300) -> Phantom:
     Raises
     ------
     ArgumentError
-        If there is no phantom of this name, or if `size` is not a whole number of at least 16.
+        If there is no phantom with this name, or if `size` is not a whole number of at least 16.
     """
     size = _checked(name, size)
     if name == "bar":
@@ -166,7 +166,7 @@ def sample(name: str) -> Phantom:
     Raises
     ------
     ArgumentError
-        If there is no phantom of that name.
+        If there is no phantom with this name.
     FileNotFoundError
         If the installation is incomplete.
     """
@@ -192,7 +192,7 @@ def reference_displacement(name: str) -> npt.NDArray[np.float32]:
     Raises
     ------
     ArgumentError
-        If there is no phantom of that name.
+        If there is no phantom with this name.
     FileNotFoundError
         If the installation is incomplete.
     """
@@ -203,7 +203,7 @@ def reference_displacement(name: str) -> npt.NDArray[np.float32]:
 def _checked(name: str, size: object) -> int:
     if not is_one_of(name, PHANTOM_NAMES):
         names = ", ".join(PHANTOM_NAMES)
-        raise ArgumentError(f"there is no phantom {shown(name)}; choose from {names}")
+        raise ArgumentError(f"unknown phantom {shown(name)}; use one of {names}")
     try:
         pixels = operator.index(size)  # type: ignore[arg-type]
     except TypeError:

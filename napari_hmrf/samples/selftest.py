@@ -78,7 +78,7 @@ def selftest(write: Callable[[str], None] = print) -> bool:
 
 
 def affine_example(shape: tuple[int, ...] = (16, 23)) -> tuple[Problem, np.ndarray[Any, Any]]:
-    """Return a problem with an affine solution, and that solution.
+    """Return a problem with an affine solution, and its solution.
 
     The border of uniform tissue moves by an affine field. This field satisfies equilibrium inside
     the tissue for every mechanical prior, so it is the exact solution.
@@ -224,7 +224,7 @@ def _list(
 
 
 def _anonymous(text: str) -> str:
-    """Replace the home folder and the name of the user in a text by a tilde."""
+    """Replace the home folder and the user name in a text with tildes."""
     text = text.replace(str(Path.home()), "~")
     try:
         user = getpass.getuser()

@@ -76,7 +76,7 @@ class VolumeDemonstration:
             ("model", in_words(run.parameters)),
             ("renderer", f"{run.renderer} ({run.backend})"),
             ("iterations", f"{solution.iterations}"),
-            ("seconds", f"{run.seconds:.2f} (and {run.preparation_seconds:.2f} to get ready)"),
+            ("seconds", f"{run.seconds:.2f} (plus {run.preparation_seconds:.2f} to prepare)"),
             ("estimated error", "-" if near is None else f"{near.error:.1g} voxels"),
             ("folds", f"{self.folds} voxels"),
             ("tumour before", f"{before:.1f} ml"),

@@ -7,7 +7,7 @@ A field is computed in five steps, without napari or Qt:
    and ``layers/`` from the selected layers. `models` defines the energy and optimizer of each named
    model.
 2. *Edit.* In the window, `study_model` stores the parts that the user edits: the drawing of each
-   slice, the table of each layer, and the choices for each image. `edit_history` can undo edits of
+   slice, the table of each layer, and the choices for each image. `edit_history` can undo edits to
    these parts.
 3. *Problem.* `ground` converts labels, rules and brightness to stiffness and observations, and adds
    the drawing. The result is a ``Problem``, which consists of arrays, with its energy and
@@ -15,7 +15,7 @@ A field is computed in five steps, without napari or Qt:
 4. *Solve.* ``solve_study()`` in `ground` solves the problem once, from a cold start. In the window,
    `engine` solves the newest study, starting from the last solution, and warps its image. During a
    drag, `drag_preview` selects a tolerance and a `coarse_grid` that allow several images a second.
-5. *Solution.* The ``Solution`` is in the unit of the grid and includes its place in the world, so
-   ``io/`` can write it to files and ``layers/`` can display it. `shortcomings` adds notes on folds,
-   and on motion that was applied only in part.
+5. *Solution.* The ``Solution`` is in the unit of the grid and includes its position in the world,
+   so ``io/`` can write it to files and ``layers/`` can display it. `shortcomings` adds notes on
+   folds, and on motion that was applied only in part.
 """

@@ -128,7 +128,7 @@ class EditHistory:
             If no edit is in progress.
         """
         if self._begun is None:
-            raise RuntimeError("no edit has begun; call begin() first, or do()")
+            raise RuntimeError("no edit is in progress; call begin() first, or use do()")
         self._show(self._begun.part, value)
 
     def end(self) -> Step | None:

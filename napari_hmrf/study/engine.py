@@ -2,7 +2,7 @@
 
 All computation is on the compute thread. While a study is solved, only the latest request remains
 pending. Each solve is a warm start unless a cold start is requested. Parts that are common to two
-consecutive studies are computed once.
+consecutive studies are computed only once.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Engine:
     deliver : callable
         Called with a `Deformation` on the compute thread; it should only forward its argument.
     doing : str
-        Description of the solve, and how to stop it: a clause for messages of jobs that are queued
+        Clause that describes the solve and how to stop it, for messages of jobs that are queued
         behind the solve.
     overlay : callable, optional
         Callback of type `Overlay`, called on the compute thread.
@@ -137,7 +137,7 @@ class Engine:
         self._live.optimizer, self._live.backend = study.optimizer, backend
         state = partial(self._state, study, cold_start, preview)
         patience = None if cold_start else patience_for(study, preview)
-        # Without patience, a preview would cost more time than it saves.
+        # If the patience is 0, a preview would cost more time than it saves.
         self._generation = self._live.submit(state, preview=bool(patience), patience=patience)
         return self._generation
 
@@ -230,7 +230,7 @@ class Engine:
     def _try_to_move(
         self, request: Deformation, solution: Solution | None
     ) -> tuple[tuple[Array | None, tuple[Array, ...]], Exception | None]:
-        """Warp the image and its overlays; return them, and the error if warping failed."""
+        """Return the warped image and overlays, and the error if warping failed."""
         try:
             return self._moved(request, solution), None
         except Cancelled:
@@ -260,15 +260,15 @@ class Engine:
 def patience_for(study: Study, preview: Preview | None) -> float:
     """Return how long a solve continues while a newer study is pending, in seconds.
 
-    A solve is not cancelled immediately, because otherwise tissue would not move during a drag
-    without pauses. The time is 0 for a volume on its full grid, because that solution would be
-    stale before it is displayed.
+    If each solve were cancelled immediately, tissue would not move during a drag without pauses.
+    The time is 0 for a volume on its full grid, because the solution would be stale before it is
+    displayed.
     """
     return 0.0 if preview is None and len(study.grid.shape) == 3 else 3.0
 
 
 class _StillError(HmrfError):
-    """Signal that a study has no boundary conditions or loads."""
+    """Signal for a study without boundary conditions or loads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,7 +335,7 @@ class Deformation:
         return point if is_tissue else None
 
     def moved_positions(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the moved positions, (N, n) in pixels, of tissue points, (N, n) in pixels."""
+        """Return the moved positions of tissue points, both of shape (N, n) in pixels."""
         if self.solution is None or not len(points):
             return points
         return self._points.after(points / self.grid.step) * self.grid.step

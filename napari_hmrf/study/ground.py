@@ -47,12 +47,12 @@ from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 #: Stiffness of the subject and of its dark surroundings if there is no tissue map. The surroundings
-#: are too soft to impede motion, but as tissue they still constrain the subject.
+#: are too soft to impede motion, but because they are tissue, they still constrain the subject.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
 
 _OVER = (
-    "the drawing moves tissue that is painted as held, and takes precedence where they overlap; "
-    "make the drawing smaller, or move it further away"
+    "the drawing moves tissue that is painted as held, and takes precedence at overlaps; "
+    "make the drawing smaller, or move it farther away"
 )
 
 _NO_UNIT = (
@@ -227,7 +227,7 @@ class Ground:
             notes = "".join(f"; {note}" for note in idle)
             raise ProblemError(
                 "motion",
-                f"nothing moves{notes}. Give tissue a displacement, a force or growth "
+                f"nothing moves{notes}. Prescribe a displacement, force or growth "
                 "(`Motion(drawing=..., labels=..., observed=..., weight=...)`).",
             )
 
@@ -293,9 +293,9 @@ def refuse_unknown(study: Study) -> None:
     if names:
         raise LayerError(
             study.named("tissue", "image"),
-            f"has rigid tissue ({' and '.join(names)}), which the paper's model does not support, "
-            "nor does a model with boundaries that may slip. Use the elastic model that holds by "
-            "confidence (`penalty=None`), or give a finite stiffness.",
+            f"has rigid tissue ({' and '.join(names)}), which is not supported by the paper's "
+            "model or by a model with boundaries that may slip. Use the elastic model that holds "
+            "by confidence (`penalty=None`), or use a finite stiffness.",
         )
 
 
@@ -364,8 +364,7 @@ def solve_study(
     require_kind(Statement, "stated", stated, "build_problem(study)")
     if stated.study is None or not stated.study.same_as(study):
         raise ArgumentError(
-            "stated is the problem of another study. Give build_problem(study), or leave stated "
-            "out."
+            "stated is the problem of another study. Pass build_problem(study), or omit stated."
         )
     solution = solve_statement(study, stated, backend=backend, progress=progress, cancel=cancel)
     # Counting folds takes milliseconds for an image, but 5 % of the solve time for a volume.
@@ -414,7 +413,7 @@ def solve_statement(
 def _check_study(study: object) -> None:
     """Raise an error if the argument is not a study."""
     if isinstance(study, Problem):
-        raise ArgumentError("study is a Problem. Call solve(problem), or give a Study.")
+        raise ArgumentError("study is a Problem. Call solve(problem), or pass a Study.")
     require_kind(Study, "study", study, "Study(grid, tissue, motion)")
 
 
@@ -427,8 +426,9 @@ def _refuse_other_axes(study: Study) -> None:
         if len(place) != axes:
             raise ProblemError(
                 study.named("drawing"),
-                f"has the {type(mark).__name__} at {place}, of {len(place)} axes, but the grid has "
-                f"{axes}. Give positions as {'(row, col)' if axes == 2 else '(plane, row, col)'}.",
+                f"has the {type(mark).__name__} at {place}, with {len(place)} axes, but the grid "
+                f"has {axes}. Pass positions as "
+                f"{'(row, col)' if axes == 2 else '(plane, row, col)'}.",
             )
 
 
@@ -441,7 +441,8 @@ def _tissue_of(study: Study) -> Ground:
         known, name = tissue.materials, study.named("tissue", "image")
         new = [default_material(label, known) for label in unlisted(tissue.labels, known)]
         notes += [
-            f"label {row.label} of '{name}' is not in the table and got stiffness {row.stiffness:g}"
+            f"label {row.label} of '{name}' is not in the table: stiffness {row.stiffness:g} is "
+            "assumed"
             for row in new
         ]
         palette = Palette((*known, *new), tissue.unit, is_table=True)
@@ -459,7 +460,7 @@ def _tissue_of(study: Study) -> Ground:
         if intensities is None:
             raise ProblemError(
                 study.named("tissue"),
-                "is given by a curve of the image's brightness, but the study has no image. Give "
+                "is defined by a curve of the image's brightness, but the study has no image. Add "
                 "an image (`pictures=Pictures(image)`).",
             )
         _refuse_unknown_brightness(study, intensities)
@@ -481,7 +482,7 @@ def _refuse_unknown_brightness(study: Study, intensities: npt.NDArray[Any]) -> N
             study.named("image"),
             f"has {how_many(unknown)} that are NaN or infinite, the first at "
             f"{first_index(unknown)}, but its brightness determines the stiffness. Replace "
-            "them by numbers, or give the tissue as labels.",
+            "them with numbers, or define the tissue by labels.",
         )
 
 

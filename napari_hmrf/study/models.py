@@ -14,9 +14,9 @@ from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
-#: Default prior and optimizer of a study.
+#: Default prior and default optimizer of a study.
 USUAL_PRIOR, USUAL_OPTIMIZER = ElasticPrior(), Multigrid()
-#: Holding force, in the form, that enforces all observations exactly, whatever their confidence.
+#: Holding force in the form that enforces all observations exactly, regardless of confidence.
 HOLD_ALL = 1e6
 
 
@@ -57,7 +57,7 @@ class SolverDetails:
     reading: Conditional = _form_field(  # noqa: RUF009 - a new field on each call
         "centred",
         "reading",
-        "Lines of three pixels (the paper's cliques) with which a pixel is compared.\n"
+        "Lines of three pixels (the paper's cliques) used to compare a pixel with others.\n"
         "centred: lines with the pixel in the middle. Closest to finite elements.\n"
         "blanket: all lines that contain the pixel. Borders of stiff and soft tissue hardly move.",
     )
@@ -110,7 +110,7 @@ class SolverDetails:
     device: str = _form_field(
         "auto",
         "device",
-        "Automatic: the graphics card if there is one, else compiled loops on the CPU",
+        "Automatic: the graphics card if there is one, otherwise compiled loops on the CPU",
         choices=[
             ("automatic", "auto"),
             ("OpenGL", "opengl"),
@@ -172,12 +172,12 @@ def parts_of(name: str) -> tuple[Prior, Optimizer]:
     Raises
     ------
     ArgumentError
-        If there is no model with this name.
+        If the name is unknown.
     """
     model = MODELS.get(as_word(name)) if isinstance(name, str) else None
     if model is None:
         listed = ", ".join(f'"{each}"' for each in get_args(ModelName))
-        raise ArgumentError(f"there is no model {name!r}. Use one of {listed}.")
+        raise ArgumentError(f"unknown model {name!r}. Use one of {listed}.")
     return _BY_NAME[model]
 
 
@@ -188,7 +188,7 @@ def is_by_name(part: Prior | Optimizer) -> bool:
 
 
 def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
-    """Return the details for which `prior_of` and `optimizer_of` return these objects."""
+    """Return the details for which `prior_of` and `optimizer_of` return the given objects."""
     details = _USUAL
     if isinstance(prior, SeilerPrior):
         details = replace(details, reading=prior.conditional, penalty=prior.penalty or 0.0)

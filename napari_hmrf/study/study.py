@@ -33,7 +33,7 @@ from napari_hmrf.tissue.tissue_maps import materials_of_maps, most_likely
 from napari_hmrf.tissue.tissue_names import materials_by_name
 
 Array = npt.NDArray[Any]
-#: Largest distance between a point in a slice and the centre of the slice, in slices.
+#: Largest distance, in slices, between a point in a slice and the centre plane of the slice.
 _IN_SLICE = 0.5 + 1e-3
 
 
@@ -71,7 +71,7 @@ class Grid:
         as "mm" and "millimeter", are equivalent; `from_image` returns "millimeter".
     place : Frame, optional
         Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
-        It is required for files of other programs and does not affect the displacement. A place
+        Files of other programs require it; it does not affect the displacement. A place
         does not include the number of pixels: a grid with fewer pixels starts at the same pixel.
 
     Raises
@@ -94,7 +94,7 @@ class Grid:
         if axes not in (2, 3) or not all(size >= 1 and size.is_integer() for size in sizes):
             raise ProblemError(
                 "grid",
-                f"has shape {shown(self.shape)}. Give the number of pixels along each axis, (H, W) "
+                f"has shape {shown(self.shape)}. Pass the number of pixels along each axis, (H, W) "
                 "or (D, H, W).",
             )
         object.__setattr__(self, "shape", tuple(map(int, sizes)))
@@ -106,28 +106,28 @@ class Grid:
         if not isinstance(place, Frame):
             raise ProblemError(
                 "grid",
-                f"has a place of type {type(place).__name__}. Give a Frame, as in Grid.from_image.",
+                f"has a place of type {type(place).__name__}. Pass a Frame; see Grid.from_image.",
             )
         if len(place.plane) != len(self.shape):
             raise ProblemError(
                 "grid",
-                f"has {len(self.shape)} axes, but its place has {len(place.plane)}. Give the place "
+                f"has {len(self.shape)} axes, but its place has {len(place.plane)}. Pass the place "
                 "of the same slice or volume.",
             )
-        # The pixel is a known unit for a place, but an unknown unit for the grid.
+        # "pixel" is a known unit for a place, but an unknown unit for the grid.
         is_same_kind = (self.unit in UNKNOWN_UNITS) == (place.unit in UNKNOWN_UNITS)
         sizes = place.spacing
         if not (is_same_kind and has_same_spacing(self.spacing, self.unit, sizes, place.unit)):
             raise ProblemError(
                 "grid",
                 f"has pixels of {grid_in_words(self.spacing)} {self.unit}, but its place has "
-                f"pixels of {grid_in_words(sizes)} {place.unit}. Give the spacing and the unit of "
-                "the place, or leave the place out.",
+                f"pixels of {grid_in_words(sizes)} {place.unit}. Pass the spacing and the unit of "
+                "the place, or omit the place.",
             )
 
     @property
     def known_place(self) -> Frame:
-        """Place of a grid that is known to have one, such as a grid read from layers."""
+        """Place of a grid that is known to have a place, such as a grid read from layers."""
         assert self.place is not None
         return self.place
 
@@ -151,11 +151,11 @@ class Grid:
             If the grid has no place, or if points are on another slice or have too few axes.
         """
         if self.place is None:
-            raise ProblemError("grid", "has no place. Use Grid.from_image(image).")
+            raise ProblemError("grid", "has no position in the world. Use Grid.from_image(image).")
         matrix, given = np.array(self.place.matrix), np.asarray(points, dtype=np.float64)
         if given.ndim != 2 or given.shape[1] != len(matrix) - 1:
             raise ProblemError(
-                "points", f"have shape {given.shape}. Give (N, {len(matrix) - 1}) numbers in mm."
+                "points", f"have shape {given.shape}. Pass (N, {len(matrix) - 1}) numbers in mm."
             )
         inside = (given - matrix[:-1, -1]) @ np.linalg.inv(matrix[:-1, :-1]).T
         others = list(self.place.others)
@@ -163,7 +163,7 @@ class Grid:
         if apart > _IN_SLICE:
             raise ProblemError(
                 "points",
-                f"are up to {apart:.3g} slices away from the slice of the grid. Give points on "
+                f"are up to {apart:.3g} slices away from the slice of the grid. Pass points on "
                 "this slice.",
             )
         pixels: npt.NDArray[np.float64] = inside[:, list(self.place.plane)]
@@ -217,7 +217,7 @@ class Grid:
 class Tissue:
     """Map of the tissue: from labels, from stiffness, from brightness, or from the image alone.
 
-    Without labels, stiffness and curve, all pixels are tissue of equal stiffness, except that dark
+    Without labels, stiffness or a curve, all pixels are tissue of equal stiffness, except that dark
     surroundings of the image are a hundred times softer.
 
     Attributes
@@ -236,7 +236,7 @@ class Tissue:
     preset : Preset, optional
         Tissues for brushes if there is no table; by default the first preset.
     unit : str
-        Unit of stiffness. It does not affect the displacement, which depends on ratios only.
+        Unit of stiffness. It does not affect the displacement, which depends only on ratios.
     without_border : bool
         If True, dark surroundings with label 0 are void.
 
@@ -266,7 +266,7 @@ class Tissue:
         scale: float | None = None,
         unit: str = "",
     ) -> Tissue:
-        """Create a tissue map from probability maps, such as those of a segmentation.
+        """Create a tissue map from probability maps, for example from a segmentation.
 
         Each pixel is assigned its most likely tissue, or label 0 where "none" is more likely, as
         ``--maps`` does in the shell.
@@ -280,9 +280,9 @@ class Tissue:
             these names, from `materials_by_name`. "none" is the material of pixels without a likely
             tissue; if it is missing, these pixels are as stiff as the first tissue.
         scale : {1, 100, 255}, optional
-            Value that means certainty in all maps; by default the smallest of these values that no
-            map exceeds. Give the scale for parts of larger maps, such as slices, because all values
-            of a part may be small.
+            Value that means certainty in all maps; by default the smallest of 1, 100 and 255 that
+            no map exceeds. Pass the scale if the maps are parts of larger maps, such as slices,
+            because all values of a part may be small.
         unit : str
             Unit of stiffness.
 
@@ -307,7 +307,7 @@ class Tissue:
         if published.unknown:
             names = ", ".join(f"'{name}'" for name in published.unknown.values())
             raise ProblemError(
-                "tissue", f"has no published stiffness for {names}. Give materials of these names."
+                "tissue", f"has no published stiffness for {names}. Pass materials of these names."
             )
         return cls(labels=labels, materials=published.materials, unit=published.unit)
 
@@ -325,7 +325,7 @@ class Tissue:
         ]
         if len(given) > 1:
             raise ProblemError(
-                "tissue", f"is given by its {' and by its '.join(given)}. Give only one of them."
+                "tissue", f"is defined by its {' and by its '.join(given)}. Pass only one of them."
             )
 
     def __repr__(self) -> str:
@@ -358,7 +358,7 @@ class Motion:
     rules : tuple of BoundaryRule
         Rules of the labels.
     observed : ndarray, shape ([D,] H, W, n), optional
-        Observed material displacement, such as that of a registration, in the order of the axes
+        Observed material displacement, for example from a registration, in the order of the axes
         and in the unit of the grid.
     confidence : ndarray, shape ([D,] H, W) or ([D,] H, W, n), optional
         Confidence in the observed displacement, from 0 (none) to 1 (certain), as in a `Problem`.
@@ -399,7 +399,7 @@ class Motion:
         refuse_unless(bool(np.isfinite(along).all()), "weight", self.weight, requirement)
         object.__setattr__(self, "weight", along)
         if (self.observed is None) != (self.confidence is None):
-            raise ProblemError("motion", "needs both the observed displacement and its confidence.")
+            raise ProblemError("motion", "requires both the observed field and its confidence.")
 
     def __repr__(self) -> str:
         parts = [
@@ -460,9 +460,9 @@ class Study:
     tissue : Tissue
     motion : Motion
     model : {"elastic", "large motion", "paper", "paper, converged"}, optional
-        Name of a model, which determines `prior` and `optimizer`; by default elastic. A prior or
-        optimizer that is also given must belong to this model, and then replaces the default of the
-        model. `model` is an argument only; the attribute `model_name` is the name of the model.
+        Name of a model, which determines `prior` and `optimizer`; by default elastic. If a prior or
+        optimizer is also passed, it must belong to this model, and it replaces the model's default.
+        `model` is only an argument; the attribute `model_name` is the name of the model.
     prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
         Energy of the tissue. If tissues are given by labels, the Poisson's ratios of their
         materials apply.
@@ -481,7 +481,7 @@ class Study:
     ProblemError
         If a part does not have the shape of the grid; the error names the part.
     ArgumentError
-        If an attribute has an invalid type, if there is no such model, or if the prior or the
+        If an attribute has an invalid type, if the model is unknown, or if the prior or the
         optimizer belongs to another model.
 
     Examples
@@ -522,8 +522,8 @@ class Study:
             self._take_model(model)
         needed = self.grid.shape
         if len(self.motion.weight) not in (0, len(needed)):
-            given = f"has a weight of {len(self.motion.weight)} components"
-            raise ProblemError("motion", f"{given}. Give {len(needed)}, one along each axis.")
+            given = f"has a weight with {len(self.motion.weight)} components"
+            raise ProblemError("motion", f"{given}. Pass {len(needed)}, one for each axis.")
         n = len(needed)
         along_axes, colours = (*needed, n), [(*needed, 3), (*needed, 4)]
         for name, part, shapes in (
@@ -537,12 +537,12 @@ class Study:
             if part is not None and tuple(part.shape) not in shapes:
                 raise ProblemError(
                     name,
-                    f"has shape {part.shape}, but the grid is {needed}. Give the shape "
+                    f"has shape {part.shape}, but the grid is {needed}. Use the shape "
                     f"{' or '.join(map(str, shapes))}.",
                 )
 
     def _take_model(self, model: str) -> None:
-        """Set the prior and the optimizer to those of a model, unless the caller gave others."""
+        """Set the prior and the optimizer to those of a model, unless the caller passed others."""
         for name, usual in zip(("prior", "optimizer"), parts_of(model), strict=True):
             given = getattr(self, name)
             if is_by_name(given):
@@ -550,8 +550,8 @@ class Study:
             elif type(given) is not type(usual):
                 needed, other = type(usual).__name__, type(given).__name__
                 raise ArgumentError(
-                    f"model {model!r} needs the {name} {needed}, not {other}. Give "
-                    f"{name}={needed}(), or leave out one of the two."
+                    f"model {model!r} requires the {name} {needed}, not {other}. Pass "
+                    f"{name}={needed}(), or omit one of the two."
                 )
 
     def __repr__(self) -> str:
@@ -574,7 +574,7 @@ class Study:
 
     @property
     def moves(self) -> bool:
-        """True if the study prescribes any motion or load besides a fixed edge."""
+        """True if the study prescribes any motion or load in addition to a fixed edge."""
         motion = self.motion
         given = (motion.drawing.marks, motion.labels is not None, motion.observed is not None)
         return any(given) or self.bears_loads
@@ -608,7 +608,7 @@ class Study:
 
     @contextmanager
     def naming(self, drawn: bool = True) -> Iterator[None]:
-        """Replace argument names in error messages by the names of the study's parts.
+        """Replace argument names in error messages with the names of the study's parts.
 
         Parameters
         ----------
@@ -634,7 +634,7 @@ class Study:
             yield
 
     def in_words(self, error: Exception) -> Exception:
-        """Return an error with argument names replaced by the names of the study's parts."""
+        """Return an error with argument names replaced with the names of the study's parts."""
         try:
             with self.naming():
                 raise error

@@ -1,8 +1,8 @@
-"""Model of the studies in a viewer, which forms, tools and the solver share.
+"""Model of the studies in a viewer, shared by forms, tools and the solver.
 
 The parts of a study have different owners: a drawing belongs to a slice, a table of materials or
 rules to a Labels layer, a choice of layers to an image, and the tissue model to the viewer. Each
-part is stored once, and an edit of a part changes the studies of all slices that use the part.
+part is stored once, and an edit to a part changes the studies of all slices that use the part.
 Layers can be any hashable objects; this module does not import napari or Qt.
 """
 
@@ -43,7 +43,7 @@ BRIGHTNESS = "brightness"
 # Attributes of `ImageChoice` that may be layers.
 _LAYER_NAMES = "tissue", "boundary", "confidence", "compare_with"
 # Name of the step that changes a choice, by attribute. The first changed attribute in this order
-# determines the name. A change of other attributes, such as solver details, is not a step.
+# determines the name. A change to other attributes, such as solver details, is not a step.
 _STEP_NAMES = {
     "name": "chose another model",
     "plane": "chose another plane",
@@ -256,7 +256,7 @@ class StudyModel(EditHistory):
         ----------
         choice : ModelChoice
         step : bool
-            If True, undo can restore the previous model; a change of solver details alone is not a
+            If True, undo can restore the previous model; a change to solver details alone is not a
             step.
         """
         self._edit(MODEL_PART, choice, step)
@@ -305,7 +305,7 @@ class StudyModel(EditHistory):
     def set_table(
         self, kind: TableKind, layer: Hashable, table: RowTable[Any], word: str = ""
     ) -> None:
-        """Change the table of a layer, as a step named `word`, or without a step if it is ""."""
+        """Change the table of a layer as a step named `word`, or without a step if `word` is ""."""
         part = Part(kind, layer)
         if self.setdefault(part, table) != table:
             self._set(part, table, word)
@@ -334,11 +334,11 @@ class StudyModel(EditHistory):
 
     @property
     def drawing_in_progress(self) -> bool:
-        """True if an edit of the selected drawing is in progress."""
+        """True if an edit to the selected drawing is in progress."""
         return self.in_progress == self.slice
 
     def draw(self, drawing: Drawing, word: str) -> None:
-        """Change the drawing, as a step named `word`, or without a step if it is ""."""
+        """Change the drawing as a step named `word`, or without a step if `word` is ""."""
         self.setdefault(self.slice, Drawing())
         self._set(self.slice, drawing, word)
 
@@ -356,7 +356,7 @@ class StudyModel(EditHistory):
             If no drag of the selected drawing is in progress.
         """
         if not self.drawing_in_progress:
-            raise RuntimeError("no edit has begun; call begin_drawing() first, or draw()")
+            raise RuntimeError("no edit is in progress; call begin_drawing() first, or use draw()")
         self.update(drawing)
 
     def end_drawing(self) -> str:
@@ -388,10 +388,10 @@ class StudyModel(EditHistory):
         self._set(part, now, word if step else "")
 
     def _change_earlier(self, part: Part, before: Any, now: Any, changed: list[str]) -> None:
-        """Apply a change without a step to the stored states of a part in the history.
+        """Apply a change that is not a step to the stored states of a part in the history.
 
-        Undo then preserves the change. A state in which a changed attribute has another value
-        retains this value.
+        Undo then preserves the change. A state in which a changed attribute has a different value
+        retains that value.
         """
         for steps in (self._past, self._future):
             for number, step in enumerate(steps):

@@ -21,7 +21,7 @@ _HOLD_OR_MOVE = ("pin", "move", "expand")
 
 
 def asks_motion(problem: Problem) -> bool:
-    """Return whether a problem has a nonzero prescribed displacement, growth or a force."""
+    """Return whether a problem has a nonzero prescribed displacement, growth or force."""
     loads = problem.loads
     given = () if loads is None else (loads.growth, loads.force)
     moved = problem.known & (problem.observed != 0)

@@ -61,7 +61,7 @@ class Material:
         Poisson's ratio, from 0 to 0.499. Only elastic models use this value, and only for
         deformable tissue.
     growth : float or tuple of float
-        Relative change of length of unconstrained tissue: 0.1 means 10 % longer. One number for
+        Relative change in length of unconstrained tissue: 0.1 means 10 % longer. One number for
         all directions, or one number for each axis: (row, col), or (plane, row, col) in a volume.
         Void and rigid tissue do not grow.
 
@@ -88,7 +88,7 @@ class Material:
         if not all(math.isfinite(real(part)) for part in np.atleast_1d(self.growth).tolist()):
             raise ProblemError(
                 "growth",
-                f"gives {quoted(self)} a growth of {shown(self.growth)}. Give a number, such as "
+                f"gives {quoted(self)} a growth of {shown(self.growth)}. Use a number, such as "
                 "0.2 for 20 %, or a number for each axis.",
             )
         if self.is_deformable and not _has_poisson(self):
@@ -112,7 +112,7 @@ class Material:
     def as_row(self) -> dict[str, Any]:
         """Convert the material to JSON types; an infinite stiffness becomes "rigid"."""
         row = asdict(self)
-        if not self.grows:  # so that earlier versions can read the row
+        if not self.grows:  # earlier versions can then read the row
             del row["growth"]
         return {**row, "stiffness": _RIGID} if self.is_rigid else row
 
@@ -321,7 +321,7 @@ def _read(
     if image.dtype.kind not in "biu" or image.ndim not in (2, 3):
         raise ProblemError(
             field,
-            f"has labels of type {image.dtype} and shape {image.shape}. Give an image (H, W) or a "
+            f"has labels of type {image.dtype} and shape {image.shape}. Use an image (H, W) or a "
             "volume (D, H, W) of whole numbers, one per material.",
         )
     table: dict[int, Any] = {}
@@ -329,7 +329,7 @@ def _read(
         refuse_unless(isinstance(row, kind), name, row, f"a list of {kind.__name__}")
         if not is_whole(row.label):
             raise ProblemError(
-                field, f"has {name} for label {shown(row.label)}. Give labels as whole numbers."
+                field, f"has {name} for label {shown(row.label)}. Use whole numbers as labels."
             )
         if row.label in table:
             raise ProblemError(field, f"has two {name} for label {row.label}. Remove one.")
@@ -350,7 +350,7 @@ def _read(
 def _check_rule(rule: BoundaryRule, n: int) -> None:
     if not rule.label > 0:
         raise ProblemError(
-            "observed", f"has a rule for {quoted(rule)}. Give a label above 0: 0 is unpainted."
+            "observed", f"has a rule for {quoted(rule)}. Use a label above 0; 0 means unpainted."
         )
     vector, confidence = (
         reals(given, 3 if n == 3 and np.shape(given) == (3,) else 2)
@@ -371,7 +371,7 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
         if not right:
             raise ProblemError(
                 "confidence" if name == "confidence" else "observed",
-                f"has a rule for {quoted(rule)} with the {name} {shown(getattr(rule, name))}. Give "
+                f"has a rule for {quoted(rule)} with the {name} {shown(getattr(rule, name))}. Use "
                 f"{needed}.",
             )
 
@@ -380,7 +380,7 @@ def _wrong_stiffness(material: Material) -> ProblemError:
     """Return the error for an invalid stiffness."""
     return ProblemError(
         "stiffness",
-        f"gives {quoted(material)} a stiffness of {shown(material.stiffness)}. Give a number above "
+        f"gives {quoted(material)} a stiffness of {shown(material.stiffness)}. Use a number above "
         f"0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or infinity for a rigid "
         "body (`RIGID`).",
     )
@@ -397,7 +397,7 @@ def _wrong_poisson(material: Material) -> ProblemError:
     low, high = POISSON_RANGE
     return ProblemError(
         "stiffness",
-        f"gives {quoted(material)} a Poisson's ratio of {shown(material.poisson)}. Give a "
+        f"gives {quoted(material)} a Poisson's ratio of {shown(material.poisson)}. Use a "
         f"number from {low:g} to {high:g}.",
     )
 

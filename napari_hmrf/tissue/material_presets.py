@@ -20,7 +20,7 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 
 FloatArray = npt.NDArray[np.float32]
-#: Label of pixels that have a stiffness, but no row in the table.
+#: Label of pixels that have a stiffness but no row in the table.
 OTHER = -1
 _VOID = Material(0, "no tissue", 0.0)
 
@@ -51,13 +51,14 @@ class Preset:
         return f"Preset({self.name!r}, {len(self.materials)} materials)"
 
     def replace_materials(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
-        """Replace the materials of a table by the materials of the preset.
+        """Replace the materials of a table with the materials of the preset.
 
-        A row is replaced by the preset's material with the same name. If there is no such material,
-        the row is replaced by the material with the same label, unless the name of that material
+        A row is replaced with the preset's material of the same name. If there is no such material,
+        the row is replaced with the material of the same label, unless the name of that material
         matches another row. The remaining materials of the preset are added. A row that is not
-        replaced is unchanged if it is void or rigid. A deformable row that is not replaced gets the
-        stiffness of the preset's first tissue, because the old stiffness may be in another unit.
+        replaced is unchanged if it is void or rigid. A deformable row that is not replaced is
+        assigned the stiffness of the preset's first tissue, because the old stiffness may be in
+        another unit.
 
         Parameters
         ----------
@@ -83,12 +84,12 @@ class Preset:
         for row in rows:
             if row.label in now:
                 if _key(row) != _key(now[row.label]):
-                    words.append(f"'{row.name}' is {now[row.label].name} now")
+                    words.append(f"'{row.name}' is now {now[row.label].name}")
             elif first is None or not row.is_deformable:
                 now[row.label] = row
             else:
                 now[row.label] = replace(row, stiffness=first.stiffness, poisson=first.poisson)
-                words.append(f"'{row.name}' is as stiff as {first.name} now")
+                words.append(f"'{row.name}' is now as stiff as {first.name}")
         materials = (replace(each, label=label) for label, each in sorted(now.items()))
         return tuple(materials), f"{', '.join(words)}." if words else ""
 

@@ -84,7 +84,7 @@ def outward_normals(
 
 
 def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Normalise vectors to length 1; a vector of nearly zero length becomes 0."""
+    """Normalize vectors to length 1; a vector of nearly zero length becomes 0."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     units: npt.NDArray[np.float64] = np.divide(
         vectors, length, out=np.zeros_like(vectors), where=length > 1e-6
@@ -122,7 +122,7 @@ def _refuse_open_line(
     raise ProblemError(
         "observed",
         f"lets {name} expand, but a part of it is an open {shape} (about {length:.3g} long and "
-        f"{thickness:.3g} thick), which has no inside: it would be torn along its middle. "
+        f"{thickness:.3g} thick), which has no inside and would tear along its middle. "
         f"Close the {shape} to a {closed}, or let it move by a vector instead (`action='move'`).",
     )
 

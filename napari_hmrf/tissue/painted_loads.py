@@ -47,7 +47,7 @@ def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads 
         if not all(map(is_growth, amounts)):
             raise ProblemError(
                 "stiffness",
-                f"gives {quoted(material)} a growth of {shown(material.growth)}. Give a number "
+                f"gives {quoted(material)} a growth of {shown(material.growth)}. Use a number "
                 f"above -1, up to 10 (0.1: 10 % longer), or {image.ndim} numbers, one per axis.",
             )
         axes = np.eye(image.ndim) if along else [None]

@@ -36,7 +36,7 @@ _NODES = 64
 
 @dataclass(frozen=True)
 class StiffnessCurve:
-    """Curve that maps image intensities to stiffnesses; a callable object.
+    """Callable curve that maps image intensities to stiffnesses.
 
     Between its points the curve is linear or smooth. A smooth curve is a monotone cubic (PCHIP),
     which does not exceed the range of the two neighbouring points. Beyond the outer points the
@@ -77,25 +77,27 @@ class StiffnessCurve:
         void_below = None if self.void_below is None else real(self.void_below)
         intensities = [intensity for intensity, _ in points]
         if not all(map(math.isfinite, intensities)):
-            raise _bad("has a point that is not a pair of numbers. Give intensity and stiffness")
+            raise _bad(
+                "has a point that is not a pair of numbers. Use pairs of intensity and stiffness"
+            )
         if len(points) < 2:
-            raise _bad("has fewer than two points. Give two or more, of different intensities")
+            raise _bad("has fewer than two points. Use two or more, with different intensities")
         for before, after in pairwise(intensities):
             if before >= after:
                 twice = "twice" if before == after else f"after {before:g}"
-                raise _bad(f"has intensity {after:g} {twice}. Give each once, in rising order")
+                raise _bad(f"has intensity {after:g} {twice}. List each once, in increasing order")
         for intensity, stiffness in points:
             if not 0 < stiffness <= LARGEST_STIFFNESS:
                 most = f"above 0, and no larger than {LARGEST_STIFFNESS:.2g}"
-                raise _bad(f"needs a stiffness at intensity {intensity:g} that is {most}")
+                raise _bad(f"requires a stiffness at intensity {intensity:g} that is {most}")
         if void_below is not None and not math.isfinite(void_below):
             raise _bad(
-                "has a tissue threshold that is not a finite number. Give a number, or omit it"
+                "has a tissue threshold that is not a finite number. Use a number, or omit it"
             )
         if not is_one_of(self.between, get_args(Between)):
             raise _bad(f'is {shown(self.between)} between its points. Use "straight" or "smooth"')
         if not isinstance(self.logarithmic, bool) or not isinstance(self.unit, str):
-            raise _bad("needs True or False for 'logarithmic' and a string for 'unit'")
+            raise _bad("requires True or False for 'logarithmic' and a string for 'unit'")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "void_below", void_below)
 
@@ -174,7 +176,7 @@ class StiffnessCurve:
         """
         known = [field.name for field in fields(cls)]
         if not isinstance(values, Mapping) or "points" not in values or set(values) - set(known):
-            raise _bad(f"is not stored as a curve. Give a mapping of {', '.join(known)}")
+            raise _bad(f"is not stored as a curve. Pass a mapping with the keys {', '.join(known)}")
         return cls(**dict(values))
 
     @classmethod
@@ -264,7 +266,7 @@ def with_point(curve: StiffnessCurve, at: int | None, point: Point | None) -> St
 def _as_intensities(values: npt.ArrayLike) -> npt.NDArray[Any]:
     image = np.ma.asanyarray(values) if np.ma.isMA(values) else as_numbers("intensities", values)
     if image.dtype.kind not in "biuf":
-        raise _bad(f"cannot come from intensities of type {image.dtype}. Give real numbers")
+        raise _bad(f"cannot come from intensities of type {image.dtype}. Use real numbers")
     return image
 
 

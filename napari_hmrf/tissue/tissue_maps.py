@@ -73,8 +73,8 @@ def scale_of(
         names the map.
     """
     if scale is not None and not any(scale == each for each in SCALES):
-        raise ProblemError("tissue", f"has a scale of {shown(scale)}. Give 1, 100 or 255.")
-    give = "Give probabilities from 0 to 1 in all maps"
+        raise ProblemError("tissue", f"has a scale of {shown(scale)}. Use 1, 100 or 255.")
+    give = "Use probabilities from 0 to 1 in all maps"
     for number, (name, each) in enumerate(maps.items(), 1):
         wrong = ""
         if not math.isfinite(each.low) or not math.isfinite(each.high):
@@ -143,13 +143,13 @@ def most_likely(
     """
     arrays = [as_numbers("tissue", values) for values in maps.values()]
     if not arrays:
-        raise ProblemError("tissue", "has no maps. Give one for each tissue.")
+        raise ProblemError("tissue", "has no maps. Pass one for each tissue.")
     for number, array in enumerate(arrays, 1):
         if array.shape != arrays[0].shape:
             raise ProblemError(
                 "tissue",
                 f"has a first map of shape {arrays[0].shape}, but map {number} has shape "
-                f"{array.shape}. Give all maps on the same pixels.",
+                f"{array.shape}. Use the same pixel grid for all maps.",
             )
     ranges = dict(zip(maps, map(MapRange.of, arrays), strict=True))
     certain = scale_of(ranges, scale)
@@ -194,7 +194,7 @@ def materials_of_maps(
         wrong += " and " if missing and extra else ""
         wrong += f"has no map for the material {_quoted(sorted(extra))}" if extra else ""
         raise ProblemError(
-            "tissue", f'{wrong}. Give one for each of {_quoted(names)}; "{NONE}" is for the rest.'
+            "tissue", f'{wrong}. Pass one for each of {_quoted(names)}; "{NONE}" is for the rest.'
         )
     rows = []
     for name, label in labels.items():
@@ -208,7 +208,7 @@ def materials_of_maps(
             rows.append(Material(label, name, float(row)))
         except (TypeError, ValueError):
             raise ProblemError(
-                "tissue", f"has {shown(row)} for '{name}'. Give a Material, or a stiffness."
+                "tissue", f"has {shown(row)} for '{name}'. Pass a Material or a stiffness."
             ) from None
     return tuple(rows)
 

@@ -108,8 +108,8 @@ class NamedMaterials:
         """Replace the materials of a table, label by label.
 
         A row with an unknown label is unchanged if it is void or rigid. A deformable row with an
-        unknown label gets the stiffness of the first known deformable material, because the old
-        stiffness may be in another unit.
+        unknown label is assigned the stiffness of the first known deformable material, because the
+        old stiffness may be in another unit.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class NamedMaterials:
             sentences.append(f"{published[0].upper()}{published[1:]}.")
         if first is not None and guessed:
             unknown = ", ".join(guessed)
-            sentences.append(f"No stiffness is known for {unknown}, now as stiff as {first.name}.")
+            sentences.append(f"No stiffness is known for {unknown}: that of {first.name} is used.")
         return tuple(now), " ".join(sentences)
 
 

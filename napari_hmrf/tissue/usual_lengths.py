@@ -25,7 +25,7 @@ def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
 
 
 def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:
-    """Return the default displacement of a patch of tissue, which is visible but without folds.
+    """Return the default displacement of a patch: visible, but too small to fold tissue.
 
     The compression of the tissue around an expanding disc is the ratio of the expansion to the
     radius; around a ball it is twice this ratio. Up to a compression of 1/3, tissue does not fold,

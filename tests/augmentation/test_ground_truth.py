@@ -122,7 +122,7 @@ def test_an_amplitude_that_is_neither_a_number_nor_a_range_is_rejected(files, ca
 def test_a_sample_scaled_below_the_amplitude_is_reported_with_shell_options(files, caplog):
     assert truth(files, "--amplitude", "30-40") == 0
     (said,) = [each.getMessage() for each in caplog.records if "amplitude" in each.getMessage()]
-    assert "Give a smaller amplitude or fewer patches (--amplitude, --patches)." in said
+    assert "Use a smaller amplitude or fewer patches (--amplitude, --patches)." in said
     assert "least_jacobian" not in said
 
 

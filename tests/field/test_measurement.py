@@ -92,7 +92,7 @@ def test_a_displacement_instead_of_a_solution_is_rejected():
 
 
 def test_labels_of_another_size_are_rejected():
-    with pytest.raises(ProblemError, match=r"labels: are 4 x 5 of type int64\. Give whole numbers"):
+    with pytest.raises(ProblemError, match=r"labels: are 4 x 5 of type int64\. Pass whole numbers"):
         measure(stretched_tissue(), np.ones((4, 5), int))
 
 

@@ -147,7 +147,7 @@ def test_a_coarse_motion_is_interpolated_linearly(every):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ((20, hill()), "number: is 20. Give the index of a slice"),
+        ((20, hill()), "number: is 20. Pass the index of a slice"),
         ((3, hill()[1:]), "displacement: has shape"),
         ((3, hill(), np.ones(SHAPE[1:])), "tissue: has shape"),
         ((3, np.full((*SHAPE, 3), np.nan)), "displacement: is NaN"),
@@ -313,7 +313,7 @@ def test_a_field_on_another_grid_is_resampled_with_all_components():
     assert compared.rmsd == pytest.approx(0, abs=1e-4)
     assert compared.difference.shape == SHAPE
     far = replace(here, matrix=tuple(map(tuple, rotation(0.0, (500, 0, 0)))))
-    with pytest.raises(ProblemError, match="lies elsewhere"):
+    with pytest.raises(ProblemError, match="does not overlap"):
         known.on(far, SHAPE)
 
 

@@ -124,7 +124,7 @@ def test_the_frame_of_a_volume_survives_a_file_round_trip(plane):
 
 @pytest.mark.parametrize("plane", [(0, 1, 1), (0, 1, 3), (0, 1, 2, 3), (0,)])
 def test_a_frame_with_invalid_axes_is_rejected(plane):
-    with pytest.raises(ValueError, match="its plane is"):
+    with pytest.raises(ValueError, match="its plane "):
         Frame.from_dict({**place().as_dict(), "plane": plane})
 
 
@@ -132,5 +132,5 @@ def test_a_solution_without_a_frame_is_at_the_origin():
     frame = Frame.of_solution(solution())
     assert (frame.plane, frame.spacing, frame.unit) == ((0, 1, 2), SIZE, "pixel")
     assert Frame.of_solution(solution(SHAPE[1:])).plane == (0, 1)
-    with pytest.raises(ValueError, match="of a solution of 3 axes"):
+    with pytest.raises(ValueError, match="match a solution with 3 axes"):
         Frame.of_solution(solution(frame=Frame.at(SIZE, ("mm",) * 3).as_dict()))

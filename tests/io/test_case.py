@@ -325,7 +325,7 @@ def test_options_that_a_study_contains_are_refused_and_guesses_cause_a_note(file
     command += ["--boundary", folder / "rim.png", "--rules", folder / "r.csv"]
     assert main([str(each) for each in command]) == 0
     said = capsys.readouterr().out
-    assert "note: label 2 of 'rim.png' is not in the table and got stiffness 3" in said
+    assert "note: label 2 of 'rim.png' is not in the table: stiffness 3 is assumed" in said
     study = str(folder / "out" / "rim.study")
     assert main(["solve", study, "-o", str(folder / "out"), "--hold-edge", "--model", "paper"]) == 1
     assert "Leave out --hold-edge, --model, or give an image" in capsys.readouterr().err
@@ -467,7 +467,7 @@ def test_a_field_of_a_volume_is_observed_on_the_solved_slice(files):
     (folder / "far").mkdir()
     away = {**place, "origin": (900.0, 0.0, 0.0)}
     write_field(folder / "far" / "Warp.mha", d, **away)
-    with pytest.raises(ProblemError, match=r"Warp\.mha: lies elsewhere than the image"):
+    with pytest.raises(ProblemError, match=r"Warp\.mha: does not overlap the image"):
         read_case(case(folder, boundary=folder / "far" / "Warp.mha"))
 
 

@@ -151,14 +151,14 @@ def test_a_preset_matches_rows_by_name_then_by_label_and_reports_missing_rows():
     )
     found, words = brain.replace_materials(table)
     assert [(row.label, row.stiffness) for row in found] == [(0, 0), (1, 0.1), (2, 0.1), (3, 8)]
-    assert words == "'normal tissue' is fluid now, 'soft tissue' is as stiff as fluid now."
+    assert words == "'normal tissue' is now fluid, 'soft tissue' is now as stiff as fluid."
     found, words = PRESETS[0].replace_materials(table)
     assert (found[1:], words) == (PRESETS[0].materials, ""), "equal names are reported"
     liver = next(preset for preset in PRESETS if preset.name.startswith("Liver"))
     words = liver.replace_materials((Material(0, "unpainted", 20.0), *table[1:]))[1]
     assert words == (
-        "'unpainted' is as stiff as liver now, 'normal tissue' is liver now, "
-        "'soft tissue' is hepatocellular carcinoma now, 'tumour' is as stiff as liver now."
+        "'unpainted' is now as stiff as liver, 'normal tissue' is now liver, "
+        "'soft tissue' is now hepatocellular carcinoma, 'tumour' is now as stiff as liver."
     )
 
 
@@ -170,7 +170,7 @@ def test_a_preset_preserves_rigid_tissue_and_makes_no_other_tissue_rigid():
     bone_first = Preset("", "kPa", "", (Material(1, "bone", RIGID), Material(2, "brain", 3.0)))
     found, words = bone_first.replace_materials((*table, Material(4, "fat", 2.0)))
     assert [row.stiffness for row in found] == [0, RIGID, 3, 3, RIGID]
-    assert words.endswith("'fat' is as stiff as brain now.")
+    assert words.endswith("'fat' is now as stiff as brain.")
     only_bone = replace(bone_first, materials=bone_first.materials[:1])
     assert only_bone.replace_materials((*table, Material(4, "fat", 2.0)))[0][2].stiffness == 2.0
 

@@ -355,7 +355,7 @@ def test_the_menu_of_the_dock_reads_the_label_names_of_a_segmentation(files, qtb
     assert said == [
         (
             "Materials: classes. The table only names its labels, so published stiffness is used "
-            "for 91 (skull). No stiffness is known for 20 (colon), now as stiff as liver."
+            "for 91 (skull). No stiffness is known for 20 (colon): that of liver is used."
         )
     ]
     menu.copy_materials("classes.json")

@@ -180,7 +180,7 @@ def test_a_field_at_another_place_is_refused_by_name(tmp_path, dock_beside):
     write_field(tmp_path / "small.mha", swirl((20, 20), 0.5), spacing=(0.5, 0.5))
     in_mm, viewer = dock_beside(photo(units=("mm", "mm")), open_file(tmp_path / "far.mha"))
     in_mm.boundary = viewer.layers["far"]
-    with pytest.raises(ProblemError, match="'far' lies elsewhere than the image"):
+    with pytest.raises(ProblemError, match="'far' does not overlap the image"):
         _ = in_mm.study
     in_pixels, viewer = dock_beside(photo(), open_file(tmp_path / "small.mha"))
     in_pixels.boundary = viewer.layers["small"]
@@ -272,7 +272,7 @@ def test_a_reference_that_covers_a_part_of_the_tissue_is_compared_there(pulled, 
     dock.reference = viewer.add_layer(Layer.create(*field_layer(in_pixels(d), far, "far")))
     wait_for(lambda: not dock.busy)
     assert dock.comparison is None
-    assert "'far' lies elsewhere" in dock.status
+    assert "'far' does not overlap" in dock.status
 
 
 def test_a_saved_result_of_another_model_is_a_reference(tmp_path, pulled, run, wait_for):

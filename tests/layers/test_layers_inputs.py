@@ -120,7 +120,7 @@ def test_a_label_without_a_row_has_default_values_and_causes_a_note():
     assert inputs.problem.stiffness[5, 5] == 20
     np.testing.assert_array_equal(inputs.problem.confidence[6, 6], [1, 1])
     assert inputs.notes == (
-        "label 9 of 'Tissue' is not in the table and got stiffness 20",
+        "label 9 of 'Tissue' is not in the table: stiffness 20 is assumed",
         "label 7 of 'Boundary' is not in the table and was held fixed",
     )
 
@@ -275,8 +275,8 @@ def test_rigid_tissue_is_infinitely_stiff_in_the_elastic_problem(made):
 def test_the_paper_model_refuses_rigid_tissue_with_a_hint(made, said):
     error = refusal(with_bone(made()))
     assert str(error) == (
-        f"{said} the paper's model does not support, nor does a model with boundaries that may "
-        "slip. Use the elastic model that holds by confidence (`penalty=None`), or give a finite "
+        f"{said} is not supported by the paper's model or by a model with boundaries that may "
+        "slip. Use the elastic model that holds by confidence (`penalty=None`), or use a finite "
         "stiffness."
     )
 
@@ -689,7 +689,7 @@ def test_a_frame_is_restored_from_json():
     viewer, wanted = stack(scale=(5.0, 0.5, 1.0), units=("mm", "mm", "mm"))
     frame = frame_of(wanted.image, View.of(viewer.dims))
     assert Frame.from_dict(json.loads(json.dumps(frame.as_dict()))) == frame
-    with pytest.raises(ValueError, match="place of a slice"):
+    with pytest.raises(ValueError, match="invalid slice position"):
         Frame.from_dict({"plane": [0, 1]})
 
 

@@ -72,7 +72,7 @@ def test_layers_of_another_depth_are_refused(viewer):
     request = Request(
         tissue=labels, image=viewer.layers[0], view=volume_view(viewer), drawing=Drawing()
     )
-    with pytest.raises(ProblemError, match=r"lies elsewhere|8 x 12 x 10"):
+    with pytest.raises(ProblemError, match=r"does not overlap|8 x 12 x 10"):
         study_from_layers(request)
 
 

@@ -143,7 +143,7 @@ def test_a_single_spacing_applies_to_all_axes():
 
 @pytest.mark.parametrize("stiffness", [-1.0, -np.inf])
 def test_a_material_with_negative_stiffness_is_rejected(stiffness):
-    said = rf"stiffness: gives label 3 \(liver\) a stiffness of {stiffness}\. Give a number above 0"
+    said = rf"stiffness: gives label 3 \(liver\) a stiffness of {stiffness}\. Use a number above 0"
     with pytest.raises(ProblemError, match=said):
         Material(3, "liver", stiffness)
     assert Material(3, "air", 0.0).stiffness == 0

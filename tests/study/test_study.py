@@ -78,7 +78,7 @@ def test_tissue_is_elastic_by_default_and_a_prior_can_be_given():
     in_detail = pulled(prior=ElasticPrior(0.3, plane="strain"))
     assert in_detail.prior.poisson == 0.3
     assert replace(in_detail, motion=Motion(hold_edge=True)).prior.poisson == 0.3
-    with pytest.raises(ArgumentError, match="no model 'rubber'"):
+    with pytest.raises(ArgumentError, match="unknown model 'rubber'"):
         pulled(model="rubber")
 
 
@@ -86,9 +86,9 @@ def test_a_prior_or_optimizer_must_match_the_named_model():
     prior, optimizer = ElasticPrior(0.3), ICM(5)
     assert Study(GRID, model="elastic", prior=prior).prior is prior
     assert Study(GRID, model="paper", optimizer=optimizer).optimizer is optimizer
-    with pytest.raises(ArgumentError, match="'paper' needs the prior SeilerPrior, not Elastic"):
+    with pytest.raises(ArgumentError, match="'paper' requires the prior SeilerPrior, not Elastic"):
         Study(GRID, model="paper", prior=prior)
-    with pytest.raises(ArgumentError, match=r"Give optimizer=Multigrid\(\), or leave out"):
+    with pytest.raises(ArgumentError, match=r"Pass optimizer=Multigrid\(\), or omit"):
         Study(GRID, model="elastic", optimizer=optimizer)
     by_name = replace(Study(GRID, model="paper"), model="elastic")
     assert (by_name.model_name, replace(by_name, model="paper").model_name) == ("elastic", "paper")
@@ -163,11 +163,11 @@ def test_a_tissue_stroke_scales_the_stiffness_by_the_ratio_of_its_preset():
         (lambda: pulled(pictures=Pictures(np.ones((20, 25)))), r"image.*\(20, 25\)"),
         (
             lambda: pulled(tissue=Tissue(stiffness=np.ones((*SHAPE, 3)))),
-            r"tissue: has shape \(20, 26, 3\), but .* Give the shape \(20, 26\)\.",
+            r"tissue: has shape \(20, 26, 3\), but .* Use the shape \(20, 26\)\.",
         ),
         (
             lambda: pulled(motion=Motion(observed=np.zeros(SHAPE), confidence=np.ones(SHAPE))),
-            r"observed: has shape \(20, 26\), but .* Give the shape \(20, 26, 2\)\.",
+            r"observed: has shape \(20, 26\), but .* Use the shape \(20, 26, 2\)\.",
         ),
         (
             lambda: Tissue(labels=np.full(SHAPE, 1.5)),
@@ -193,7 +193,7 @@ def test_an_error_names_the_faulty_part():
     with pytest.raises(ProblemError, match=r"observed|confidence"):
         build_problem(pulled(motion=Motion()))
     curve = StiffnessCurve(((50.0, 1.0), (150.0, 2.0)))
-    with pytest.raises(ProblemError, match=r"tissue: is given by a curve .* no image\. Give an"):
+    with pytest.raises(ProblemError, match=r"tissue: is defined by a curve .* no image\. Add an"):
         build_problem(pulled(tissue=Tissue(curve=curve)))
 
 
@@ -280,7 +280,7 @@ def test_a_place_of_the_same_spacing_is_accepted(spacing, unit):
 )
 def test_the_problem_of_another_study_is_rejected(grid):
     other = Study(grid, Tissue(stiffness=np.ones(grid.shape)), pulled().motion)
-    with pytest.raises(ArgumentError, match=r"another study. Give build_problem\(study\)"):
+    with pytest.raises(ArgumentError, match=r"another study. Pass build_problem\(study\)"):
         solve_study(other, stated=build_problem(pulled()))
 
 

@@ -143,7 +143,7 @@ def test_a_force_away_from_a_surface_is_rejected_and_its_boundary_named():
 
 
 def test_a_weight_with_the_wrong_number_of_components_is_rejected():
-    with pytest.raises(ProblemError, match="weight of 3"):
+    with pytest.raises(ProblemError, match="weight with 3"):
         study(weight=(0.0, 0.0, 1.0))
 
 

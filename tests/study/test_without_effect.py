@@ -87,7 +87,7 @@ def test_rules_and_growth_of_missing_labels_are_named():
 
 
 def test_a_fixed_edge_or_rules_of_missing_labels_alone_are_rejected():
-    with pytest.raises(ProblemError, match=r"motion: nothing moves\. Give tissue a displ"):
+    with pytest.raises(ProblemError, match=r"motion: nothing moves\. Prescribe a displ"):
         solve_study(a_study())
     rules = (BoundaryRule(7, "move", vector=(0, 1)),)
     with pytest.raises(ProblemError, match="nothing moves; the rule of label 7 has no"):
@@ -105,7 +105,7 @@ def test_the_command_line_rejects_a_study_without_motion(tmp_path, capsys):
     told = ["solve", str(tmp_path / "a.tif"), "--out", str(tmp_path / "out")]
     assert main([*told, "--hold-edge"]) == 1
     said = capsys.readouterr().err
-    assert "napari-hmrf: nothing moves. Give tissue a displacement, a force or growth (--b" in said
+    assert "napari-hmrf: nothing moves. Prescribe a displacement, force or growth (--b" in said
 
     labels = np.zeros(SHAPE, np.uint8)
     labels[8:12, 8:12] = 2

@@ -240,15 +240,15 @@ def test_an_error_names_boundary_labels_without_a_rule():
 @pytest.mark.parametrize(
     ("rule", "field", "said"),
     [
-        (BoundaryRule(0, "fixed"), "observed", "label 0. Give a label above 0"),
-        (BoundaryRule(1, "push"), "observed", "label 1 with the action 'push'. Give \"fixed\", "),
+        (BoundaryRule(0, "fixed"), "observed", "label 0. Use a label above 0"),
+        (BoundaryRule(1, "push"), "observed", "label 1 with the action 'push'. Use \"fixed\", "),
         (
             BoundaryRule(1, "move", vector=(np.nan, 0), name="rim"),
             "observed",
-            "label 1 (rim) with the vector (nan, 0). Give a number for each of (row, col).",
+            "label 1 (rim) with the vector (nan, 0). Use a number for each of (row, col).",
         ),
-        (BoundaryRule(1, "move", vector=3), "observed", "with the vector 3. Give a number for"),
-        (BoundaryRule(1, "expand", amount=np.inf), "observed", "the amount inf. Give a number."),
+        (BoundaryRule(1, "move", vector=3), "observed", "with the vector 3. Use a number for"),
+        (BoundaryRule(1, "expand", amount=np.inf), "observed", "the amount inf. Use a number."),
         (BoundaryRule(1, "fixed", confidence=(1.0, 1.5)), "confidence", "confidence (1.0, 1.5). "),
         (BoundaryRule(1, "fixed", confidence=(-0.1, 1.0)), "confidence", "a value from 0 to 1 for"),
     ],
@@ -324,8 +324,8 @@ def test_labels_without_a_row_are_listed(image):
     ("values", "error", "said"),
     [
         ({"stiffness": np.nan}, ProblemError, r"gives label 1 \(brain\) a stiffness of nan"),
-        ({"poisson": 0.6}, ProblemError, r"a Poisson's ratio of 0\.6. Give a number from 0 to"),
-        ({"growth": "20%"}, ProblemError, r"a growth of '20%'. Give a number, such as 0\.2 for 20"),
+        ({"poisson": 0.6}, ProblemError, r"a Poisson's ratio of 0\.6. Use a number from 0 to"),
+        ({"growth": "20%"}, ProblemError, r"a growth of '20%'. Use a number, such as 0\.2 for 20"),
         ({"growth": (0.1, np.nan)}, ProblemError, r"a growth of \(0\.1, nan\)"),
         ({"label": "brain"}, ArgumentError, "label must be a whole number, such as 1, not 'brain'"),
         ({"label": 1.5}, ArgumentError, "label must be a whole number"),

@@ -114,7 +114,7 @@ def is_empty(box: Box) -> bool:
 
 
 def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
-    """Draw a mark on the canvas in place; pixels outside the window stay unchanged.
+    """Draw a mark on the canvas in place, without changing pixels outside the window.
 
     Here a mark becomes a boundary condition: its displacement is written to `canvas.observed`, and
     its confidence to `canvas.confidence`. `Ground.statement` passes both images to `Problem`.
@@ -123,7 +123,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     ----------
     mark : Mark
     canvas : Canvas
-        Images, which are modified.
+        Images, modified in place.
     window : Box
         Pixels that may change.
 
@@ -189,7 +189,7 @@ def covered(mark: Mark, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bo
 
 
 def covers(stroke: Stroke, point: Point, spacing: Sequence[float]) -> bool:
-    """Return whether a stroke covers a position, which is in pixels."""
+    """Return whether a stroke covers a position, given in pixels."""
     lines = [np.array(line) - point for line in stroke.lines]
     pixel = distance_to(lines, stroke.radius, spacing, (slice(0, 1),) * len(point))
     return bool(pixel.item() <= stroke.radius)

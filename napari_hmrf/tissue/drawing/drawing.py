@@ -102,7 +102,7 @@ class Drawing:
         if sources.shape != targets.shape:
             raise ProblemError(
                 "landmarks",
-                f"have sources of shape {sources.shape} and targets of shape {targets.shape}. Give "
+                f"have sources of shape {sources.shape} and targets of shape {targets.shape}. Pass "
                 "a target for each source.",
             )
         pixels, counts = np.unique(np.rint(sources), axis=0, return_counts=True)
@@ -116,7 +116,7 @@ class Drawing:
                 raise ProblemError(
                     "landmarks",
                     f"have {sources.shape[1]} coordinates each, but the image has {len(shape)} "
-                    "axes. Give a coordinate for each axis.",
+                    "axes. Pass a coordinate for each axis.",
                 )
             last = np.array(shape) - 0.5
             outside = ((sources < -0.5) | (sources > last)).any(axis=1)
@@ -125,8 +125,8 @@ class Drawing:
                 raise ProblemError(
                     "landmarks",
                     f"have {int(outside.sum())} of {len(sources)} sources outside the image, the "
-                    f"first being number {first} at {tuple(sources[first].tolist())}. Give them in "
-                    "pixels, (row, col) or (plane, row, col), and remove those outside.",
+                    f"first being number {first} at {tuple(sources[first].tolist())}. Pass pixel "
+                    "positions, (row, col) or (plane, row, col), and remove the pairs outside.",
                 )
         pairs = zip(sources.tolist(), targets.tolist(), strict=True)
         return cls(tuple(Landmark(tuple(at), tuple(to), radius, confidence) for at, to in pairs))
@@ -255,7 +255,7 @@ class Drawing:
 
     def _check(self, number: int) -> None:
         if not 0 <= number < len(self.marks):
-            raise IndexError(f"there is no mark {number} of {len(self.marks)}")
+            raise IndexError(f"there is no mark {number}: the drawing has {len(self.marks)}")
 
 
 class Rendering:
@@ -337,7 +337,7 @@ def _points(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
         raise ProblemError(
             "landmarks",
-            f"have a {name} of shape {points.shape}. Give (N, 2) or (N, 3).",
+            f"have a {name} of shape {points.shape}. Pass (N, 2) or (N, 3).",
         )
     if not np.isfinite(points).all():
         raise ProblemError("landmarks", f"have a {name} that is NaN or infinite. Remove that pair.")

@@ -21,7 +21,7 @@ from napari_hmrf.errors import ProblemError
 Point = tuple[float, ...]
 #: Components of a displacement that a mark prescribes; in a volume, "both" means all three.
 Components = Literal["both", "row", "col"]
-#: Slice of the prescribed components, counted from the last axis, for slices and volumes.
+#: Index slice that selects the prescribed components, counted from the last axis.
 COMPONENTS = {"both": slice(None), "row": slice(-2, -1), "col": slice(-1, None)}
 #: Effects of a brush on the tissue under it.
 Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]
@@ -59,7 +59,7 @@ def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
 
 _LARGEST = sys.float_info.max
 _SHARE = (_number(0, 1), "a value from 0 to 1")
-_PLACE = (_place, "finite numbers: (row, col), or (plane, row, col) of a volume")
+_PLACE = (_place, "finite numbers: (row, col), or (plane, row, col) in a volume")
 #: For each field: function that converts a value to a plain type, or to None if the value is
 #: invalid; and valid values, for the error message.
 _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
@@ -86,7 +86,7 @@ def _checked(name: str, value: Any) -> Any:
     make_plain, give = _VALUES[name]
     plain = make_plain(value)
     if plain is None:
-        raise ProblemError("drawing", f"has a mark with {name} {shown(value)}. Give {give}.")
+        raise ProblemError("drawing", f"has a mark with {name} {shown(value)}. Use {give}.")
     return plain
 
 
@@ -105,8 +105,8 @@ class _Checked:
         if len({len(place) for place in self._places}) > 1:
             raise ProblemError(
                 "drawing",
-                "has a mark with positions of two and of three axes. Give (row, col) in an image, "
-                "(plane, row, col) in a volume.",
+                "has a mark that mixes positions in two and in three axes. Use (row, col) in an "
+                "image, or (plane, row, col) in a volume.",
             )
 
     @property

@@ -207,12 +207,12 @@ def test_tissue_follows_the_drawing():
 @pytest.mark.parametrize(
     ("make", "hint"),
     [
-        (lambda: Arrow((0, float("nan")), (1, 1), 2), r"Give finite numbers: \(row, col\)"),
-        (lambda: Arrow((0, 0), (1, float("inf")), 2), r"Give finite numbers: \(row, col\)"),
-        (lambda: Arrow((0, 0), "ab", 2), r"by 'ab'. Give finite numbers: \(row, col\)"),
-        (lambda: Stroke("expand", (((0, 0),),), 2, amount=None), "Give a number"),
+        (lambda: Arrow((0, float("nan")), (1, 1), 2), r"Use finite numbers: \(row, col\)"),
+        (lambda: Arrow((0, 0), (1, float("inf")), 2), r"Use finite numbers: \(row, col\)"),
+        (lambda: Arrow((0, 0), "ab", 2), r"by 'ab'. Use finite numbers: \(row, col\)"),
+        (lambda: Stroke("expand", (((0, 0),),), 2, amount=None), "Use a number"),
         (lambda: Stroke("tissue", (((0, 0),),), 2, label=0.5), "a whole number"),
-        (lambda: Arrow((0, 0, 0), (1, 1), 2), r"Give \(row, col\)"),
+        (lambda: Arrow((0, 0, 0), (1, 1), 2), r"Use \(row, col\)"),
         (lambda: Arrow((0, 0), (1, 1), 0), "above 0"),
         (lambda: Arrow((0, 0), (1, 1), 2, confidence=0), "Remove the mark"),
         (lambda: Arrow((0, 0), (1, 1), 2, components="z"), "both or row or col"),

@@ -173,10 +173,10 @@ def test_fields_show_and_edit_the_curve(editor, person, qtbot):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("50: 10; 100: 0", "needs a stiffness at intensity 100 that is above 0"),
-        ("50: 10; 100: soft", "needs a stiffness at intensity 100 that is above 0"),
+        ("50: 10; 100: 0", "requires a stiffness at intensity 100 that is above 0"),
+        ("50: 10; 100: soft", "requires a stiffness at intensity 100 that is above 0"),
         ("50: 10", "two or more"),
-        ("50: 10; 50: 20", "has intensity 50 twice. Give each once"),
+        ("50: 10; 50: 20", "has intensity 50 twice. List each once"),
         ("50: 10; 100", "above 0"),
         ("50: 10; 100: 20;", "a point that is not a pair of numbers"),
         ("", "a point that is not a pair of numbers"),
@@ -530,7 +530,7 @@ def test_every_preset_is_offered_with_its_source(widget, small_sample):
     found["Liver 5.4, carcinoma 70 kPa"].trigger()
     assert widget.materials[1] == Material(1, "liver", 5.4, 0.49)
     assert widget._form.tissue.table.contents.unit == "kPa"
-    said = "Materials: Liver 5.4, carcinoma 70. 'gel' is liver now."
+    said = "Materials: Liver 5.4, carcinoma 70. 'gel' is now liver."
     assert widget.status == said
 
 

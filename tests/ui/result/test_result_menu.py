@@ -186,7 +186,7 @@ def test_an_image_on_another_grid_moves_with_the_tissue(result, move_layers):
 def test_a_layer_with_other_units_is_refused_by_name(result):
     dock, viewer = result(**MM)
     in_pixels = viewer.add_labels(np.ones((20, 24), int), name="cells")
-    with pytest.raises(HmrfError, match="'cells' has other units than the result"):
+    with pytest.raises(HmrfError, match="'cells' has different units from the result"):
         dock.more.move_along(in_pixels)
 
 
