@@ -284,7 +284,7 @@ def _replay(options: argparse.Namespace) -> int:
     for each in (now, before):
         allowed += 0.0 if each.convergence is None else each.convergence.error
     if difference == 0:
-        result = "the fields are identical, bit by bit"
+        result = "the fields are bit-for-bit identical"
     elif difference <= allowed:
         result = (
             f"the same field within its tolerance: the fields differ by at most {difference:.2g} "

@@ -244,7 +244,7 @@ def test_notes_in_the_shell_name_options_of_the_shell(files, capsys):
     (files / "r.csv").write_text("label,action,row,col\n1,move,1,0\n2,move,1,0\n")
     code, out, _ = run(f"{SOLVE} -o out", capsys)
     assert code == 0
-    assert "hold its edge (--hold-edge), or paint what stays there" in out
+    assert "hold its edge (--hold-edge), or paint the tissue that stays in place" in out
     (files / "m.csv").write_text("label,stiffness\n1,3\n2,rigid\n")
     code, _, err = run(f"{SOLVE} -o out --model paper --force", capsys)
     assert code == 1

@@ -34,9 +34,12 @@ def core_modules():
 
 
 def test_a_setting_is_named_in_the_terms_of_the_interface():
-    said = "hold its edge (`hold_edge=True`), or paint what stays there"
-    assert in_words_of("shell", said) == "hold its edge (--hold-edge), or paint what stays there"
-    assert in_words_of("window", said) == "hold its edge, or paint what stays there"
+    said = "hold its edge (`hold_edge=True`), or paint the tissue that stays in place"
+    assert (
+        in_words_of("shell", said)
+        == "hold its edge (--hold-edge), or paint the tissue that stays in place"
+    )
+    assert in_words_of("window", said) == "hold its edge, or paint the tissue that stays in place"
     assert in_words_of("shell", "see (`unknown`)") == "see (`unknown`)"
     error = ProblemError(
         "tissue", "take the elastic model that holds by confidence (`penalty=None`)"

@@ -23,7 +23,7 @@ class MovedPictures:
 
     def __init__(self) -> None:
         self._warper: tuple[Array | None, tuple[Picture, ...], Warper] | None = None
-        # Axis perpendicular to the displayed slices, image, and warper of the slices of a volume.
+        # For a volume: axis perpendicular to the displayed slices, the image, and the warper.
         self._slicer: tuple[int, Array, Warper] | None = None
 
     def whole(

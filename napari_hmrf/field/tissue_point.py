@@ -83,7 +83,7 @@ class Points:
         return inverse_point(place, *field, self._farthest, fraction)
 
     def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the moved positions of tissue points, both of shape (N, n) in pixels."""
+        """Return the moved positions, shape (N, n), of tissue points (N, n), in pixels."""
         return moved_points(places, self._solution.displacement, spacing=self._solution.spacing)
 
     def at(self, place: tuple[float, ...], fraction: float = 0.0) -> Probe | None:

@@ -3,7 +3,7 @@
 A process creates a lock file with a name that contains the process id, the start time of the
 process and the machine. It then searches for lock files of other processes. If two processes do
 this at the same time, at least one of them finds the lock file of the other. A stale lock file,
-left by an ended process on this machine, is removed. The processes of other machines cannot be
+left by a terminated process on this machine, is removed. The processes of other machines cannot be
 checked, so their lock files are always respected.
 """
 

@@ -27,7 +27,7 @@ def new_file(folder: Path) -> Path:
 
 
 def abandoned_files(folder: Path) -> tuple[Path, ...]:
-    """Return the recovery files of ended processes on this machine, newest first.
+    """Return the recovery files of terminated processes on this machine, newest first.
 
     Files of other machines are omitted, because their processes cannot be checked.
     """
@@ -36,7 +36,7 @@ def abandoned_files(folder: Path) -> tuple[Path, ...]:
 
 
 def claim(file: Path) -> Path:
-    """Take over the recovery file of an ended process: rename it, and return the new path."""
+    """Take over the recovery file of a terminated process: rename it, and return the new path."""
     new_path = new_file(file.parent)
     os.utime(file)
     return file.replace(new_path)

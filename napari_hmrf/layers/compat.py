@@ -50,8 +50,8 @@ def show_name(layer: Any, corner: str) -> None:
 
 def clear_middle(viewer: Any) -> None:
     """Hide the square that napari draws in the middle of the brush circle."""
-    # Private: napari 0.9 draws a small square there, as the background of a text label. The square
-    # stays visible when the circle is hidden, and no public attribute hides it.
+    # Private attribute: napari 0.9 draws a small square there, as the background of a text label.
+    # The square stays visible when the circle is hidden, and no public attribute hides it.
     circle = _overlay(viewer, "_brush_circle")
     if getattr(circle, "box", False):
         circle.box = False
@@ -65,22 +65,22 @@ def paint_steps(layer: Any, name: str) -> Collection[Any] | None:
     layer : napari.layers.Labels
     name : {"undo", "redo"}
     """
-    # Private: the undo and redo keys also apply to edits of the study, and napari has no public
-    # API to check whether there is a stroke to undo or redo.
+    # Private attribute: the undo and redo keys also apply to edits of the study, and napari has no
+    # public API to check whether there is a stroke to undo or redo.
     steps: Collection[Any] | None = getattr(layer, f"_{name}_history", None)
     return steps
 
 
 def thin_thumbnail(layer: Any, most: int) -> None:
     """Limit the number of lines in the thumbnail of a Vectors layer to `most`."""
-    # Private: drawing a thumbnail of all lines takes longer than drawing the lines on the canvas,
-    # and thumbnails cannot be disabled.
+    # Private attribute: drawing a thumbnail of all lines takes longer than drawing the lines on the
+    # canvas, and thumbnails cannot be disabled.
     layer._max_vectors_thumbnail = most
 
 
 def drawn_node(viewer: Any, layer: Any) -> Any:
     """Return the vispy node that draws a layer, or None if there is no window or node."""
-    # Private: napari has no public API for the canvas of a window and its nodes.
+    # Private attribute: napari has no public API for the canvas of a window and its nodes.
     try:
         return viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
     except (AttributeError, KeyError):
@@ -104,7 +104,7 @@ class CanvasContext:
         viewer.layers.events.removing.connect(self._make_current)
 
     def _make_current(self, _: Any) -> None:
-        # Private: see `drawn_node`.
+        # Private attribute: see `drawn_node`.
         with suppress(AttributeError, RuntimeError):  # there is no window, or it has been closed
             self._viewer().window._qt_viewer.canvas.native.makeCurrent()  # type: ignore[union-attr]
 
@@ -117,8 +117,8 @@ def compile_once(mesh: Any) -> bool:
     bool
         False if this version of vispy does not support the workaround.
     """
-    # Private: when its data change, a mesh creates a new function for its colours. As a result, the
-    # shader program is composed, compiled and linked again.
+    # Private attribute: when its data change, a mesh creates a new function for its colours. As a
+    # result, the shader program is composed, compiled and linked again.
     build = getattr(mesh, "_build_color_transform", None)
     if build is None:
         return False
@@ -142,8 +142,8 @@ def compile_once(mesh: Any) -> bool:
 
 def is_quitting(window: Any) -> bool:
     """Return whether closing a napari window will quit the application and close all windows."""
-    # Private: napari closes the other windows without confirmation, so all windows must be checked
-    # for unsaved work first.
+    # Private attribute: napari closes the other windows without confirmation, so all windows must
+    # be checked for unsaved work first.
     return bool(getattr(window, "_quit_app", False))
 
 
@@ -152,7 +152,7 @@ def stop_quitting(window: Any) -> None:
 
     Otherwise, napari would quit when the window is closed later.
     """
-    # Private: napari sets the request before a window is closed, and never resets it.
+    # Private attribute: napari sets the request before a window is closed, and never resets it.
     if is_quitting(window):
         window._quit_app = False
 

@@ -67,7 +67,8 @@ def weight(
     if not elements.any():
         raise ProblemError(
             "stiffness",
-            "has no tissue that is two pixels wide, so no weight acts. Make the tissue wider.",
+            "has no tissue that is two pixels wide, so its weight has no effect. Make the "
+            "tissue wider.",
         )
     share = math.prod(size) / 2**tissue.ndim
     mean = of_corners(density_of_sites, np.add) / 2**tissue.ndim

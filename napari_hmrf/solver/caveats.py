@@ -87,7 +87,7 @@ def missing_constraint(problem: Problem) -> str:
     if not displacements.any(axis=-1).all() or ((observed & rim).any() and not is_translation):
         return ""
     motion = "moves as one" if is_translation else "gives way"
-    remedy = "hold its edge (`hold_edge=True`), or paint what stays there"
+    remedy = "hold its edge (`hold_edge=True`), or paint the tissue that stays in place"
     return f"{LOOSE}, so that all of it {motion}: {remedy}"
 
 

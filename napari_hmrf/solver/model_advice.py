@@ -19,8 +19,8 @@ _WHEN: dict[ModelName, str] = {
 }
 _OFF: dict[ModelName, float] = {"elastic": 0.0002, "paper": 1.03, "paper, converged": 0.23}
 _FROM_FEM = (
-    "The sample brain moves by 7.4 px; its field is {} px from finite elements, the standard in "
-    "engineering, with Poisson's ratio 0.3 (0.02 s)."
+    "The sample brain moves by 7.4 px. Its field differs by {} px from a finite-element solution, "
+    "the standard in engineering, with Poisson's ratio 0.3."
 )
 _WHEN_PLANE: dict[Plane, str] = {
     "stress": "Squeezed tissue can bulge out of the image, as in a thin section.",

@@ -260,7 +260,7 @@ class Engine:
 def patience_for(study: Study, preview: Preview | None) -> float:
     """Return how long a solve continues while a newer study is pending, in seconds.
 
-    If each solve were cancelled immediately, tissue would not move during a drag without pauses.
+    If each solve were cancelled immediately, tissue would not move until the user pauses the drag.
     The time is 0 for a volume on its full grid, because the solution would be stale before it is
     displayed.
     """

@@ -162,7 +162,7 @@ _BY_NAME: dict[ModelName, tuple[Prior, Optimizer]] = {
 
 
 def parts_of(name: str) -> tuple[Prior, Optimizer]:
-    """Return the prior and the optimizer of a model with default details.
+    """Return the prior and the optimizer of a model, with default settings.
 
     Parameters
     ----------

@@ -388,10 +388,10 @@ class StudyModel(EditHistory):
         self._set(part, now, word if step else "")
 
     def _change_earlier(self, part: Part, before: Any, now: Any, changed: list[str]) -> None:
-        """Apply a change that is not a step to the stored states of a part in the history.
+        """Apply a change that cannot be undone on its own to all states of a part in the history.
 
-        Undo then preserves the change. A state in which a changed attribute has a different value
-        retains that value.
+        Undo then preserves the change. A state that has another value of a changed attribute is not
+        changed.
         """
         for steps in (self._past, self._future):
             for number, step in enumerate(steps):

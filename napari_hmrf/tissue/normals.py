@@ -123,7 +123,8 @@ def _refuse_open_line(
         "observed",
         f"lets {name} expand, but a part of it is an open {shape} (about {length:.3g} long and "
         f"{thickness:.3g} thick), which has no inside and would tear along its middle. "
-        f"Close the {shape} to a {closed}, or let it move by a vector instead (`action='move'`).",
+        f"Close the {shape} to form a {closed}, or let it move by a vector instead "
+        "(`action='move'`).",
     )
 
 

@@ -100,7 +100,7 @@ class Prose(Label):
         words.installEventFilter(self._fit)
 
     def show_text(self, sentence: str) -> None:
-        """Show a text."""
+        """Show a message."""
         self.value = sentence
         self._fit.fit()
 

@@ -289,7 +289,7 @@ class Unsaved(QObject):
             self._writer.start()
 
     def _open_recovered(self, file: Path) -> None:
-        """Open a recovery file of an ended process, and keep it until the work is saved."""
+        """Open a recovery file of a terminated process, and keep it until the work is saved."""
         self._add(file)
         slice_part = self._model.slice
         self._work.note(slice_part)
@@ -321,7 +321,7 @@ class RecoveryNotice(Container):
         self.refresh()
 
     def refresh(self) -> None:
-        """Show the newest recovery file of an ended process, or hide the notice."""
+        """Show the newest recovery file of a terminated process, or hide the notice."""
         files, text = recovery.abandoned_files(folder()), ""
         if files:
             self._file = files[0]

@@ -27,8 +27,8 @@ class FiniteModel(Protocol):
         """Upper bounds on the spectrum, as in `LinearModel.bounds`."""
         ...
 
-    #: Constrained components and, for these, the factor by which cycles underestimate the error;
-    #: None if unknown.
+    #: Constrained components and, for these, the ratio of the true error to the error that cycles
+    #: estimate; None if unknown.
     rehearsed: tuple[HeldPlanes, float] | None
 
     def assemble(self, material: FiniteMaterial) -> None:

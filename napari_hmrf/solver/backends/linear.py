@@ -192,7 +192,7 @@ class LinearModel(Protocol):
 
     @property
     def mild(self) -> bool:
-        """True if a cycle reduces every motion of this tissue."""
+        """True if a cycle reduces the error of every motion of this tissue."""
         ...
 
     @property

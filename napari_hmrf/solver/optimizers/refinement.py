@@ -140,7 +140,7 @@ class Refinement:
         return self._model.pull(d, self._low).copy()
 
     def require_rehearsal(self) -> None:
-        """Require a new rehearsal, because new constraints may change the spectrum."""
+        """Require a new trial solve, because new constraints may change the spectrum."""
         if self._underestimate is not None and self._underestimate <= BELIEVABLE:
             self._underestimate = None
 

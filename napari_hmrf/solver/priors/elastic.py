@@ -93,7 +93,7 @@ class ElasticPrior:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters by name (JSON types only), with a map of ratios as its shape and digest."""
+        """Parameters by name (JSON types only); a map of ratios is given by shape and digest."""
         nu: Any = self.poisson
         if isinstance(nu, np.ndarray):
             digest = hashlib.sha256(nu.tobytes()).hexdigest()

@@ -295,7 +295,7 @@ def mark_from_dict(values: Mapping[str, Any]) -> Mark:
 
 
 def _with_lines(stroke: Stroke, lines: tuple[tuple[Point, ...], ...]) -> Stroke:
-    """Return a stroke with other lines, without validating all points again."""
+    """Return a copy of a stroke with its lines replaced, without validation."""
     other = object.__new__(Stroke)
     other.__dict__.update(stroke.__dict__, lines=lines)
     return other

@@ -165,7 +165,7 @@ class Pointer:
         self.report_tool()
 
     def report_tool(self) -> None:
-        """Show the tool on the canvas while the mouse draws, unless other text is shown there."""
+        """Show the name of the tool on the canvas, unless other text is shown there."""
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
             self._in_corner = corner.text = self._fields.words if self.active else ""

@@ -87,7 +87,7 @@ class UnderCursor:
         known = status if isinstance(status, dict) else {"coordinates": status}
         text = str(known.get("coordinates", "")).removesuffix(self._line)
         # napari also emits a status before the mouse first enters the canvas. When the mouse
-        # leaves, napari emits an empty text before it updates `mouse_over_canvas`.
+        # leaves, napari emits an empty string before it updates `mouse_over_canvas`.
         is_over_canvas = bool(text) and self._viewer.mouse_over_canvas
         line = self.line_at(self._viewer.cursor.position) if is_over_canvas else ""
         self._line = f"  |  {line}" if line else ""

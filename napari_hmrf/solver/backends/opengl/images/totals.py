@@ -59,7 +59,7 @@ class Totals(Protocol):
 
 
 class BlockTotals:
-    """Accumulator that adds blocks of shares on the device.
+    """Accumulator that sums blocks of per-site contributions on the device.
 
     The sums of each sweep fill one strip of an atlas texture.
 
