@@ -206,9 +206,7 @@ def volumes(f, points, q, count):
     for x in range(count):
         f[line(VOLUME) + x] = 0
     for n in range(8):
-        s = point if n >= 4 else -point
-        t = point if n % 4 >= 2 else -point
-        r = point if n % 2 else -point
+        s, t, r = _place(n, point)
         jacobians = of_points(points, _JACOBIANS + n)
         for x in range(count):
             m = deformed(f, x, q, s, t, r)
@@ -271,30 +269,16 @@ def _energy_plane(d, solid, q, barrier, z, f, points, edges, net):
             for x in range(count):
                 f[line(STRETCH) + x], f[line(PRODUCT) + x] = 0.0, 1.0
             for n in range(8):
-                s = _POINT if n >= 4 else -_POINT
-                t = _POINT if n % 4 >= 2 else -_POINT
-                r = _POINT if n % 2 else -_POINT
+                s, t, r = _place(n, _POINT)
                 jacobians = of_points(points, _JACOBIANS + n)
                 for x in range(count):
                     m = deformed(f, x, sides, s, t, r)
-                    g0, g1, g2 = (
-                        f[line(SQUARE) + x],
-                        f[line(SQUARE + 1) + x],
-                        f[line(SQUARE + 2) + x],
+                    p = _without_twice(f, x, m)
+                    stretch = (m[0] * p[0] + m[1] * p[1] + m[2] * p[2]) + (
+                        m[3] * p[3] + m[4] * p[4] + m[5] * p[5]
                     )
-                    g3, g4, g5 = (
-                        f[line(SQUARE + 3) + x],
-                        f[line(SQUARE + 4) + x],
-                        f[line(SQUARE + 5) + x],
-                    )
-                    # Trace of F G G F^T.
-                    same = g0 * (m[0] * m[0] + m[3] * m[3] + m[6] * m[6])
-                    same += g3 * (m[1] * m[1] + m[4] * m[4] + m[7] * m[7])
-                    same += g5 * (m[2] * m[2] + m[5] * m[5] + m[8] * m[8])
-                    mixed = g1 * (m[0] * m[1] + m[3] * m[4] + m[6] * m[7])
-                    mixed += g2 * (m[0] * m[2] + m[3] * m[5] + m[6] * m[8])
-                    mixed += g4 * (m[1] * m[2] + m[4] * m[5] + m[7] * m[8])
-                    f[line(STRETCH) + x] += same + 2.0 * mixed
+                    stretch += m[6] * p[6] + m[7] * p[7] + m[8] * p[8]
+                    f[line(STRETCH) + x] += stretch
                     f[line(PRODUCT) + x] *= f[line(GAIN) + x] * jacobians[x]
             for x in range(count):
                 mu, lam = f[line(MU) + x], f[line(LAM) + x]
@@ -337,6 +321,30 @@ def clear_pulls(f, count):
 
 
 @shared
+def _place(n, far):
+    """Return the coordinates of Gauss point n, which are `far` or its negative."""
+    return far if n >= 4 else -far, far if n % 4 >= 2 else -far, far if n % 2 else -far
+
+
+@shared
+def _without_twice(f, x, m):
+    """Return m G G for a matrix of nine numbers."""
+    g0, g1, g2 = f[line(SQUARE) + x], f[line(SQUARE + 1) + x], f[line(SQUARE + 2) + x]
+    g3, g4, g5 = f[line(SQUARE + 3) + x], f[line(SQUARE + 4) + x], f[line(SQUARE + 5) + x]
+    return (
+        m[0] * g0 + m[1] * g1 + m[2] * g2,
+        m[0] * g1 + m[1] * g3 + m[2] * g4,
+        m[0] * g2 + m[1] * g4 + m[2] * g5,
+        m[3] * g0 + m[4] * g1 + m[5] * g2,
+        m[3] * g1 + m[4] * g3 + m[5] * g4,
+        m[3] * g2 + m[4] * g4 + m[5] * g5,
+        m[6] * g0 + m[7] * g1 + m[8] * g2,
+        m[6] * g1 + m[7] * g3 + m[8] * g4,
+        m[6] * g2 + m[7] * g4 + m[8] * g5,
+    )
+
+
+@shared
 def _add_stress(f, x, k, q, s, t, r, a, b, c):
     """Add the stress of one component at a Gauss point to the pulls of its modes."""
     at = line(PULLS + 7 * k) + x
@@ -348,6 +356,30 @@ def _add_stress(f, x, k, q, s, t, r, a, b, c):
     f[at + 4 * STEP] += r * a + s * c
     f[at + 5 * STEP] += r * b + t * c
     f[at + 6 * STEP] += (t * r) * a + ((s * r) * b + (s * t) * c)
+
+
+@shared
+def _add_stresses(f, x, q, s, t, r, p):
+    """Add the stress at a Gauss point, nine numbers, to the pulls of all modes."""
+    _add_stress(f, x, 0, q, s, t, r, p[0], p[1], p[2])
+    _add_stress(f, x, 1, q, s, t, r, p[3], p[4], p[5])
+    _add_stress(f, x, 2, q, s, t, r, p[6], p[7], p[8])
+
+
+@shared
+def _combined(a, m, b, n, c, w):
+    """Return a m + b n + c w, for matrices of nine numbers."""
+    return (
+        a * m[0] + (b * n[0] + c * w[0]),
+        a * m[1] + (b * n[1] + c * w[1]),
+        a * m[2] + (b * n[2] + c * w[2]),
+        a * m[3] + (b * n[3] + c * w[3]),
+        a * m[4] + (b * n[4] + c * w[4]),
+        a * m[5] + (b * n[5] + c * w[5]),
+        a * m[6] + (b * n[6] + c * w[6]),
+        a * m[7] + (b * n[7] + c * w[7]),
+        a * m[8] + (b * n[8] + c * w[8]),
+    )
 
 
 @callee
@@ -364,9 +396,7 @@ def _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out):
             volumes(f, points, sides, count)
             clear_pulls(f, count)
             for n in range(8):
-                s = _POINT if n >= 4 else -_POINT
-                t = _POINT if n % 4 >= 2 else -_POINT
-                r = _POINT if n % 2 else -_POINT
+                s, t, r = _place(n, _POINT)
                 jacobians = of_points(points, _JACOBIANS + n)
                 for x in range(count):
                     m = deformed(f, x, sides, s, t, r)
@@ -375,34 +405,9 @@ def _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out):
                     mu = 0.125 * f[line(MU) + x]
                     slope = 0.0625 * f[line(LAM) + x] * gain * (volume - 1.0 / volume)
                     slope -= mu / jacobians[x]
-                    g0, g1, g2 = (
-                        f[line(SQUARE) + x],
-                        f[line(SQUARE + 1) + x],
-                        f[line(SQUARE + 2) + x],
-                    )
-                    g3, g4, g5 = (
-                        f[line(SQUARE + 3) + x],
-                        f[line(SQUARE + 4) + x],
-                        f[line(SQUARE + 5) + x],
-                    )
-                    _add_stress(
-                        f, x, 0, sides, s, t, r,
-                        mu * (m[0] * g0 + m[1] * g1 + m[2] * g2) + slope * cof[0],
-                        mu * (m[0] * g1 + m[1] * g3 + m[2] * g4) + slope * cof[1],
-                        mu * (m[0] * g2 + m[1] * g4 + m[2] * g5) + slope * cof[2],
-                    )  # fmt: skip
-                    _add_stress(
-                        f, x, 1, sides, s, t, r,
-                        mu * (m[3] * g0 + m[4] * g1 + m[5] * g2) + slope * cof[3],
-                        mu * (m[3] * g1 + m[4] * g3 + m[5] * g4) + slope * cof[4],
-                        mu * (m[3] * g2 + m[4] * g4 + m[5] * g5) + slope * cof[5],
-                    )  # fmt: skip
-                    _add_stress(
-                        f, x, 2, sides, s, t, r,
-                        mu * (m[6] * g0 + m[7] * g1 + m[8] * g2) + slope * cof[6],
-                        mu * (m[6] * g1 + m[7] * g3 + m[8] * g4) + slope * cof[7],
-                        mu * (m[6] * g2 + m[7] * g4 + m[8] * g5) + slope * cof[8],
-                    )  # fmt: skip
+                    same = _without_twice(f, x, m)
+                    stresses = _combined(mu, same, slope, cof, 0.0, cof)
+                    _add_stresses(f, x, sides, s, t, r, stresses)
             for x in range(count):
                 if f[line(LOW) + x] < start and f[line(MU) + x] > 0:
                     scale = strength * f[line(MU) + x]
@@ -481,9 +486,7 @@ def _image_plane(d, way, solid, q, positive, z, f, points, out):
             for x in range(count):
                 f[line(RATE) + x] = 0
             for n in range(8):
-                s = point if n >= 4 else -point
-                t = point if n % 4 >= 2 else -point
-                r = point if n % 2 else -point
+                s, t, r = _place(n, point)
                 jacobians = of_points(points, _JACOBIANS + n)
                 tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
                 for x in range(count):
@@ -509,9 +512,7 @@ def _image_plane(d, way, solid, q, positive, z, f, points, out):
                         safe = min(max(slope, -bound), bound)
                         slopes[x] = slope + positive * (safe - slope)
             for n in range(8):
-                s = point if n >= 4 else -point
-                t = point if n % 4 >= 2 else -point
-                r = point if n % 2 else -point
+                s, t, r = _place(n, point)
                 jacobians = of_points(points, _JACOBIANS + n)
                 tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
                 for x in range(count):
@@ -528,34 +529,9 @@ def _image_plane(d, way, solid, q, positive, z, f, points, out):
                     bend = (mu / (jacobian * jacobian)) * tilts[x]
                     stiff = half * f[line(LAM) + x] * (one + one / (volume * volume))
                     bend += eighth * eighth * gain * gain * stiff * f[line(RATE) + x]
-                    g0, g1, g2 = (
-                        f[line(SQUARE) + x],
-                        f[line(SQUARE + 1) + x],
-                        f[line(SQUARE + 2) + x],
-                    )
-                    g3, g4, g5 = (
-                        f[line(SQUARE + 3) + x],
-                        f[line(SQUARE + 4) + x],
-                        f[line(SQUARE + 5) + x],
-                    )
-                    _add_stress(
-                        f, x, 0, sides, s, t, r,
-                        mu * (w0 * g0 + w1 * g1 + w2 * g2) + (slope * turn[0] + bend * cof[0]),
-                        mu * (w0 * g1 + w1 * g3 + w2 * g4) + (slope * turn[1] + bend * cof[1]),
-                        mu * (w0 * g2 + w1 * g4 + w2 * g5) + (slope * turn[2] + bend * cof[2]),
-                    )  # fmt: skip
-                    _add_stress(
-                        f, x, 1, sides, s, t, r,
-                        mu * (w3 * g0 + w4 * g1 + w5 * g2) + (slope * turn[3] + bend * cof[3]),
-                        mu * (w3 * g1 + w4 * g3 + w5 * g4) + (slope * turn[4] + bend * cof[4]),
-                        mu * (w3 * g2 + w4 * g4 + w5 * g5) + (slope * turn[5] + bend * cof[5]),
-                    )  # fmt: skip
-                    _add_stress(
-                        f, x, 2, sides, s, t, r,
-                        mu * (w6 * g0 + w7 * g1 + w8 * g2) + (slope * turn[6] + bend * cof[6]),
-                        mu * (w6 * g1 + w7 * g3 + w8 * g4) + (slope * turn[7] + bend * cof[7]),
-                        mu * (w6 * g2 + w7 * g4 + w8 * g5) + (slope * turn[8] + bend * cof[8]),
-                    )  # fmt: skip
+                    same = _without_twice(f, x, way_of)
+                    stresses = _combined(mu, same, slope, turn, bend, cof)
+                    _add_stresses(f, x, sides, s, t, r, stresses)
             for n in range(21):
                 for x in range(count):
                     f[line(PULLS + n) + x] *= f[line(LIVE) + x]
@@ -682,9 +658,7 @@ def _element_matrix(d, solid, q, z, y, x, f, points, slopes, tilts, rate, out):
     )  # fmt: skip
     pressure = 0.5 * lam * gain * (volume - 1.0 / volume)
     for n in range(8):
-        s = _POINT if n >= 4 else -_POINT
-        t = _POINT if n % 4 >= 2 else -_POINT
-        r = _POINT if n % 2 else -_POINT
+        s, t, r = _place(n, _POINT)
         jacobian = of_points(points, _JACOBIANS + n)[0]
         m = deformed(f, 0, q, s, t, r)
         c = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
