@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,12 +37,27 @@ class Case(NamedTuple):
     known: bool
 
 
-def run(first: int, count: int) -> None:
-    """Solve random problems and print the numbers of faults, refusals and missed targets."""
+def run(
+    first: int,
+    count: int,
+    case_of: Callable[[int], Case] | None = None,
+    smallest_of: Callable[[Problem, npt.NDArray[np.floating]], float] = least_corner,
+) -> None:
+    """Solve random problems and print the numbers of faults, refusals and missed targets.
+
+    Parameters
+    ----------
+    first, count : int
+        Number of the first problem, and number of problems.
+    case_of : callable, optional
+        Returns the problem of a number; by default `make_case`.
+    smallest_of : callable
+        Returns the smallest Jacobian of a displacement.
+    """
     counts: Counter[str] = Counter()
     slowest, begun = (0.0, first), time.perf_counter()
     for number in range(first, first + count):
-        case = make_case(number)
+        case = (case_of or make_case)(number)
         counts["known"] += case.known
         started = time.perf_counter()
         try:
@@ -53,16 +69,16 @@ def run(first: int, count: int) -> None:
             continue
         finally:
             slowest = max(slowest, (time.perf_counter() - started, number))
-        faults = _faults(case, found)
+        least = smallest_of(case.problem, found.displacement)
+        faults = _faults(case, found, least)
         counts.update(faults)
-        least = least_corner(case.problem, found.displacement)
         gap = _gap(case.problem, found.displacement).max()
         counts["beyond the tolerance"] += found.convergence.error > Multigrid().tolerance
         counts["met"] += case.known and gap <= _MET
         if faults or (case.known and gap > _MET):
             what = ", ".join(faults) or "not reached"
             print(
-                f"problem {number} (known map: {case.known}): {what}; least corner {least:.2g}; "
+                f"problem {number} (known map: {case.known}): {what}; least Jacobian {least:.2g}; "
                 f"{found.reach}; error {found.convergence.error:.2g} px",
                 flush=True,
             )
@@ -84,7 +100,7 @@ _FAULTS = (
 )
 
 
-def _faults(case: Case, found: Any) -> list[str]:
+def _faults(case: Case, found: Any, least: float) -> list[str]:
     """Return the names of the faults of a result."""
     problem, reach = case.problem, found.reach
     displacement, error = found.displacement, found.convergence.error
@@ -95,7 +111,7 @@ def _faults(case: Case, found: Any) -> list[str]:
     is_said = reach.unbalanced_at is not None and reach.unbalanced >= 0.99 * error * problem.unit
     folds = count_folds(displacement, spacing=problem.spacing, tissue=problem.tissue)
     are = (
-        not least_corner(problem, displacement) > 0 or not reach.least_jacobian > 0,
+        not least > 0 or not reach.least_jacobian > 0,
         not (math.isfinite(error) and math.isfinite(found.convergence.residual)),
         folds > 0,
         beyond and not is_said,

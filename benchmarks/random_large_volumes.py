@@ -6,97 +6,27 @@
 from __future__ import annotations
 
 import math
-import time
-from collections import Counter
-from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf import HmrfError, NeoHookeanPrior, Problem, solve
+from benchmarks import random_large_motion
+from benchmarks.random_large_motion import Case
+from napari_hmrf import NeoHookeanPrior, Problem
 from napari_hmrf.loads import Loads
-from napari_hmrf.solver.optimizers import Multigrid
 from tests.support.finite_volume_oracle import smallest_jacobians
 
 Field = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# Largest distance of the tissue from a target that is reached, in voxels.
-_MET = 0.01
 # Least Jacobian of a map from which targets are sampled.
 _LEAST = 0.2
 
 
-class Case(NamedTuple):
-    """Random problem and prior, and whether the targets are sampled from a map without folds."""
-
-    problem: Problem
-    prior: NeoHookeanPrior
-    known: bool
-
-
 def run(first: int, count: int) -> None:
     """Solve random problems and print the numbers of faults, refusals and missed targets."""
-    counts: Counter[str] = Counter()
-    slowest, begun = (0.0, first), time.perf_counter()
-    for number in range(first, first + count):
-        case = make_case(number)
-        counts["known"] += case.known
-        started = time.perf_counter()
-        try:
-            found = solve(case.problem, case.prior, backend="cpu")
-        except HmrfError as error:
-            counts["refused"] += 1
-            print(f"problem {number} refused: {type(error).__name__}: {error}", flush=True)
-            continue
-        finally:
-            slowest = max(slowest, (time.perf_counter() - started, number))
-        faults, least = _faults(case, found)
-        counts.update(faults)
-        gap = _gap(case.problem, found.displacement).max()
-        counts["beyond the tolerance"] += found.convergence.error > Multigrid().tolerance
-        counts["met"] += case.known and gap <= _MET
-        if faults or (case.known and gap > _MET):
-            what = ", ".join(faults) or "not reached"
-            print(
-                f"problem {number} {case.problem.shape} (known map: {case.known}): {what}; least "
-                f"{least:.2g}; {found.reach}; error {found.convergence.error:.2g} px",
-                flush=True,
-            )
-    took = time.perf_counter() - begun
-    for name in _FAULTS:
-        print(f"{counts[name]} of {count}: {name}")
-    print(f"{counts['refused']} of {count}: refused, with the reasons above")
-    print(f"{counts['beyond the tolerance']} of {count}: error beyond the tolerance, as reported")
-    print(f"{counts['met']} of {counts['known']}: targets of a known map reached to {_MET} px")
-    print(f"slowest: problem {slowest[1]}, {slowest[0]:.1f} s; all: {took:.0f} s", flush=True)
-
-
-_FAULTS = (
-    "folded",
-    "error that is not a number",
-    "unreported error beyond the tolerance",
-    "missed target that is not reported",
-)
-
-
-def _faults(case: Case, found: Any) -> tuple[list[str], float]:
-    """Return the names of the faults of a result, and its smallest Jacobian."""
-    problem, reach = case.problem, found.reach
-    error, missing = found.convergence.error, _gap(problem, found.displacement)
-    there = 0.0 if reach.where is None else missing[reach.where]
-    said = reach.missing / problem.unit
-    beyond = error > Multigrid().tolerance
-    is_said = reach.unbalanced_at is not None and reach.unbalanced >= 0.99 * error * problem.unit
-    least = smallest_of(problem, found.displacement)
-    are = (
-        not least > 0 or not reach.least_jacobian > 0,
-        not (math.isfinite(error) and math.isfinite(found.convergence.residual)),
-        beyond and not is_said,
-        not max(abs(missing.max() - said), abs(there - said)) <= _MET,
-    )
-    return [name for name, is_so in zip(_FAULTS, are, strict=True) if is_so], least
+    random_large_motion.run(first, count, make_case, smallest_of)
 
 
 def smallest_of(problem: Problem, displacement: npt.NDArray[np.floating]) -> float:
@@ -107,12 +37,6 @@ def smallest_of(problem: Problem, displacement: npt.NDArray[np.floating]) -> flo
     tissue = np.all([problem.tissue[at] for at in corners], axis=0)
     values = np.stack([d[at] for at in corners], axis=-2)[tissue]
     return float(smallest_jacobians(values, 10).min()) if len(values) else 1.0
-
-
-def _gap(problem: Problem, displacement: Any) -> Field:
-    """Return the distance of each site from its target, in voxels."""
-    gap = np.where(problem.known, problem.observed - displacement.astype(np.float64), 0)
-    return np.asarray(np.linalg.norm(gap, axis=-1) / problem.unit)
 
 
 def make_case(number: int) -> Case:
