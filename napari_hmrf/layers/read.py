@@ -177,7 +177,7 @@ class _Reader:
             self._notes.append(sheared)
         if request.view is not None and request.view.tilts(self._frame):
             self._notes.append(
-                f"napari does not display the tilt of '{reference.name}' out of its slices, so the "
+                f"napari cannot display '{reference.name}' tilted relative to the slice plane, so the "
                 "displayed positions are approximate; directions, lengths and saved files are exact"
             )
         if any(layer.multiscale for layer in request.layers):
