@@ -300,7 +300,7 @@ def _add_solve(commands: Commands) -> None:
         type=energy_option("penalty"),
         metavar="K",
         help="holding force above which boundaries slip (default: boundaries do not slip; the "
-        "paper's models use a sufficiently large force)",
+        "paper's models use a force that is large enough to prevent slip)",
     )
     solve.add_argument(
         "--weight",

@@ -85,11 +85,11 @@ class BackendError(HmrfError, RuntimeError):
 
 
 class ConvergenceError(HmrfError, ArithmeticError):
-    """Iteration that ended without reliable convergence, and therefore without a result."""
+    """Error for an iteration that ended without reliable convergence, so without a result."""
 
 
 class FileFormatError(HmrfError, ValueError):
-    """File that violates its format, such as a saved solution or a table of materials."""
+    """Error for a file that violates its format, such as a saved solution or a material table."""
 
 
 class Cancelled(HmrfError):

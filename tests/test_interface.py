@@ -338,7 +338,10 @@ def test_any_wrong_argument_is_refused_with_a_short_error_of_the_package(
         (lambda: Problem("a", 1, 2), r"stiffness: has shape \(\), but a 2-D image"),
         (lambda: Problem("a", HELD, IMAGE), "observed: is 'a', of type str. Pass real numbers"),
         (lambda: stiffness_image(LABELS, {1: 5.0}), "materials must be a list of Material"),
-        (lambda: napari_hmrf.data.phantom("liver"), "no phantom 'liver'; choose from expansion"),
+        (
+            lambda: napari_hmrf.data.phantom("liver"),
+            "unknown phantom 'liver'; use one of expansion",
+        ),
     ],
 )
 def test_an_error_names_the_given_value_and_the_expected_value(mistake, says):

@@ -57,7 +57,7 @@ Seed = int | Sequence[int] | np.random.Generator | None
 _PATCHES = {2: 12, 3: 8}
 # Default largest pull, as a fraction of the mean distance between neighbouring patches.
 _REACH = {2: 1 / 4, 3: 1 / 8}
-_MOVING = "pictures to be moved"
+_MOVING = "pictures to deform"
 _log = logging.getLogger("napari_hmrf")
 
 

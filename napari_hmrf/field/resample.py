@@ -244,7 +244,7 @@ def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
 def checked_order(order: int) -> int:
     """Check the order of spline interpolation."""
     if real(order) not in (0, 1, 2, 3, 4, 5):
-        raise ProblemError("order", f"is {shown(order)}. Use 0 (nearest), 1 (linear) or up to 5.")
+        raise ProblemError("order", f"is {shown(order)}. Use an integer from 0 to 5.")
     return int(order)
 
 

@@ -244,7 +244,7 @@ class Result:
                 layer.visible = False
 
     def drop_paint(self, besides: Collection[Part] = ()) -> None:
-        """Remove the paint layers, except the parts in `besides`."""
+        """Remove the paint layers, except those of the parts in `besides`."""
         for part in (PAINTED, CONFIDENCE):
             if part not in besides:
                 self.drop(part)

@@ -177,8 +177,9 @@ class _Reader:
             self._notes.append(sheared)
         if request.view is not None and request.view.tilts(self._frame):
             self._notes.append(
-                f"napari does not display the tilt of '{reference.name}' out of its slices, so the "
-                "displayed positions are approximate; directions, lengths and saved files are exact"
+                f"napari cannot display '{reference.name}' tilted relative to the slice plane, so "
+                "the displayed positions are approximate; directions, lengths and saved files are "
+                "exact"
             )
         if any(layer.multiscale for layer in request.layers):
             self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")

@@ -124,7 +124,7 @@ class LatestQueue:
             self._is_held = self._current is not None and not self._current.dropped
 
     def resume(self) -> None:
-        """Start the pending job, after `hold`."""
+        """End a `hold`, and start the pending job, if any."""
         with self._changed:
             self._is_held = False
             self._go_on()

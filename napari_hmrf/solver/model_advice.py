@@ -24,7 +24,7 @@ _FROM_FEM = (
 )
 _WHEN_PLANE: dict[Plane, str] = {
     "stress": "Squeezed tissue can bulge out of the image, as in a thin section.",
-    "strain": "Squeezed tissue can expand only within the image, as deep inside a body.",
+    "strain": "Squeezed tissue can expand only within the image plane, as deep inside a body.",
 }
 _HOW_MUCH = (
     "Try both choices: their fields differ by a few per cent to more than half of the movement. "

@@ -300,7 +300,7 @@ def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[
 
 
 def _sites(pieces: Labels) -> Labels:
-    """Return the number of each site's piece, from the elements around the site; 0 without any."""
+    """Return the number of each site's piece, from the elements around it; 0 if there are none."""
     return around_sites(pieces, np.maximum)
 
 

@@ -12,7 +12,8 @@ from napari_hmrf.study.study import Study
 
 #: Largest number of sites for a solve of a volume, or of an image in large motion, during a drag.
 PREVIEW_SITES = 100_000
-#: Images in large motion with up to this multiple of `PREVIEW_SITES` are solved on the full grid.
+#: In the large-motion model, images with at most this factor times `PREVIEW_SITES` sites are solved
+#: on the full grid.
 _LARGER = 4
 #: Tolerance during a drag in the large-motion model, in pixels.
 _LARGE_MOTION_TOLERANCE = 0.1

@@ -71,7 +71,7 @@ class Grid:
         as "mm" and "millimeter", are equivalent; `from_image` returns "millimeter".
     place : Frame, optional
         Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
-        Files of other programs require it; it does not affect the displacement. A place
+        Required to export files for other programs; it does not affect the displacement. A place
         does not include the number of pixels: a grid with fewer pixels starts at the same pixel.
 
     Raises

@@ -365,7 +365,7 @@ class StudyModel(EditHistory):
         return "" if step is None else step.word
 
     def cancel_drawing(self) -> None:
-        """Cancel the drag, if any, and restore the drawing before the drag."""
+        """Cancel the drag, if any, and restore the drawing to its state before the drag."""
         if self.drawing_in_progress:
             self.cancel()
 

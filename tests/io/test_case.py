@@ -89,7 +89,7 @@ def test_tables_saved_by_a_spreadsheet_are_read(files):
         ("label,name\n1,brain\n", r"lacks the column 'stiffness'"),
         (
             "label,stiffness\n1,stiff\n",
-            r"t\.csv: line 2: stiffness is 'stiff'\. Give a number",
+            r"t\.csv: line 2: stiffness is 'stiff'\. Give a non-negative number",
         ),
         ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label is 'x'\. Give a whole"),
         ("label,stiffness\n1,\n", r"t\.csv: line 2 has no value in 'stiffness'"),

@@ -144,7 +144,7 @@ def test_a_gap_beside_static_tissue_is_interpolated_from_its_rim():
             FileFormatError,
             r"field\.txt: fields cannot be written in this format\. Use",
         ),
-        ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\)\. Give"),
+        ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\)\. Pass"),
         ("f.mha", {"displacement": np.zeros((4, 5, 3))}, ProblemError, r"has shape \(4, 5, 3\)"),
         ("f.mha", {"displacement": np.full((4, 5, 2), np.nan)}, ProblemError, "NaN or infinite"),
         (

@@ -180,7 +180,7 @@ BAD = {
 @pytest.mark.parametrize(("key", "value"), BAD.values(), ids=BAD)
 def test_a_file_with_an_invalid_place_is_refused_by_name(tmp_path, key, value):
     path = saved(tmp_path, {**good_frame(), key: value})
-    with pytest.raises(FileFormatError, match=r"odd\.npz.*place of a slice"):
+    with pytest.raises(FileFormatError, match=r"odd\.npz.*invalid slice position"):
         open_solution(path)(path)
 
 

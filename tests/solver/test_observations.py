@@ -208,7 +208,7 @@ def test_a_poisson_map_must_match_the_tissue():
     wrong[5, 16] = 0.6
     with pytest.raises(ProblemError, match=r"poisson: has 1 values .* first at \(5, 16\)"):
         solve(problem, ElasticPrior(wrong))
-    with pytest.raises(ValueError, match="one for each pixel"):
+    with pytest.raises(ValueError, match="a number or an array of shape"):
         ElasticPrior(np.full(3, 0.3))
 
 

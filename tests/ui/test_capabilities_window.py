@@ -148,11 +148,11 @@ def test_a_valid_number_in_a_table_is_accepted_and_an_invalid_number_is_reset(
     for nonsense in ("stiff", "-3", "nan", "1e39", ""):
         screen.cell(GEL, "Stiffness").write(nonsense)
         assert screen.cell(GEL, "Stiffness").text() == "12.5"
-        assert "still 12.5" in screen.words
+        assert "The value is still 12.5" in screen.words
     screen.cell(GEL, "Stiffness").write("rigid")
     assert dock.materials[1].is_rigid
     screen.choose(MODELS["paper"])
-    refused = f"has rigid tissue ('{GEL}'), which the paper's model does not support"
+    refused = f"has rigid tissue ('{GEL}'), which is not supported by the paper's model"
     wait_for(lambda: refused in screen.words)
     screen.choose(MODELS["elastic"])
     wait_for(lambda: refused not in screen.words)

@@ -120,7 +120,7 @@ def test_the_plane_condition_is_chosen_by_an_icon(widget):
     assert widget.plane == "strain"
 
 
-RIGID = "'Tissue' has rigid tissue ('gel'), which the paper's model does not support"
+RIGID = "'Tissue' has rigid tissue ('gel'), which is not supported by the paper's model"
 
 
 def make_rigid(widget):
@@ -150,7 +150,7 @@ def test_deform_refuses_rigid_tissue_in_the_paper_model_before_the_solve(
     widget.finished.connect(said.append)
     widget.deform()
     assert said == [None], "the error waited for the busy compute thread"
-    assert widget.status.startswith("'Tissue' has rigid tissue ('gel'), which the paper's model")
+    assert widget.status.startswith("'Tissue' has rigid tissue ('gel'), which is not supported")
 
 
 def paint_bone(widget, *place):

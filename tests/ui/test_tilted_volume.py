@@ -101,7 +101,7 @@ def test_a_warning_reports_that_the_tilt_is_ignored(tilted, settle):
     person, widget = tilted
     person.drag(drawn_at((9.0, 14.0)), drawn_at((11.0, 14.0)))
     settle(widget)
-    assert "does not display the tilt of" in widget.warning
+    assert "tilted relative to the slice plane" in widget.warning
     level = Image(numbered_slices())
     assert not View.of(person.viewer.dims).tilts(level)
 

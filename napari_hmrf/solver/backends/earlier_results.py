@@ -105,7 +105,7 @@ class WarmStart:
 
     @property
     def weighted(self) -> list[tuple[FloatArray, float]]:
-        """Displacements, and the weight of each in a sum in pixels."""
+        """Displacements, with the weights of a sum that is in pixels."""
         weights = (share / self.unit for share in self.shares)
         return list(zip(self.displacements, weights, strict=True))
 

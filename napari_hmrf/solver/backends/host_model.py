@@ -50,7 +50,7 @@ class HostModel:
 
     @property
     def mild(self) -> bool:
-        """True if a cycle reduces every motion of this tissue."""
+        """True if a cycle reduces the error of every motion of this tissue."""
         return bool(self.material.mild)
 
     @property

@@ -28,7 +28,7 @@ Doing = str | Callable[[], str]
 _Job = tuple[Callable[[], Any], "Future[Any]", Doing]
 
 #: Description of cancelled work, for callers that wait for the compute thread.
-STOPPED = "cancelled work to stop, which needs no action"
+STOPPED = "cancelled work to stop (no action is needed)"
 # Interval, in seconds, at which a waiting caller can be interrupted by Ctrl-C.
 _TICK = 0.1
 _SOMETHING = "a computation of a script or another plugin, which only that program can stop"

@@ -37,7 +37,7 @@ _GAP = 1e-19
 _LEAST_GAP = 1e-22
 # Largest product that is accepted if rounding errors end the iteration.
 _ACCEPTED_GAP = 1e-8
-# Largest motion in the last step, relative to the scale of displacements.
+# Largest motion in a step at which the iteration ends, relative to the scale of displacements.
 _LAST_MOTION = 1e-10
 # Number of steps with products below `_GAP` after which any remaining motion is rounding error.
 _CLOSED_STEPS = 8

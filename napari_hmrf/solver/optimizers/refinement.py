@@ -45,7 +45,7 @@ _VOLUME_MARGIN = 1.5
 # Smallest eigenvalue that cycles find in images of mild, compressible tissue. Cycles that find a
 # smaller eigenvalue may have missed others.
 _MILD_LEAST = 0.1
-# Smallest eigenvalue that cycles find in images of mild, nearly incompressible tissue.
+# Smallest eigenvalue that cycles find in images of nearly incompressible tissue with low contrast.
 _MILD_LEAST_INCOMPRESSIBLE = 0.05
 # Smallest safety factor of any error estimate, because an estimate is for a single component and
 # depends on the eigenvalues found so far.

@@ -36,9 +36,11 @@ Float64Array = npt.NDArray[np.float64]
 _ROUGH_FACTOR = 10.0
 # Accuracy of the final exchange, relative to the largest displacement, or to 1 pixel if larger.
 _EXACT = 1e-11
-# Largest accepted contradiction of a state in the final exchange, as a multiple of the accuracy.
+# Largest accepted violation of the slip conditions after the final exchange, as a multiple of the
+# accuracy.
 _CONTRADICTION = 10.0
-# Largest accepted contradiction of a state in the confirmation, as a multiple of the accuracy.
+# Largest accepted violation of the slip conditions when a result is confirmed, as a multiple of the
+# accuracy.
 _CONFIRMATION = 10.0
 # Fraction of the limit by which a force must be below the limit to prove that a component is held.
 _AT_LIMIT = 1e-9

@@ -30,7 +30,7 @@ FreeMotion = Callable[[HeldPlanes], Planes | None]
 PATIENCE = 6
 # Distance from its observed position, in pixels, up to which a component is held.
 _AT_POSITION = 1e-7
-# Fraction of a step up to which the step counts as no progress.
+# If at most this fraction of a step can be taken, the step counts as no progress.
 _NO_STEP = 1e-6
 # Number of proximal gradient steps.
 _SWEEPS = 10

@@ -25,8 +25,8 @@ from napari_hmrf.solver.neighbours import in_elements, of_corners
 
 Float64Array = npt.NDArray[np.float64]
 
-#: Stiffness that represents rigid tissue in cycles with all bodies prescribed, relative to the
-#: stiffest non-rigid tissue.
+#: Stiffness that represents rigid tissue in cycles in which all rigid bodies are prescribed,
+#: relative to the stiffest non-rigid tissue.
 HELD_STAND_IN = 1.0
 #: Same for cycles that move bodies; small enough for the coarse levels to remain accurate.
 CYCLE_STAND_IN = 40.0

@@ -98,7 +98,7 @@ class SeilerPrior:
 
     @property
     def kernels(self) -> str:
-        """Key of the kernels that this prior uses: its reading."""
+        """Key of the kernels that this prior uses: the name of its reading of the paper."""
         return self.conditional
 
     def rehearsal(self, shape: tuple[int, ...]) -> SeilerPrior:

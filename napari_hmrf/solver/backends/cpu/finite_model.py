@@ -220,7 +220,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
     def _add_geometric_stiffness(self, d: Planes, forces: Planes, positive: float) -> None:
         """Add the rotational stiffness of bodies that results from the current forces on them."""
         rigid = self._elements > 0
-        # Remove the terms that make tangents positive, because these terms resist rigid rotations.
+        # Remove the terms that make tangents positive definite: they resist rigid rotations.
         shear = self._solid[finite_strain.SHEAR, 2:-3, 2:-3]
         self._add_isotropic_stress(rigid, -positive * finite_tangents.LEAST * shear[rigid])
         self._stiff = self._solved[:, rigid]

@@ -123,7 +123,7 @@ def _grown(values, rr, rc, cc):
 
 @inline
 def _blend(true, safe, share):
-    """Return (1 - share) true + share safe for tangents in the order of `_exact`."""
+    """Return ``(1 - share) * true + share * safe`` for tangents in the order of `_exact`."""
     left = 1.0 - share
     return (
         left * true[0] + share * safe[0],

@@ -50,7 +50,7 @@ class Totals(Protocol):
         ...
 
     def add(self) -> None:
-        """Add the shares of the latest sweep."""
+        """Add the contributions of the latest sweep to the totals."""
         ...
 
     def read(self) -> EnergyArray:
@@ -102,7 +102,7 @@ class BlockTotals:
         self._energies: list[float] = []
 
     def share(self) -> Any:
-        """Return the texture for the shares of the next sweep."""
+        """Return the texture for the per-site contributions of the next sweep."""
         return self._share
 
     def add(self) -> None:
@@ -152,7 +152,7 @@ class PairTotals:
         self._energies: list[float] = []
 
     def share(self) -> Any:
-        """Return the texture for the shares of the next sweep."""
+        """Return the texture for the per-site contributions of the next sweep."""
         if self._used == len(self._shares):
             self._flush()
         return self._shares[self._used]
