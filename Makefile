@@ -32,7 +32,7 @@ help:
 	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
 	@echo "make edits        compare thousands of live edits with cold solves"
-	@echo "make folds        solve thousands of random large motions, and check each corner for folds"
+	@echo "make folds        solve thousands of random large motions of images and volumes, and check for folds"
 	@echo "make soak         solve thousands of small volumes, and print how memory grows"
 	@echo "make damaged      read thousands of damaged files of each exchange format"
 	@echo "make disks        write each kind of file to a full disk (as root, on Linux)"
@@ -116,6 +116,7 @@ edits: setup
 
 folds: setup
 	@NUMBA_NUM_THREADS=1 $(RUN) -m benchmarks.large_motion --random 3000
+	@$(RUN) -m benchmarks.large_volumes --random 1000
 
 soak: setup
 	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/volume_soak.py
