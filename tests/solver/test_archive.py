@@ -484,7 +484,7 @@ def test_a_header_too_deeply_nested_to_be_saved_again_is_rejected(path, tmp_path
     assert "levels of nesting" in error_message(
         with_header(path, tmp_path / "deep.npz", frame={"deep": deep})
     )
-    with pytest.raises(ValueError, match=r"cannot be saved.*nested"):
+    with pytest.raises(ValueError, match=r"cannot be saved.*nesting"):
         random_solution(frame={"deep": deep}).write(path)
 
 

@@ -230,7 +230,7 @@ def test_every_model_has_a_description_with_a_measured_error(plane):
     said = {when_to_take(model, plane) for model in get_args(ModelName)}
     assert len(said) == 4
     assert all(
-        "px of finite elements" in each or "px from finite elements" in each for each in said
+        "px from a finite-element" in each or "px of finite elements" in each for each in said
     )
 
 

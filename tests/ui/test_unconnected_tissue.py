@@ -173,7 +173,7 @@ def test_a_pull_of_unconstrained_tissue_reports_its_rigid_motion(pulling_beside,
     settle(widget)
     touch.drag((32, 32), (32, 36))
     settle(widget)
-    said = "Nothing holds the tissue, so that all of it moves as one: hold its edge, or paint what"
+    said = "Nothing holds the tissue, so that all of it moves as one: hold its edge, or paint the"
     assert widget.active
     assert widget.status.startswith(said)
     assert widget.status.endswith(BY_NAME["pull"].hint), "the hint of the tool is missing"

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
@@ -166,6 +165,8 @@ def _angles(places: Float64Array, goals: Float64Array) -> Float64Array:
         (row, col), (to_row, to_col) = places, goals
         across, along = (row * to_col - col * to_row).sum(), (row * to_row + col * to_col).sum()
         return np.array([np.arctan2(across, along)])
+    from scipy.spatial.transform import Rotation  # heavy: scipy
+
     # Orthogonal polar factor of the correlation (Kabsch, Acta Cryst. A32, 1976).
     left, _, right = np.linalg.svd(goals @ places.T)
     left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
@@ -177,6 +178,8 @@ def _turn(angles: Float64Array) -> Float64Array:
     if len(angles) == 1:
         cos, sin = np.cos(angles[0]), np.sin(angles[0])
         return np.array([[cos, -sin], [sin, cos]])
+    from scipy.spatial.transform import Rotation  # heavy: scipy
+
     return np.asarray(Rotation.from_rotvec(angles).as_matrix())
 
 
