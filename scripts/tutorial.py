@@ -193,7 +193,7 @@ def tumour(_: dict[str, Path]) -> None:
     wait_until(lambda: not dock.busy)
     print(dock.status, dock.warning)
     keep(person, "tumour-folds")
-    person.click(form.footer.unfold)
+    person.click(form.footer.other)
     wait_until(lambda: not dock.busy)
     print(dock.model, dock.status, dock.warning)
     keep(person, "tumour-large")
