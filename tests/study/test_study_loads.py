@@ -121,7 +121,9 @@ def test_the_paper_model_rejects_growth_and_suggests_the_elastic_model(model):
 
 
 def test_a_volume_sinks_under_its_weight_in_large_motion():
-    block = Study(Grid((4, 5, 6), (1.0, 1.0, 1.0)), motion=Motion(hold_edge=True, weight=(0.1, 0, 0)))
+    block = Study(
+        Grid((4, 5, 6), (1.0, 1.0, 1.0)), motion=Motion(hold_edge=True, weight=(0.1, 0, 0))
+    )
     large = solve_study(replace(block, prior=NeoHookeanPrior())).displacement
     small = solve_study(block).displacement
     np.testing.assert_allclose(large, small, atol=0.05 * np.abs(small).max())

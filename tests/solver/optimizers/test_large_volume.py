@@ -161,10 +161,11 @@ def test_a_slab_in_plane_strain_moves_like_an_image() -> None:
     deep_c, deep_y = np.zeros((2, 3, size, size, 3))
     deep_c[..., 0], deep_c[..., 1:], deep_y[..., 1:] = 1, c, y
     slab = Problem(deep_y, deep_c, np.ones((3, size, size)))
-    flat = solve(image, NeoHookeanPrior(0.3, plane="strain"), backend="cpu").displacement
-    deep = solve(slab, NeoHookeanPrior(0.3), backend="cpu").displacement
-    inner = (slice(4, -4), slice(4, -4))
-    assert np.abs(deep[1][..., 1:] - flat)[inner].max() < 0.01 * np.abs(y).max()
+    exactly = Multigrid(1e-5)
+    strained = NeoHookeanPrior(0.3, plane="strain")
+    flat = solve(image, strained, optimizer=exactly, backend="cpu").displacement
+    deep = solve(slab, NeoHookeanPrior(0.3), optimizer=exactly, backend="cpu").displacement
+    assert np.abs(deep[1][..., 1:] - flat).max() < 1e-3 * np.abs(y).max()
 
 
 def test_a_ball_that_doubles_its_radius_folds_no_tissue() -> None:
