@@ -25,6 +25,7 @@ import numpy as np
 from numba import prange
 
 from napari_hmrf.solver.backends.cpu.compiled import alone, callee, parallel, shared
+from napari_hmrf.solver.backends.cpu.finite_strain import barrier
 
 _COUNT = 27
 _MEAN = 1 / _COUNT
@@ -96,9 +97,7 @@ def barrier_energy(d, z, y, x, q, gain, start, edges, net):
     wall = 0.0
     if 0 < least < start:
         for n in range(_COUNT):
-            value = gain * net[n]
-            if value < start:
-                wall -= (value - start) ** 2 * math.log(value / start)
+            wall += barrier(gain * net[n], start)[0]
     return least, _MEAN * wall
 
 
@@ -109,11 +108,8 @@ def barrier_slopes(d, z, y, x, q, gain, start, edges, net):
     first, second = 0.0, 0.0
     if 0 < least < start:
         for n in range(_COUNT):
-            value = gain * net[n]
-            if value < start:
-                below, log = value - start, math.log(value / start)
-                first -= below * (2.0 * log + below / value)
-                second += -2.0 * log - 4.0 * below / value + (below / value) ** 2
+            _, slope, bend = barrier(gain * net[n], start)
+            first, second = first + slope, second + bend
     return _MEAN * first, _MEAN * second
 
 
@@ -151,13 +147,7 @@ def barrier_forces(d, z, y, x, q, gain, start, scale, edges, net, pulls, out):
     if least >= start or least <= 0:
         return
     for n in range(_COUNT):
-        value = gain * net[n]
-        if value < start:
-            below = value - start
-            slope = -below * (2.0 * math.log(value / start) + below / value)
-            net[n] = scale * _MEAN * gain * slope
-        else:
-            net[n] = 0.0
+        net[n] = scale * _MEAN * gain * barrier(gain * net[n], start)[1]
     _spread_pull(edges, net, pulls)
     for near in range(2):
         for far in range(2):
@@ -207,12 +197,10 @@ def _barrier_matrix(d, z, y, x, q, gain, start, scale, positive, work, out):
         return least
     slopes = np.zeros(_COUNT)
     for n in range(_COUNT):
-        value = gain * net[n]
-        if value >= start:
+        if gain * net[n] >= start:
             continue
-        below, log = value - start, math.log(value / start)
-        slopes[n] = -scale * _MEAN * gain * below * (2.0 * log + below / value)
-        bend = -2.0 * log - 4.0 * below / value + (below / value) ** 2
+        _, slope, bend = barrier(gain * net[n], start)
+        slopes[n] = scale * _MEAN * gain * slope
         bend *= scale * _MEAN * gain * gain
         weights[:] = 0.0
         weights[n] = 1.0

@@ -30,6 +30,7 @@ from napari_hmrf.solver.backends.cpu.finite_bricks import (
     BLOCK,
     FLOATS,
     GAIN,
+    GROWTH,
     LAM,
     LOW,
     MODES,
@@ -43,13 +44,16 @@ from napari_hmrf.solver.backends.cpu.finite_bricks import (
     bound_below,
     cofactor,
     deformed,
+    determinant,
     largest_stretch,
     line,
     modes,
+    place,
+    product,
     read_solid,
+    times_growth,
     twisted,
     volumes,
-    without_growth,
 )
 
 #: Number of planes of a level's model.
@@ -69,9 +73,9 @@ def _limited(slope, mu, stretch):
 @callee
 def _norm(m, mu, slope, bend, q, way, image):
     """Return the norm of an element's matrix, scaled to a diagonal of ones."""
-    c = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+    c = cofactor(m)
     hourglass = mu * _hourglass_diagonal(q)
-    volume = _jacobian(m, c)
+    volume = determinant(m)
     dense, least, tilted = mu / (volume * volume), np.inf, 0.0
     for k in range(3):
         own, here = hourglass, 0.0
@@ -152,7 +156,7 @@ def _tangent_plane(d, solid, q, barrier, calm, z, f, points, work, out):
                 slope = 0.5 * lam * gain * (volume - 1.0 / volume) - mu / jacobian
                 bend = 0.5 * lam * gain * gain * (1.0 + 1.0 / (volume * volume))
                 bend += mu / (jacobian * jacobian)
-                stretch = largest_stretch(without_growth(f, x, m))
+                stretch = largest_stretch(times_growth(f, GROWTH, x, m))
                 if f[line(LOW) + x] < start:
                     first, second = barrier_slopes(d, z, y, at, q, gain, start, edges, net)
                     slope += strength * mu * gain * first
@@ -216,11 +220,6 @@ def coarsen(fine, coarse):
                 coarse[_DAMPING, z, y, x] = damping
 
 
-@shared
-def _jacobian(m, c):
-    return m[0] * c[0] + m[1] * c[1] + m[2] * c[2]
-
-
 @callee
 def _diagonal_plane(tangent, q, z, out):
     hourglass = _hourglass_diagonal(q)
@@ -235,14 +234,12 @@ def _diagonal_plane(tangent, q, z, out):
                 tangent[3, z, y, x], tangent[4, z, y, x], tangent[5, z, y, x],
                 tangent[6, z, y, x], tangent[7, z, y, x], tangent[8, z, y, x],
             )  # fmt: skip
-            c = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+            c = cofactor(m)
             bend, damping = tangent[_BEND, z, y, x], tangent[_DAMPING, z, y, x]
-            volume = _jacobian(m, c)
+            volume = determinant(m)
             dense = mu / (volume * volume)
             for corner in range(8):
-                s = 1.0 if corner >= 4 else -1.0
-                t = 1.0 if corner % 4 >= 2 else -1.0
-                r = 1.0 if corner % 2 else -1.0
+                s, t, r = place(corner, 1.0)
                 for k in range(3):
                     a, b, e = s * q[0] * c[3 * k], t * q[1] * c[3 * k + 1], r * q[2] * c[3 * k + 2]
                     own = mu * (even + hourglass) + bend * (a + b + e) ** 2
@@ -304,7 +301,7 @@ def _image_plane(d, tangent, q, z, f, out):
             for x in range(count):
                 mu, slope, bend = shear[x], slopes[x], bends[x]
                 m = (t0[x], t1[x], t2[x], t3[x], t4[x], t5[x], t6[x], t7[x], t8[x])
-                c = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+                c = cofactor(m)
                 at = line(MODES) + x
                 w = (
                     q0 * f[at], q1 * f[at + STEP], q2 * f[at + 2 * STEP],
@@ -312,10 +309,7 @@ def _image_plane(d, tangent, q, z, f, out):
                     q0 * f[at + 14 * STEP], q1 * f[at + 15 * STEP], q2 * f[at + 16 * STEP],
                 )  # fmt: skip
                 turn = twisted(m, w)
-                tilt = (c[0] * w[0] + c[1] * w[1] + c[2] * w[2]) + (
-                    c[3] * w[3] + c[4] * w[4] + c[5] * w[5]
-                )
-                tilt = bend * (tilt + (c[6] * w[6] + c[7] * w[7] + c[8] * w[8]))
+                tilt = bend * product(c, w)
                 to = line(PULLS) + x
                 f[to] = q0 * (mu * w[0] + tilt * c[0] + slope * turn[0])
                 f[to + STEP] = q1 * (mu * w[1] + tilt * c[1] + slope * turn[1])
@@ -328,8 +322,8 @@ def _image_plane(d, tangent, q, z, f, out):
                 f[to + 16 * STEP] = q2 * (mu * w[8] + tilt * c[8] + slope * turn[8])
             for x in range(count):
                 m = (t0[x], t1[x], t2[x], t3[x], t4[x], t5[x], t6[x], t7[x], t8[x])
-                c = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
-                mu, volume = shear[x], _jacobian(m, c)
+                c = cofactor(m)
+                mu, volume = shear[x], determinant(m)
                 dense = mu / max(volume * volume, least)
                 # Changes of volume that vary along one axis, and along two axes.
                 a = b = e = ab = ae = be = none

@@ -91,12 +91,9 @@ def add_pulls(f, z, y, begin, count, out):
     for k in range(3):
         past, at = begin + count, line(PULLS + 7 * k)
         for corner in range(8):
-            s = 1.0 if corner >= 4 else -1.0
-            t = 1.0 if corner % 4 >= 2 else -1.0
-            r = 1.0 if corner % 2 else -1.0
+            s, t, r = place(corner, f.dtype.type(1))
             shift = corner % 2
             force = out[k, z + corner // 4, y + corner % 4 // 2, begin + shift : past + shift]
-            s, t, r = f.dtype.type(s), f.dtype.type(t), f.dtype.type(r)
             st, sr, tr, both = s * t, s * r, t * r, s * t * r
             for x in range(count):
                 force[x] += (
@@ -155,12 +152,19 @@ def gradient(f, first, x, q, s, t, r):
 
 
 @shared
+def _gradients(f, first, x, q, s, t, r):
+    """Return the nine derivatives of all components at a Gauss point, row by row."""
+    a, b, c = gradient(f, first, x, q, s, t, r)
+    e, g, h = gradient(f, first + 7, x, q, s, t, r)
+    i, j, k = gradient(f, first + 14, x, q, s, t, r)
+    return a, b, c, e, g, h, i, j, k
+
+
+@shared
 def deformed(f, x, q, s, t, r):
     """Return the nine components of F at a Gauss point of an element; the identity in void."""
     live, one = f[line(LIVE) + x], f.dtype.type(1)
-    a, b, c = gradient(f, MODES, x, q, s, t, r)
-    e, g, h = gradient(f, MODES + 7, x, q, s, t, r)
-    i, j, k = gradient(f, MODES + 14, x, q, s, t, r)
+    a, b, c, e, g, h, i, j, k = _gradients(f, MODES, x, q, s, t, r)
     return (
         one + live * a, live * b, live * c,
         live * e, one + live * g, live * h,
@@ -169,13 +173,38 @@ def deformed(f, x, q, s, t, r):
 
 
 @shared
-def cofactor(a, b, c, d, e, f, g, h, i):
-    """Return the cofactors of a 3 x 3 matrix, row by row: the derivative of its determinant."""
+def cofactor(m):
+    """Return the cofactors of a matrix of nine numbers: the derivative of its determinant."""
+    a, b, c, d, e, f, g, h, i = m
     return (
         e * i - f * h, f * g - d * i, d * h - e * g,
         c * h - b * i, a * i - c * g, b * g - a * h,
         b * f - c * e, c * d - a * f, a * e - b * d,
     )  # fmt: skip
+
+
+@shared
+def determinant(m):
+    """Return the determinant of a matrix of nine numbers."""
+    c0, c1 = m[4] * m[8] - m[5] * m[7], m[5] * m[6] - m[3] * m[8]
+    return m[0] * c0 + m[1] * c1 + m[2] * (m[3] * m[7] - m[4] * m[6])
+
+
+@shared
+def product(m, w):
+    """Return the sum of the products of the components of two matrices of nine numbers."""
+    upper = (m[0] * w[0] + m[1] * w[1] + m[2] * w[2]) + (m[3] * w[3] + m[4] * w[4] + m[5] * w[5])
+    return upper + (m[6] * w[6] + m[7] * w[7] + m[8] * w[8])
+
+
+@shared
+def _column_norms(m):
+    """Return the norms of the three columns of a matrix of nine numbers."""
+    return (
+        math.sqrt(m[0] * m[0] + m[3] * m[3] + m[6] * m[6]),
+        math.sqrt(m[1] * m[1] + m[4] * m[4] + m[7] * m[7]),
+        math.sqrt(m[2] * m[2] + m[5] * m[5] + m[8] * m[8]),
+    )
 
 
 @shared
@@ -206,16 +235,11 @@ def volumes(f, points, q, count):
     for x in range(count):
         f[line(VOLUME) + x] = 0
     for n in range(8):
-        s, t, r = _place(n, point)
+        s, t, r = place(n, point)
         jacobians = of_points(points, _JACOBIANS + n)
         for x in range(count):
             m = deformed(f, x, q, s, t, r)
-            c0, c1, c2 = (
-                m[4] * m[8] - m[5] * m[7],
-                m[5] * m[6] - m[3] * m[8],
-                m[3] * m[7] - m[4] * m[6],
-            )
-            jacobian = m[0] * c0 + m[1] * c1 + m[2] * c2
+            jacobian = determinant(m)
             jacobians[x] = jacobian
             f[line(VOLUME) + x] += jacobian
     eighth = f.dtype.type(0.125)
@@ -243,11 +267,8 @@ def bound_below(f, q, count):
     none = f.dtype.type(0)
     for x in range(count):
         m = deformed(f, x, q, none, none, none)
-        c0, c1, c2 = m[4] * m[8] - m[5] * m[7], m[5] * m[6] - m[3] * m[8], m[3] * m[7] - m[4] * m[6]
-        mean = m[0] * c0 + m[1] * c1 + m[2] * c2
-        a = math.sqrt(m[0] * m[0] + m[3] * m[3] + m[6] * m[6])
-        b = math.sqrt(m[1] * m[1] + m[4] * m[4] + m[7] * m[7])
-        c = math.sqrt(m[2] * m[2] + m[5] * m[5] + m[8] * m[8])
+        mean = determinant(m)
+        a, b, c = _column_norms(m)
         of_a, of_b, of_c = _spread_of(f, MODES, x, q)
         apart = (a + of_a) * (b + of_b) * (c + of_c) - a * b * c
         f[line(LOW) + x] = f[line(GAIN) + x] * (mean - f[line(LIVE) + x] * apart)
@@ -269,16 +290,12 @@ def _energy_plane(d, solid, q, barrier, z, f, points, edges, net):
             for x in range(count):
                 f[line(STRETCH) + x], f[line(PRODUCT) + x] = 0.0, 1.0
             for n in range(8):
-                s, t, r = _place(n, _POINT)
+                s, t, r = place(n, _POINT)
                 jacobians = of_points(points, _JACOBIANS + n)
                 for x in range(count):
                     m = deformed(f, x, sides, s, t, r)
-                    p = _without_twice(f, x, m)
-                    stretch = (m[0] * p[0] + m[1] * p[1] + m[2] * p[2]) + (
-                        m[3] * p[3] + m[4] * p[4] + m[5] * p[5]
-                    )
-                    stretch += m[6] * p[6] + m[7] * p[7] + m[8] * p[8]
-                    f[line(STRETCH) + x] += stretch
+                    p = times_growth(f, SQUARE, x, m)
+                    f[line(STRETCH) + x] += product(m, p)
                     f[line(PRODUCT) + x] *= f[line(GAIN) + x] * jacobians[x]
             for x in range(count):
                 mu, lam = f[line(MU) + x], f[line(LAM) + x]
@@ -321,26 +338,26 @@ def clear_pulls(f, count):
 
 
 @shared
-def _place(n, far):
-    """Return the coordinates of Gauss point n, which are `far` or its negative."""
+def place(n, far):
+    """Return the coordinates of corner or Gauss point n, which are `far` or its negative."""
     return far if n >= 4 else -far, far if n % 4 >= 2 else -far, far if n % 2 else -far
 
 
 @shared
-def _without_twice(f, x, m):
-    """Return m G G for a matrix of nine numbers."""
-    g0, g1, g2 = f[line(SQUARE) + x], f[line(SQUARE + 1) + x], f[line(SQUARE + 2) + x]
-    g3, g4, g5 = f[line(SQUARE + 3) + x], f[line(SQUARE + 4) + x], f[line(SQUARE + 5) + x]
+def times_growth(f, first, x, m):
+    """Return the product of `m` and a symmetric matrix in scratch lines, G or G G."""
+    a, b, c = f[line(first) + x], f[line(first + 1) + x], f[line(first + 2) + x]
+    e, g, h = f[line(first + 3) + x], f[line(first + 4) + x], f[line(first + 5) + x]
     return (
-        m[0] * g0 + m[1] * g1 + m[2] * g2,
-        m[0] * g1 + m[1] * g3 + m[2] * g4,
-        m[0] * g2 + m[1] * g4 + m[2] * g5,
-        m[3] * g0 + m[4] * g1 + m[5] * g2,
-        m[3] * g1 + m[4] * g3 + m[5] * g4,
-        m[3] * g2 + m[4] * g4 + m[5] * g5,
-        m[6] * g0 + m[7] * g1 + m[8] * g2,
-        m[6] * g1 + m[7] * g3 + m[8] * g4,
-        m[6] * g2 + m[7] * g4 + m[8] * g5,
+        m[0] * a + m[1] * b + m[2] * c,
+        m[0] * b + m[1] * e + m[2] * g,
+        m[0] * c + m[1] * g + m[2] * h,
+        m[3] * a + m[4] * b + m[5] * c,
+        m[3] * b + m[4] * e + m[5] * g,
+        m[3] * c + m[4] * g + m[5] * h,
+        m[6] * a + m[7] * b + m[8] * c,
+        m[6] * b + m[7] * e + m[8] * g,
+        m[6] * c + m[7] * g + m[8] * h,
     )
 
 
@@ -396,16 +413,16 @@ def _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out):
             volumes(f, points, sides, count)
             clear_pulls(f, count)
             for n in range(8):
-                s, t, r = _place(n, _POINT)
+                s, t, r = place(n, _POINT)
                 jacobians = of_points(points, _JACOBIANS + n)
                 for x in range(count):
                     m = deformed(f, x, sides, s, t, r)
-                    cof = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+                    cof = cofactor(m)
                     volume, gain = f[line(VOLUME) + x], f[line(GAIN) + x]
                     mu = 0.125 * f[line(MU) + x]
                     slope = 0.0625 * f[line(LAM) + x] * gain * (volume - 1.0 / volume)
                     slope -= mu / jacobians[x]
-                    same = _without_twice(f, x, m)
+                    same = times_growth(f, SQUARE, x, m)
                     stresses = _combined(mu, same, slope, cof, 0.0, cof)
                     _add_stresses(f, x, sides, s, t, r, stresses)
             for x in range(count):
@@ -451,24 +468,6 @@ def largest_stretch(m):
     return math.sqrt(mean + 2 * apart)
 
 
-@shared
-def without_growth(f, x, m):
-    """Return F G, the deformation of the grown shape."""
-    a, b, c = f[line(GROWTH) + x], f[line(GROWTH + 1) + x], f[line(GROWTH + 2) + x]
-    e, g, h = f[line(GROWTH + 3) + x], f[line(GROWTH + 4) + x], f[line(GROWTH + 5) + x]
-    return (
-        m[0] * a + m[1] * b + m[2] * c,
-        m[0] * b + m[1] * e + m[2] * g,
-        m[0] * c + m[1] * g + m[2] * h,
-        m[3] * a + m[4] * b + m[5] * c,
-        m[3] * b + m[4] * e + m[5] * g,
-        m[3] * c + m[4] * g + m[5] * h,
-        m[6] * a + m[7] * b + m[8] * c,
-        m[6] * b + m[7] * e + m[8] * g,
-        m[6] * c + m[7] * g + m[8] * h,
-    )
-
-
 @callee
 def _image_plane(d, way, solid, q, positive, z, f, points, out):
     sides = q[0], q[1], q[2]
@@ -486,18 +485,14 @@ def _image_plane(d, way, solid, q, positive, z, f, points, out):
             for x in range(count):
                 f[line(RATE) + x] = 0
             for n in range(8):
-                s, t, r = _place(n, point)
+                s, t, r = place(n, point)
                 jacobians = of_points(points, _JACOBIANS + n)
                 tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
                 for x in range(count):
                     m = deformed(f, x, sides, s, t, r)
-                    cof = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
-                    a, b, c = gradient(f, WAYS, x, sides, s, t, r)
-                    tilt = cof[0] * a + cof[1] * b + cof[2] * c
-                    a, b, c = gradient(f, WAYS + 7, x, sides, s, t, r)
-                    tilt += cof[3] * a + cof[4] * b + cof[5] * c
-                    a, b, c = gradient(f, WAYS + 14, x, sides, s, t, r)
-                    tilt += cof[6] * a + cof[7] * b + cof[8] * c
+                    cof = cofactor(m)
+                    w = _gradients(f, WAYS, x, sides, s, t, r)
+                    tilt = product(cof, w)
                     tilts[x] = tilt
                     f[line(RATE) + x] += tilt
                     volume = f[line(VOLUME) + x]
@@ -506,30 +501,27 @@ def _image_plane(d, way, solid, q, positive, z, f, points, out):
                     slopes[x] = slope
                 if positive > 0:
                     for x in range(count):
-                        m = without_growth(f, x, deformed(f, x, sides, s, t, r))
+                        m = times_growth(f, GROWTH, x, deformed(f, x, sides, s, t, r))
                         bound = most * f[line(MU) + x] * f[line(GAIN) + x] / largest_stretch(m)
                         slope = slopes[x]
                         safe = min(max(slope, -bound), bound)
                         slopes[x] = slope + positive * (safe - slope)
             for n in range(8):
-                s, t, r = _place(n, point)
+                s, t, r = place(n, point)
                 jacobians = of_points(points, _JACOBIANS + n)
                 tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
                 for x in range(count):
                     m = deformed(f, x, sides, s, t, r)
-                    cof = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
-                    w0, w1, w2 = gradient(f, WAYS, x, sides, s, t, r)
-                    w3, w4, w5 = gradient(f, WAYS + 7, x, sides, s, t, r)
-                    w6, w7, w8 = gradient(f, WAYS + 14, x, sides, s, t, r)
-                    way_of = (w0, w1, w2, w3, w4, w5, w6, w7, w8)
-                    turn = twisted(m, way_of)
+                    cof = cofactor(m)
+                    w = _gradients(f, WAYS, x, sides, s, t, r)
+                    turn = twisted(m, w)
                     mu, jacobian = eighth * f[line(MU) + x], jacobians[x]
                     slope = eighth * slopes[x]
                     volume, gain = f[line(VOLUME) + x], f[line(GAIN) + x]
                     bend = (mu / (jacobian * jacobian)) * tilts[x]
                     stiff = half * f[line(LAM) + x] * (one + one / (volume * volume))
                     bend += eighth * eighth * gain * gain * stiff * f[line(RATE) + x]
-                    same = _without_twice(f, x, way_of)
+                    same = times_growth(f, SQUARE, x, w)
                     stresses = _combined(mu, same, slope, turn, bend, cof)
                     _add_stresses(f, x, sides, s, t, r, stresses)
             for n in range(21):
@@ -599,20 +591,13 @@ def _length_plane(d, way, solid, q, part, floor, z, f, work, each):
             modes(way, z, y, begin, count, f, WAYS)
             for x in range(count):
                 m = deformed(f, x, sides, none, none, none)
-                c0, c1 = m[4] * m[8] - m[5] * m[7], m[5] * m[6] - m[3] * m[8]
-                mean = m[0] * c0 + m[1] * c1 + m[2] * (m[3] * m[7] - m[4] * m[6])
-                a = math.sqrt(m[0] * m[0] + m[3] * m[3] + m[6] * m[6])
-                b = math.sqrt(m[1] * m[1] + m[4] * m[4] + m[7] * m[7])
-                c = math.sqrt(m[2] * m[2] + m[5] * m[5] + m[8] * m[8])
+                mean = determinant(m)
+                a, b, c = _column_norms(m)
                 of_a, of_b, of_c = _spread_of(f, MODES, x, sides)
                 high = mean + (a + of_a) * (b + of_b) * (c + of_c) - a * b * c
                 to_a, to_b, to_c = _spread_of(f, WAYS, x, sides)
-                w0, w1, w2 = gradient(f, WAYS, x, sides, none, none, none)
-                w3, w4, w5 = gradient(f, WAYS + 7, x, sides, none, none, none)
-                w6, w7, w8 = gradient(f, WAYS + 14, x, sides, none, none, none)
-                to_a += of_a + math.sqrt(w0 * w0 + w3 * w3 + w6 * w6)
-                to_b += of_b + math.sqrt(w1 * w1 + w4 * w4 + w7 * w7)
-                to_c += of_c + math.sqrt(w2 * w2 + w5 * w5 + w8 * w8)
+                by_a, by_b, by_c = _column_norms(_gradients(f, WAYS, x, sides, none, none, none))
+                to_a, to_b, to_c = to_a + of_a + by_a, to_b + of_b + by_b, to_c + of_c + by_c
                 low = mean + a * b * c - (a + to_a) * (b + to_b) * (c + to_c)
                 gain = f[line(GAIN) + x]
                 f[line(LOW) + x] = gain * low - max(part * gain * high, min(gain * high, floor))
@@ -658,16 +643,14 @@ def _element_matrix(d, solid, q, z, y, x, f, points, slopes, tilts, rate, out):
     )  # fmt: skip
     pressure = 0.5 * lam * gain * (volume - 1.0 / volume)
     for n in range(8):
-        s, t, r = _place(n, _POINT)
+        s, t, r = place(n, _POINT)
         jacobian = of_points(points, _JACOBIANS + n)[0]
         m = deformed(f, 0, q, s, t, r)
-        c = cofactor(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
-        bound = (1 - LEAST) * mu * gain / largest_stretch(without_growth(f, 0, m))
+        c = cofactor(m)
+        bound = (1 - LEAST) * mu * gain / largest_stretch(times_growth(f, GROWTH, 0, m))
         slope = min(max(pressure - mu / jacobian, -bound), bound)
         for corner in range(8):
-            a = 1.0 if corner >= 4 else -1.0
-            b = 1.0 if corner % 4 >= 2 else -1.0
-            e = 1.0 if corner % 2 else -1.0
+            a, b, e = place(corner, 1.0)
             slopes[corner, 0] = q[0] * a * (1 + b * t) * (1 + e * r)
             slopes[corner, 1] = q[1] * b * (1 + a * s) * (1 + e * r)
             slopes[corner, 2] = q[2] * e * (1 + a * s) * (1 + b * t)
