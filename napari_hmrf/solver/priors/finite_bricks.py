@@ -36,10 +36,6 @@ from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, Fini
 from napari_hmrf.solver.priors.growth import element_strains
 from napari_hmrf.solver.priors.hexahedra import BrickShape
 
-# Signs of the permutations of three axes (Levi-Civita).
-_SIGNS = np.zeros((3, 3, 3))
-_SIGNS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1
-_SIGNS[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = -1
 _CORNERS = tuple(product((0, 1), repeat=3))
 _POINTS = tuple(product((-1 / np.sqrt(3), 1 / np.sqrt(3)), repeat=3))
 
@@ -154,45 +150,6 @@ class FiniteBricks:
         """
         return np.where(self._is_tissue, self._gain * bernstein_coefficients(d, self._shape), 1.0)
 
-    def tangents(self, d: Float64Array) -> Float64Array:
-        """Return the second derivatives of each element's energy, without the barrier.
-
-        Parameters
-        ----------
-        d : ndarray, shape (D, H, W, 3)
-            Displacement, in voxels.
-
-        Returns
-        -------
-        ndarray, shape (D - 1, H - 1, W - 1, 24, 24)
-            The order is that of the corners 000, 001, 010 ... 111, with three components each.
-        """
-        shear, first, gain = self._moduli.shear, self._moduli.first, self._gain
-        gradients = list(self._gradients(d))
-        jacobians = [np.linalg.det(gradient) for gradient in gradients]
-        volume = gain * sum(jacobians) / 8
-        square = self._undo @ self._undo
-        made = np.zeros((*shear.shape, 24, 24))
-        rate = np.zeros((*shear.shape, 24))
-        with np.errstate(all="ignore"):  # in void
-            pressure = gain * first / 2 * (volume - 1 / volume)
-            for point, gradient, jacobian in zip(_POINTS, gradients, jacobians, strict=True):
-                slopes = self._slopes(point)
-                cofactors = _cofactors(gradient)
-                tilt = np.einsum("...ka,ca->...ck", cofactors, slopes).reshape(rate.shape)
-                rate += gain[..., None] / 8 * tilt
-                own = np.einsum("ca,...ab,eb->...ce", slopes, square, slopes)
-                made += _scaled(shear / 8, np.einsum("...ce,kl->...ckel", own, np.eye(3)), made)
-                made += _scaled(
-                    shear / 8 / jacobian**2, tilt[..., :, None] * tilt[..., None, :], made
-                )
-                twist = np.einsum("klm,abe,...me->...kalb", _SIGNS, _SIGNS, gradient)
-                turn = np.einsum("ca,...kalb,eb->...ckel", slopes, twist, slopes)
-                made += _scaled((pressure - shear / jacobian) / 8, turn, made)
-            bulk = first / 2 * (1 + 1 / volume**2)
-            made += _scaled(bulk, rate[..., :, None] * rate[..., None, :], made)
-        return np.where(self._is_tissue[..., None, None], made, 0.0)
-
     def _barrier_forces(self, d: Float64Array) -> Float64Array:
         total: Float64Array = np.zeros(d.shape)
         coefficients = self.corner_jacobians(d)
@@ -294,11 +251,6 @@ def _edges(d: Float64Array, shape: BrickShape) -> list[dict[_Side, Float64Array]
 def _sites(corner: tuple[int, ...]) -> tuple[slice, ...]:
     """Return the index of the sites at a corner of the elements."""
     return tuple(slice(1, None) if far else slice(None, -1) for far in corner)
-
-
-def _scaled(scale: Float64Array, blocks: Float64Array, like: Float64Array) -> Float64Array:
-    """Return a matrix of each element, times a number of each."""
-    return np.asarray(scale[..., None, None] * blocks.reshape(like.shape))
 
 
 def _cofactors(matrices: Float64Array) -> Float64Array:

@@ -134,17 +134,13 @@ class NeoHookeanPrior:
         return forces if load is None else forces - load.forces
 
     def tangents(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Return the second derivatives of the energy of each element.
+        """Return second derivatives with respect to element differences, (H - 1, W - 1, 6, 6).
 
-        In an image they are with respect to the differences of an element. In a volume they are
-        with respect to the displacement of its eight corners, and do not include the barrier.
-
-        Returns
-        -------
-        ndarray, shape (H - 1, W - 1, 6, 6) or (D - 1, H - 1, W - 1, 24, 24)
-            Second derivatives.
+        For images only.
         """
-        return self._elements(problem).tangents(_pixels(problem, displacement))
+        elements = self._elements(problem)
+        assert isinstance(elements, FiniteElements)
+        return elements.tangents(_pixels(problem, displacement))
 
     def corner_jacobians(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Return numbers that bound the Jacobian of each element; they are 1 in void.

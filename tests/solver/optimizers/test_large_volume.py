@@ -94,6 +94,32 @@ def test_the_compiled_loops_of_a_volume_match_the_prior(grows) -> None:
     np.testing.assert_allclose(found, expected / scale, atol=1e-6)
 
 
+@pytest.mark.parametrize("positive", [0.0, 1.0])
+def test_the_matrices_for_a_factorization_match_the_products_of_the_iteration(positive) -> None:
+    from napari_hmrf.solver.backends.cpu.finite_volume_model import CpuFiniteVolumeModel
+
+    random = np.random.default_rng(7)
+    problem, prior = random_volume(random, grows=True), NeoHookeanPrior(0.4)
+    model = CpuFiniteVolumeModel(problem.shape)
+    model.assemble(prior.material(problem))
+    d = host.planes(random.normal(size=(*problem.shape, 3)) * 0.1)
+    free = np.zeros(d.shape, dtype=np.bool_)
+    model.linearise(d, free, model.forces(d), positive)
+    ((_, matrices),) = model.tangents.parts
+    every = matrices(*[slice(None)] * 3)
+    way = random.normal(size=(*problem.shape, 3))
+    parts = slice(None, -1), slice(1, None)
+    corners = [(parts[i], parts[j], parts[k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    values = np.concatenate([way[at] for at in corners], axis=-1)
+    images = np.einsum("...ij,...j->...i", every, values)
+    total = np.zeros_like(way)
+    for number, at in enumerate(corners):
+        total[at] += images[..., 3 * number : 3 * number + 3]
+    scale = np.abs(total).max()
+    found = host.field(model.image(host.planes(way)))
+    np.testing.assert_allclose(found / scale, total / scale, atol=1e-5)
+
+
 def test_the_step_length_of_a_volume_stops_before_an_element_folds() -> None:
     from napari_hmrf.solver.backends.cpu.finite_volume_model import CpuFiniteVolumeModel
 

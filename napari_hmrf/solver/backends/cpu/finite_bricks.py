@@ -629,8 +629,8 @@ def length(d, way, solid, q, part, floor, plane_length, each):
 
 
 @callee
-def _element_matrix(d, solid, q, z, y, x, f, points, slopes, tilts, rate, out):
-    """Compute the second derivatives of one element without their indefinite part, (24, 24)."""
+def _element_matrix(d, solid, q, positive, z, y, x, f, points, slopes, tilts, rate, out):
+    """Compute the second derivatives of one element, (24, 24); see `image`."""
     read_solid(solid, z, y, x, 1, f)
     modes(d, z, y, x, 1, f, MODES)
     volumes(f, points, q, 1)
@@ -648,7 +648,8 @@ def _element_matrix(d, solid, q, z, y, x, f, points, slopes, tilts, rate, out):
         m = deformed(f, 0, q, s, t, r)
         c = cofactor(m)
         bound = (1 - LEAST) * mu * gain / largest_stretch(times_growth(f, GROWTH, 0, m))
-        slope = min(max(pressure - mu / jacobian, -bound), bound)
+        slope = pressure - mu / jacobian
+        slope += positive * (min(max(slope, -bound), bound) - slope)
         for corner in range(8):
             a, b, e = place(corner, 1.0)
             slopes[corner, 0] = q[0] * a * (1 + b * t) * (1 + e * r)
@@ -693,14 +694,14 @@ def _element_matrix(d, solid, q, z, y, x, f, points, slopes, tilts, rate, out):
 
 
 @parallel
-def add_element_matrices(d, elements, solid, q, out):
-    """Add the second derivatives of some elements, without their indefinite part, to `out`.
+def add_element_matrices(d, elements, solid, q, positive, out):
+    """Add the second derivatives of some elements, as in `image`, to `out`, (N, 24, 24).
 
-    The barrier is not included. The order of components is that of `bernstein.barrier_matrices`.
+    The order of components is that of `bernstein.barrier_matrices`.
     """
     for n in prange(len(elements)):
         f, points, made = np.zeros(FLOATS), np.zeros(POINTS), np.empty((24, 24))
         slopes, tilts, rate = np.empty((8, 3)), np.empty(24), np.empty(24)
         z, y, x = elements[n]
-        _element_matrix(d, solid, q, z, y, x, f, points, slopes, tilts, rate, made)
+        _element_matrix(d, solid, q, positive, z, y, x, f, points, slopes, tilts, rate, made)
         out[n] += made

@@ -28,7 +28,7 @@ from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
 from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_ratio
-from napari_hmrf.solver.priors.finite_bricks import FiniteBricks, brick_moduli
+from napari_hmrf.solver.priors.finite_bricks import brick_moduli
 from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, FiniteMaterial
 
 
@@ -190,7 +190,19 @@ class SecondDerivatives:
         self.safe_walls = self.walls.copy() if positive == 1 else np.zeros_like(self.walls)
         if positive < 1:
             bernstein.barrier_matrices(*about, 1.0, self.safe_walls)
-        finite_bricks.add_element_matrices(d, self.walled, solid, sides, self.safe_walls)
+        finite_bricks.add_element_matrices(d, self.walled, solid, sides, 1.0, self.safe_walls)
+
+    def matrices(self) -> npt.NDArray[np.float64]:
+        """Return the second derivatives of each element, (D - 1, H - 1, W - 1, 24, 24)."""
+        elements = np.argwhere(self._solid[0] > 0)
+        each = np.zeros((len(elements), 24, 24))
+        sides, positive = self._sides.astype(np.float64), float(self._positive)
+        about = self._d, elements, self._solid, sides, positive
+        finite_bricks.add_element_matrices(*about, each)
+        made = np.zeros((*(size - 2 * PAD - 1 for size in self._d.shape[1:]), 24, 24))
+        made[tuple((elements - PAD).T)] = each
+        made[tuple((self.walled - PAD).T)] += self.walls
+        return made
 
     def apply(self, direction: Vector, image: Vector) -> None:
         """Compute the product with a direction."""
@@ -271,7 +283,6 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         brick_tangents.tangents(*about, finest.tangent)
         compute_thread.check_cancelled()
         finest.exact = SecondDerivatives(d, self._solid, self._gain, self._sides, positive)
-        self._positive, self._at = positive, d
         if self.bodies:
             assert self.material is not None
             finest.bodies = Bodies(self.bodies, self.material, held, d)
@@ -299,10 +310,9 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
     @property
     def tangents(self) -> BrickMatrices:
         """Linear model as an `Assembled` material, for direct factors."""
-        assert self.material is not None
         exact = self.levels[0].exact
         assert exact is not None
-        return BrickMatrices(self.material, self._at, exact)
+        return BrickMatrices(exact.matrices())
 
 
 _UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
@@ -313,23 +323,16 @@ class BrickMatrices:
 
     Parameters
     ----------
-    material : FiniteMaterial
-    d : ndarray, planes
-        Displacement, in voxels.
-    exact : SecondDerivatives
-        Has the second derivatives of the barrier.
+    matrices : ndarray, shape (D - 1, H - 1, W - 1, 24, 24)
+        Second derivatives of each element; 0 in void.
     """
 
     patch = 2
     margin = 0
     symmetric = True
 
-    def __init__(self, material: FiniteMaterial, d: Planes, exact: SecondDerivatives) -> None:
-        moduli = brick_moduli(material, CYCLE_STAND_IN)
-        elements = FiniteBricks(moduli, material.shape)
-        self._matrices = elements.tangents(np.moveaxis(d[:, 2:-2, 2:-2, 2:-2], 0, -1))
-        at = tuple((exact.walled - PAD).T)
-        self._matrices[at] += exact.walls
+    def __init__(self, matrices: npt.NDArray[np.float64]) -> None:
+        self._matrices = matrices
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
