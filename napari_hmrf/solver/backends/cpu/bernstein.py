@@ -103,14 +103,14 @@ def barrier_energy(d, z, y, x, q, gain, start, edges, net):
 
 @callee
 def barrier_slopes(d, z, y, x, q, gain, start, edges, net):
-    """Return the mean first and second derivative of b over the coefficients of an element."""
+    """Return the least coefficient of an element, and the mean derivatives of b over all."""
     least = least_of(d, z, y, x, q, gain, edges, net)
     first, second = 0.0, 0.0
     if 0 < least < start:
         for n in range(_COUNT):
             _, slope, bend = barrier(gain * net[n], start)
             first, second = first + slope, second + bend
-    return _MEAN * first, _MEAN * second
+    return least, _MEAN * first, _MEAN * second
 
 
 @callee

@@ -129,13 +129,14 @@ def norm_at_rest(mu, lam, q):
 
 
 @callee
-def _tangent_plane(d, solid, q, barrier, calm, z, f, points, work, out):
+def _tangent_plane(d, solid, q, barrier, calm, z, f, points, work, out, low):
     strength, start = barrier
     edges, net, way, image = work
     sides = q[0], q[1], q[2]
     for y in range(2, d.shape[2] - 2):
         for begin in range(2, d.shape[3] - 2, BLOCK):
             count = min(BLOCK, d.shape[3] - 2 - begin)
+            low[z, y, begin : begin + count] = np.inf
             if not read_solid(solid, z, y, begin, count, f):
                 for n in range(PLANES):
                     out[n, z, y, begin : begin + count] = 0
@@ -157,8 +158,10 @@ def _tangent_plane(d, solid, q, barrier, calm, z, f, points, work, out):
                 bend = 0.5 * lam * gain * gain * (1.0 + 1.0 / (volume * volume))
                 bend += mu / (jacobian * jacobian)
                 stretch = largest_stretch(times_growth(f, GROWTH, x, m))
-                if f[line(LOW) + x] < start:
-                    first, second = barrier_slopes(d, z, y, at, q, gain, start, edges, net)
+                low[z, y, at] = f[line(LOW) + x]
+                if low[z, y, at] < start:
+                    least, first, second = barrier_slopes(d, z, y, at, q, gain, start, edges, net)
+                    low[z, y, at] = least
                     slope += strength * mu * gain * first
                     bend += strength * mu * gain * gain * second
                 slope = _limited(slope, mu, stretch / gain)
@@ -173,12 +176,16 @@ def _tangent_plane(d, solid, q, barrier, calm, z, f, points, work, out):
 
 
 @parallel
-def tangents(d, solid, q, barrier, calm, out):
-    """Compute the numbers of each element at a displacement, for the finest level."""
+def tangents(d, solid, q, barrier, calm, out, low):
+    """Compute the numbers of each element at a displacement, for the finest level.
+
+    `low` gets a bound below the Jacobian of each element, infinite in void. It is the least
+    Bernstein coefficient where it is less than the start of the barrier.
+    """
     for n in prange(d.shape[1] - 4):
         f, points = np.zeros(FLOATS), np.zeros(POINTS)
         work = np.empty((3, 4, 3)), np.empty(27), np.empty(9), np.empty(18)
-        _tangent_plane(d, solid, q, barrier, calm, n + 2, f, points, work, out)
+        _tangent_plane(d, solid, q, barrier, calm, n + 2, f, points, work, out, low)
 
 
 @parallel

@@ -9,44 +9,62 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes
-from napari_hmrf.solver.backends.rigid.bodies import BodySites
+from napari_hmrf.solver.backends.rigid.bodies import BodySites, bodies_of
 from napari_hmrf.solver.backends.rigid.poses import Poses
+from napari_hmrf.solver.coarse_levels import smoother_bounds
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 
-# Factors by which the spectrum of strained tissue exceeds that at rest: usually, and at most.
+# Typical and largest ratio of the spectrum of strained tissue to that of tissue at rest.
 _STRAINED, _WORST = 1.3, 2.0
-#: Factor of the norm of an element at rest: less than 1, because elements share their sites.
+#: Factor on the norm of an element at rest; less than 1 because elements share sites.
 CALM = 0.75
 
 
 class CpuFiniteModelBase:
-    """Base class of the models of large motion on the processor; see `FiniteModel`.
+    """Base class of the large-motion models on the processor; see `FiniteModel`.
 
     Attributes
     ----------
     levels : list
         Levels of the linear model, finest first.
+    bounds : (float, float)
+        Upper bounds on the spectrum, as in `LinearModel.bounds`.
     material : FiniteMaterial or None
+        Present material.
     springs : ndarray, planes, or None
-        Values added to the diagonal by the last `linearise`.
+        Values that the last call of `linearise` added to the diagonal.
     rehearsed : tuple or None
-        Held components, and the factor by which cycles underestimate the error with them.
+        Prescribed components, and the ratio of the true error to the error that cycles estimate.
     bodies : list of tuple of ndarray
         Indices of the sites of each rigid body.
     """
 
     levels: Sequence[Any]
+    bounds: tuple[float, float]
     material: FiniteMaterial | None = None
     springs: Planes | None = None
     rehearsed: tuple[HeldPlanes, float] | None = None
     bodies: Sequence[BodySites] = ()
 
-    def _bounds(self, usual: float) -> tuple[float, float]:
-        """Return the bounds of the spectrum from the usual one at rest."""
-        return _STRAINED * usual, _WORST * usual
+    def assemble(self, material: FiniteMaterial) -> None:
+        """Replace the material with another material on the same grid."""
+        if self.material is not None and self.material == material:
+            return
+        if self.material is None or not self.material.is_tissue_of(material):
+            self.rehearsed = None
+        self.material = material
+        usual, _ = smoother_bounds(material)
+        self.bounds = _STRAINED * usual, _WORST * usual
+        self.bodies = bodies_of(material.m) if material.rigid else []
+        self.levels[0].bodies = None
+        self._set_material(material)
+
+    def _set_material(self, material: FiniteMaterial) -> None:
+        """Compute the moduli of the elements."""
+        raise NotImplementedError
 
     def poses(self, held: HeldPlanes) -> Poses:
-        """Return the poses of bodies, with their held components."""
+        """Return the poses of the bodies with their prescribed components."""
         assert self.material is not None
         return Poses(self.bodies, self.material.shape.sides, held)
 
@@ -57,7 +75,10 @@ class CpuFiniteModelBase:
             bodies.project(values)
 
     def balance(self, rest: Planes) -> Balance:
-        """Return the load of an iteration: 0 at fixed components, projected for rigid bodies."""
+        """Return the residual as the load of an iteration.
+
+        It is 0 at fixed components and projected onto the rigid motions of bodies.
+        """
         rest = np.where(self.levels[0].inverse > 0, rest, 0.0)
         self.project(rest)
         most = max(float(rest.max()), -float(rest.min()))
@@ -67,7 +88,7 @@ class CpuFiniteModelBase:
         return Balance(scaled, unit, most, unit * math.sqrt(square))
 
     def image(self, way: Planes) -> Planes:
-        """Return A `way` of the linear model; 0 at fixed components."""
+        """Return ``A @ way`` for the linear model, or 0 at fixed components."""
         finest = self.levels[0]
         image = finest.vector()
         finest.apply(way.astype(np.float32), image)
@@ -82,6 +103,6 @@ class CpuFiniteModelBase:
         return moves
 
     def clear(self) -> None:
-        """Set all corrections to zero, because they may not be finite."""
+        """Set all corrections to zero, because they may contain non-finite values."""
         for level in self.levels:
             level.clear()

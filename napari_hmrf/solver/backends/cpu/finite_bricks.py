@@ -23,7 +23,6 @@ from numba import prange
 from napari_hmrf.solver.backends.cpu.bernstein import (
     barrier_energy,
     barrier_forces,
-    least_of,
     longest_step,
 )
 from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, shared
@@ -545,37 +544,6 @@ def image(d, way, solid, q, positive, out):
             points = np.zeros(POINTS, dtype=way.dtype)
             z = 2 * np.int64(half) + odd + 2
             _image_plane(d, way, solid, q, positive, z, f, points, out)
-
-
-@callee
-def _low_plane(d, solid, q, z, f, edges, net, start, low):
-    sides = q[0], q[1], q[2]
-    for y in range(2, d.shape[2] - 2):
-        for begin in range(2, d.shape[3] - 2, BLOCK):
-            count = min(BLOCK, d.shape[3] - 2 - begin)
-            low[z, y, begin : begin + count] = np.inf
-            if not read_solid(solid, z, y, begin, count, f):
-                continue
-            modes(d, z, y, begin, count, f, MODES)
-            bound_below(f, sides, count)
-            for x in range(count):
-                if f[line(MU) + x] > 0:
-                    here = f[line(LOW) + x]
-                    if here < start:
-                        gain = f[line(GAIN) + x]
-                        here = least_of(d, z, y, begin + x, q, gain, edges, net)
-                    low[z, y, begin + x] = here
-
-
-@parallel
-def lowest(d, solid, q, start, low):
-    """Compute a bound below the Jacobian of each element; infinite in void.
-
-    It is the least Bernstein coefficient where it is less than `start`.
-    """
-    for n in prange(d.shape[1] - 4):
-        f, edges, net = np.zeros(FLOATS), np.empty((3, 4, 3)), np.empty(27)
-        _low_plane(d, solid, q, n + 2, f, edges, net, start, low)
 
 
 @callee

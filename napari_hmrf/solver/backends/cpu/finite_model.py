@@ -18,9 +18,9 @@ from napari_hmrf.solver.backends.cpu.forces import parts
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
-from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of, rigid_elements
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, rigid_elements
 from napari_hmrf.solver.backends.thread import in_child_of_fork
-from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
+from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_parameters
 from napari_hmrf.solver.priors.finite_strain import (
     BARRIER,
@@ -77,16 +77,6 @@ class TangentLevel(SmallLevel):
         vectors.hold(self.inverse, held, self.pins, self.spans)
         self.pins += self.weight * self.inverse
 
-    @property
-    def _springs(self) -> tuple[Vector, np.float32]:
-        """Strength of the springs and its factor, 0 or 1, as in `CpuLevel` but not cached.
-
-        Springs of the finest level may change with each linear model.
-        """
-        if self.weight is None:
-            return self.inverse, np.float32(0)
-        return self.weight, np.float32(1)
-
     def hold_as(self, finer: TangentLevel) -> None:
         """Set the springs of sites near prescribed sites of the next finer level."""
         tangents.diagonal(self.cycled, self.inverse)
@@ -141,29 +131,19 @@ class CpuFiniteModel(CpuFiniteModelBase):
         self._none: Planes = np.zeros((0, 0))
         self._parts = parts(grid[0])
 
-    def assemble(self, material: FiniteMaterial) -> None:
-        """Replace the material with another material on the same grid."""
-        if self.material is not None and self.material == material:
-            return
-        if self.material is None or not self.material.is_tissue_of(material):
-            self.rehearsed = None
-        self.material = material
+    def _set_material(self, material: FiniteMaterial) -> None:
         moduli = material.moduli(CYCLE_STAND_IN)
         for plane, values in zip(self._solid, moduli.numbers, strict=True):
             plane[2:-3, 2:-3] = values
         self._stored = moduli.stored
         rows, cols = np.sqrt(material.shape.rows), np.sqrt(material.shape.cols)
         self._about = float(rows), float(cols), moduli.bulges, BARRIER, BARRIER_BEGIN
-        usual, _ = smoother_bounds(material)
         self._calm = CALM * self._spread(material)
-        self.bounds = self._bounds(usual)
         for level in self.levels:
             level.cycled.fill(0)
         self._solved.fill(0)
-        self.bodies = bodies_of(material.m) if material.rigid else []
         self._elements = rigid_elements(material.m, self.bodies)
         self._stiff = np.zeros((_ALL, 0), dtype=np.float32)
-        self.levels[0].bodies = None
 
     @property
     def _solved(self) -> Vector:

@@ -21,18 +21,24 @@ from napari_hmrf.solver.backends.cpu import (
     volume,
 )
 from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
+from napari_hmrf.solver.backends.cpu.level import Vector, paces_of, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
+from napari_hmrf.solver.backends.cpu.volume_model import VolumeLevel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
-from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
+from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
-from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
+from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_ratio
 from napari_hmrf.solver.priors.finite_bricks import brick_moduli
 from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, FiniteMaterial
 
+# Index of the elements in padded arrays.
+_ELEMENTS = (slice(PAD, -PAD - 1),) * 3
+# Components of the matrix G in the order of `finite_bricks`.
+_UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
 
-class BrickLevel(CpuLevel):
+
+class BrickLevel(VolumeLevel):
     """Tangents and springs of one level; see `CpuLevel`.
 
     Parameters
@@ -53,35 +59,13 @@ class BrickLevel(CpuLevel):
     sums_up = True
 
     def __init__(self, grid: tuple[int, ...], finest: bool) -> None:
-        super().__init__(grid)
+        super().__init__(grid, finest)
         self.tangent = padded(int(brick_tangents.PLANES), grid)
-        self.weight = None if finest else self.vector()
         self._image = self.vector()
         self.exact: SecondDerivatives | None = None
-        self.shape: Vector = np.zeros(3, dtype=np.float32)
-        depth, height = (size + 2 * PAD for size in grid[:2])
-        self.spans = np.zeros((depth, height, 2), dtype=np.int64).reshape(-1, 2)[PAD:-PAD]
-
-    @property
-    def pins(self) -> Vector:  # type: ignore[override]
-        """Pins for the next coarser level, which reads them once.
-
-        They use the memory of a correction, so `clear` must follow.
-        """
-        return self._other
-
-    @property
-    def _springs(self) -> tuple[Vector, np.float32]:
-        """Strength and factor of the springs as in `CpuLevel`, but not cached.
-
-        Springs of the finest level may change with each linear model.
-        """
-        if self.weight is None:
-            return self.inverse, np.float32(0)
-        return self.weight, np.float32(1)
 
     def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
-        """Set the held components and the springs of the finest level."""
+        """Set the prescribed components and the springs of the finest level."""
         brick_tangents.diagonal(self.tangent, self.shape, self.inverse)
         if self.exact is not None:
             bernstein.add_diagonals(self.exact.walled, self.exact.safe_walls, self.inverse)
@@ -94,7 +78,7 @@ class BrickLevel(CpuLevel):
             np.add(self.pins, self.weight * self.inverse, out=self.pins)
 
     def hold_as(self, finer: BrickLevel) -> None:
-        """Set the springs of sites near held sites of the next finer level."""
+        """Set the springs of sites near prescribed sites of the next finer level."""
         brick_tangents.diagonal(self.tangent, self.shape, self.inverse)
         self._set_springs(finer)
 
@@ -127,20 +111,6 @@ class BrickLevel(CpuLevel):
         brick_tangents.rest(*arrays, *about, springs, np.float32(1), rows(self._image))
         volume.restrict(self._image, coarse.load)
 
-    @staticmethod
-    def _restrict(fine: Vector, coarse: Vector) -> None:
-        volume.restrict(fine, coarse)
-
-    def _add_coarse(self, coarse: Vector) -> None:
-        volume.interpolate(coarse, self.correction, self.inverse)
-
-    def scratch_vector(self) -> Vector:
-        """Return a vector of the cycle that is unused between cycles, which saves memory."""
-        return self._other
-
-    def free(self, *vectors: Vector) -> None:
-        """Ignore the call; vectors are not kept, because memory limits volumes."""
-
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction`` for the solved system; return their product."""
         assert self.exact is not None
@@ -161,26 +131,28 @@ class SecondDerivatives:
         Displacement, in voxels; read at each call, so it must not change.
     solid : ndarray, shape (2 or 8, D + 4, H + 4, W + 4)
         Moduli of the elements; see `finite_bricks`.
-    gain : ndarray or float
-        Determinant of the matrix G of each element.
     shape : BrickShape
+    low : ndarray, shape (D + 4, H + 4, W + 4)
+        Bound below the Jacobian of each element, from `brick_tangents.tangents`.
     positive : float
         Part of the indefinite terms that is left out, from 0 to 1.
     """
 
     def __init__(
-        self, d: Planes, solid: npt.NDArray[Any], gain: Any, shape: Any, positive: float
+        self,
+        d: Planes,
+        solid: npt.NDArray[Any],
+        shape: Any,
+        low: npt.NDArray[np.float32],
+        positive: float,
     ) -> None:
         self._d, self._solid, self._positive = d, solid, np.float32(positive)
         self._sides = np.array(shape, dtype=np.float32)
-        low = np.empty(d.shape[1:])
-        low.fill(np.inf)
         sides = np.array(shape)
-        finite_bricks.lowest(d, solid, sides, BARRIER_BEGIN, low)
         #: Indices (z, y, x) of the elements whose barrier acts, in padded arrays.
         self.walled = np.argwhere(low < BARRIER_BEGIN)
         at = tuple(self.walled.T)
-        gains = np.broadcast_to(gain, d.shape[1:])[at].astype(np.float64)
+        gains = _gains(solid, at)
         scales = BARRIER * solid[0][at].astype(np.float64)
         #: Second derivatives of the barrier of these elements.
         self.walls = np.zeros((len(self.walled), 24, 24), dtype=np.float32)
@@ -211,6 +183,16 @@ class SecondDerivatives:
         bernstein.add_images(direction, self.walled, self.walls, image)
 
 
+def _gains(
+    solid: npt.NDArray[np.float32], at: tuple[npt.NDArray[np.intp], ...]
+) -> npt.NDArray[np.float64]:
+    """Return the determinant of the matrix G of some elements."""
+    undo = np.zeros((len(at[0]), 3, 3)) + np.eye(3)
+    for plane, (i, j) in zip(solid[2:], _UPPER, strict=False):
+        undo[:, i, j] = undo[:, j, i] = plane[at]
+    return np.asarray(np.linalg.det(undo))
+
+
 class CpuFiniteVolumeModel(CpuFiniteModelBase):
     """`FiniteModel` of a volume on the processor.
 
@@ -229,34 +211,19 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         self._energies, self._least = np.zeros((2, grid[0]))
         self._no_elements: Planes = np.zeros((0, 0, 0))
 
-    def assemble(self, material: FiniteMaterial) -> None:
-        """Replace the material by another one on the same grid."""
-        if self.material is not None and self.material == material:
-            return
-        if self.material is None or not self.material.is_tissue_of(material):
-            self.rehearsed = None
-        self.material = material
+    def _set_material(self, material: FiniteMaterial) -> None:
         moduli = brick_moduli(material, CYCLE_STAND_IN)
-        grows = moduli.undo is not None
-        self._solid = padded(8 if grows else 2, self.shape)
-        elements = (slice(PAD, -PAD - 1),) * 3
-        self._solid[0][elements], self._solid[1][elements] = moduli.shear, moduli.first
-        self._gain: Any = 1.0
+        self._solid = padded(2 if moduli.undo is None else 8, self.shape)
+        self._solid[0][_ELEMENTS], self._solid[1][_ELEMENTS] = moduli.shear, moduli.first
         if moduli.undo is not None:
             for plane, (i, j) in zip(self._solid[2:], _UPPER, strict=True):
-                plane[elements] = moduli.undo[..., i, j]
-            self._gain = np.ones(self._solid.shape[1:])
-            self._gain[elements] = np.linalg.det(moduli.undo)
+                plane[_ELEMENTS] = moduli.undo[..., i, j]
         self._sides = np.array(material.shape)
         self._barrier = BARRIER, BARRIER_BEGIN
-        usual, _ = smoother_bounds(material)
-        self.bounds = self._bounds(usual)
         ratio = lame_ratio(material.largest_poisson, strain=True)
         self._calm = CALM * float(brick_tangents.norm_at_rest(1.0, ratio, self._sides))
         for level in self.levels:
             level.shape = self._sides.astype(np.float32)
-        self.bodies = bodies_of(material.m) if material.rigid else []
-        self.levels[0].bodies = None
 
     def energy(self, d: Planes) -> tuple[float, float]:
         """Return the energy of a displacement, and a bound below the Jacobian of all elements."""
@@ -280,9 +247,10 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         """Build the linear model of small motion around a displacement; see `FiniteModel`."""
         finest, self.springs = self.levels[0], springs
         about = d, self._solid, self._sides, self._barrier, self._calm
-        brick_tangents.tangents(*about, finest.tangent)
+        low = np.full(d.shape[1:], np.inf, dtype=np.float32)
+        brick_tangents.tangents(*about, finest.tangent, low)
         compute_thread.check_cancelled()
-        finest.exact = SecondDerivatives(d, self._solid, self._gain, self._sides, positive)
+        finest.exact = SecondDerivatives(d, self._solid, self._sides, low, positive)
         if self.bodies:
             assert self.material is not None
             finest.bodies = Bodies(self.bodies, self.material, held, d)
@@ -304,18 +272,14 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         lengths = np.full(self._solid.shape[1:], np.inf) if each else self._no_elements
         about = d, way, self._solid, self._sides, part, floor
         finite_bricks.length(*about, self._least, lengths)
-        elements = (slice(PAD, -PAD - 1),) * 3
-        return float(self._least.min()), lengths[elements] if each else lengths
+        return float(self._least.min()), lengths[_ELEMENTS] if each else lengths
 
     @property
     def tangents(self) -> BrickMatrices:
-        """Linear model as an `Assembled` material, for direct factors."""
+        """Linear model as an `Assembled` material, for direct factorizations."""
         exact = self.levels[0].exact
         assert exact is not None
         return BrickMatrices(exact.matrices())
-
-
-_UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
 
 
 class BrickMatrices:

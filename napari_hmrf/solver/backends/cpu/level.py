@@ -80,7 +80,7 @@ class CpuLevel:
         inverse, pins, weight = map(rows, (self.inverse, self.pins, self.weight))
         vectors.spring(inverse, pins, most, strength, weight, self.spans)
 
-    @cached_property
+    @property
     def _springs(self) -> tuple[Vector, np.float32]:
         """Strength of the springs for the kernels, and its factor, 0 or 1."""
         # If there are no springs, the kernel reads another array and multiplies it by 0.

@@ -34,7 +34,58 @@ def _never_cancel() -> None:
     """Do nothing, for levels that cannot be cancelled."""
 
 
-class CpuVolumeLevel(CpuLevel):
+class VolumeLevel(CpuLevel):
+    """Base class of the levels of a volume, which use little memory.
+
+    Parameters
+    ----------
+    grid : tuple of int
+        Grid of the level, (D, H, W).
+    finest : bool
+        True for the finest level, which has no springs at first.
+
+    Attributes
+    ----------
+    reach : ndarray, shape (D + 4, H + 4, 2)
+        Start and stop column of the moving sites in each padded row.
+    shape : ndarray
+        Constants of the kernels for the shape of a voxel.
+    """
+
+    sums_up = True
+
+    def __init__(self, grid: tuple[int, ...], finest: bool) -> None:
+        super().__init__(grid)
+        self.weight = None if finest else self.vector()
+        depth, height = (size + 2 * PAD for size in grid[:2])
+        self.reach: npt.NDArray[np.int64] = np.zeros((depth, height, 2), dtype=np.int64)
+        self.spans = self.reach.reshape(-1, 2)[PAD:-PAD]
+        self.shape: Vector = np.zeros(0, dtype=np.float32)
+
+    @property
+    def pins(self) -> Vector:  # type: ignore[override]
+        """Pins for the next coarser level, which reads them only once.
+
+        The pins share memory with a correction, so `clear` must be called afterwards.
+        """
+        return self._other
+
+    def scratch_vector(self) -> Vector:
+        """Return a vector that is in use only during cycles, to save memory."""
+        return self._other
+
+    def free(self, *vectors: Vector) -> None:
+        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
+
+    @staticmethod
+    def _restrict(fine: Vector, coarse: Vector) -> None:
+        volume.restrict(fine, coarse)
+
+    def _add_coarse(self, coarse: Vector) -> None:
+        volume.interpolate(coarse, self.correction, self.inverse)
+
+
+class CpuVolumeLevel(VolumeLevel):
     """Level of an elastic volume with its elements and springs.
 
     Attributes
@@ -47,31 +98,15 @@ class CpuVolumeLevel(CpuLevel):
         Function called several times a second; it raises an exception to cancel the work.
     """
 
-    sums_up = True
-
     def __init__(self, grid: tuple[int, ...], parameters: int, finest: bool) -> None:
-        super().__init__(grid)
+        super().__init__(grid, finest)
         self.lame = padded(parameters, grid)
-        self.weight = None if finest else self.vector()
-        depth, height = (size + 2 * PAD for size in grid[:2])
-        #: Start and stop column of the moving sites in each padded row.
-        self.reach: npt.NDArray[np.int64] = np.zeros((depth, height, 2), dtype=np.int64)
-        self.spans = self.reach.reshape(-1, 2)[PAD:-PAD]
         #: Number of threads among which the planes are divided.
         self.parts = volume.parts(grid[0])
         #: Number of smoothing steps between two checks for cancellation.
         self._at_once = max(1, int(BATCH_SECONDS / (_SITE_SECONDS * math.prod(grid))))
         self.checkpoint: Checkpoint = _never_cancel
         self.share = np.float32(1)
-        self.shape: Vector = np.zeros(0, dtype=np.float32)
-
-    @property
-    def pins(self) -> Vector:  # type: ignore[override]
-        """Pins for the next coarser level, which reads them only once.
-
-        The pins share memory with a correction, so `clear` must be called afterwards.
-        """
-        return self._other
 
     def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components of the finest level."""
@@ -110,13 +145,6 @@ class CpuVolumeLevel(CpuLevel):
         self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
         self._restrict(self._other, coarse.load)
 
-    def scratch_vector(self) -> Vector:
-        """Return a vector that is in use only during cycles, to save memory."""
-        return self._other
-
-    def free(self, *vectors: Vector) -> None:
-        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
-
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
         self._rest_of(direction, direction, np.float32(0), np.float32(-1), image)
@@ -127,13 +155,6 @@ class CpuVolumeLevel(CpuLevel):
     ) -> None:
         about = self.lame, self.share, self.inverse, *self._springs, self.shape, self.reach
         volume.rest(d, load, given, *about, scale, out, self.parts)
-
-    @staticmethod
-    def _restrict(fine: Vector, coarse: Vector) -> None:
-        volume.restrict(fine, coarse)
-
-    def _add_coarse(self, coarse: Vector) -> None:
-        volume.interpolate(coarse, self.correction, self.inverse)
 
 
 class CpuVolumeModel(HostModel):

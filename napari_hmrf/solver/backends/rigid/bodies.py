@@ -238,7 +238,9 @@ def rigid_sites(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
     return np.asarray(around_sites(_rigid(m), np.logical_or))
 
 
-def rigid_elements(m: npt.NDArray[np.float32], bodies: list[BodySites]) -> npt.NDArray[np.int32]:
+def rigid_elements(
+    m: npt.NDArray[np.float32], bodies: Sequence[BodySites]
+) -> npt.NDArray[np.int32]:
     """Return the number of each element's body.
 
     Parameters

@@ -54,7 +54,7 @@ class Poses:
         self._bodies = []
         for sites in bodies:
             places = np.stack(sites) * np.array(sides)[:, None]
-            at: Any = (slice(None), *(index + 2 for index in sites))
+            at: _Index = (slice(None), *(index + 2 for index in sites))
             self._bodies.append(_Body(at, places - places.mean(axis=1, keepdims=True), held[at]))
 
     def hold(self, y: Planes, held: HeldPlanes) -> None:
