@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numba
@@ -174,13 +174,31 @@ def cold(size: int = 300) -> None:
 def drag(size: int = 300, frames: int = 20, far: float = 3.0) -> None:
     """Print the time of a frame of a drag relative to a linear solve, and its error."""
     numba.set_num_threads(1)
-    prior, live = NeoHookeanPrior(), Multigrid(_LIVE)
     linear = _least_time(
         lambda: solve(_patch(size, 15, far), ElasticPrior(), backend="cpu"), elastic_model
     )
+    print_frames(
+        (_patch(size, 15, far * frame, begun=60) for frame in range(1, frames + 1)),
+        linear,
+        Multigrid(_LIVE),
+    )
+
+
+def print_frames(frames: Iterable[Problem], linear: float, live: Multigrid) -> None:
+    """Print the cost of each frame of a drag relative to a linear solve, and its error.
+
+    Parameters
+    ----------
+    frames : iterable of Problem
+        Problem of each frame.
+    linear : float
+        Processor time of a linear solve, in seconds.
+    live : Multigrid
+        Optimizer during the drag.
+    """
+    prior = NeoHookeanPrior()
     last: list[Any] = []
-    for frame in range(1, frames + 1):
-        problem = _patch(size, 15, far * frame, begun=60)
+    for frame, problem in enumerate(frames, 1):
         begun = time.process_time()
         found = solve(problem, prior, optimizer=live, backend="cpu", initial=last[:2] or None)
         ratio = (time.process_time() - begun) / linear

@@ -11,7 +11,6 @@ same process (processor time of all threads), the peak memory, and failures on r
 from __future__ import annotations
 
 import argparse
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -19,9 +18,10 @@ from multiprocessing import get_context
 
 import numpy as np
 import numpy.typing as npt
-import psutil
 
 from benchmarks import random_large_volumes
+from benchmarks.large_motion import print_frames
+from benchmarks.report.memory import added_by
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
 from napari_hmrf.solver.solution import Solution
 from tests.support.finite_volume_oracle import (
@@ -122,10 +122,9 @@ def _print_cost(name: str, problem: Problem) -> None:
     folded = smallest_jacobian(small.displacement, 3) <= 0
     points = 10 if found.displacement[..., 0].size <= _DENSE else 4
     least = smallest_jacobian(found.displacement, points)
-    steps = found.levels[0].iterations
     print(
         f"{name:40} linear {linear:6.2f} s ({'folds' if folded else 'does not fold'}), "
-        f"large {large:7.2f} s = {large / linear:5.1f} linear solves, {steps} steps, "
+        f"large {large:7.2f} s = {large / linear:5.1f} linear solves, {found.iterations} steps, "
         f"least Jacobian {least:.3f}, {_reached(found)}",
         flush=True,
     )
@@ -141,25 +140,13 @@ def _reached(found: Solution) -> str:
 
 def drag(sizes: list[int]) -> None:
     """Print the cost of each frame of a drag relative to a linear solve, and its error."""
-    prior, live = NeoHookeanPrior(), Multigrid(_LIVE)
     for size in sizes[:2]:
         first = dragged_patch(size, _FRAME)
         solve(first, ElasticPrior(), backend="cpu")
         linear, _ = _seconds(lambda first=first: solve(_anew(first), ElasticPrior(), backend="cpu"))
-        last: list[Solution] = []
-        for frame in range(1, _FRAMES + 1):
-            problem = dragged_patch(size, _FRAME * frame)
-            begun = time.process_time()
-            found = solve(problem, prior, optimizer=live, backend="cpu", initial=last[:2] or None)
-            ratio = (time.process_time() - begun) / linear
-            last.insert(0, found)
-            tight = solve(problem, prior, optimizer=Multigrid(1e-4), backend="cpu", initial=found)
-            off = float(np.abs(found.displacement - tight.displacement).max())
-            print(
-                f"{size:4} frame {frame:2}: {ratio:4.1f} linear solves, {found.iterations} steps, "
-                f"error {off:.4f} voxel, {_reached(found)}",
-                flush=True,
-            )
+        print(f"{size} x {size} x {size}:")
+        frames = (dragged_patch(size, _FRAME * frame) for frame in range(1, _FRAMES + 1))
+        print_frames(frames, linear, Multigrid(_LIVE))
 
 
 def memory(sizes: list[int]) -> None:
@@ -173,21 +160,8 @@ def memory(sizes: list[int]) -> None:
 def memory_of(size: int) -> int:
     """Return the peak memory of a solve, in bytes."""
     solve(growing_ball(12, 1.2), NeoHookeanPrior(), backend="cpu")
-    problem, process = growing_ball(size, 2.0), psutil.Process()
-    before = most = process.memory_info().rss
-    done = threading.Event()
-
-    def watch() -> None:
-        nonlocal most
-        while not done.wait(0.02):
-            most = max(most, process.memory_info().rss)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    solve(problem, NeoHookeanPrior(), backend="cpu")
-    done.set()
-    watcher.join()
-    return most - before
+    problem = growing_ball(size, 2.0)
+    return added_by(lambda: solve(problem, NeoHookeanPrior(), backend="cpu"))[1]
 
 
 def _anew(problem: Problem) -> Problem:

@@ -15,7 +15,8 @@ from benchmarks import random_large_motion
 from benchmarks.random_large_motion import Case
 from napari_hmrf import NeoHookeanPrior, Problem
 from napari_hmrf.loads import Loads
-from tests.support.finite_volume_oracle import smallest_jacobians
+from napari_hmrf.solver.neighbours import in_elements
+from tests.support.finite_volume_oracle import at_corners, smallest_jacobians
 
 Field = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -31,12 +32,9 @@ def run(first: int, count: int) -> None:
 
 def smallest_of(problem: Problem, displacement: npt.NDArray[np.floating]) -> float:
     """Return the smallest Jacobian at 10^3 points in each element of tissue."""
-    d = displacement.astype(np.float64) / np.array(problem.spacing)
-    parts = [(slice(None, -1), slice(1, None))[far] for far in (0, 1)]
-    corners = [(parts[i], parts[j], parts[k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    tissue = np.all([problem.tissue[at] for at in corners], axis=0)
-    values = np.stack([d[at] for at in corners], axis=-2)[tissue]
-    return float(smallest_jacobians(values, 10).min()) if len(values) else 1.0
+    d = displacement / np.array(problem.spacing)
+    values = at_corners(d)[in_elements(problem.stiffness)]
+    return float(smallest_jacobians(values).min()) if len(values) else 1.0
 
 
 def make_case(number: int) -> Case:
@@ -123,8 +121,6 @@ def _smooth_map(random: np.random.Generator, shape: tuple[int, ...]) -> Field:
     smooth = [scipy.ndimage.gaussian_filter(each, min(shape) / 5) for each in noise]
     d = np.stack(smooth, axis=-1)
     d *= random.uniform(1, 6) / np.abs(d).max()
-    parts = [slice(None, -1), slice(1, None)]
-    corners = [(parts[i], parts[j], parts[k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    while smallest_jacobians(np.stack([d[at] for at in corners], axis=-2), 5).min() < _LEAST:
+    while smallest_jacobians(at_corners(d), 5).min() < _LEAST:
         d *= 0.8
     return d

@@ -26,11 +26,9 @@ torch-fem. The packages of these two comparisons are too heavy for the other ext
 from __future__ import annotations
 
 import argparse
-import gc
 import math
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -46,9 +44,9 @@ os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", "1000000")
 
 import numpy as np
 import numpy.typing as npt
-import psutil
 import scipy.sparse as sp
 from random_volumes import TOLERANCE, judge
+from report.memory import added_by
 from volume_oracle import parameters
 from volume_rivals import print_direct, print_torch_fem
 
@@ -171,21 +169,8 @@ def memory_of(name: str, size: int) -> tuple[int, int, int]:
     """Return the number of cycles, the peak memory of a solve, and that of the whole process."""
     timed(growing(16), ElasticPrior(0.45))  # loads the loops
     problem = _TISSUES[name](size)
-    gc.collect()
-    process, done = psutil.Process(), threading.Event()
-    before = most = process.memory_info().rss
-
-    def watch() -> None:
-        nonlocal most
-        while not done.wait(0.002):
-            most = max(most, process.memory_info().rss)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    found, _ = timed(problem, ElasticPrior(0.45))
-    done.set()
-    watcher.join()
-    return found.iterations, most - before, most
+    (found, _), taken, whole = added_by(lambda: timed(problem, ElasticPrior(0.45)))
+    return found.iterations, taken, whole
 
 
 def squeezed_shell(size: int) -> Problem:

@@ -7,7 +7,12 @@ import ctypes
 import gc
 import math
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import psutil
 
 try:
     import resource
@@ -34,6 +39,35 @@ def peak_megabytes(begin: bool = False) -> float:
         lines = status.read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _PER_MEGABYTE
+
+
+def added_by(work: Callable[[], Any]) -> tuple[Any, int, int]:
+    """Run `work` while watching the memory of this process.
+
+    Returns
+    -------
+    result : Any
+        Result of `work`.
+    added, peak : int
+        Peak of the resident memory above that at the begin, and the peak, in bytes.
+    """
+    gc.collect()
+    process, done = psutil.Process(), threading.Event()
+    before = most = process.memory_info().rss
+
+    def watch() -> None:
+        nonlocal most
+        while not done.wait(0.002):
+            most = max(most, process.memory_info().rss)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        result = work()
+    finally:
+        done.set()
+        watcher.join()
+    return result, most - before, most
 
 
 def peak_of_programs() -> float:

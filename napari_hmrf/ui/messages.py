@@ -55,7 +55,7 @@ MODELS: dict[ModelName, str] = {
     "paper, converged": "paper, converged",
 }
 #: Labels of the button that offers another model.
-OFFERS: dict[ModelName, str] = {"large motion": "Use large motion, which never folds"}
+OFFER = "Use large motion, which never folds"
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
 #: Prefixes of progress messages that are shown to the user unchanged: waiting and compiling.
 _WAITS = ("waiting for", "compiling", "starting to compile")

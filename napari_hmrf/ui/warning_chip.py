@@ -10,7 +10,6 @@ from psygnal import Signal
 from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.slice_view import plane_shown
-from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.result.result_messages import NOTHING
@@ -35,26 +34,24 @@ class WarningChip:
     ) -> None:
         self._viewer, self._form, self._latest = viewer, form, latest
         form.footer.chip.clicked.connect(self._on_chip)
-        form.footer.other.clicked.connect(self._take_other)
+        form.footer.other.clicked.connect(self._use_large_motion)
         for signal in (form.result.overlay.changed, form.model.model.changed):
             signal.connect(self.refresh)
 
     def refresh(self, *_: Any) -> None:
         """Update the warnings of the latest result, and the offer of another model."""
-        done, overlay, other = self._latest(), self._form.result.overlay.value, self._other
+        done, overlay = self._latest(), self._form.result.overlay.value
         self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, overlay)))
-        self._form.footer.offer(messages.OFFERS[other] if other else "")
+        self._form.footer.offer(messages.OFFER if self._can_unfold() else "")
 
-    @property
-    def _other(self) -> ModelName | None:
-        """Model to offer instead of the chosen model, or None."""
+    def _can_unfold(self) -> bool:
+        """Return whether the large-motion model would avoid the folds of the latest result."""
         done, chosen = self._latest(), self._form.model.model.value
-        if chosen == "large motion":
-            return None
-        return "large motion" if done is not None and messages.can_unfold(done) else None
+        return chosen != "large motion" and done is not None and messages.can_unfold(done)
 
-    def _take_other(self) -> None:
-        self._form.model.model.value = self._other or self._form.model.model.value
+    def _use_large_motion(self) -> None:
+        if self._can_unfold():
+            self._form.model.model.value = "large motion"
 
     def _on_chip(self) -> None:
         """Emit the warning, and show the next mark: folds, then overlaps, then no mark."""

@@ -21,9 +21,12 @@ _CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 def smallest_jacobian(displacement: npt.NDArray[np.floating], points: int = 10) -> float:
     """Return the smallest Jacobian at a dense grid of points in all elements, for cubic voxels."""
-    d = displacement.astype(np.float64)
-    corners = np.stack([d[_at(corner)] for corner in _CORNERS], axis=-2)
-    return float(smallest_jacobians(corners, points).min())
+    return float(smallest_jacobians(at_corners(displacement), points).min())
+
+
+def at_corners(values: npt.NDArray[np.floating]) -> Field:
+    """Return the values (D, H, W, 3) at the corners of each element, (..., 8, 3)."""
+    return np.stack([values[_at(corner)].astype(np.float64) for corner in _CORNERS], axis=-2)
 
 
 def smallest_jacobians(corners: Field, points: int = 10) -> Field:

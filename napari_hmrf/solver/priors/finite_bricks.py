@@ -31,9 +31,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from napari_hmrf.solver.priors.elements import Float64Array, lame_parameters, of_elements
+from napari_hmrf.solver.priors.elements import Float64Array, lame_parameters
 from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, FiniteMaterial
-from napari_hmrf.solver.priors.growth import element_strains
 from napari_hmrf.solver.priors.hexahedra import BrickShape
 
 _CORNERS = tuple(product((0, 1), repeat=3))
@@ -69,9 +68,8 @@ def brick_moduli(material: FiniteMaterial, stand_in: float = 0.0) -> BrickModuli
     lame = lame_parameters(material.relative(stand_in), material.poisson, strain=True)
     if material.growth is None:
         return BrickModuli(lame.shear, lame.first, None)
-    grows = (lame.shear > 0) & np.isfinite(of_elements(material.m.astype(np.float64)))
-    strains, _ = element_strains(material.growth, 3)
-    grown = np.eye(3) + np.moveaxis(strains * grows, (0, 1), (-2, -1))
+    strains, _ = material.element_growth(lame)
+    grown = np.eye(3) + np.moveaxis(strains, (0, 1), (-2, -1))
     amount = np.linalg.det(grown)
     undo: Float64Array = np.asarray(np.linalg.inv(grown), dtype=np.float64)
     return BrickModuli(amount * lame.shear, amount * lame.first, undo)
@@ -166,11 +164,9 @@ class FiniteBricks:
                 (1, two, np.cross(c[three], a[one])),
                 (2, three, np.cross(a[one], b[two])),
             ):
-                first, last = list(near), list(near)
-                first.insert(axis, 0)
-                last.insert(axis, 1)
-                total[_sites(tuple(last))] += sides[axis] * share * pull
-                total[_sites(tuple(first))] -= sides[axis] * share * pull
+                begin, end = _ends(axis, near)
+                total[end] += sides[axis] * share * pull
+                total[begin] -= sides[axis] * share * pull
         return total
 
     def _gradients(self, d: Float64Array) -> Iterator[Float64Array]:
@@ -239,13 +235,16 @@ def _edges(d: Float64Array, shape: BrickShape) -> list[dict[_Side, Float64Array]
     for axis in range(3):
         sides = {}
         for near in product((0, 1), repeat=2):
-            first, last = list(near), list(near)
-            first.insert(axis, 0)
-            last.insert(axis, 1)
-            step = d[_sites(tuple(last))] - d[_sites(tuple(first))]
-            sides[near] = np.eye(3)[axis] + 4 * shape[axis] * step
+            begin, end = _ends(axis, near)
+            sides[near] = np.eye(3)[axis] + 4 * shape[axis] * (d[end] - d[begin])
         made.append(sides)
     return made
+
+
+def _ends(axis: int, near: _Side) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Return the indices of the sites at the begin and at the end of a side of the elements."""
+    begin, end = ((*near[:axis], far, *near[axis:]) for far in (0, 1))
+    return _sites(begin), _sites(end)
 
 
 def _sites(corner: tuple[int, ...]) -> tuple[slice, ...]:

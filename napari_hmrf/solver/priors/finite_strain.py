@@ -151,9 +151,14 @@ class FiniteMaterial(ElasticMaterial):
         lame = lame_parameters(m, self.poisson, self.strain)
         if self.growth is None:
             return moduli_of(lame, self.shape)
-        strains, across = element_strains(self.growth, m.ndim)
+        return moduli_of(lame, self.shape, *self.element_growth(lame))
+
+    def element_growth(self, lame: Lame) -> tuple[Float64Array, Float64Array]:
+        """Return the growth strain of each element, as `element_strains`; 0 in rigid tissue."""
+        assert self.growth is not None
+        strains, across = element_strains(self.growth, self.m.ndim)
         grows = (lame.shear > 0) & np.isfinite(of_elements(self.m.astype(np.float64)))
-        return moduli_of(lame, self.shape, strains * grows, across * grows)
+        return strains * grows, across * grows
 
 
 def moduli_of(

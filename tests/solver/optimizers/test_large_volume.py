@@ -23,6 +23,7 @@ from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.priors.finite_bricks import bernstein_coefficients
 from napari_hmrf.solver.priors.hexahedra import brick_shape
 from tests.support.finite_volume_oracle import (
+    at_corners,
     framed_volume,
     growing_ball,
     smallest_jacobian,
@@ -108,13 +109,11 @@ def test_the_matrices_for_a_factorization_match_the_products_of_the_iteration(po
     ((_, matrices),) = model.tangents.parts
     every = matrices(*[slice(None)] * 3)
     way = random.normal(size=(*problem.shape, 3))
-    parts = slice(None, -1), slice(1, None)
-    corners = [(parts[i], parts[j], parts[k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    values = np.concatenate([way[at] for at in corners], axis=-1)
-    images = np.einsum("...ij,...j->...i", every, values)
-    total = np.zeros_like(way)
-    for number, at in enumerate(corners):
-        total[at] += images[..., 3 * number : 3 * number + 3]
+    values = at_corners(way)
+    images = np.einsum("...ij,...j->...i", every, values.reshape(*values.shape[:3], 24))
+    # Applying the transpose of `at_corners` to the images gives the total force of each site.
+    sums = at_corners(np.arange(way.size, dtype=np.float64).reshape(way.shape)).astype(int)
+    total = np.bincount(sums.ravel(), images.ravel(), way.size).reshape(way.shape)
     scale = np.abs(total).max()
     found = host.field(model.image(host.planes(way)))
     np.testing.assert_allclose(found / scale, total / scale, atol=1e-5)
