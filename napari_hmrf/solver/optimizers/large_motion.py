@@ -156,8 +156,8 @@ def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
     strategy = Strategy(
         doubtful=not material.mild or material.rigid or firmness < _WEAK_GRIP,
         stiff=ratio > _HIGH_CONTRAST or firmness < _WEAK_GRIP,
-        by_factors=Factors.fit(problem.shape)
-        and (firmness < _LOOSE_GRIP or ratio > _EXTREME_CONTRAST),
+        by_factors=(firmness < _LOOSE_GRIP or ratio > _EXTREME_CONTRAST)
+        and Factors.fit(problem.shape),
         projects=problem.is_volume,
     )
     return strategy if material.growth is None else strategy._replace(steps=_NEWTON_STEPS)

@@ -81,7 +81,7 @@ class CpuFiniteModelBase:
         """
         rest = np.where(self.levels[0].inverse > 0, rest, 0.0)
         self.project(rest)
-        most = max(float(rest.max()), -float(rest.min()))
+        most = float(np.abs(rest).max())
         unit = most if most > 0 else 1.0
         scaled = (rest / unit).astype(np.float32)
         square = float(np.square(scaled, dtype=np.float64).sum())
