@@ -1,11 +1,12 @@
 """Benchmark of large motion in volumes.
 
-    python -m benchmarks.large_volumes [exact] [cold] [drag] [memory]
+    python -m benchmarks.large_volumes [exact] [calculix] [cold] [drag] [memory]
 
 ``--random 1000`` solves random problems; ``--first 400 --random 200`` solves a part of them.
 
-Measures the distance to an independent Newton's method, the time relative to a linear solve in the
-same process (processor time of all threads), the peak memory, and failures on random problems.
+Measures the distance to an independent Newton's method and to CalculiX, the time relative to a
+linear solve in the same process (processor time of all threads), the peak memory, and failures on
+random problems.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from multiprocessing import get_context
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks import random_large_volumes
+from benchmarks import large_calculix, random_large_volumes
 from benchmarks.large_motion import print_frames
 from benchmarks.report.memory import added_by
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
@@ -103,6 +104,11 @@ def exact(sizes: list[int]) -> None:
     print(f"worst {worst:.5f} voxel", flush=True)
 
 
+def calculix(sizes: list[int]) -> None:
+    """Print the largest distance of any site from CalculiX, in voxels."""
+    large_calculix.run()
+
+
 def cold(sizes: list[int]) -> None:
     """Print the cost of cold solves relative to linear solves of the same problem."""
     for size in sizes:
@@ -180,6 +186,7 @@ def _seconds(work: Callable[[], Solution]) -> tuple[float, Solution]:
 
 _SECTIONS: dict[str, Callable[[list[int]], None]] = {
     "exact": exact,
+    "calculix": calculix,
     "cold": cold,
     "drag": drag,
     "memory": memory,

@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import Problem
-from report.assembly import element_modulus
+
+from .assembly import element_modulus
 
 Float64Array = npt.NDArray[np.float64]
 ElementType = Literal["CPS3", "CPS4", "CPS4R", "CPE4"]
@@ -53,8 +54,25 @@ def solve(problem: Problem, element: ElementType, poisson: float) -> Float64Arra
     RuntimeError
         If the program fails; the message contains the end of its output.
     """
+    numbers, values = run(deck(problem, element, poisson))
+    displacement = np.where(
+        (problem.confidence > 0) & problem.tissue[..., None], problem.observed, 0.0
+    )
+    displacement = displacement.astype(np.float64)
+    displacement.reshape(-1, 2)[numbers - 1] = values[:, :2]
+    return displacement
+
+
+def run(text: str) -> tuple[npt.NDArray[np.int64], Float64Array]:
+    """Run CalculiX on an input file, and return the node numbers and displacements that it prints.
+
+    Raises
+    ------
+    RuntimeError
+        If the program fails; the message contains the end of its output.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "job.inp").write_text(deck(problem, element, poisson), encoding="ascii")
+        (Path(folder) / "job.inp").write_text(text, encoding="ascii")
         threads = {"OMP_NUM_THREADS": str(os.cpu_count() or 1)}
         done = subprocess.run(
             ["ccx", "job"],
@@ -68,13 +86,7 @@ def solve(problem: Problem, element: ElementType, poisson: float) -> Float64Arra
         results = Path(folder) / "job.dat"
         if done.returncode or not results.exists() or "*ERROR" in done.stdout:
             raise RuntimeError(f"CalculiX failed:\n{done.stdout[-800:]}")
-        displacement = np.where(
-            (problem.confidence > 0) & problem.tissue[..., None], problem.observed, 0.0
-        )
-        displacement = displacement.astype(np.float64)
-        numbers, values = read_displacements(results)
-    displacement.reshape(-1, 2)[numbers - 1] = values[:, :2]
-    return displacement
+        return read_displacements(results)
 
 
 def deck(problem: Problem, element: ElementType, poisson: float) -> str:

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
-import subprocess
-import tempfile
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -132,20 +128,7 @@ def to_calculix(case: Case, plane: str, nu: float) -> tuple[float, float, float]
 
 def by_calculix(case: Case, poisson: float, stress: bool) -> Float64Array:
     """Return the field by CalculiX, in the unit of the spacing."""
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "job.inp").write_text(deck(case, poisson, stress), encoding="ascii")
-        threads = {"OMP_NUM_THREADS": str(os.cpu_count() or 1)}
-        done = subprocess.run(
-            ["ccx", "job"],
-            cwd=folder,
-            env={**os.environ, **threads},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode or "*ERROR" in done.stdout:
-            raise RuntimeError(f"CalculiX failed:\n{done.stdout[-800:]}")
-        numbers, values = calculix.read_displacements(Path(folder) / "job.dat")
+    numbers, values = calculix.run(deck(case, poisson, stress))
     axes = case.stiffness.ndim
     field = np.zeros((*case.stiffness.shape, axes))
     field.reshape(-1, axes)[numbers - 1] = values[:, :axes]

@@ -55,8 +55,11 @@ def growing_ball(size: int, factor: float) -> Problem:
     return Problem(still.observed, still.confidence, still.stiffness, loads=growth)
 
 
-def solved(problem: Problem, poisson: float, parts: int = 8) -> Field:
-    """Return the field of a problem with cubic voxels, loaded in `parts` increments."""
+def solved(problem: Problem, poisson: float, parts: int = 8, locking: bool = False) -> Field:
+    """Return the field of a problem with cubic voxels, loaded in `parts` increments.
+
+    The change of volume counts as the mean of an element, or at each Gauss point if `locking`.
+    """
     shape = problem.shape
     numbers = np.arange(3 * np.prod(shape)).reshape(*shape, 3)
     nodes = np.concatenate([numbers[_at(corner)] for corner in _CORNERS], axis=-1)
@@ -70,7 +73,7 @@ def solved(problem: Problem, poisson: float, parts: int = 8) -> Field:
     for part in range(1, parts + 1):
         goal = problem.observed.ravel()[known] * part / parts
         for _ in range(40):
-            forces, tangents = _elements(d.ravel()[nodes].reshape(-1, 8, 3), mu, lam)
+            forces, tangents = _elements(d.ravel()[nodes].reshape(-1, 8, 3), mu, lam, locking)
             load = -np.bincount(nodes.ravel(), forces.ravel(), d.size)
             rows = np.repeat(nodes[..., None], 24, axis=-1)
             at = rows.ravel(), rows.swapaxes(-1, -2).ravel()
@@ -88,7 +91,7 @@ def solved(problem: Problem, poisson: float, parts: int = 8) -> Field:
     return d
 
 
-def _elements(corners: Field, mu: Field, lam: Field) -> tuple[Field, Field]:
+def _elements(corners: Field, mu: Field, lam: Field, locking: bool) -> tuple[Field, Field]:
     """Return the forces (N, 24) and second derivatives (N, 24, 24) of elements."""
     count = len(corners)
     forces, tangents = np.zeros((count, 8, 3)), np.zeros((count, 8, 3, 8, 3))
@@ -102,8 +105,9 @@ def _elements(corners: Field, mu: Field, lam: Field) -> tuple[Field, Field]:
         volume += jacobian / 8
         rates += (jacobian / 8)[:, None, None] * rate
         parts.append((slopes, jacobian, rate))
-    pressure, bulk = lam / 2 * (volume - 1 / volume), lam / 2 * (1 + 1 / volume**2)
     for slopes, jacobian, rate in parts:
+        change = jacobian if locking else volume
+        pressure, bulk = lam / 2 * (change - 1 / change), lam / 2 * (1 + 1 / change**2)
         gradient = np.eye(3) + np.einsum("nck,ca->nka", corners, slopes)
         forces += mu[:, None, None] / 8 * np.einsum("nka,ca->nck", gradient, slopes)
         weight = (jacobian * pressure - mu) / 8
@@ -114,7 +118,11 @@ def _elements(corners: Field, mu: Field, lam: Field) -> tuple[Field, Field]:
         tangents -= weight[:, None, None, None, None] * crossed
         both = np.einsum("nck,nel->nckel", rate, rate)
         tangents += (jacobian * pressure / 8)[:, None, None, None, None] * both
-    tangents += bulk[:, None, None, None, None] * np.einsum("nck,nel->nckel", rates, rates)
+        if locking:
+            tangents += (bulk * jacobian**2 / 8)[:, None, None, None, None] * both
+    if not locking:
+        both = np.einsum("nck,nel->nckel", rates, rates)
+        tangents += (lam / 2 * (1 + 1 / volume**2))[:, None, None, None, None] * both
     return forces.reshape(count, 24), tangents.reshape(count, 24, 24)
 
 
