@@ -5,7 +5,7 @@ A table can have the following columns:
 - the ``name`` of the case;
 - the input and options of ``napari-hmrf solve``: ``image`` or ``study``, ``labels``, ``maps``,
   ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
-  ``model``, ``plane``, ``tolerance``, ``penalty`` and ``weight``;
+  ``model``, ``plane``, ``tolerance``, ``budget``, ``penalty`` and ``weight``;
 - values that replace numbers in the files of the case: ``poisson``, ``growth:TISSUE``,
   ``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, in which a tissue or boundary is
   identified by its label or name.
@@ -21,7 +21,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, get_args
@@ -39,7 +39,7 @@ from napari_hmrf.solver.priors.elastic import Plane
 #: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**24
 _FILES = "image", "labels", "materials", "boundary", "rules", "confidence"
-_ENERGY_OPTIONS = "plane", "tolerance", "penalty", "weight"
+_ENERGY_OPTIONS = "plane", "tolerance", "budget", "penalty", "weight"
 _COLUMNS = (
     *("name", "study", *_FILES, "maps", "forward", "slice", "hold-edge", "model", "poisson"),
     *_ENERGY_OPTIONS,
@@ -82,9 +82,9 @@ class NamedCase:
     def parameters(self) -> dict[str, str]:
         """Values of the parameters that can be swept, as text, by column title."""
         values = {} if self.case.slice is None else {"slice": str(self.case.slice)}
-        for option in ("plane", "tolerance", "penalty"):
+        for option in ("model", "plane", "tolerance", "budget", "penalty"):
             if (value := getattr(self.case, option)) is not None:
-                values[option] = f"{value:g}" if isinstance(value, float) else str(value)
+                values[option] = f"{value:g}" if isinstance(value, float) else as_word(value)
         if self.case.weight:
             values["weight"] = "/".join(f"{part:g}" for part in self.case.weight)
         for change in self.changes:
@@ -167,7 +167,7 @@ def read_energy(name: str, text: str) -> Any:
 
     Parameters
     ----------
-    name : {"plane", "tolerance", "penalty", "weight"}
+    name : {"plane", "tolerance", "budget", "penalty", "weight"}
     text : str
         Text from a shell or a table. The components of a weight are separated by slashes.
 
@@ -193,6 +193,8 @@ def read_energy(name: str, text: str) -> Any:
         if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
             raise ValueError("a number for each axis, such as 0.01/0")
         return numbers
+    if name == "budget" and numbers == (math.inf,):
+        return math.inf
     if len(numbers) != 1 or not 0 < numbers[0] < math.inf:
         raise ValueError("a number above 0")
     return numbers[0]
@@ -302,7 +304,10 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
             model = MODELS.get(as_word(cells[title]))
             if model is None:
                 raise refuse(title, ", ".join(MODELS))
-            changes.insert(0, Change("model", model))
+            if "study" in cells:
+                changes.insert(0, Change("model", model))
+            else:
+                case = replace(case, model=cells[title])
         elif title == "poisson" or kind in _NUMBERS:
             try:
                 changes.append(Change(kind, value_of(kind, cells[title]), of))
