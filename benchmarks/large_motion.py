@@ -1,6 +1,6 @@
 """Benchmark of large motion.
 
-    python -m benchmarks.large_motion [exact] [textbook] [cold] [drag]
+    python -m benchmarks.large_motion [exact] [textbook] [cold] [budget] [drag]
 
 ``--random 3000`` solves random problems; ``--first 400 --random 200`` solves a part of them.
 
@@ -22,7 +22,16 @@ import numpy as np
 import scipy
 
 from benchmarks import random_large_motion
-from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
+from napari_hmrf import (
+    ElasticPrior,
+    LiveSolver,
+    Multigrid,
+    NeoHookeanPrior,
+    Problem,
+    Solution,
+    Update,
+    solve,
+)
 from napari_hmrf.data import phantom
 from napari_hmrf.loads import growth, weight
 from napari_hmrf.solver.backends.cpu import elastic_model, finite_model
@@ -44,7 +53,7 @@ def main() -> None:
     everything = not given.names and not given.random
     for name, section in _SECTIONS.items():
         if everything or name in given.names:
-            compute_thread.submit(section).result()
+            section() if section is budget else compute_thread.submit(section).result()
     count = _FEW if everything else given.random
     if count:
         compute_thread.submit(lambda: random_large_motion.run(given.first, count)).result()
@@ -171,6 +180,83 @@ def cold(size: int = 300) -> None:
         )
 
 
+def budget(size: int = 512) -> None:
+    """Print time and result of solves that would take long without a budget."""
+    cases = {
+        "patch dragged by a fifth": _patch(size, size / 20, size / 5),
+        "patch dragged by two fifths": _patch(size, size / 20, 2 * size / 5),
+        "patch dragged across the sample": _across_sample(size),
+        "free edge pulled into the tissue": _free_edge(size),
+        "tissue pressed to 2 %": _pressed(size),
+        "bar bent by 90 degrees": bar(size // 5, size, turned(size // 5, size, 90)),
+    }
+    for name, problem in cases.items():
+        solve(problem, ElasticPrior(), backend="cpu")
+        elastic_model._last.clear()
+        begun = time.perf_counter()
+        solve(problem, ElasticPrior(), backend="cpu")
+        linear, pictures = time.perf_counter() - begun, list[float]()
+        last: list[Solution] = []
+
+        def show(update: Update, pictures: list[float] = pictures, last: Any = last) -> None:
+            pictures.append(update.seconds)
+            last[:] = [update.solution]
+
+        begun = time.perf_counter()
+        found = solve(problem, NeoHookeanPrior(), backend="cpu")
+        seconds = time.perf_counter() - begun
+        with LiveSolver(show, NeoHookeanPrior(), backend="cpu") as live:
+            live.submit(problem)
+            live.wait()
+        print(
+            f"{name:32} {seconds / linear:5.1f} linear solves, {seconds:5.2f} s, "
+            f"{_told(found)}; live: pictures after "
+            f"{', '.join(f'{each:.2f}' for each in pictures)} s, {_told(last[0])}",
+            flush=True,
+        )
+
+
+def _told(found: Solution) -> str:
+    reach = found.reach
+    assert reach is not None
+    if not reach.stopped:
+        return "reached"
+    return f"{reach.missing:.2g} px missing, {reach.unbalanced:.2g} px from equilibrium"
+
+
+def _across_sample(size: int) -> Problem:
+    """Return the sample with a patch that is dragged by half of its width, across the tumour."""
+    given = phantom("mass-effect", size=size).problem
+    row, col = np.indices((size, size)) - size // 2
+    patch = (np.hypot(row, col + size / 4) < size / 20) & given.tissue
+    still = given.known & (given.observed == 0).all(axis=-1, keepdims=True)
+    c, y = still.astype(float), np.zeros((size, size, 2))
+    c[patch], y[patch] = 1, (0, size / 2)
+    return Problem(y, c, given.stiffness)
+
+
+def _free_edge(size: int) -> Problem:
+    """Return a block that is held on its left, with a patch at its right edge pushed inwards."""
+    row, col = np.indices((size, size))
+    c, y = np.zeros((2, size, size, 2))
+    c[:, 0] = 1
+    patch = (np.abs(row - size // 2) < size // 30) & (col > size - size // 15)
+    c[patch], y[patch] = 1, (size / 8, -size / 2)
+    return Problem(y, c, np.ones((size, size)))
+
+
+def _pressed(size: int) -> Problem:
+    """Return a block with two patches that press the tissue between them to 2 % of its length."""
+    row, col = np.indices((size, size))
+    c, y = np.zeros((2, size, size, 2))
+    c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
+    level = np.abs(row - size // 2) < size // 5
+    for way, middle in ((1, size // 4), (-1, 3 * size // 4)):
+        patch = level & (np.abs(col - middle) < size // 10)
+        c[patch], y[patch] = 1, (0, way * 0.49 * (size / 2 - size / 5))
+    return Problem(y, c, np.ones((size, size)))
+
+
 def drag(size: int = 300, frames: int = 20, far: float = 3.0) -> None:
     """Print the time of a frame of a drag relative to a linear solve, and its error."""
     numba.set_num_threads(1)
@@ -254,6 +340,7 @@ _SECTIONS: dict[str, Callable[[], None]] = {
     "exact": exact,
     "textbook": textbook,
     "cold": cold,
+    "budget": budget,
     "drag": drag,
 }
 

@@ -222,6 +222,7 @@ def _solve(options: argparse.Namespace) -> int:
         poisson=options.poisson,
         plane=options.plane,
         tolerance=options.tolerance,
+        budget=options.budget,
         penalty=options.penalty,
         weight=options.weight or (),
     )

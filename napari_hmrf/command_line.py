@@ -296,6 +296,14 @@ def _add_solve(commands: Commands) -> None:
         "the model paper",
     )
     solve.add_argument(
+        "--budget",
+        type=energy_option("budget"),
+        metavar="SOLVES",
+        help="largest work of a large-motion solve, in linear solves, or inf for no limit "
+        "(default: 60); a solve that takes more ends with the best motion so far and a note on "
+        "what is missing",
+    )
+    solve.add_argument(
         "--penalty",
         type=energy_option("penalty"),
         metavar="K",

@@ -27,8 +27,9 @@ from napari_hmrf.cli import main
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.fields import write_field
 from napari_hmrf.io.case import read_case
+from napari_hmrf.io.case_tables import read_cases
 from napari_hmrf.io.images import ImageFile, write_image
-from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.study.models import parts_of
 
 SHAPE = (20, 24)
@@ -183,6 +184,7 @@ def test_the_shell_sets_the_parameters_of_the_energy(files, capsys):
         ("--model paper --plane strain", "--plane has no effect: the paper's model has nei"),
         ("--model paper-converged --weight 0/1", "--weight has no effect: the paper's model"),
         ("--model paper --tolerance 0.1", "--tolerance has no effect: the paper's schedule"),
+        ("--budget 20", "--budget has no effect: only large motion has a budget"),
         ("--weight 0/0/1", "--weight has 3 numbers, but the grid has 2 axes"),
         ("--forward", "--forward requires a --boundary that is a field"),
     ],
@@ -197,11 +199,24 @@ def test_a_parameter_that_the_model_lacks_is_refused_with_the_reason(
     assert not (files / "out").exists()
 
 
-@pytest.mark.parametrize("option", ["--tolerance 0", "--penalty x", "--weight 1", "--plane both"])
+@pytest.mark.parametrize(
+    "option", ["--tolerance 0", "--budget -1", "--penalty x", "--weight 1", "--plane both"]
+)
 def test_an_invalid_parameter_is_refused_before_the_solve(files, capsys, option):
     with pytest.raises(SystemExit):
         run(f"{SOLVE} -o out {option}", capsys)
     assert option.split()[0] in capsys.readouterr().err
+
+
+def test_the_shell_and_tables_set_the_budget_of_large_motion(files, capsys):
+    assert run(f"{SOLVE} -o out --model large-motion --budget 20", capsys)[0] == 0
+    (files / "cases.csv").write_text(
+        "name,image,hold-edge,model,budget\na,image.png,yes,large-motion,inf\n"
+    )
+    case = next(iter(read_cases(files / "cases.csv"))).case
+    assert read_case(case).optimizer == Multigrid(budget=None)
+    solution = read_study(files / "out" / "image.study")[1]
+    assert solution.provenance.parameters["optimizer"]["budget"] == 20
 
 
 def test_the_forward_option_reads_a_file_as_a_forward_field(tmp_path):

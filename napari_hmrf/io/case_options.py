@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Literal
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
-from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.priors import Elastic, NeoHookeanPrior, Prior
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.study.models import parts_of
 from napari_hmrf.study.study import Grid, Tissue
@@ -62,6 +63,8 @@ class Case:
         Plane stress (the default), in which a slice can bulge, or plane strain.
     tolerance : float, optional
         Largest estimated error of the field, in pixels; not available for the model "paper".
+    budget : float, optional
+        Largest work of a large-motion solve, in linear solves; infinite for no limit.
     penalty : float, optional
         Penalty K of eq. 19, which allows constrained sites to slip; by default, the penalty of the
         model.
@@ -83,6 +86,7 @@ class Case:
     poisson: float | None = None
     plane: Plane | None = None
     tolerance: float | None = None
+    budget: float | None = None
     penalty: float | None = None
     weight: tuple[float, ...] = ()
 
@@ -139,6 +143,12 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
             isinstance(optimizer, Multigrid),
             "the paper's schedule has a fixed length; --model paper-converged has a tolerance",
         ),
+        (
+            case.budget is not None,
+            "--budget",
+            isinstance(prior, NeoHookeanPrior),
+            "only large motion has a budget",
+        ),
     ):
         if given and not is_valid:
             raise HmrfError(f"{option} has no effect: {why}. Leave {option} out.")
@@ -152,6 +162,8 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
         prior = replace(prior, penalty=case.penalty)
     if case.tolerance is not None:
         optimizer = Multigrid(case.tolerance)
+    if case.budget is not None and isinstance(optimizer, Multigrid):
+        optimizer = replace(optimizer, budget=case.budget if case.budget < math.inf else None)
     return prior, optimizer
 
 

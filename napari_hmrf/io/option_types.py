@@ -15,7 +15,7 @@ def energy_option(name: str) -> Callable[[str], Any]:
 
     Parameters
     ----------
-    name : {"plane", "tolerance", "penalty", "weight"}
+    name : {"plane", "tolerance", "budget", "penalty", "weight"}
     """
 
     def read(text: str) -> Any:

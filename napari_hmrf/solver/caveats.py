@@ -53,14 +53,20 @@ def shortfall(reach: Reach | None, unit: str) -> str:
     if reach is not None and reach.grown < 1:
         clauses.append(f"only {reach.grown:.0%} of the growth was possible: there is no more room")
     if reach is not None and reach.where is not None:
+        cause = (
+            "the largest work was used up"
+            if reach.stopped
+            else "tissue could not move all the way without folding"
+        )
         clauses.append(
-            f"tissue could not move all the way without folding: {reach.sites} pixels stay short "
-            f"of their targets, the pixel at {reach.where} by {reach.missing:.3g} {unit}"
+            f"{cause}: {reach.sites} pixels stay short of their targets, the pixel at "
+            f"{reach.where} by {reach.missing:.3g} {unit}"
         )
     if reach is not None and reach.unbalanced_at is not None:
+        cause = "tissue had no time to settle" if reach.stopped else "crushed tissue did not settle"
         clauses.append(
-            "crushed tissue did not settle: pixels may still be "
-            f"{reach.unbalanced:.3g} {unit} from equilibrium, most at {reach.unbalanced_at}"
+            f"{cause}: pixels may still be {reach.unbalanced:.3g} {unit} from equilibrium, most at "
+            f"{reach.unbalanced_at}"
         )
     return "; ".join(clauses)
 

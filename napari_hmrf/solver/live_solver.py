@@ -19,7 +19,7 @@ from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.solver.earlier_solutions import EarlierSolutions
 from napari_hmrf.solver.latest_queue import LatestQueue, Turn
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_here
@@ -28,10 +28,14 @@ from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_
 TOLERANCE = 0.01
 #: Tolerance of a preview, in pixels.
 PREVIEW_TOLERANCE = 0.3
+#: Budget of a preview of large motion, in linear solves.
+PREVIEW_BUDGET = 12.0
 #: Expected time of the first solution, in seconds, above which a preview is shown.
 PATIENCE = 0.1
 # Time of a cold start per site on two cores, in seconds.
 _SITE_SECONDS = 2e-7
+# Number of sites of an image above which large motion may take more than a second.
+_LARGE_MOTION_SITES = 150_000
 
 # Smallest Jacobian determinant of a solution that is used as a warm start for large motion.
 _CRUSHED = 0.01
@@ -269,8 +273,8 @@ class LiveSolver:
             self._earlier.keep_for(problem, turn.series)
             solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
             optimizer = edit.optimizer
-            if edit.preview and self._takes_long(problem) and _has_preview(optimizer):
-                preview = solve(Multigrid(PREVIEW_TOLERANCE))
+            if edit.preview and self._takes_long(problem, prior) and _has_preview(optimizer):
+                preview = solve(Multigrid(PREVIEW_TOLERANCE, budget=PREVIEW_BUDGET))
                 self._deliver_update(turn, problem, preview, final=False)
                 turn.patience = 0
             self._deliver_update(turn, problem, solve(optimizer))
@@ -281,10 +285,14 @@ class LiveSolver:
                 _log.exception("a live solve failed")
             self._deliver_update(turn, problem, error=error)
 
-    def _takes_long(self, problem: Problem) -> bool:
+    def _takes_long(self, problem: Problem, prior: Prior) -> bool:
         """Return whether the solve is a cold start of a large problem."""
         # With a warm start, a preview costs nearly as much time as the solution.
-        return not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
+        sites = problem.stiffness.size
+        takes_long = sites * _SITE_SECONDS > PATIENCE
+        if isinstance(prior, NeoHookeanPrior):
+            takes_long = problem.is_volume or sites > _LARGE_MOTION_SITES
+        return takes_long and not self._earlier.solutions
 
     def _solve(
         self,
@@ -329,7 +337,8 @@ def _has_preview(optimizer: Optimizer) -> bool:
 
 def _is_crushed(solution: Solution) -> bool:
     """Return whether tissue is so crushed that a cold start is faster than a warm start."""
-    return solution.reach is not None and solution.reach.least_jacobian < _CRUSHED
+    reach = solution.reach
+    return reach is not None and not reach.stopped and reach.least_jacobian < _CRUSHED
 
 
 class _Edit(NamedTuple):

@@ -527,6 +527,7 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
         float(given.get("grown", 1.0)),
         float(given.get("unbalanced", 0.0)),
         None if furthest is None else tuple(int(index) for index in furthest),
+        bool(given.get("stopped", False)),
     )
 
 

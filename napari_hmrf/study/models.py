@@ -16,6 +16,8 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 #: Default prior and default optimizer of a study.
 USUAL_PRIOR, USUAL_OPTIMIZER = ElasticPrior(), Multigrid()
+#: Budgets of large motion in the form, in linear solves.
+WORK_STEPS = 60.0, 300.0, 1500.0
 #: Holding force in the form that enforces all observations exactly, regardless of confidence.
 HOLD_ALL = 1e6
 
@@ -50,6 +52,8 @@ class SolverDetails:
         confidence; `HOLD_ALL` to enforce all observations exactly.
     accuracy : float
         Tolerance of `Multigrid`, in pixels.
+    budget : float
+        Budget of `Multigrid` for large motion, in linear solves; 0 for no limit.
     device : str
         Argument `backend` of `solve`.
     """
@@ -107,6 +111,13 @@ class SolverDetails:
         "The error is the distance from the field that further iterations would reach.",
         choices=[(f"{distance:g} px", distance) for distance in (1e-1, 1e-2, 1e-3, 1e-4)],
     )
+    budget: float = _form_field(
+        Multigrid.budget,
+        "largest work",
+        "Work after which a solve of large motion ends, in solves of linear elasticity.\n"
+        "It then shows the best motion so far, and says what is missing.",
+        choices=[*((f"{times:g} linear solves", times) for times in WORK_STEPS), ("no limit", 0.0)],
+    )
     device: str = _form_field(
         "auto",
         "device",
@@ -126,7 +137,9 @@ _USUAL = SolverDetails()
 
 def detail_names(model: ModelName) -> tuple[str, ...]:
     """List the details that apply to a model, in the order of the form."""
-    if model in ELASTIC:
+    if model == "large motion":
+        return "grip", "accuracy", "budget", "device"
+    if model == "elastic":
         return "grip", "accuracy", "device"
     if model == "paper":
         return "reading", "method", "sweeps", "energy_change", "penalty", "device"
@@ -149,6 +162,8 @@ def prior_of(
 
 def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> Optimizer:
     """Return the optimizer of a model."""
+    if model == "large motion":
+        return Multigrid(details.accuracy, budget=details.budget or None)
     if model != "paper":
         return Multigrid(details.accuracy)
     steps: dict[str, Any] = {} if details.method == "steps" else {"steps": None}
@@ -199,7 +214,15 @@ def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
         return replace(
             details, sweeps=optimizer.iterations, method=method, energy_change=change or 0.0
         )
-    return replace(details, accuracy=optimizer.parameters["tolerance"])
+    parameters = optimizer.parameters
+    return replace(
+        details, accuracy=parameters["tolerance"], budget=parameters.get("budget", 0.0) or 0.0
+    )
+
+
+def larger_budget(budget: float) -> float:
+    """Return the next larger budget of the form, or 0, which stands for no limit."""
+    return min((larger for larger in WORK_STEPS if larger > budget), default=0.0)
 
 
 def family_of(prior: Prior, optimizer: Optimizer) -> ModelName:

@@ -56,6 +56,8 @@ MODELS: dict[ModelName, str] = {
 }
 #: Labels of the button that offers another model.
 OFFER = "Use large motion, which never folds"
+#: Label of the button that continues a solve that used up its budget.
+CONTINUE = "Continue with more work"
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
 #: Prefixes of progress messages that are shown to the user unchanged: waiting and compiling.
 _WAITS = ("waiting for", "compiling", "starting to compile")
@@ -96,6 +98,12 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
 def can_unfold(done: CompleteResult) -> bool:
     """Return whether the tissue folds and the large-motion model would avoid the folds."""
     return "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"
+
+
+def has_stopped(done: CompleteResult) -> bool:
+    """Return whether the budget of the optimizer ended the solve."""
+    solution = done.moved.solution
+    return solution is not None and solution.reach is not None and solution.reach.stopped
 
 
 def marks_of(outputs: Outputs) -> dict[Mark, int]:

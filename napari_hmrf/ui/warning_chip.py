@@ -10,13 +10,16 @@ from psygnal import Signal
 from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.slice_view import plane_shown
+from napari_hmrf.study.models import larger_budget
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.result.result_messages import NOTHING
 
 
 class WarningChip:
-    """Chip that reports problems with a result, marks them, and offers a better model.
+    """Chip that reports problems with a result, marks them, and offers a remedy.
+
+    The remedy is a model without folds, or more work for a solve that used up its budget.
 
     Parameters
     ----------
@@ -34,7 +37,7 @@ class WarningChip:
     ) -> None:
         self._viewer, self._form, self._latest = viewer, form, latest
         form.footer.chip.clicked.connect(self._on_chip)
-        form.footer.other.clicked.connect(self._use_large_motion)
+        form.footer.other.clicked.connect(self._take_offer)
         for signal in (form.result.overlay.changed, form.model.model.changed):
             signal.connect(self.refresh)
 
@@ -42,15 +45,24 @@ class WarningChip:
         """Update the warnings of the latest result, and the offer of another model."""
         done, overlay = self._latest(), self._form.result.overlay.value
         self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, overlay)))
-        self._form.footer.offer(messages.OFFER if self._can_unfold() else "")
+        offer = messages.OFFER if self._can_unfold() else ""
+        self._form.footer.offer(messages.CONTINUE if self._can_continue() else offer)
 
     def _can_unfold(self) -> bool:
         """Return whether the large-motion model would avoid the folds of the latest result."""
         done, chosen = self._latest(), self._form.model.model.value
         return chosen != "large motion" and done is not None and messages.can_unfold(done)
 
-    def _use_large_motion(self) -> None:
-        if self._can_unfold():
+    def _can_continue(self) -> bool:
+        """Return whether the budget of the large-motion model ended the latest solve."""
+        done, chosen = self._latest(), self._form.model.model.value
+        return chosen == "large motion" and done is not None and messages.has_stopped(done)
+
+    def _take_offer(self) -> None:
+        if self._can_continue():
+            details = self._form.model.in_detail
+            details["budget"].value = larger_budget(details["budget"].value)
+        elif self._can_unfold():
             self._form.model.model.value = "large motion"
 
     def _on_chip(self) -> None:

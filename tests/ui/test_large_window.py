@@ -1,5 +1,7 @@
 """Tests of growth, forces and large motion in the dock."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from napari.components import ViewerModel
@@ -8,6 +10,7 @@ from qtpy.QtWidgets import QPushButton, QTableWidget
 from napari_hmrf import NeoHookeanPrior
 from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
+from napari_hmrf.solver.optimizers import work
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.screen import Screen
@@ -114,6 +117,22 @@ def test_a_button_removes_the_folds_of_a_volume_with_large_motion(qtbot, wait_fo
     assert "folds" not in dock.warning
     assert dock.solution.count_folds() == 0
     assert not offers(dock, "Use large motion")
+
+
+def test_a_button_continues_large_motion_that_used_up_its_budget(dock, do_and_wait, monkeypatch):
+    monkeypatch.setattr(work, "_LEAST_CYCLE_SITES", {2: 0.0, 3: 0.0})
+    screen, offer = Screen(dock), "Continue"
+    do_and_wait(screen.cell("tumour", "grows").write, "60")
+    dock.settings = replace(dock.settings, budget=2.0)
+    dock.model = "large motion"
+    short = do_and_wait(lambda: None)
+    assert short.reach.stopped
+    assert "had no time to settle" in dock.warning
+    done = do_and_wait(screen.press, offer)
+    assert dock.settings.budget == 60
+    assert not done.reach.stopped
+    assert "settle" not in dock.warning
+    assert not offers(dock, offer)
 
 
 def test_a_volume_has_no_plane_condition(qtbot):

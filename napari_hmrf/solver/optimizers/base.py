@@ -98,6 +98,8 @@ class Reach:
         the field converged to the tolerance.
     unbalanced_at : tuple of int, or None
         Index of that site; None if the field converged to the tolerance.
+    stopped : bool
+        True if the budget of the optimizer ended the solve; a larger budget leads further.
     """
 
     least_jacobian: float
@@ -108,6 +110,7 @@ class Reach:
     grown: float = 1.0
     unbalanced: float = 0.0
     unbalanced_at: tuple[int, ...] | None = None
+    stopped: bool = False
 
 
 @dataclass(frozen=True, eq=False)

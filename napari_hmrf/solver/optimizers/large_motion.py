@@ -22,11 +22,13 @@ from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
+from napari_hmrf.solver.optimizers.coarse_start import coarse_problem, prolonged, takes_coarse_start
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
 from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
 from napari_hmrf.solver.optimizers.large_slip import LargeSlip
 from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, load_forces
 from napari_hmrf.solver.optimizers.newton import LEAST_JACOBIAN, Newton, Strategy, norm
+from napari_hmrf.solver.optimizers.work import Work
 from napari_hmrf.solver.priors import NeoHookeanPrior
 from napari_hmrf.solver.priors.elements import contrast
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
@@ -34,6 +36,10 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import holding_strength
 
 _TINY = 1e-300
+# Fraction of the work for the solution on coarser grids.
+_COARSE_WORK = 0.5
+# Tolerance on coarser grids, in pixels.
+_COARSE_TOLERANCE = 0.05
 # Smallest allowed ratio between a corner's Jacobian after and before an extrapolation.
 _EXTRAPOLATION_PART = 0.25
 # Smallest Jacobian of a returned field, after its conversion to the unit of the spacing, relative
@@ -66,8 +72,27 @@ def converge(
     backend: Backend[Any],
     report: Report,
     start: WarmStart | None,
+    work: Work,
+    is_coarse: bool = False,
 ) -> Outcome:
     """Solve a large-motion problem; from here on, lengths are in pixels.
+
+    A motion that takes many steps is started again from the solution on coarser grids.
+
+    Parameters
+    ----------
+    tolerance : float
+        Largest accepted error, in pixels.
+    problem : Problem
+    prior : NeoHookeanPrior
+    backend : Backend
+    report : Report
+    start : WarmStart or None
+    work : Work
+        Work of the solve, and its limit.
+    is_coarse : bool
+        True if the result is only the initial field on a finer grid. The solve then starts from
+        coarser grids at once.
 
     Raises
     ------
@@ -83,9 +108,17 @@ def converge(
     # Unobserved sites of a constrained rigid body have no target displacement.
     poses, has_target = model.poses(stops), held.copy()
     poses.hold(observed, held)
-    d = _start_field(problem, model, poses, start, observed, held)
     outside, strategy = None if load is None else DeadLoads(load), _strategy(problem, material)
-    newton = Newton(model, smoothing_of(material), report, strategy, poses, outside)
+    strategy = strategy._replace(approximate=is_coarse)
+    newton = Newton(model, smoothing_of(material), report, strategy, poses, outside, work)
+    d = _start_field(problem, model, poses, start, observed, held)
+    if start is None and limit is None and takes_coarse_start(problem):
+        restart = partial(_coarse_start, problem, prior, backend, report, work, model)
+        coarse = restart() if is_coarse else None
+        if coarse is not None:
+            d = coarse
+        elif not is_coarse:
+            newton.restart = restart
     if limit is None:
         settle = partial(newton.run, d, observed, held)
     else:
@@ -107,9 +140,15 @@ def converge(
     missing = np.where(has_target, observed - d, 0.0)
     reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least, grown)
     if distance.estimate > tolerance:
+        # Cycles that ended early may estimate more than the tissue has moved at all.
+        farthest = float(np.abs(d).max()) if newton.ran_out else math.inf
         reach = replace(
-            reach, unbalanced=distance.estimate * problem.unit, unbalanced_at=distance.worst
+            reach,
+            unbalanced=min(distance.estimate, farthest) * problem.unit,
+            unbalanced_at=distance.worst,
         )
+    if newton.ran_out and (reach.where is not None or reach.unbalanced_at is not None):
+        reach = replace(reach, stopped=True)
     forces = norm(model.forces(d))
     host.reuse(observed, held)
     return Outcome(
@@ -123,6 +162,32 @@ def converge(
         ),
         reach=reach,
     )
+
+
+def _coarse_start(
+    problem: Problem,
+    prior: NeoHookeanPrior,
+    backend: Backend[Any],
+    report: Report,
+    work: Work,
+    model: FiniteModel,
+) -> Planes | None:
+    """Return an initial field from coarser grids; None if its elements are folded or it fails."""
+    coarse, coarse_prior = coarse_problem(problem, prior)
+    part = work.part(_COARSE_WORK, coarse.shape)
+    try:
+        found = converge(_COARSE_TOLERANCE, coarse, coarse_prior, backend, report, None, part, True)
+    except ConvergenceError:
+        return None
+    d = host.planes(prolonged(found.displacement, problem.shape))
+    _reset_idle(problem, d)
+    return d if model.energy(d)[1] >= LEAST_JACOBIAN else None
+
+
+def _reset_idle(problem: Problem, d: Planes) -> None:
+    """Set the displacement of sites that Newton steps do not move to zero, in place."""
+    idle = ~around_sites(in_elements(problem.stiffness), np.logical_or)
+    host.inside(d)[:, idle] = 0
 
 
 def _returned(
@@ -210,21 +275,23 @@ def _start_field(
     if start is None:
         return zero
     last, combined = host.planes(start.displacements[0] / start.unit), host.combined(start)
-    idle = ~around_sites(in_elements(problem.stiffness), np.logical_or)
     for field in last, combined:
-        host.inside(field)[:, idle] = 0  # Newton steps do not move these sites
+        _reset_idle(problem, field)
     poses.make_rigid(last)
     if not model.energy(last)[1] >= LEAST_JACOBIAN:
         last = zero
     # Extrapolate a drag linearly, unless that would fold an element.
     step = combined - last
-    if len(start.displacements) == 1:
+    alone = len(start.displacements) == 1
+    if alone:
         # Tissue was at rest before this solution, so scale the solution to the observations.
         at_held = last[held]
         square = float((at_held**2).sum())
         scale = float((at_held * observed[held]).sum()) / square if square > 0 else 1.0
         step = (scale - 1) * last
     length, _ = model.length(last, step, _EXTRAPOLATION_PART, LEAST_JACOBIAN)
+    if alone and length < 1:  # the start is an incomplete solution
+        return last
     extrapolated = last + min(1.0, length) * step
     poses.make_rigid(extrapolated)
     return extrapolated if model.energy(extrapolated)[1] >= LEAST_JACOBIAN else last

@@ -33,6 +33,7 @@ from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, l
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
+from napari_hmrf.solver.optimizers.work import Work
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import holding_strength
@@ -71,13 +72,19 @@ class Multigrid:
     max_iterations : int
         Number of cycles after which the solve fails with an error. If observations may slip, the
         number applies to each set of slipping observations. In a volume that requires double
-        precision, eight times as many cycles may run. Large motion fails after a fixed number of
-        steps, which no tested tissue has reached.
+        precision, eight times as many cycles may run. Does not apply to large motion.
+    budget : float or None
+        Largest work of a large-motion solve, in solves of the same problem with linear elasticity;
+        None for no limit. A small image may take more, up to half a second. If the budget is used
+        up, the result is the best field without folds so far, and `Solution.reach` contains how far
+        it is from the observations and from equilibrium. A warm start from this result continues
+        the solve.
     """
 
     tolerance: float = 1e-3
     _: KW_ONLY
     max_iterations: int = 300
+    budget: float | None = 60.0
 
     def __post_init__(self) -> None:
         positive = 0 < real(self.tolerance) < math.inf
@@ -85,6 +92,8 @@ class Multigrid:
         most = self.max_iterations
         enough = is_whole(most) and most >= 1
         refuse_unless(enough, "max_iterations", most, "a positive whole number")
+        enough = self.budget is None or 0 < real(self.budget) < math.inf
+        refuse_unless(enough, "budget", self.budget, "a positive number of linear solves, or None")
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -114,7 +123,10 @@ class Multigrid:
                 self.tolerance, self.max_iterations, problem, prior, backend, report, start
             )
         if isinstance(prior, NeoHookeanPrior):
-            return large_motion.converge(self.tolerance, problem, prior, backend, report, start)
+            work = Work(self.budget, problem.shape)
+            return large_motion.converge(
+                self.tolerance, problem, prior, backend, report, start, work
+            )
         limit = prior.limit(problem)
         pulls, stored = load_forces(problem, prior)
         d, observed = host.prescribed(problem, start if limit is None else None)

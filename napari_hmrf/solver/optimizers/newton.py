@@ -11,7 +11,7 @@ pulled any further stay where they are.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +30,7 @@ from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
+from napari_hmrf.solver.optimizers.work import Work
 
 # A step of the field
 
@@ -56,6 +57,13 @@ _HALVING_LIMIT = 12
 _PULL_LIMIT = 150
 #: Largest number of Newton steps before a run fails.
 _STEP_LIMIT = 400
+#: Fraction of the work after which tissue is not pulled any further.
+_PULL_WORK = 0.8
+#: Fraction of the work after which a new initial field is tried if the tissue is still pulled.
+_RESTART_WORK = 0.4
+#: Fraction of the work after which it is tried if more than `_SLOW_PULL` of the pull is left.
+_EARLY_RESTART_WORK = 0.2
+_SLOW_PULL = 0.25
 # The linear system of a step
 
 #: Error at which a linear solve ends, relative to the initial error.
@@ -130,6 +138,8 @@ class Strategy(NamedTuple):
     projects : bool
         True to leave out all buckling terms while tissue is pulled, as in volumes, where cycles
         converge slowly if only a part of these terms is left out.
+    approximate : bool
+        True if the result may be far from equilibrium, as an initial field may be.
     """
 
     doubtful: bool
@@ -137,6 +147,7 @@ class Strategy(NamedTuple):
     by_factors: bool
     steps: int = _STEP_LIMIT
     projects: bool = False
+    approximate: bool = False
 
 
 class Distance(NamedTuple):
@@ -200,8 +211,13 @@ class Newton:
         strategy: Strategy,
         poses: Poses,
         external_forces: DeadLoads | None,
+        work: Work,
     ) -> None:
         self._model, self._smoothing, self._report = model, smoothing, report
+        self._work = work
+        #: Function that returns another initial field for a run that takes long, or None. It is
+        #: used once; the run continues with the field that is closer to the observations.
+        self.restart: Callable[[], Planes | None] | None = None
         self._strategy, self._poses = strategy, poses
         #: Loads on the tissue, or None.
         self.external_forces = external_forces
@@ -211,6 +227,8 @@ class Newton:
         #: Energy after each step.
         self.energies: list[float] = []
         self.cycles = 0
+        #: True if the limit of the work ended a pull or the run.
+        self.ran_out = False
         self.by_factors = strategy.by_factors
         self._first = 0.0
         # Number of steps up to the last pull.
@@ -249,9 +267,13 @@ class Newton:
         relaxations, stuck, patience, near = 0, 0, _STUCK_LIMIT, _RELAXED_DISTANCE
         self._first, self._pulled = float(np.abs(y - d).max()), len(self.energies)
         for number in range(self._strategy.steps):
-            if number == _PULL_LIMIT and (held & (y != d)).any():
+            if self._is_slow(d, y, held) and self._restarts(d, y, held):
+                relaxations, stuck, patience = _RELAXATION_LIMIT, 0, _STUCK_LIMIT
+            ends = number == _PULL_LIMIT or self._is_late(_PULL_WORK)
+            if ends and (held & (y != d)).any():
                 np.copyto(y, d)
                 self._is_converged = False
+                self.ran_out = number != _PULL_LIMIT
             gap = np.where(held, y - d, 0.0)
             left = float(np.abs(gap).max())
             pulls = left > 0 and relaxations == 0
@@ -259,6 +281,7 @@ class Newton:
             if aim is not y:
                 gap = np.where(held, aim - d, 0.0)
             self._report_step(number, left)
+            self._work.add_step()
             before, distance_before = d.copy(), self.distance
             step = self._step(d, gap if pulls else None, held)
             if step is None:
@@ -295,10 +318,36 @@ class Newton:
                 far = max(self.distance.estimate, step.far)
                 self.distance = self.distance._replace(estimate=far)
                 break
+            if self._work.is_done:
+                self._is_converged = False
+                self.ran_out = True
+                break
         # Only crushed tissue that creeps may be this far from equilibrium.
         estimate = self.distance.estimate
-        if not math.isfinite(estimate) or (self._is_converged and estimate > _CREEP_DISTANCE):
+        must_settle = self._is_converged and not self._strategy.approximate
+        if not math.isfinite(estimate) or (must_settle and estimate > _CREEP_DISTANCE):
             self._fail()
+
+    def _is_late(self, fraction: float) -> bool:
+        return self._work.spent >= fraction * self._work.limit
+
+    def _is_slow(self, d: Planes, y: Planes, held: HeldPlanes) -> bool:
+        """Return whether another initial field is worth trying."""
+        if self.restart is None or not self._is_late(_EARLY_RESTART_WORK):
+            return False
+        part = _largest(y - d, held) / self._first if self._first > 0 else 0.0
+        return part > (0.0 if self._is_late(_RESTART_WORK) else _SLOW_PULL)
+
+    def _restarts(self, d: Planes, y: Planes, held: HeldPlanes) -> bool:
+        """Replace `d` by a field that is closer to `y`; return False if there is none."""
+        assert self.restart is not None
+        restart, self.restart = self.restart, None
+        field = restart()
+        if field is None or _largest(y - field, held) >= _largest(y - d, held):
+            return False
+        np.copyto(d, field)
+        self.distance = Distance()
+        return True
 
     def _fail(self) -> None:
         if not math.isfinite(self.distance.estimate):
@@ -383,7 +432,8 @@ class Newton:
             # At a large stiffness contrast, apparent buckling may be a rounding error.
             sure = stiff == 1 or self._strategy.stiff
             sure = sure or not (self._buckles or self._strategy.projects)
-            if linear is None and sure and Factors.fit(self._model.shape):
+            affordable = self._work.allows_factorization or math.isinf(self.distance.estimate)
+            if linear is None and sure and affordable and Factors.fit(self._model.shape):
                 linear = self._solve(rest)
             if linear is not None:
                 self._positive = stiff / _SHARE_GROWTH if stiff > _FIRST_SHARE else 0.0
@@ -427,9 +477,10 @@ class Newton:
             error = step.error * balance.unit
             first = first or error
             self.cycles += 1
+            self._work.add_cycle()
             self._report(Monitor(f"cycle {self.cycles}, error {error:.2g} px", 0.0))
             done = error <= max(_INNER_REDUCTION * first, _INNER_TOLERANCE * self._tolerance)
-            return done or count >= patience
+            return done or count >= patience or self._work.is_done
 
         try:
             iteration = ConjugateGradients(Cycle(self._model, self._smoothing))
@@ -441,6 +492,8 @@ class Newton:
         # a direction in which the tissue buckles.
         if latest is not None and latest.rest * balance.unit <= _SINGLE_RESIDUAL * balance.norm:
             done = True
+        # The direction of a run that ended early still decreases the energy.
+        done = done or (latest is not None and self._work.is_done)
         self._buckles = not done and count < patience
         if latest is None or not done:
             return None
@@ -455,6 +508,7 @@ class Newton:
         moves = self._model.moves
         load = np.where(moves, load, 0.0)
         self._model.project(load)
+        self._work.add_factorization()
         try:
             factors = Factors(self._model.tangents, moves, report_part, self._model.springs)
             way = factors.solve(load)
@@ -582,6 +636,11 @@ def _shares(first: float) -> Iterator[float]:
         yield share
         share = max(_SHARE_GROWTH * share, _FIRST_SHARE)
     yield 1.0
+
+
+def _largest(values: Planes, held: HeldPlanes) -> float:
+    """Return the largest absolute value of the constrained components."""
+    return float(np.abs(np.where(held, values, 0.0)).max())
 
 
 def norm(values: Planes) -> float:

@@ -1,0 +1,111 @@
+"""The budget of large motion: a solve that takes long ends with the best field so far."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from napari_hmrf import ArgumentError, Multigrid, NeoHookeanPrior, Problem, Solution, solve
+from napari_hmrf.fields import count_folds
+from napari_hmrf.solver.optimizers import work
+from napari_hmrf.solver.optimizers.coarse_start import coarse_problem, prolonged
+from tests.support.finite_oracle import bar, turned
+
+PRIOR = NeoHookeanPrior()
+
+
+@pytest.fixture
+def exact_budget(monkeypatch):
+    """Apply the budget to small images as well."""
+    monkeypatch.setattr(work, "_LEAST_CYCLE_SITES", {2: 0.0, 3: 0.0})
+
+
+def dragged(size: int = 96) -> Problem:
+    """Return a block with a disc that is dragged by a third of the side."""
+    row, col = np.indices((size, size))
+    disc = np.hypot(row - size // 2, col - 0.3 * size) < 0.06 * size
+    c, y = np.zeros((2, size, size, 2))
+    c[[0, -1]] = c[:, [0, -1]] = 1
+    c[disc], y[disc] = 1, (0, size / 3)
+    return Problem(y, c, np.ones((size, size)))
+
+
+def within(budget: float | None, initial: Solution | None = None) -> Solution:
+    return solve(
+        dragged(), PRIOR, optimizer=Multigrid(0.01, budget=budget), backend="cpu", initial=initial
+    )
+
+
+def farthest(one: Solution, other: Solution) -> float:
+    return float(np.abs(one.displacement - other.displacement).max())
+
+
+def test_a_solve_that_uses_up_its_budget_returns_a_valid_field_and_says_what_is_missing(
+    exact_budget,
+):
+    short = within(5)
+    assert short.reach.stopped
+    assert short.count_folds() == 0
+    problem = dragged()
+    gap = np.linalg.norm((problem.observed - short.displacement) * problem.known, axis=-1)
+    assert short.reach.missing == pytest.approx(gap.max(), abs=0.01) or gap.max() < 0.01
+    assert short.reach.unbalanced > 0
+    assert np.array_equal(short.displacement, within(5).displacement)
+
+
+def test_a_warm_start_from_a_stopped_solve_ends_at_the_same_field(exact_budget):
+    whole = within(None)
+    assert not whole.reach.stopped
+    assert whole.reach.missing == 0
+    assert farthest(within(5), whole) > 1
+    assert farthest(within(None, within(5)), whole) < 0.03
+
+
+def test_a_stopped_solve_is_marked_in_its_file(exact_budget, tmp_path):
+    within(5).write(tmp_path / "short.hmrf")
+    assert Solution.read(tmp_path / "short.hmrf").reach.stopped
+
+
+@pytest.mark.parametrize("budget", [0, -1, np.inf, "60"])
+def test_a_budget_that_is_not_a_positive_number_is_refused(budget):
+    with pytest.raises(ArgumentError, match="budget"):
+        Multigrid(budget=budget)
+
+
+@pytest.mark.parametrize("shape", [(9, 12), (6, 7, 8)])
+def test_interpolation_to_a_finer_grid_keeps_a_field_without_folds(shape):
+    coarse = tuple(size // 2 + 1 for size in shape)
+    jitter = np.random.default_rng(3).uniform(-0.2, 0.2, (*coarse, len(shape)))
+    even = (1.0,) * len(shape)
+    assert count_folds(jitter, spacing=even) == 0
+    fine = prolonged(jitter, shape)
+    assert count_folds(fine, spacing=even) == 0
+    np.testing.assert_allclose(
+        fine[(slice(None, None, 2),) * len(shape)], 2 * jitter[sampled(shape)]
+    )
+
+
+def sampled(shape: tuple[int, ...]) -> tuple[slice, ...]:
+    return tuple(slice(-(-size // 2)) for size in shape)
+
+
+def test_thin_tissue_and_thin_observations_are_on_the_coarser_grid():
+    shape = 41, 42
+    m, c, y = np.zeros(shape), np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    m[9:32, 7:40] = 1
+    m[21, :] = 4
+    c[21, 41], y[21, 41] = 1, (0, 6)
+    c[:, 7] = 1
+    coarse, prior = coarse_problem(Problem(y, c, m, spacing=(2, 3)), NeoHookeanPrior(m * 0.1))
+    assert coarse.spacing == (4, 6)
+    assert (coarse.stiffness > 0)[:, -1].sum() >= 1
+    assert coarse.observed[..., 1].max() == 6
+    assert coarse.known[5:16, 4].all()
+    assert np.shape(prior.poisson) == coarse.shape
+
+
+def test_a_bar_bent_by_90_degrees_in_one_solve_reaches_its_end(exact_budget):
+    problem = bar(60, 300, turned(60, 300, 90))
+    bent = solve(problem, PRIOR, optimizer=Multigrid(0.01), backend="cpu")
+    assert bent.reach.missing == 0
+    assert not bent.reach.stopped
