@@ -139,14 +139,12 @@ def converge(
     distance = newton.distance
     missing = np.where(has_target, observed - d, 0.0)
     reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least, grown)
-    if distance.estimate > tolerance:
-        # Cycles that ended early may estimate more than the tissue has moved at all.
-        farthest = float(np.abs(d).max()) if newton.ran_out else math.inf
-        reach = replace(
-            reach,
-            unbalanced=min(distance.estimate, farthest) * problem.unit,
-            unbalanced_at=distance.worst,
-        )
+    estimate = distance.estimate
+    if newton.ran_out:
+        # Cycles that ended early may estimate more than any motion of the tissue.
+        estimate = min(estimate, max(float(np.abs(field).max()) for field in (d, observed)))
+    if estimate > tolerance:
+        reach = replace(reach, unbalanced=estimate * problem.unit, unbalanced_at=newton.worst(d))
     if newton.ran_out and (reach.where is not None or reach.unbalanced_at is not None):
         reach = replace(reach, stopped=True)
     forces = norm(model.forces(d))
@@ -156,7 +154,7 @@ def converge(
         energy=np.array(newton.energies) / max(1, np.count_nonzero(problem.tissue)),
         levels=(LevelRun(0, problem.shape, len(newton.energies)),),
         convergence=Convergence(
-            max(distance.estimate, rounding),
+            max(estimate, rounding),
             distance.residual / max(forces, _TINY),
             "factors" if newton.by_factors else "cycles",
         ),
@@ -241,7 +239,8 @@ def _grow(
         return 1.0
     done, step = 0.0, min(1.0, _GROWTH_STEP / max(math.log(material.most_growth), _GROWTH_STEP))
     while done < 1:
-        before, aim = d.copy(), min(1.0, done + step)
+        # A field of zeros is not copied, to save the memory.
+        before, aim = d.copy() if d.any() else np.zeros(1), min(1.0, done + step)
         model.assemble(material.grown(aim))
         try:
             converge_to(tolerance if aim == 1 else max(tolerance, _GROWTH_DISTANCE))

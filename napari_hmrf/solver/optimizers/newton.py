@@ -159,21 +159,10 @@ class Distance(NamedTuple):
         Estimated largest distance of any site, in pixels; infinite if unknown.
     residual : float
         Norm of the residual forces.
-    remaining : ndarray, planes, or None
-        Estimated correction of each component, up to a constant factor.
     """
 
     estimate: float = math.inf
     residual: float = math.inf
-    remaining: Planes | None = None
-
-    @property
-    def worst(self) -> tuple[int, ...] | None:
-        """Index of the site with the largest estimated correction, or None if unknown."""
-        if self.remaining is None:
-            return None
-        far = np.linalg.norm(host.field(self.remaining), axis=-1)
-        return tuple(int(index) for index in np.unravel_index(int(np.argmax(far)), far.shape))
 
 
 class _Linear(NamedTuple):
@@ -274,16 +263,15 @@ class Newton:
                 np.copyto(y, d)
                 self._is_converged = False
                 self.ran_out = number != _PULL_LIMIT
-            gap = np.where(held, y - d, 0.0)
-            left = float(np.abs(gap).max())
+            left = _largest(y - d, held)
             pulls = left > 0 and relaxations == 0
             aim = self._poses.aim(d, y)
-            if aim is not y:
-                gap = np.where(held, aim - d, 0.0)
+            gap = np.where(held, aim - d, 0.0) if pulls else None
             self._report_step(number, left)
             self._work.add_step()
             before, distance_before = d.copy(), self.distance
-            step = self._step(d, gap if pulls else None, held)
+            step = self._step(d, gap, held)
+            del gap
             if step is None:
                 # The tissue is so crushed that its tangent system has no solution.
                 self._is_converged = self._is_converged and (
@@ -291,7 +279,10 @@ class Newton:
                 )
                 break
             if pulls:
-                taken, self._pulled = self._pull(d, step.way, aim, held), len(self.energies) + 1
+                taken, self._pulled = (
+                    self._pull(d, before, step.way, aim, held),
+                    len(self.energies) + 1,
+                )
                 if taken < 1.0:
                     stays = taken < _STUCK_PART and taken * left < _STUCK_DISTANCE
                     stuck = stuck + 1 if stays and near == _BALANCED_DISTANCE else 0
@@ -301,7 +292,7 @@ class Newton:
                         stuck, patience = 0, 1
                         self._release(d, y, held, step.way)
             else:
-                step, taken = self._relax(d, held, step)
+                step, taken = self._relax(d, before, held, step)
                 relaxations = max(relaxations - 1, 0)
             if not self._judge(d, step):
                 # Return to the last valid field and end the run.
@@ -369,22 +360,33 @@ class Newton:
         energy, least = self._energy(d)
         if not (math.isfinite(energy) and least >= LEAST_JACOBIAN):
             return False
-        rest = np.where(self._model.moves, self.forces(d), 0.0)
-        self._model.project(rest)
+        rest = self._rest(d)
         residual = norm(rest)
-        estimate, remaining = step.reach * residual, rest * self._model.levels[0].inverse
+        estimate = step.reach * residual
         if step.factors is not None:
             # With a factorization, one more solve is cheap.
             left = step.factors.solve(rest)
             self._model.project(left)
             far = float(np.abs(left).max())
             if math.isfinite(far):
-                estimate, remaining = far, left
+                estimate = far
         if not math.isfinite(estimate):
             return False
-        self.distance = Distance(estimate, residual, remaining)
+        self.distance = Distance(estimate, residual)
         self.energies.append(energy)
         return True
+
+    def _rest(self, d: Planes) -> Planes:
+        """Return the residual forces on the free components."""
+        rest: Planes = np.where(self._model.moves, self.forces(d), 0.0)
+        self._model.project(rest)
+        return rest
+
+    def worst(self, d: Planes) -> tuple[int, ...]:
+        """Return the index of the site that is probably farthest from equilibrium."""
+        correction = self._rest(d) * self._model.levels[0].inverse
+        far = np.linalg.norm(host.field(correction), axis=-1)
+        return tuple(int(index) for index in np.unravel_index(int(np.argmax(far)), far.shape))
 
     def _is_balanced(self, d: Planes, held: HeldPlanes, step: _Linear) -> bool:
         """Return whether tissue is reliably within the tolerance of equilibrium."""
@@ -425,21 +427,26 @@ class Newton:
             gap = self._poses.extend(gap)
         for stiff in self._shares_to_try(gap is not None, positive):
             self._model.linearise(d, held, forces, stiff, springs)
-            rest = -forces
-            if gap is not None:
-                rest -= self._model.image(gap)
-            linear = None if self.by_factors else self._iterate(rest)
+            linear = None if self.by_factors else self._iterate(self._load(forces, gap))
             # At a large stiffness contrast, apparent buckling may be a rounding error.
             sure = stiff == 1 or self._strategy.stiff
             sure = sure or not (self._buckles or self._strategy.projects)
             affordable = self._work.allows_factorization or math.isinf(self.distance.estimate)
             if linear is None and sure and affordable and Factors.fit(self._model.shape):
-                linear = self._solve(rest)
+                linear = self._solve(self._load(forces, gap))
             if linear is not None:
                 self._positive = stiff / _SHARE_GROWTH if stiff > _FIRST_SHARE else 0.0
-                way = linear.way if gap is None else linear.way + gap
-                return linear._replace(way=way, positive=stiff)
+                if gap is not None:
+                    np.add(linear.way, gap, out=linear.way)
+                return linear._replace(positive=stiff)
         return None
+
+    def _load(self, forces: Planes, gap: Planes | None) -> Planes:
+        """Return the load of a Newton step that closes `gap`."""
+        load: Planes = -forces
+        if gap is not None:
+            load -= self._model.image(gap)
+        return load
 
     def _shares_to_try(self, pulls: bool, positive: float) -> Iterator[float]:
         """Yield fractions of the buckling terms to leave out, until the linear model is positive.
@@ -464,6 +471,7 @@ class Newton:
         """Solve the tangent system by cycles; return None if the cycles did not converge."""
         self._buckles = False
         balance, way = self._model.balance(load), np.zeros_like(load)
+        del load
         if balance.most == 0:
             return _Linear(way, 0.0, 0.0)
         latest: Step | None = None
@@ -539,15 +547,16 @@ class Newton:
         forces = self._model.forces(d)
         return forces if self.external_forces is None else forces + self.external_forces.forces(d)
 
-    def _pull(self, d: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
-        """Move `d` along a step until a corner is nearly folded; return the fraction taken."""
+    def _pull(self, d: Planes, start: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
+        """Move `d` from `start` until a corner is nearly folded; return the fraction taken."""
         length, _ = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR)
-        taken, start = 1.0 if length >= 1 else _PULL_PART * length, d.copy()
+        taken = 1.0 if length >= 1 else _PULL_PART * length
         floor = LEAST_JACOBIAN
         if self._model.bodies:
             floor = max(floor, _RIGID_PART * self._model.energy(d)[1])
         for _ in range(_HALVING_LIMIT):
-            np.copyto(d, start + taken * way)
+            np.multiply(way, taken, out=d)
+            d += start
             if taken == 1.0:
                 np.copyto(d, y, where=held)
             # A straight step deforms a rotating rigid body.
@@ -559,34 +568,36 @@ class Newton:
         np.copyto(d, start)
         return 0.0
 
-    def _relax(self, d: Planes, held: HeldPlanes, step: _Linear) -> tuple[_Linear, float]:
-        """Take a descent step in place; return the step and the fraction taken.
+    def _relax(
+        self, d: Planes, before: Planes, held: HeldPlanes, step: _Linear
+    ) -> tuple[_Linear, float]:
+        """Take a descent step in place from `before`; return the step and the fraction taken.
 
         If only a small fraction is possible, a step without the buckling terms is tried.
         """
-        taken = self._descend(d, step.way)
+        taken = self._descend(d, before, step.way)
         if taken < _LEAST_STEP and step.positive < 1:
             again = self._step(d, None, held, positive=1.0)
             if again is not None:
-                return again, max(taken, self._descend(d, again.way))
+                return again, max(taken, self._descend(d, d.copy(), again.way))
         return step, taken
 
-    def _descend(self, d: Planes, way: Planes) -> float:
+    def _descend(self, d: Planes, before: Planes, way: Planes) -> float:
         """Take a descent step in place and update the loads; return the fraction taken."""
-        before = d.copy()
-        taken = self._fall(d, way)
+        taken = self._fall(d, before, way)
         if self.external_forces is not None and taken > 0:
             self.external_forces.follow(before, d)
         return taken
 
-    def _fall(self, d: Planes, way: Planes) -> float:
-        """Move `d` along a step until the energy decreases enough; return the fraction taken."""
+    def _fall(self, d: Planes, start: Planes, way: Planes) -> float:
+        """Move `d` from `start` until the energy decreases enough; return the fraction taken."""
         before, _ = self._energy(d)
-        slope = float((self.forces(d) * way).sum())
+        slope = float(np.einsum("i,i->", self.forces(d).ravel(), way.ravel()))
         length, _ = self._model.length(d, way, _JACOBIAN_PART, LEAST_JACOBIAN)
-        taken, start = min(1.0, length), d.copy()
+        taken = min(1.0, length)
         for _ in range(_HALVING_LIMIT):
-            d += taken * way
+            np.multiply(way, taken, out=d)
+            d += start
             self._poses.make_rigid(d)
             energy, least = self._energy(d)
             rounding = _ENERGY_ROUNDING * (abs(before) + _COMPONENT_ROUNDING * d.size)
@@ -640,9 +651,11 @@ def _shares(first: float) -> Iterator[float]:
 
 def _largest(values: Planes, held: HeldPlanes) -> float:
     """Return the largest absolute value of the constrained components."""
-    return float(np.abs(np.where(held, values, 0.0)).max())
+    most, least = (function(where=held, initial=0.0) for function in (values.max, values.min))
+    return float(max(most, -least))
 
 
 def norm(values: Planes) -> float:
     """Return the Euclidean norm, without BLAS, because its idle threads would slow the solve."""
-    return math.sqrt(float(np.square(values).sum()))
+    flat = values.ravel()
+    return math.sqrt(float(np.einsum("i,i->", flat, flat)))

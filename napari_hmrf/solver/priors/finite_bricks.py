@@ -55,7 +55,9 @@ class BrickModuli(NamedTuple):
     undo: Float64Array | None
 
 
-def brick_moduli(material: FiniteMaterial, stand_in: float = 0.0) -> BrickModuli:
+def brick_moduli(
+    material: FiniteMaterial, stand_in: float = 0.0, planes: slice = slice(None)
+) -> BrickModuli:
     """Return the moduli of the elements of a volume.
 
     Parameters
@@ -64,11 +66,15 @@ def brick_moduli(material: FiniteMaterial, stand_in: float = 0.0) -> BrickModuli
     stand_in : float
         Stiffness used for rigid tissue, in units of the stiffest other tissue; 0 leaves its
         elements out.
+    planes : slice
+        Planes of sites whose elements are returned; by default all.
     """
-    lame = lame_parameters(material.relative(stand_in), material.poisson, strain=True)
+    nu = material.poisson
+    nu = nu[planes] if isinstance(nu, np.ndarray) else nu
+    lame = lame_parameters(material.relative(stand_in, planes), nu, strain=True)
     if material.growth is None:
         return BrickModuli(lame.shear, lame.first, None)
-    strains, _ = material.element_growth(lame)
+    strains, _ = material.element_growth(lame, planes)
     grown = np.eye(3) + np.moveaxis(strains, (0, 1), (-2, -1))
     amount = np.linalg.det(grown)
     undo: Float64Array = np.asarray(np.linalg.inv(grown), dtype=np.float64)

@@ -153,11 +153,21 @@ class FiniteMaterial(ElasticMaterial):
             return moduli_of(lame, self.shape)
         return moduli_of(lame, self.shape, *self.element_growth(lame))
 
-    def element_growth(self, lame: Lame) -> tuple[Float64Array, Float64Array]:
-        """Return the growth strain of each element, as `element_strains`; 0 in rigid tissue."""
+    def element_growth(
+        self, lame: Lame, sites: slice = slice(None)
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return the growth strain of each element, as `element_strains`; 0 in rigid tissue.
+
+        Parameters
+        ----------
+        lame : Lame
+            Lame parameters of the elements.
+        sites : slice
+            Sites along the first axis whose elements are returned.
+        """
         assert self.growth is not None
-        strains, across = element_strains(self.growth, self.m.ndim)
-        grows = (lame.shear > 0) & np.isfinite(of_elements(self.m.astype(np.float64)))
+        strains, across = element_strains(self.growth[sites], self.m.ndim)
+        grows = (lame.shear > 0) & np.isfinite(of_elements(self.m[sites].astype(np.float64)))
         return strains * grows, across * grows
 
 

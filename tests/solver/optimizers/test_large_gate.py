@@ -83,7 +83,7 @@ def test_a_step_that_folds_tissue_is_rejected_after_it_is_taken(monkeypatch) -> 
 def test_the_last_valid_field_is_returned_after_a_step_to_nan(monkeypatch) -> None:
     steps = []
 
-    def pull(self, d, way, y, held):
+    def pull(self, d, start, way, y, held):
         steps.append(d.copy())
         np.copyto(d, d + 0.1 * way if len(steps) < 3 else np.nan)
         return 0.1

@@ -81,10 +81,11 @@ class CpuFiniteModelBase:
         """
         rest = np.where(self.levels[0].inverse > 0, rest, 0.0)
         self.project(rest)
-        most = float(np.abs(rest).max())
+        most = max(float(rest.max()), -float(rest.min()))
         unit = most if most > 0 else 1.0
-        scaled = (rest / unit).astype(np.float32)
-        square = float(np.square(scaled, dtype=np.float64).sum())
+        rest /= unit
+        scaled = rest.astype(np.float32)
+        square = float(np.einsum("i,i->", scaled.ravel(), scaled.ravel(), dtype=np.float64))
         return Balance(scaled, unit, most, unit * math.sqrt(square))
 
     def image(self, way: Planes) -> Planes:

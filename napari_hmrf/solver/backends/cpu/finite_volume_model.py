@@ -36,6 +36,8 @@ from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, Fini
 _ELEMENTS = (slice(PAD, -PAD - 1),) * 3
 # Components of the matrix G in the order of `finite_bricks`.
 _UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
+# Number of planes of elements whose moduli are computed together.
+_SLAB = 16
 
 
 class BrickLevel(VolumeLevel):
@@ -212,12 +214,16 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         self._no_elements: Planes = np.zeros((0, 0, 0))
 
     def _set_material(self, material: FiniteMaterial) -> None:
-        moduli = brick_moduli(material, CYCLE_STAND_IN)
-        self._solid = padded(2 if moduli.undo is None else 8, self.shape)
-        self._solid[0][_ELEMENTS], self._solid[1][_ELEMENTS] = moduli.shear, moduli.first
-        if moduli.undo is not None:
-            for plane, (i, j) in zip(self._solid[2:], _UPPER, strict=True):
-                plane[_ELEMENTS] = moduli.undo[..., i, j]
+        self._solid = padded(2 if material.growth is None else 8, self.shape)
+        parts = [values[_ELEMENTS] for values in self._solid]
+        # Slabs, because the moduli of a whole volume in double precision need much memory.
+        for first in range(0, self.shape[0] - 1, _SLAB):
+            slab = slice(first, first + _SLAB)
+            moduli = brick_moduli(material, CYCLE_STAND_IN, slice(first, first + _SLAB + 1))
+            parts[0][slab], parts[1][slab] = moduli.shear, moduli.first
+            if moduli.undo is not None:
+                for part, (i, j) in zip(parts[2:], _UPPER, strict=True):
+                    part[slab] = moduli.undo[..., i, j]
         self._sides = np.array(material.shape)
         self._barrier = BARRIER, BARRIER_BEGIN
         ratio = lame_ratio(material.largest_poisson, strain=True)
