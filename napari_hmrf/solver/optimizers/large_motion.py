@@ -21,7 +21,14 @@ from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.neighbours import around_sites, in_elements
-from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
+from napari_hmrf.solver.optimizers.base import (
+    Convergence,
+    LevelRun,
+    Monitor,
+    Outcome,
+    Reach,
+    Report,
+)
 from napari_hmrf.solver.optimizers.coarse_start import coarse_problem, prolonged, takes_coarse_start
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
 from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
@@ -110,10 +117,11 @@ def converge(
     poses.hold(observed, held)
     outside, strategy = None if load is None else DeadLoads(load), _strategy(problem, material)
     strategy = strategy._replace(approximate=is_coarse)
-    newton = Newton(model, smoothing_of(material), report, strategy, poses, outside, work)
+    progress = _Progress(report)
+    newton = Newton(model, smoothing_of(material), progress, strategy, poses, outside, work)
     d = _start_field(problem, model, poses, start, observed, held)
     if start is None and limit is None and takes_coarse_start(problem):
-        restart = partial(_coarse_start, problem, prior, backend, report, work, model)
+        restart = partial(_coarse_start, problem, prior, backend, progress.message, work, model)
         coarse = restart() if is_coarse else None
         if coarse is not None:
             d = coarse
@@ -128,7 +136,7 @@ def converge(
         check_balanced(problem, at, most.ravel()[at], load, host.field(fixed))
         settle = partial(LargeSlip(newton, observed, most, load).run, d, warm=start is not None)
     try:
-        grown = _grow(settle, model, material, d, tolerance)
+        grown = _grow(settle, model, material, d, tolerance, progress)
     except ConvergenceError:
         if load is not None:
             check_reach(d, problem)
@@ -160,6 +168,29 @@ def converge(
         ),
         reach=reach,
     )
+
+
+class _Progress:
+    """Report whose completed fraction never decreases.
+
+    Parameters
+    ----------
+    report : Report
+    """
+
+    def __init__(self, report: Report) -> None:
+        self._report, self._fraction = report, 0.0
+        #: Completed fraction at the begin and at the end of the current run.
+        self.span = 0.0, 1.0
+
+    def __call__(self, monitor: Monitor) -> None:
+        first, last = self.span
+        self._fraction = max(self._fraction, first + monitor.fraction * (last - first))
+        self.message(monitor)
+
+    def message(self, monitor: Monitor) -> None:
+        """Report a message without progress."""
+        self._report(replace(monitor, fraction=self._fraction))
 
 
 def _coarse_start(
@@ -232,6 +263,7 @@ def _grow(
     material: FiniteMaterial,
     d: Planes,
     tolerance: float,
+    progress: _Progress,
 ) -> float:
     """Solve for equilibrium in growth steps, in place; return the completed fraction of growth."""
     if material.growth is None:
@@ -242,6 +274,7 @@ def _grow(
         # A field of zeros is not copied, to save the memory.
         before, aim = d.copy() if d.any() else np.zeros(1), min(1.0, done + step)
         model.assemble(material.grown(aim))
+        progress.span = done, aim
         try:
             converge_to(tolerance if aim == 1 else max(tolerance, _GROWTH_DISTANCE))
         except ConvergenceError:

@@ -7,7 +7,7 @@ import math
 # Costs in cycles on the same grid, measured at 512 x 512 on two cores.
 
 #: Cost of a solve with linear elasticity.
-LINEAR_SOLVE = 2.6
+LINEAR_SOLVE = 2.2
 # Cost of a Newton step without its linear system.
 _STEP = 3.0
 # Cost of a factorization, per square root of the number of sites of an image, and per site of a

@@ -7,6 +7,7 @@ import pytest
 
 from napari_hmrf import ArgumentError, Multigrid, NeoHookeanPrior, Problem, Solution, solve
 from napari_hmrf.fields import count_folds
+from napari_hmrf.loads import growth
 from napari_hmrf.solver.optimizers import work
 from napari_hmrf.solver.optimizers.coarse_start import coarse_problem, prolonged
 from tests.support.finite_oracle import bar, turned
@@ -59,6 +60,25 @@ def test_a_warm_start_from_a_stopped_solve_ends_at_the_same_field(exact_budget):
     assert whole.reach.missing == 0
     assert farthest(within(5), whole) > 1
     assert farthest(within(None, within(5)), whole) < 0.03
+
+
+def test_the_progress_of_a_solve_with_growth_or_a_far_pull_never_decreases(exact_budget):
+    grown = np.zeros((24, 24), np.float32)
+    grown[8:16, 8:16] = 4
+    frame = np.ones((24, 24, 2))
+    frame[1:-1, 1:-1] = 0
+    crowded = Problem(0 * frame, frame, np.ones((24, 24)), loads=growth(grown))
+    for problem in dragged(), crowded:
+        done: list[float] = []
+        solve(
+            problem,
+            PRIOR,
+            optimizer=Multigrid(0.01),
+            backend="cpu",
+            progress=lambda monitor, done=done: done.append(monitor.fraction),
+        )
+        assert len(set(done)) > 2
+        assert done == sorted(done)
 
 
 def test_a_stopped_solve_is_marked_in_its_file(exact_budget, tmp_path):
