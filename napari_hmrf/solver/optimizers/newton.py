@@ -273,9 +273,12 @@ class Newton:
             step = self._step(d, gap, held)
             del gap
             if step is None:
-                # The tissue is so crushed that its tangent system has no solution.
+                # The tissue is so crushed that its tangent system has no solution, or the work that
+                # is left is not sufficient to find out.
+                self.ran_out = not self._work.allows_factorization
+                settled = left == 0 and not self.ran_out
                 self._is_converged = self._is_converged and (
-                    left == 0 or math.isinf(self.distance.estimate)
+                    settled or math.isinf(self.distance.estimate)
                 )
                 break
             if pulls:
