@@ -9,10 +9,10 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 from napari_hmrf.arguments import real, refuse_unless
 from napari_hmrf.errors import Cancelled, HmrfError
@@ -28,8 +28,8 @@ from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_
 TOLERANCE = 0.01
 #: Tolerance of a preview, in pixels.
 PREVIEW_TOLERANCE = 0.3
-#: Budget of a preview of large motion, in linear solves.
-PREVIEW_BUDGET = 12.0
+# Budgets of the previews of large motion, in linear solves. The first is for large images only.
+_PREVIEW_BUDGETS = 12.0, 60.0, 300.0, 1500.0
 #: Expected time of the first solution, in seconds, above which a preview is shown.
 PATIENCE = 0.1
 # Time of a cold start per site on two cores, in seconds.
@@ -59,8 +59,8 @@ class Update:
         Error, such as a `ProblemError` if the problem has no unique solution yet; None if there is
         a solution.
     final : bool
-        False for a preview, which is accurate to `PREVIEW_TOLERANCE`. The final solution follows
-        unless there is a newer edit.
+        False for a preview, which is accurate to `PREVIEW_TOLERANCE`, or is as far as large motion
+        got within a part of its budget. The final solution follows unless there is a newer edit.
     seconds : float
         Time since the edit was submitted.
     """
@@ -273,8 +273,10 @@ class LiveSolver:
             self._earlier.keep_for(problem, turn.series)
             solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
             optimizer = edit.optimizer
-            if edit.preview and self._takes_long(problem, prior) and _has_preview(optimizer):
-                preview = solve(Multigrid(PREVIEW_TOLERANCE, budget=PREVIEW_BUDGET))
+            for stage in self._previews(problem, prior, optimizer) if edit.preview else ():
+                preview = solve(stage)
+                if preview.reach is not None and not preview.reach.stopped:
+                    break  # the budget of the preview was sufficient
                 self._deliver_update(turn, problem, preview, final=False)
                 turn.patience = 0
             self._deliver_update(turn, problem, solve(optimizer))
@@ -285,14 +287,22 @@ class LiveSolver:
                 _log.exception("a live solve failed")
             self._deliver_update(turn, problem, error=error)
 
-    def _takes_long(self, problem: Problem, prior: Prior) -> bool:
-        """Return whether the solve is a cold start of a large problem."""
-        # With a warm start, a preview costs nearly as much time as the solution.
-        sites = problem.stiffness.size
-        takes_long = sites * _SITE_SECONDS > PATIENCE
-        if isinstance(prior, NeoHookeanPrior):
-            takes_long = problem.is_volume or sites > _LARGE_MOTION_SITES
-        return takes_long and not self._earlier.solutions
+    def _previews(
+        self, problem: Problem, prior: Prior, optimizer: Optimizer
+    ) -> Iterator[Multigrid]:
+        """Yield the optimizers of previews, each of which continues the one before."""
+        if not _has_preview(optimizer):
+            return
+        sites, is_cold = problem.stiffness.size, not self._earlier.solutions
+        if not isinstance(prior, NeoHookeanPrior):
+            # With a warm start, a preview costs nearly as much time as the solution.
+            if is_cold and sites * _SITE_SECONDS > PATIENCE:
+                yield Multigrid(PREVIEW_TOLERANCE)
+            return
+        takes_long = problem.is_volume or sites > _LARGE_MOTION_SITES
+        for budget in _PREVIEW_BUDGETS[0 if is_cold and takes_long else 1 :]:
+            if optimizer.budget is None or budget < optimizer.budget:
+                yield Multigrid(PREVIEW_TOLERANCE, budget=budget)
 
     def _solve(
         self,
@@ -330,7 +340,7 @@ class LiveSolver:
             _log.exception("a live result could not be shown")
 
 
-def _has_preview(optimizer: Optimizer) -> bool:
+def _has_preview(optimizer: Optimizer) -> TypeGuard[Multigrid]:
     """Return whether the optimizer has a smaller tolerance than a preview."""
     return isinstance(optimizer, Multigrid) and optimizer.tolerance < PREVIEW_TOLERANCE
 

@@ -5,9 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_hmrf import ArgumentError, Multigrid, NeoHookeanPrior, Problem, Solution, solve
+from napari_hmrf import (
+    ArgumentError,
+    LiveSolver,
+    Multigrid,
+    NeoHookeanPrior,
+    Problem,
+    Solution,
+    Update,
+    solve,
+)
 from napari_hmrf.fields import count_folds
 from napari_hmrf.loads import growth
+from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.optimizers import work
 from napari_hmrf.solver.optimizers.coarse_start import coarse_problem, prolonged
 from tests.support.finite_oracle import bar, turned
@@ -79,6 +89,21 @@ def test_the_progress_of_a_solve_with_growth_or_a_far_pull_never_decreases(exact
         )
         assert len(set(done)) > 2
         assert done == sorted(done)
+
+
+def test_a_live_solve_shows_how_far_it_got_until_it_is_done(exact_budget, monkeypatch):
+    monkeypatch.setattr(live_solver, "_PREVIEW_BUDGETS", (1.0, 3.0, 9.0, 1e6))
+    updates: list[Update] = []
+    with LiveSolver(updates.append, PRIOR, backend="cpu") as live:
+        live.optimizer = Multigrid(0.01, budget=None)
+        live.submit(dragged())
+        assert live.wait(100)
+    *previews, last = updates
+    assert len(previews) == 2
+    assert not any(update.final for update in previews)
+    assert all(update.solution.count_folds() == 0 for update in previews)
+    assert last.final
+    assert farthest(last.solution, within(None)) < 0.03
 
 
 def test_a_stopped_solve_is_marked_in_its_file(exact_budget, tmp_path):
