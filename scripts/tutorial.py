@@ -179,7 +179,7 @@ def tumour(_: dict[str, Path]) -> None:
     dock.result.visible = False
     wait_until(lambda: not dock.busy)
     keep(person, "tumour-strain")
-    person.choose(form.result.overlay, "nothing")
+    person.choose(form.result.overlay, "none")
     dock.result.visible = True
     table = form.tissue.table
     (row,) = [number for number, each in enumerate(table.rows) if each.name == "tumour"]
@@ -295,6 +295,7 @@ def own(images: dict[str, Path]) -> None:
     dock = open_dock(person)
     form = dock._form
     home(person)
+    person.show(form.make)
     person.click(form.make)
     wait_until(lambda: not dock.busy)
     keep(person, "own-layers")
@@ -322,6 +323,7 @@ def photograph(images: dict[str, Path]) -> None:
     wait(0.5)
     dock = open_dock(person)
     home(person)
+    person.show(dock._form.intensity)
     person.click(dock._form.intensity)
     wait_until(lambda: not dock.busy)
     print(dock.status)
@@ -409,7 +411,7 @@ def views(_: dict[str, Path]) -> None:
         viewer.layers[name].visible = False
     for axis, place in enumerate((10.0, 28.0, 30.0)):
         viewer.dims.set_point(axis, place)
-    person.choose(dock._form.result.overlay, "how far (mm)")
+    person.choose(dock._form.result.overlay, "displacement (mm)")
     wait_until(lambda: not dock.busy)
     home(person)
     wait(0.5)

@@ -22,10 +22,10 @@ _PER_CENT = 100.0
 #: slices, also for a volume.
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "magnitude": ("displacement", ""),
-    "jacobian": ("Jacobian", "area ratio"),
+    "jacobian": ("area change", "ratio"),
     "equivalent": ("equivalent {kind} strain", "%"),
-    "stretch": ("largest {kind} stretch", "%"),
-    "squeeze": ("largest {kind} squeeze", "%"),
+    "stretch": ("maximum {kind} stretch", "%"),
+    "squeeze": ("maximum {kind} compression", "%"),
     "rows": ("{kind} strain from row to row", "%"),
     "columns": ("{kind} strain from column to column", "%"),
     "shear": ("{kind} shear strain", "%"),
@@ -36,7 +36,7 @@ def title_and_unit(quantity: Quantity, solution: Solution) -> tuple[str, str]:
     """Return the title and the unit of a quantity; the title of a strain includes its kind."""
     title, unit = QUANTITIES[quantity]
     if solution.tissue.ndim == 3:
-        unit = unit.replace("area", "volume")
+        title = title.replace("area", "volume")
     return title.format(kind=strain_kind(solution)), unit
 
 

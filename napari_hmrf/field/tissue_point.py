@@ -15,8 +15,8 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
-#: Remark after the Jacobian at a fold, where the displayed value is the smallest determinant of the
-#: elements around the site; elsewhere, the displayed value is the mean of these determinants.
+#: Remark after the area change at a fold, where the displayed value is the smallest determinant of
+#: the elements around the site; elsewhere, the displayed value is the mean of these determinants.
 _FOLDS = " (folds: value at the worst corner)"
 _FULL = 100
 
@@ -151,9 +151,10 @@ def at_point(
     """
     step = tuple(rounded(part) for part in ways.to_display(probe.displacement))
     length = rounded(probe.length)
+    size = "volume" if len(probe.displacement) == 3 else "area"
     parts = [
         f"moves {length:g} {unit}" + (f" ({ways.step(step)})" if length else ""),
-        f"Jacobian {probe.jacobian:.3f}" + (_FOLDS if probe.jacobian <= 0 else ""),
+        f"{size} change x {probe.jacobian:.3f}" + (_FOLDS if probe.jacobian <= 0 else ""),
     ]
     line = ", ".join([*parts, *filter(None, more)])
     return line if percent == _FULL else f"at {_FULL} %: {line}"

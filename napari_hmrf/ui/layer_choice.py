@@ -7,6 +7,7 @@ from typing import Any
 
 from magicgui.widgets import ComboBox, Container, PushButton
 from napari.layers import Image, Points, Shapes
+from psygnal import Signal
 
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, role_of
 from napari_hmrf.layers.slice_view import layer_extents
@@ -36,6 +37,9 @@ class LayerChoice(ComboBox):
     if_any : bool
         If True, the menu is visible only if there is a layer to choose.
     """
+
+    #: Emitted after the layers that can be chosen were listed.
+    listed = Signal()
 
     def __init__(
         self,
@@ -69,6 +73,7 @@ class LayerChoice(ComboBox):
             self.set_value(after)
         if self._if_any:
             self.visible = bool(self.offered)
+        self.listed.emit()
         if after is not before:
             self.changed.emit(after)
 

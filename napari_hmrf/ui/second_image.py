@@ -105,7 +105,7 @@ class SecondImage:
         earlier, self._residuals = self._residuals, None
         if earlier is not None and earlier[1] in earlier[0].features:
             earlier[0].features = earlier[0].features.drop(columns=earlier[1])
-        self._form.landmarks.show_text(self._describe_residuals())
+        self._form.show_landmarks(self._describe_residuals())
 
     def _describe_residuals(self) -> str:
         """Describe the residuals, and store each as a feature of its landmark."""

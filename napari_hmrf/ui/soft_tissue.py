@@ -9,6 +9,7 @@ from typing import Any
 
 from napari.layers import Labels
 from napari.utils.notifications import show_warning
+from qtpy.QtWidgets import QMessageBox
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.image_result import ResultLayers
@@ -241,6 +242,14 @@ class SoftTissue(DockValues):
             self._binding.begin()
             self._controller.solve_cold()
 
+    def reset(self) -> None:
+        """Remove the drawing and restore the default settings, as one undo step.
+
+        The layers, their tables and the device are kept.
+        """
+        self._pointer.release()
+        self.study_model.reset()
+
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixel grid of the image, and choose both.
 
@@ -345,6 +354,7 @@ class SoftTissue(DockValues):
         form.result.keep.changed.connect(lambda _: self._try(self._unsaved.save_as))
         form.footer.deform.changed.connect(lambda _: self.deform())
         form.footer.cancel.changed.connect(lambda _: self.cancel())
+        form.footer.reset.changed.connect(lambda _: self._on_reset())
         for table in form.tables:
             table.picked.connect(self.hand_brush)
             # Show the effect of a typed value even while the brush is active.
@@ -356,6 +366,15 @@ class SoftTissue(DockValues):
         controller.finished.connect(self._on_finished)
         self._view.message.connect(self.show_message)
         self._watch.first_image_ready.connect(self._on_first)
+
+    def _on_reset(self) -> None:
+        """Ask, and reset the study."""
+        button = QMessageBox.StandardButton
+        question = messages.RESET.format(getattr(self.image, "name", ""))
+        offered = button.Reset | button.Cancel
+        answer = QMessageBox.question(self.native, "Soft tissue", question, offered, button.Cancel)
+        if answer == button.Reset:
+            self.reset()
 
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer

@@ -69,7 +69,7 @@ class MaterialTable(LabelTable[Material]):
         return [
             *super().columns,
             Column(
-                f"Stiffness ({unit})" if unit else "Relative\nstiffness",
+                _stiffness_title(unit, self.rows),
                 "Young's modulus, in the same unit for all tissues.\n0: no tissue, such as air. "
                 "'rigid': a rigid body, such as bone, in the elastic model.\n"
                 "Label 0: all pixels that are not painted.",
@@ -95,6 +95,12 @@ class MaterialTable(LabelTable[Material]):
     def default(self, label: int) -> Material:
         """Return a material with the properties of the first row."""
         return default_material(label, self.rows)
+
+
+def _stiffness_title(unit: str, rows: Iterable[Material]) -> str:
+    """Return the title of the stiffness column; without a unit, 1 often means normal tissue."""
+    is_ratio = any(row.stiffness == 1 for row in rows)
+    return f"Stiffness\n({unit or ('x normal' if is_ratio else 'relative')})"
 
 
 def _stiffness(material: Material, text: str) -> Material:
@@ -130,7 +136,7 @@ def _growth(material: Material, text: str) -> Material:
 class BoundaryTable(LabelTable[BoundaryRule]):
     """Table with label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
-    role, title = BOUNDARY, "Boundary"
+    role, title = BOUNDARY, "Name"  # a longer title does not fit into the dock
     _place = "px", Directions(), ""
 
     @property

@@ -314,7 +314,8 @@ class RecoveryNotice(Container):
     def __init__(self, open_recovered: Callable[[Path], None]) -> None:
         self._file = Path()
         self._text = Prose()
-        opened, discarded = PushButton(text="Open it"), PushButton(text="Discard")
+        opened = PushButton(text="Open it", tooltip="Add the layers of this work to the viewer")
+        discarded = PushButton(text="Discard", tooltip="Move the file of this work to the trash")
         super().__init__(widgets=[self._text, row(opened, discarded)], labels=False)
         opened.changed.connect(partial(self._on_pressed, open_recovered))
         discarded.changed.connect(partial(self._on_pressed, _discard))

@@ -19,6 +19,7 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
+from napari_hmrf.ui.dock_form import NEW_BOUNDARY, NEW_TISSUE
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
@@ -89,10 +90,11 @@ class ViewerWatch:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
     def _on_moved(self, study: Study) -> None:
-        """Set tool sizes and schedule `first_image_ready`, for the first image only."""
+        """Set the ranges of lengths; for the first image, also schedule `first_image_ready`."""
+        size = study.grid.shape, study.grid.spacing
+        self._form.motion.fields.limit(*size)
         if not self._has_started:
             self._has_started = True
-            size = study.grid.shape, study.grid.spacing
             self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
             self._first_timer.start()
 
@@ -111,7 +113,7 @@ class ViewerWatch:
         for layer in shown:
             layer.visible = False
         if shown:
-            hidden = messages.describe_image_choice(self._form.image.value, shown)
+            hidden = messages.describe_hidden_paint(shown)
             self._guide.show_message(f"{self._guide.invitation} {hidden}", "step")
 
     @property
@@ -124,7 +126,9 @@ class ViewerWatch:
     def _on_choice(self, *_: Any) -> None:
         form, has_image = self._form, self._form.image.value is not None
         form.make.enabled = has_image and None in self._painted
+        form.make.text = NEW_TISSUE if self._painted[0] is None else NEW_BOUNDARY
         form.intensity.enabled = form.result.keep.enabled = has_image
+        form.footer.reset.enabled = has_image
         self._controller.schedule_refresh()
         self._guide.show()
 

@@ -46,7 +46,8 @@ class WarningChip:
         done, overlay = self._latest(), self._form.result.overlay.value
         self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, overlay)))
         offer = messages.OFFER if self._can_unfold() else ""
-        self._form.footer.offer(messages.CONTINUE if self._can_continue() else offer)
+        offer = messages.CONTINUE if self._can_continue() else offer
+        self._form.footer.offer(offer, messages.ABOUT_OFFERS[offer])
 
     def _can_unfold(self) -> bool:
         """Return whether the large-motion model would avoid the folds of the latest result."""

@@ -81,7 +81,7 @@ def test_every_layer_is_named_after_its_source():
         "grid": "MR grid",
         "labels": "Tissue deformed",
         "magnitude": "MR displacement (px)",
-        "jacobian": "MR Jacobian (area ratio)",
+        "jacobian": "MR area change (ratio)",
     }
     assert layers["labels"].data[12, 20] == 1
     assert layers["arrows"].vector_style == "arrow"

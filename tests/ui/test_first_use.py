@@ -103,7 +103,7 @@ def test_the_status_bar_is_updated_with_the_display(widget, small_sample, settle
     settle(widget)
     viewer.mouse_over_canvas = True
     viewer.cursor.position = (10, 12)
-    assert "Jacobian" in str(viewer.status)
+    assert "area change" in str(viewer.status)
     slide(widget, 0.5)
     settle(widget)
     assert "at 100 %: moves" in str(viewer.status)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any, cast
 
 from magicgui.widgets import ComboBox, Container, Widget
@@ -20,6 +22,10 @@ _SURE = (
     "Confidence in this motion: 1 holds tissue exactly; below 1, tissue slips if holding it would "
     "strain it by more than about this value"
 )
+#: Smallest radius, in pixels, and largest radius, in diagonals of the image.
+_LEAST_RADIUS, _LARGEST_RADIUS = 0.5, 1.0
+#: Number of digits of the smallest radius, which every length field shows.
+_DIGITS = 2
 #: Attributes of marks by the name of the field that sets them, if the names differ.
 _ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}
 #: Fields for the displacement along the row axis and the column axis.
@@ -41,9 +47,8 @@ class ToolFields(Container):
     def __init__(self) -> None:
         self.radius = length(
             "radius",
-            "Radius of the pulled patch or of the brush, in the unit of the image ([ makes it "
-            "smaller, ] makes it larger)",
-            least=0.001,
+            "Radius of the pulled patch or of the brush ([ makes it smaller, ] makes it larger)",
+            least=0.5,
             value=10.0,
             step=1.0,
         )
@@ -51,8 +56,8 @@ class ToolFields(Container):
         self.by_row, self.by_col = (length(self._ways.label(axis), "") for axis in (0, 1))
         self.amount = length(
             "outward",
-            "Distance by which the outline moves along its normal, in the unit of the image; a "
-            "negative distance shrinks the patch",
+            "Distance by which the outline moves along its normal; a negative distance shrinks the "
+            "patch",
         )
         self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
         self.stroke_confidence = share(
@@ -92,6 +97,8 @@ class ToolFields(Container):
         self.margins = (0, 0, 0, 0)
         self._tool = BY_NAME["pull"]
         self._labels = {field: str(field.label) for field in lengths}
+        self._about = {field: str(field.tooltip) for field in lengths}
+        self._range, self._unit = (self.radius.min, self.radius.max), "px"
         self.show_for(self._tool)
         self.show_place("px", self._ways)
 
@@ -150,8 +157,8 @@ class ToolFields(Container):
         for name in self._tool.fields:
             field, attribute = getattr(self, name), _ATTRIBUTES.get(name, name)
             value = values.get(attribute, field.value)
-            if name == "confidence":
-                value = max(value, _LEAST_CONFIDENCE)
+            if hasattr(field, "min"):  # a mark of a script may exceed the range of the field
+                value = min(max(value, field.min), field.max)
             if name != "material" or value in field.choices:
                 with field.changed.blocked():
                     field.value = value
@@ -161,8 +168,38 @@ class ToolFields(Container):
 
         A displacement has no good default direction, so it stays 0 until the user sets it.
         """
-        self.radius.value = radius
-        self.amount.value = self.amount.value or step
+        for field, size in ((self.radius, radius), (self.amount, self.amount.value or step)):
+            field.value = min(max(size, field.min), field.max)
+
+    def limit(self, shape: Sequence[int], spacing: Sequence[float]) -> None:
+        """Set the ranges of lengths and the number of their decimals to the size of an image.
+
+        Parameters
+        ----------
+        shape : sequence of int
+            Number of pixels along each axis.
+        spacing : sequence of float
+            Size of a pixel along each axis.
+        """
+        across = math.dist((0,) * len(shape), [n * s for n, s in zip(shape, spacing, strict=True)])
+        least = float(f"{_LEAST_RADIUS * min(spacing):.{_DIGITS}g}")
+        most = float(f"{max(_LARGEST_RADIUS * across, 2 * least):.3g}")
+        decimals = max(_DIGITS, _DIGITS - 1 - math.floor(math.log10(least)))
+        for field in (self.radius, self.by_row, self.by_col, self.amount):
+            low = least if field is self.radius else -most
+            with field.changed.blocked():
+                field.native.setDecimals(decimals)
+                field.range = low, most
+                field.step = float(f"{max(most / 500, least):.1g}")
+        self._range = least, most
+        self._describe_range()
+
+    def _describe_range(self) -> None:
+        """Add the range of each length to its tooltip."""
+        least, most = self._range
+        for field, about in self._about.items():
+            low = least if field is self.radius else -most
+            field.tooltip = f"{about}. From {low:g} to {most:g} {self._unit}."
 
     def show_place(self, unit: str, ways: Directions) -> None:
         """Show the unit of length and the directions of the rows and columns.
@@ -172,8 +209,9 @@ class ToolFields(Container):
         by, steps = self._by, (self.by_row, self.by_col)
         turned, self._ways = ways != self._ways, ways
         for axis, field in enumerate(steps):
-            self._labels[field] = ways.label(axis)
-            field.tooltip = f"{ways.about(axis)}; in the unit of the image"
+            self._labels[field], self._about[field] = ways.label(axis), ways.about(axis)
+        self._unit = unit
+        self._describe_range()
         for field, words in self._labels.items():
             field.label = f"{words} ({unit})"
         self.show_for(self._tool)

@@ -36,8 +36,8 @@ _ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
 _FILMS = "Films (*.gif *.mp4)"
-_BACK = "For SimpleITK, ANTs, elastix and Slicer: maps deformed positions to original positions"
-_FORTH = "Opposite direction: maps original to deformed positions; the file records the direction"
+_BACK = "Moves images in SimpleITK, ANTs, elastix, Slicer: maps deformed to original positions"
+_FORTH = "Moves points. Maps original to deformed positions; the file records the direction"
 _FILM = "Film of the image as it deforms and returns: .gif, or .mp4 with imageio-ffmpeg"
 _WITH_IT = (
     "New layer, moved with the tissue. In a volume at the same position, only the slice of this "
@@ -212,12 +212,12 @@ class ResultMenu:
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
         for title, about, save, name, kinds in (
-            ("field for images", _BACK, self.save_field, "field-for-images.mha", _FOR_IMAGES),
-            ("field for points", _FORTH, forth, "field-for-points.nrrd", _FOR_POINTS),
-            ("as film", _FILM, self.save_film, "film.gif", _FILMS),
+            ("Export warp (backward)", _BACK, self.save_field, "warp-backward.mha", _FOR_IMAGES),
+            ("Export warp (forward)", _FORTH, forth, "warp-forward.nrrd", _FOR_POINTS),
+            ("Save as film", _FILM, self.save_film, "film.gif", _FILMS),
         ):
-            ask = partial(self._choose_file, save, f"Save {title}", name, kinds)
-            add_entry(menu, f"Save {title} ...", about, ask)
+            ask = partial(self._choose_file, save, title, name, kinds)
+            add_entry(menu, f"{title} ...", about, ask)
 
     def _on_save(self, *_: Any) -> None:
         title = "Choose where to create a folder of pictures"

@@ -23,14 +23,16 @@ NO_FORCES = (
     "Forces are available for elastic tissue and large motion, after Deform in this session. "
     "Results of the paper's model and results from files have no forces."
 )
+#: Value of the overlay menu without an overlay, and its text.
 NOTHING: str = "nothing"
+_NONE = "none"
 SAVING = "Saving pictures ..."
 FULL = 100
 _UPRIGHT = Directions()
 
 _ABOUT: dict[Name, str] = {
     "magnitude": "displacement ({unit})",
-    "jacobian": "Jacobian",
+    "jacobian": "{size} change",
     "equivalent": "strain: equivalent",
     "stretch": "strain: maximum stretch",
     "squeeze": "strain: maximum compression",
@@ -39,7 +41,7 @@ _ABOUT: dict[Name, str] = {
     "shear": "strain: shear",
     "grid": "grid",
     "labels": "tissue labels",
-    "difference": "difference from reference ({unit})",
+    "difference": "difference from known field ({unit})",
     "folds": "folds",
     "overlaps": "overlaps",
     "stiffness": "input: stiffness",
@@ -59,7 +61,7 @@ LACKING: dict[Name, str] = {
 }
 OVERLAY_TIP = (
     "Overlay on the image that moves with the tissue; its values belong to the visible tissue.\n"
-    "Jacobian: factor by which area changes. Purple: shrinks, orange: grows, yellow: folds.\n"
+    "Area change, volume change: ratio of sizes. Purple: shrinks, orange: grows, yellow: folds.\n"
     "Strain: elastic strain without growth, in %; negative: compression. Equivalent: von Mises\n"
     "strain in all three directions. For the paper's model: total strain within the image.\n"
     "Input motion: lines start at the undeformed tissue; a dot marks tissue that is held."
@@ -74,9 +76,10 @@ def overlay_choices(
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))
     )
-    words = {"unit": unit, "rows": rows, "columns": columns}
+    size = "volume" if len(ways.order) == 3 else "area"
+    words = {"unit": unit, "size": size, "rows": rows, "columns": columns}
     offered = {name: said for name, said in _ABOUT.items() if compared or name != "difference"}
-    return [(NOTHING, NOTHING), *((said.format(**words), name) for name, said in offered.items())]
+    return [(_NONE, NOTHING), *((said.format(**words), name) for name, said in offered.items())]
 
 
 def how_far(

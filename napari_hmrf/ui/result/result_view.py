@@ -318,13 +318,17 @@ class ResultView:
 
     def _show_distance(self, *_: Any) -> None:
         """Show the percentage, the largest displacement, the slice and the differences."""
-        text = ""
+        text = difference = ""
         if (shown := self.shown) is not None:
+            if self.comparison is not None:
+                answer = shown.answer
+                difference = self.comparison.in_words(answer.solution, answer.unit)
             percent = self._form.slider.value
             text = words.how_far(shown.answer, shown.longest, percent, self.comparison)
             if shown.overlay is not None and percent == words.FULL:
                 text = ". ".join(filter(None, (text.rstrip("."), shown.overlay.beyond)))
         self._form.how_far.show_text(text)
+        self._form.differences.show_text(difference)
 
     # Buttons and events
 

@@ -391,7 +391,7 @@ def test_a_sample_selects_its_tissue_and_hides_its_paint(open_beside, settle):
     assert not layers["Tissue"].visible
     assert not layers["Boundary"].visible
     settle(widget)
-    assert "Hidden to make 'Brain' visible: 'Tissue', 'Boundary'. Click the eye" in widget.status
+    assert "Tissue hidden while pulling: 'Tissue', 'Boundary'." in widget.status
     widget.boundary = layers["Boundary"]
     settle(widget)
     painted = layers["Boundary"].data == 2

@@ -342,9 +342,9 @@ def test_stiffness_motion_and_confidence_are_painted_and_shown_as_layers(pulling
     assert not confidence.colormap.map([0.0])[0, 3], "a confidence of 0 hides the image"
     names = [layer.name for layer in viewer.layers]
     assert names.index("Confidence") == names.index("Motion, painted") - 1
-    Screen(widget).choose("Jacobian")
+    Screen(widget).choose("area change")
     settle(widget)
-    (overlay,) = (layer for layer in viewer.layers if "Jacobian" in layer.name)
+    (overlay,) = (layer for layer in viewer.layers if "area change" in layer.name)
     assert overlay.colorbar.visible
     assert overlay.colorbar.position != confidence.colorbar.position, (
         "two colour bars share a corner"

@@ -170,7 +170,7 @@ def test_overlays_of_a_pulled_result_are_named_after_the_image(pulled, settle):
     viewer, dock = pulled
     dock.overlay = "squeeze"
     settle(dock)
-    assert "MR largest elastic squeeze (%), elastic" in viewer.layers
+    assert "MR maximum elastic compression (%), elastic" in viewer.layers
     assert dock.image is viewer.layers["MR"]
 
 
@@ -676,7 +676,7 @@ def test_new_layers_to_paint_on_do_not_change_the_result(pulling_beside, settle)
     person.drag((24, 30), (28, 36))
     settle(dock)
     before = dock.solution
-    Screen(dock).press("Layers to paint on")
+    Screen(dock).press("New tissue layer")
     settle(dock)
     assert dock.tissue is person.viewer.layers["Tissue"]
     assert np.array_equal(dock.solution.tissue, before.tissue)

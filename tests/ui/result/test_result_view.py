@@ -97,7 +97,7 @@ def test_a_missing_result_causes_a_hint_and_a_new_result_is_selected(
     assert look._form.result.slider.enabled
     assert look.status.startswith("Tissue moved up to 3")
     assert look.overlay == "jacobian", "the overlay chosen before the result was lost"
-    assert "MR Jacobian (area ratio), paper" in names(viewer_of(widget))
+    assert "MR area change (ratio), paper" in names(viewer_of(widget))
 
 
 def test_the_slider_moves_a_renamed_image(look, set_to):
@@ -259,7 +259,7 @@ def test_overlays_are_hidden_while_the_undeformed_image_is_shown(look, set_to):
     layer = viewer.layers["MR displacement (px), paper"]
     look.before = True
     set_to(look, overlay="jacobian")
-    assert layer.name == "MR Jacobian (area ratio), paper"
+    assert layer.name == "MR area change (ratio), paper"
     assert layer.visible, "the chosen overlay is hidden"
     assert not look.before
 
@@ -332,7 +332,7 @@ def test_colours_show_displacement_area_change_and_strain(look, set_to):
     np.testing.assert_allclose(layer.data, lengths_of(solution, 1.0))
     assert layer.contrast_limits == [0, 3]
     set_to(look, overlay="jacobian")
-    assert layer.name == "MR Jacobian (area ratio), paper"
+    assert layer.name == "MR area change (ratio), paper"
     inside = layer.data[10, 5:19]
     assert ((inside > 1.02) & (inside < 1.4)).all(), "the area of the pulled block does not grow"
     low, high = layer.contrast_limits
@@ -359,7 +359,7 @@ def test_paint_is_hidden_below_the_colours_of_a_result(look, run, set_to, overla
     set_to(look, overlay=overlay)
     for paint in ("Tissue", "Boundary"):
         assert not viewer.layers[paint].visible, "paint tints transparent colours"
-    (name,) = {"MR Jacobian (area ratio), paper", "Tissue deformed, paper"} & set(names(viewer))
+    (name,) = {"MR area change (ratio), paper", "Tissue deformed, paper"} & set(names(viewer))
     assert names(viewer)[-2:] == [name, "MR arrows, paper"], "colours cover the arrows"
     for layer in (viewer.layers["Tissue"], viewer.layers["Boundary"]):
         viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
@@ -375,7 +375,7 @@ def test_one_overlay_is_shown_at_a_time(look, set_to):
     for name, shown in (
         ("grid", "MR grid, paper"),
         ("stiffness", "MR stiffness (kPa), paper"),
-        ("jacobian", "MR Jacobian (area ratio), paper"),
+        ("jacobian", "MR area change (ratio), paper"),
         ("labels", "Tissue deformed, paper"),
         ("observed", "MR given motion, paper"),
         ("confidence", "MR confidence (0 to 1), paper"),
@@ -496,7 +496,7 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     set_to(widget, overlay="jacobian")
     assert f"at {outputs.folds} pixels" in widget.warning
     assert "the tissue folds" in widget.warning
-    layer = viewer_of(widget).layers["MR Jacobian (area ratio), paper"]
+    layer = viewer_of(widget).layers["MR area change (ratio), paper"]
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
     assert folded.sum() == outputs.folds
@@ -524,11 +524,11 @@ def test_the_status_bar_describes_the_point_under_the_cursor(look):
     viewer.cursor.position = (10, 5.2)
     status = viewer.status["coordinates"]
     assert status.startswith("[10"), "the text of napari was removed"
-    assert status.count("Jacobian") == 1
+    assert status.count("area change") == 1
     assert " right)" in status, "the direction is a sign instead of a word"
     assert "stiffness 20 kPa (gel)" in status
     viewer.cursor.position = (0, 0)
-    assert "Jacobian" not in str(viewer.status)
+    assert "area change" not in str(viewer.status)
     viewer.layers.selection.clear()
     viewer.cursor.position = (10, 6)
     assert "stiffness 20 kPa (gel)" in viewer.status
@@ -538,7 +538,7 @@ def test_the_status_bar_describes_the_point_under_the_cursor(look):
 def test_the_jacobian_of_a_fold_is_described_as_that_of_the_worst_corner(jacobian):
     probe = Probe((1, 2), (0.0, 3.0), 3.0, jacobian, 5.0)
     said = at_point("px", probe, Directions())
-    assert f"Jacobian {jacobian:.3f}" in said
+    assert f"area change x {jacobian:.3f}" in said
     assert said.endswith("(folds: value at the worst corner)") == (jacobian < 0)
 
 
@@ -554,9 +554,9 @@ def test_lengths_in_the_status_bar_are_rounded_to_significant_digits():
         found = Probe((3, 4), (down, right), float(np.hypot(down, right)), 1.0, 0.0)
         return at_point("px", found, Directions())
 
-    assert said(6.37e-05, -2.3e-04) == "moves 0 px, Jacobian 1.000"
-    assert said(-3e-5, 1.2345) == "moves 1.23 px (1.23 right), Jacobian 1.000"
-    assert said(-12.345, 0.0067) == "moves 12.3 px (12.3 up, 0.01 right), Jacobian 1.000"
+    assert said(6.37e-05, -2.3e-04) == "moves 0 px, area change x 1.000"
+    assert said(-3e-5, 1.2345) == "moves 1.23 px (1.23 right), area change x 1.000"
+    assert said(-12.345, 0.0067) == "moves 12.3 px (12.3 up, 0.01 right), area change x 1.000"
 
 
 def test_the_status_bar_reads_the_origin_of_the_displayed_tissue(look, set_to):
@@ -613,7 +613,7 @@ def test_the_result_of_a_slice_moves_at_its_place_in_the_stack(make_stack, set_t
     look, outputs = make_stack
     viewer = viewer_of(look)
     set_to(look, percent=50, overlay="jacobian")
-    assert "MR Jacobian (area ratio), paper (z = 2)" in names(viewer)
+    assert "MR area change (ratio), paper (z = 2)" in names(viewer)
     moved = viewer.layers["MR deformed, paper (z = 2)"]
     assert moved.data.shape == (1, 20, 24)
     solution = outputs.solution
@@ -814,14 +814,14 @@ def test_a_closed_dock_adds_no_status_and_can_be_opened_again(framed, frame, wai
     viewer.status = "Ready"
     viewer.mouse_over_canvas = True
     viewer.cursor.position = (10, 12)
-    assert "Jacobian" not in str(viewer.status)
+    assert "area change" not in str(viewer.status)
     again = quick(frame.open())
     wait_for(lambda: not again.busy)
     assert again.result is viewer.layers["MR arrows, paper"]
     assert "Shift+B" in [str(key) for key in viewer.keymap]
     viewer.status = "Ready"
     viewer.status = "looked again"
-    assert "Jacobian" in viewer.status
+    assert "area change" in viewer.status
 
 
 def test_data_set_by_other_code_are_not_overwritten_by_the_full_motion(look, set_to):
@@ -889,11 +889,11 @@ def test_an_added_layer_has_metadata_of_its_kind_and_source(look, set_to):
         set_to(look, overlay=name)
         (layer,) = (each for each in viewer.layers if metadata_of(each).get("kind") == name)
         assert type(layer) is kind
-    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
+    facts = viewer.layers["MR maximum in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["source"] == "MR"
     assert "percent" not in facts, "a layer of the full motion has a percentage"
     set_to(look, percent=30)
-    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
+    facts = viewer.layers["MR maximum in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["percent"] == 30
 
 
