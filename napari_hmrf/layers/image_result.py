@@ -13,7 +13,7 @@ from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.compat import show_name
+from napari_hmrf.layers.compat import outline_arrows, show_name
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
     METADATA,
@@ -317,6 +317,8 @@ class Result:
                 state = self._states[part] = _PartState(weakref.ref(layer), name, wanted)
                 layers.insert(self._index(part, made, source), layer)
                 state.name = layer.name
+                if made.kind == "vectors":
+                    outline_arrows(self._viewer, layer)
                 # Use different corners, because two colour bars in one corner would overlap.
                 corner = "top_left" if part == CONFIDENCE else "top_right"
                 if is_scale:

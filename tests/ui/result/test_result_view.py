@@ -21,6 +21,7 @@ from napari_hmrf.field.strain import green_lagrange_strain
 from napari_hmrf.field.tissue_point import Probe, at_point
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
+from napari_hmrf.layers.compat import scale_bar_of
 from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
@@ -415,6 +416,43 @@ def test_arrows_end_at_the_displayed_position_of_the_tissue(look, set_to):
     set_to(look, percent=50)
     look._view.rest()
     assert arrows.length == pytest.approx(2)
+
+
+def test_a_scale_key_is_shown_while_arrows_are_to_scale(look, set_to):
+    bar, arrows, text = scale_bar_of(viewer_of(look)), look.result, look._form.result.how_far
+    assert bar.visible
+    assert bar.position == "bottom_left"
+    set_to(look, percent=50)
+    assert bar.visible, "shorter arrows show the displacement at 50 %"
+    set_to(look, percent=100)
+    arrows.length = 4
+    assert not bar.visible
+    assert "Arrows are drawn 4 times as long as the motion" in text.value
+    arrows.length = 1
+    assert bar.visible
+    assert "Arrows are drawn" not in text.value
+    arrows.visible = False
+    assert not bar.visible
+
+
+def test_the_scale_key_leaves_the_choice_of_the_user(look):
+    bar, arrows = scale_bar_of(viewer_of(look)), look.result
+    bar.visible = False
+    arrows.visible = False
+    arrows.visible = True
+    assert not bar.visible
+    bar.visible = True
+    arrows.visible = False
+    look._view.release()
+    assert not bar.visible, "a closed dock leaves its key on the canvas"
+
+
+def test_arrows_follow_the_slider_before_the_pictures_are_computed(look, set_to, monkeypatch):
+    arrows, jobs = look.result, []
+    monkeypatch.setattr(look._view.player._jobs, "submit", lambda *job: jobs.append(job))
+    look.percent = 30
+    assert arrows.length == pytest.approx(0.3)
+    assert jobs
 
 
 @pytest.mark.parametrize("largest", [0.00042, 0.0123, 0.43, 0.49, 0.8, 0.97, 8.3, 44, 72, 96, 450])
