@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from napari.layers import Layer, Vectors
+from napari.layers import Image, Layer, Vectors
 from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS
@@ -242,6 +242,8 @@ class Result:
                 self._viewer.layers.remove(layer)
             else:
                 layer.visible = False
+            if part == "overlay":
+                self._update_visibility()  # the overlay has hidden painted confidence
 
     def drop_paint(self, besides: Collection[Part] = ()) -> None:
         """Remove the paint layers, except those of the parts in `besides`."""
@@ -284,10 +286,15 @@ class Result:
 
     def _update_visibility(self) -> None:
         """Update the visibility of each layer."""
-        for part, layer, state in self._present_layers():
+        # Two colour scales on one image, and their legends, could be mistaken for each other.
+        parts = sorted(self._present_layers(), key=lambda each: each[0] == CONFIDENCE)
+        overlay = self._states.get("overlay")
+        for part, layer, state in parts:
             state.is_wanted = self.is_wanted(part)
             partly = not self._is_whole and part in (PAINTED, CONFIDENCE)
             hidden = self.is_before or self.is_away or partly
+            if part == CONFIDENCE and overlay is not None and overlay.is_shown:
+                hidden = hidden or isinstance(self.layer("overlay"), Image)
             state.is_shown = state.is_wanted and state.current and not hidden
             if layer.visible != state.is_shown:
                 layer.visible = state.is_shown
@@ -319,8 +326,7 @@ class Result:
                 state.name = layer.name
                 if made.kind == "vectors":
                     outline_arrows(self._viewer, layer)
-                # Use different corners, because two colour bars in one corner would overlap.
-                corner = "top_left" if part == CONFIDENCE else "top_right"
+                corner = "top_right"
                 if is_scale:
                     layer.colorbar.position, layer.colorbar.visible = corner, True
                 if part in ("overlay", CONFIDENCE):

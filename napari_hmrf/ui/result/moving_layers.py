@@ -13,7 +13,6 @@ from psygnal import Signal
 
 from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.field.deformation import magnitude
-from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
@@ -98,9 +97,7 @@ class MovingLayers:
             self.motion = Motion(solution, self.image)
         else:
             self.layers.put("overlay", made.layer, self.source, show)
-            quantity = made.name if made.name in QUANTITIES else None
-            picture, is_grid = made.picture, made.name == "grid"
-            self.motion = Motion(solution, self.image, picture, is_grid, quantity)
+            self.motion = made.motion(solution, self.image)
 
     def ready(self) -> bool:
         """Add the layer of the moving image, if needed; return whether any layer can move."""

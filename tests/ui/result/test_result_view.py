@@ -17,7 +17,7 @@ from napari_hmrf.contributions import open_solution
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.quantities import coloured
-from napari_hmrf.field.strain import green_lagrange_strain
+from napari_hmrf.field.strain import fold_mask, green_lagrange_strain
 from napari_hmrf.field.tissue_point import Probe, at_point
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
@@ -534,7 +534,7 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     set_to(widget, overlay="jacobian")
     assert f"at {outputs.folds} pixels" in widget.warning
     assert "the tissue folds" in widget.warning
-    layer = viewer_of(widget).layers["MR Jacobian (area ratio), paper"]
+    layer = viewer_of(widget).layers["MR Jacobian (area ratio; yellow: folded), paper"]
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
     assert folded.sum() == outputs.folds
@@ -550,6 +550,28 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     assert "Colours end" not in widget._form.result.how_far.value
     np.testing.assert_allclose(layer.colormap.low_color, (1, 0.933, 0, 1), atol=0.01)
     assert layer.colormap.map(np.array([1.0]))[0, :3] == pytest.approx((0.5, 0.23, 0.03), abs=0.05)
+
+
+def test_folds_are_drawn_and_named_as_folds_instead_of_strain(widget, small_sample, run, set_to):
+    small_sample(viewer_of(widget))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
+    widget.settings = replace(widget.settings, sweeps=60)
+    solution = run(widget).solution
+    for overlay in ("squeeze", "equivalent"):
+        set_to(widget, overlay=overlay)
+        (layer,) = [each for each in viewer_of(widget).layers if "; yellow: folded" in each.name]
+        folds = layer.data == -np.inf
+        field = solution.displacement, solution.spacing, solution.tissue
+        folded = fold_mask(field[0], spacing=field[1], tissue=field[2])
+        moved = warp(folded, field[0], spacing=field[1], tissue=field[2], order=0)
+        np.testing.assert_array_equal(folds, moved)
+        low = layer.contrast_limits[0]
+        assert not (layer.data[~folds] < low).any(), "strain is drawn in the colour of folds"
+    site = tuple(np.argwhere(folded)[0])
+    widget._view.cursor.at = lambda _: Probe(site, (0.0, 1.0), 1.0, -1.0, 2.0)
+    assert "equivalent in-plane strain: folded" in widget._view.cursor.line_at(())
+    set_to(widget, percent=1)
+    assert not (layer.data == -np.inf).any(), "nothing folds at 1 %"
 
 
 # The status bar
