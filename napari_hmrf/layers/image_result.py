@@ -14,6 +14,7 @@ from psygnal import Signal
 from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.compat import outline_arrows, show_name
+from napari_hmrf.layers.label_colours import opaque_gaps
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
     METADATA,
@@ -343,6 +344,9 @@ class Result:
                 now, at = layers.index(layer), self._index(part, made, source)
                 if is_overlaid and now + 1 < at:  # paint was added above the overlay
                     layers.move(now, at)
+        is_grey = part == "image" and not layer.rgb
+        if is_grey and layer.dtype.kind == "f" and np.isnan(layer.data).any():
+            layer.colormap = opaque_gaps(layer.colormap)
         state.writable = state.part = state.complete = None
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
