@@ -20,6 +20,9 @@ _PER_CENT = 100.0
 #: Largest end of a scale of strain, in per cent. Larger strain occurs only at sites that nearly
 #: fold, and would make the strain of the other tissue invisible.
 _LARGEST_STRAIN = 100.0
+#: Distance of clipped values from the lower end of a scale, as a fraction of the scale. napari
+#: draws values at the lower end in the colour of folds.
+_INSIDE = 1e-3
 #: Title and unit of each quantity. The unit "" means the unit of length, and "{kind}" is replaced
 #: by the `StrainKind`. "rows", "columns" and "shear" are the components of the strain within
 #: slices, also for a volume.
@@ -113,8 +116,10 @@ def without_folds(values: FloatArray, solution: Solution, fraction: float = 1.0)
 
 
 def within(values: FloatArray, limits: tuple[float, float]) -> FloatArray:
-    """Clip strain to the ends of a scale, so that only folds are below the lower end."""
-    return np.where(np.isneginf(values), values, np.clip(values, limits[0], limits[1]))
+    """Clip strain to the inside of a scale, so that only folds are at or below the lower end."""
+    low, high = limits
+    inside = np.clip(values, low + _INSIDE * (high - low), high)
+    return np.where(np.isneginf(values), values, inside)
 
 
 def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> FloatArray:

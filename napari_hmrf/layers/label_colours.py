@@ -35,7 +35,7 @@ def boundary_colours() -> Any:
 
 def mark_look() -> dict[str, Any]:
     """Return the display settings of a Labels layer that marks sites, such as folds."""
-    colours = {None: "transparent", 0: "transparent", 1: "red"}
+    colours = {None: "transparent", 0: "transparent", 1: FOLDED}
     return {"colormap": colormaps.DirectLabelColormap(color_dict=colours), "opacity": 1.0}
 
 
