@@ -95,6 +95,23 @@ def drawn_node(viewer: Any, layer: Any) -> Any:
         return None
 
 
+def fade(viewer: Any, layer: Any, share: float) -> None:
+    """Draw a layer with a share of its opacity, without changing its settings.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    layer : napari.layers.Layer
+    share : float
+        From 0 (invisible) to 1.
+    """
+    # Private: a change of `layer.opacity` would be shown in napari's controls and be saved.
+    node = drawn_node(viewer, layer)
+    if node is not None:
+        node.opacity = share * layer.opacity
+        node.update()
+
+
 def outline_arrows(viewer: Any, layer: Any) -> None:
     """Draw the arrows of a Vectors layer with a dark outline and a minimum size of the head."""
     # Private: napari has no public setting for the outline and the heads of arrows, so the

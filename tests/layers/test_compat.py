@@ -145,6 +145,18 @@ def test_arrows_have_an_outline_in_the_window(make_napari_viewer):
     compat.outline_arrows(ViewerModel(), layer)  # without a window, nothing is drawn
 
 
+def test_a_layer_fades_without_a_change_of_its_settings(make_napari_viewer):
+    viewer = make_napari_viewer()
+    layer = viewer.add_image(np.eye(8), opacity=0.5)
+    compat.fade(viewer, layer, 0.2)
+    assert layer.opacity == 0.5
+    assert compat.drawn_node(viewer, layer).opacity == pytest.approx(0.1)
+    compat.fade(viewer, layer, 1.0)
+    assert compat.drawn_node(viewer, layer).opacity == 0.5
+    compat.fade(ViewerModel(), layer, 0.2)  # without a window, nothing is drawn
+    assert public_names_with(layer, "fade") == [], "check for a public way"
+
+
 def test_textures_of_a_removed_layer_are_deleted_in_their_context(
     make_napari_viewer, monkeypatch, at_rest
 ):

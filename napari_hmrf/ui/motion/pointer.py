@@ -218,6 +218,7 @@ class Pointer:
     def end(self) -> None:
         """Disconnect from the undo steps, and end any drag."""
         self.display.arrows.end_drag()
+        self.display.release()
         self._undo.message.disconnect(self._on_step)
         self._model.changed.disconnect(self._on_drawn)
 

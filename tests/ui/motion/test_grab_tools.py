@@ -10,6 +10,7 @@ from qtpy.QtTest import QTest
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
+from napari_hmrf.layers.compat import drawn_node
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
@@ -365,6 +366,31 @@ def test_stiffness_motion_and_confidence_are_painted_and_shown_as_layers(pulling
     Screen(widget).choose("nothing")
     settle(widget)
     assert confidence.visible
+
+
+def test_marks_fade_while_the_mouse_is_outside_the_canvas(pulling, settle):
+    person, widget = pulling
+    viewer = person.viewer
+    person.key(PIN)
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    names = "Motion", "Motion, painted"
+
+    def opacities():
+        return [drawn_node(viewer, by_name(viewer, name)).opacity for name in names]
+
+    viewer.mouse_over_canvas = True
+    assert opacities() == [1, 1]
+    viewer.mouse_over_canvas = False  # as napari does when the mouse leaves
+    assert opacities() == pytest.approx([0.2, 0.2])
+    assert [by_name(viewer, name).opacity for name in names] == [1, 1], "a setting was changed"
+    widget.undo()
+    settle(widget)
+    widget.redo()
+    settle(widget)
+    assert opacities() == pytest.approx([0.2, 0.2]), "new layers of marks do not fade"
+    viewer.mouse_over_canvas = True
+    assert opacities() == [1, 1]
 
 
 def test_a_mark_of_one_component_is_labelled_on_the_canvas_and_drawn_with_double_arrows(
