@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from napari.layers import Layer, Vectors
+from napari.layers import Image, Layer, Vectors
 from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.compat import show_name
+from napari_hmrf.layers.compat import outline_arrows, show_name
+from napari_hmrf.layers.label_colours import opaque_gaps
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
     METADATA,
@@ -242,6 +243,8 @@ class Result:
                 self._viewer.layers.remove(layer)
             else:
                 layer.visible = False
+            if part == "overlay":
+                self._update_visibility()  # the overlay has hidden painted confidence
 
     def drop_paint(self, besides: Collection[Part] = ()) -> None:
         """Remove the paint layers, except those of the parts in `besides`."""
@@ -284,10 +287,15 @@ class Result:
 
     def _update_visibility(self) -> None:
         """Update the visibility of each layer."""
-        for part, layer, state in self._present_layers():
+        # Two colour scales on one image, and their legends, could be mistaken for each other.
+        parts = sorted(self._present_layers(), key=lambda each: each[0] == CONFIDENCE)
+        overlay = self._states.get("overlay")
+        for part, layer, state in parts:
             state.is_wanted = self.is_wanted(part)
             partly = not self._is_whole and part in (PAINTED, CONFIDENCE)
             hidden = self.is_before or self.is_away or partly
+            if part == CONFIDENCE and overlay is not None and overlay.is_shown:
+                hidden = hidden or isinstance(self.layer("overlay"), Image)
             state.is_shown = state.is_wanted and state.current and not hidden
             if layer.visible != state.is_shown:
                 layer.visible = state.is_shown
@@ -317,8 +325,9 @@ class Result:
                 state = self._states[part] = _PartState(weakref.ref(layer), name, wanted)
                 layers.insert(self._index(part, made, source), layer)
                 state.name = layer.name
-                # Use different corners, because two colour bars in one corner would overlap.
-                corner = "top_left" if part == CONFIDENCE else "top_right"
+                if made.kind == "vectors":
+                    outline_arrows(self._viewer, layer)
+                corner = "top_right"
                 if is_scale:
                     layer.colorbar.position, layer.colorbar.visible = corner, True
                 if part in ("overlay", CONFIDENCE):
@@ -335,6 +344,9 @@ class Result:
                 now, at = layers.index(layer), self._index(part, made, source)
                 if is_overlaid and now + 1 < at:  # paint was added above the overlay
                     layers.move(now, at)
+        is_grey = part == "image" and not layer.rgb
+        if is_grey and layer.dtype.kind == "f" and np.isnan(layer.data).any():
+            layer.colormap = opaque_gaps(layer.colormap)
         state.writable = state.part = state.complete = None
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:

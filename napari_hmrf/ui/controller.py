@@ -250,6 +250,7 @@ class Controller:
     def release(self) -> None:
         """Stop responding to edits permanently."""
         self._is_released = True
+        self.chip.release()
         self.engine.release()
 
     # Solving and showing

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.field.motion_lines import Lines
+from napari_hmrf.layers.compat import fade
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
@@ -22,12 +23,14 @@ from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
-from napari_hmrf.ui.events import single_shot
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, CanvasListener
 
 #: Longest time that a brush stroke waits for the updated tissue, in milliseconds. Painting both
 #: together saves a repaint.
 _AHEAD = 80
+#: Share of the opacity of marks while the mouse is outside the canvas.
+_FADED = 0.2
 
 
 class Display:
@@ -67,6 +70,8 @@ class Display:
         self._is_copy = False
         self.quiet = False
         self._stroke_timer = single_shot(native, _AHEAD, self._show_stroke)
+        self._is_faded = False
+        self._events = EventConnections((viewer.events.mouse_over_canvas, self._on_mouse))
 
     @property
     def moved(self) -> Deformation | None:
@@ -162,6 +167,7 @@ class Display:
         if result is not None:
             result.drop_paint(besides=shown)
         self._results.show(self._image, place, shown, moving=moving)
+        self._fade(self._is_faded)  # the layers may be new
 
     def show_painted(self, state: ShownDeformation) -> None:
         """Show the paint of a state."""
@@ -198,6 +204,7 @@ class Display:
         else:
             place = moved.study.grid.known_place
             result.put(PAINTED, painted_layer(place, picture, self.tissues), show=False)
+        self._fade(self._is_faded)  # the layer may be new
 
     def show_stroke(self, stroke: Stroke, at_once: bool) -> None:
         """Show the stroke that is being painted, immediately or after a short delay."""
@@ -221,6 +228,26 @@ class Display:
         if isinstance(mark, Stroke) and not is_dragging and state and state.moved.ground:
             below.append(way_of(mark, state.moved.study.grid.spacing, state.moved.moved_positions))
         self.arrows.show(drawing, selected, below, quick=is_dragging)
+        self._fade(self._is_faded)  # the layer may be new
+
+    def release(self) -> None:
+        """Disconnect from the viewer, and show the marks at their full opacity."""
+        self._events.release()
+        self._fade(False)
+
+    def _on_mouse(self, *_: object) -> None:
+        """Fade the marks when the mouse leaves the canvas, so that the result is visible."""
+        self._fade(not self._viewer.mouse_over_canvas)
+
+    def _fade(self, is_faded: bool) -> None:
+        before, self._is_faded = self._is_faded, is_faded
+        if not (before or is_faded):
+            return
+        result = self.result
+        parts = () if result is None else (result.layer(part) for part in (PAINTED, CONFIDENCE))
+        for layer in (self.arrows.layer, *parts):
+            if layer is not None:
+                fade(self._viewer, layer, _FADED if is_faded else 1.0)
 
     def leave(self) -> None:
         """Remove the arrow layer, which no longer responds to the mouse."""

@@ -20,6 +20,10 @@ NO_STEP = (
     "Now drag the paint to push the tissue, or set a distance above. Until then, the tissue is "
     "held in place."
 )
+NO_MOTION = (
+    "This stroke has no effect: the tissue under it is neither held nor moved. Paint confidence "
+    "over held or moved tissue."
+)
 NO_WAY = "This landmark holds tissue in place: drag the dot to its target to move the tissue."
 NO_OUTSIDE = (
     "Nothing was painted: an open line has no inside, so it cannot grow. Close the line to form a "

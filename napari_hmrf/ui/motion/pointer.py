@@ -15,6 +15,7 @@ from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.without_effect import lacks_motion
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
@@ -217,6 +218,7 @@ class Pointer:
     def end(self) -> None:
         """Disconnect from the undo steps, and end any drag."""
         self.display.arrows.end_drag()
+        self.display.release()
         self._undo.message.disconnect(self._on_step)
         self._model.changed.disconnect(self._on_drawn)
 
@@ -274,6 +276,9 @@ class Pointer:
             self.refusal.emit(str(error))
         self._show_cursor()
         if was_dragging:
+            if self._lacks_motion:
+                self.refusal.emit(motion_messages.NO_MOTION)
+                message = None
             self._show_settings()
             if message is not None:
                 self.message.emit(message)
@@ -308,6 +313,14 @@ class Pointer:
         """Multiply the brush radius by a factor."""
         radius = self._fields.radius
         radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
+
+    @property
+    def _lacks_motion(self) -> bool:
+        """True if the selected stroke paints confidence where nothing is held or moved."""
+        moved, number = self.display.moved, self.tool.selected
+        if moved is None or moved.ground is None or number is None:
+            return False
+        return lacks_motion(self.drawing, number, moved.ground.base)
 
     # Reactions to changes
 

@@ -94,6 +94,12 @@ def how_far(
     return f"{moved}. {compared.in_words(result.solution, result.unit)}"
 
 
+def arrow_scale(times: float) -> str:
+    """Return a clause about arrows that are longer or shorter than the displacement, or ""."""
+    ratio = f"{times:.2g}"
+    return "" if ratio == "1" else f"Arrows are drawn {ratio} times as long as the motion"
+
+
 def saved(paths: Sequence[Path]) -> str:
     """Return a message with the names and the folder of the written pictures."""
     return f"Saved in {paths[0].parent}: {', '.join(path.name for path in paths)}."

@@ -10,6 +10,7 @@ from qtpy.QtTest import QTest
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
+from napari_hmrf.layers.compat import drawn_node
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
@@ -282,6 +283,21 @@ def test_a_soft_brush_paints_confidence_over_moved_tissue(brushing_beside, settl
     assert not displayed_paint(person).any()
 
 
+def test_a_stroke_of_confidence_where_nothing_is_held_or_moved_is_reported(brushing_beside, settle):
+    person, widget = brushing_beside
+    widget.clear()
+    person.key(CONFIDENCE)
+    person.paint((30, 31), (30, 33))
+    settle(widget)
+    assert widget.status.startswith("This stroke has no effect: the tissue under it is neither")
+    person.key(PIN)
+    person.paint((30, 31), (30, 33))
+    person.key(CONFIDENCE)
+    person.paint((30, 31), (30, 33))
+    settle(widget)
+    assert "no effect" not in widget.status
+
+
 def test_the_layer_of_strokes_is_removed_with_the_last_stroke_and_restored_by_redo(
     pulling_beside, settle
 ):
@@ -346,11 +362,35 @@ def test_stiffness_motion_and_confidence_are_painted_and_shown_as_layers(pulling
     settle(widget)
     (overlay,) = (layer for layer in viewer.layers if "area change" in layer.name)
     assert overlay.colorbar.visible
-    assert overlay.colorbar.position != confidence.colorbar.position, (
-        "two colour bars share a corner"
-    )
-    if hasattr(overlay, "name_overlay"):  # The name overlay exists since napari 0.9.
-        assert confidence.name_overlay.position == confidence.colorbar.position
+    assert not confidence.visible, "two colour scales are displayed at once"
+    Screen(widget).choose("nothing")
+    settle(widget)
+    assert confidence.visible
+
+
+def test_marks_fade_while_the_mouse_is_outside_the_canvas(pulling, settle):
+    person, widget = pulling
+    viewer = person.viewer
+    person.key(PIN)
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    names = "Motion", "Motion, painted"
+
+    def opacities():
+        return [drawn_node(viewer, by_name(viewer, name)).opacity for name in names]
+
+    viewer.mouse_over_canvas = True
+    assert opacities() == [1, 1]
+    viewer.mouse_over_canvas = False  # as napari does when the mouse leaves
+    assert opacities() == pytest.approx([0.2, 0.2])
+    assert [by_name(viewer, name).opacity for name in names] == [1, 1], "a setting was changed"
+    widget.undo()
+    settle(widget)
+    widget.redo()
+    settle(widget)
+    assert opacities() == pytest.approx([0.2, 0.2]), "new layers of marks do not fade"
+    viewer.mouse_over_canvas = True
+    assert opacities() == [1, 1]
 
 
 def test_a_mark_of_one_component_is_labelled_on_the_canvas_and_drawn_with_double_arrows(

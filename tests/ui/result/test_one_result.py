@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from napari.utils.colormaps import AVAILABLE_COLORMAPS
 from qtpy.QtCore import Qt
 
 from napari_hmrf.field.strain import fold_mask
@@ -725,3 +726,17 @@ def test_a_long_status_is_limited_to_the_available_lines(pointer_and_dock):
         assert label.toolTip().count("word") == count, (
             "the tool tip does not contain the whole status"
         )
+
+
+def test_pixels_without_a_value_hide_the_undeformed_image(frame, at_rest, settle):
+    pixels = np.full((48, 64), 50, np.float32)
+    pixels[20:24, 30:34] = np.nan
+    image = frame.viewer.add_image(pixels, name="MR", colormap="gray")
+    dock = without_live_mode(frame.open())
+    at_rest()
+    drag_a_patch(Touch(frame.viewer), dock, settle)
+    (deformed,) = parts(frame.viewer, "image")
+    assert np.isnan(deformed.data).any()
+    np.testing.assert_array_equal(deformed.colormap.map([np.nan])[0], (0, 0, 0, 1))
+    np.testing.assert_allclose(deformed.colormap.map([0.5]), image.colormap.map([0.5]))
+    assert image.colormap.nan_color[3] == AVAILABLE_COLORMAPS["gray"].nan_color[3] == 0

@@ -17,10 +17,11 @@ from napari_hmrf.contributions import open_solution
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.quantities import coloured
-from napari_hmrf.field.strain import green_lagrange_strain
+from napari_hmrf.field.strain import fold_mask, green_lagrange_strain
 from napari_hmrf.field.tissue_point import Probe, at_point
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
+from napari_hmrf.layers.compat import scale_bar_of
 from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
@@ -417,6 +418,43 @@ def test_arrows_end_at_the_displayed_position_of_the_tissue(look, set_to):
     assert arrows.length == pytest.approx(2)
 
 
+def test_a_scale_key_is_shown_while_arrows_are_to_scale(look, set_to):
+    bar, arrows, text = scale_bar_of(viewer_of(look)), look.result, look._form.result.how_far
+    assert bar.visible
+    assert bar.position == "bottom_left"
+    set_to(look, percent=50)
+    assert bar.visible, "shorter arrows show the displacement at 50 %"
+    set_to(look, percent=100)
+    arrows.length = 4
+    assert not bar.visible
+    assert "Arrows are drawn 4 times as long as the motion" in text.value
+    arrows.length = 1
+    assert bar.visible
+    assert "Arrows are drawn" not in text.value
+    arrows.visible = False
+    assert not bar.visible
+
+
+def test_the_scale_key_leaves_the_choice_of_the_user(look):
+    bar, arrows = scale_bar_of(viewer_of(look)), look.result
+    bar.visible = False
+    arrows.visible = False
+    arrows.visible = True
+    assert not bar.visible
+    bar.visible = True
+    arrows.visible = False
+    look._view.release()
+    assert not bar.visible, "a closed dock leaves its key on the canvas"
+
+
+def test_arrows_follow_the_slider_before_the_pictures_are_computed(look, set_to, monkeypatch):
+    arrows, jobs = look.result, []
+    monkeypatch.setattr(look._view.player._jobs, "submit", lambda *job: jobs.append(job))
+    look.percent = 30
+    assert arrows.length == pytest.approx(0.3)
+    assert jobs
+
+
 @pytest.mark.parametrize("largest", [0.00042, 0.0123, 0.43, 0.49, 0.8, 0.97, 8.3, 44, 72, 96, 450])
 def test_a_colour_bar_has_numbers_on_both_sides_of_zero(largest):
     """Check vispy's ticks, which might show only the 0 between the ends of the scale."""
@@ -496,7 +534,7 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     set_to(widget, overlay="jacobian")
     assert f"at {outputs.folds} pixels" in widget.warning
     assert "the tissue folds" in widget.warning
-    layer = viewer_of(widget).layers["MR area change (ratio), paper"]
+    layer = viewer_of(widget).layers["MR area change (ratio; yellow: folded), paper"]
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
     assert folded.sum() == outputs.folds
@@ -512,6 +550,28 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     assert "Colours end" not in widget._form.result.how_far.value
     np.testing.assert_allclose(layer.colormap.low_color, (1, 0.933, 0, 1), atol=0.01)
     assert layer.colormap.map(np.array([1.0]))[0, :3] == pytest.approx((0.5, 0.23, 0.03), abs=0.05)
+
+
+def test_folds_are_drawn_and_named_as_folds_instead_of_strain(widget, small_sample, run, set_to):
+    small_sample(viewer_of(widget))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
+    widget.settings = replace(widget.settings, sweeps=60)
+    solution = run(widget).solution
+    for overlay in ("squeeze", "equivalent"):
+        set_to(widget, overlay=overlay)
+        (layer,) = [each for each in viewer_of(widget).layers if "; yellow: folded" in each.name]
+        folds = layer.data == -np.inf
+        field = solution.displacement, solution.spacing, solution.tissue
+        folded = fold_mask(field[0], spacing=field[1], tissue=field[2])
+        moved = warp(folded, field[0], spacing=field[1], tissue=field[2], order=0)
+        np.testing.assert_array_equal(folds, moved)
+        low = layer.contrast_limits[0]
+        assert not (layer.data[~folds] <= low).any(), "strain is drawn in the colour of folds"
+    site = tuple(np.argwhere(folded)[0])
+    widget._view.cursor.at = lambda _: Probe(site, (0.0, 1.0), 1.0, -1.0, 2.0)
+    assert "equivalent in-plane strain: folded" in widget._view.cursor.line_at(())
+    set_to(widget, percent=1)
+    assert not (layer.data == -np.inf).any(), "nothing folds at 1 %"
 
 
 # The status bar
