@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from napari_hmrf.field.frame import Frame, as_tuples
+from napari_hmrf.field.volume_preview import CutPlane
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Mark
 from napari_hmrf.tissue.drawing.marks import Point
@@ -113,9 +114,14 @@ class Preview:
     grid : CoarseGrid
         Grid on which the tissue is solved.
     axis, number : int, optional
-        For a volume: axis perpendicular to the visible slice, and index of the slice.
+        For a volume in a slice view: axis perpendicular to the visible slice, and index of the
+        slice.
+    cut : CutPlane, optional
+        For a volume in a 3-D view: visible plane. Without `axis` and `cut`, the whole volume is
+        shown on the coarse grid.
     """
 
     grid: CoarseGrid
     axis: int | None = None
     number: int = 0
+    cut: CutPlane | None = None
