@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.field.resample import emptiness, sampled
+from napari_hmrf.field.resample import emptiness
 from napari_hmrf.field.warp import inverse_raster, moved_sites
 from napari_hmrf.solver.backends.compile_cache import loader, loops
 
@@ -116,7 +116,8 @@ class VolumePreview:
         """
         moved, mask = moved_sites(displacement, self._spacing, tissue)
         source, state = inverse_raster(moved, mask)
-        picture = sampled(self.image, source * self.every, 1)
+        picture = self._sampled(source.reshape(-1, 3) * self.every)
+        picture = picture.reshape(*mask.shape, *self.image.shape[3:])
         picture[mask & (state == 0)] = self._fill
         return picture
 
@@ -136,19 +137,23 @@ class VolumePreview:
         )
         share = known[:, 3:]
         places = voxels + np.where(share > _LEAST_WEIGHT, known[:, :3] / np.maximum(share, 1e-6), 0)
-        if self._values is None:
-            values = np.asarray(self.image, np.float32)
-            self._values = values.reshape(*values.shape[:3], -1)
-        found = _at_points(self._values, places)
-        if self.image.dtype.kind in "iub":
-            found = np.rint(found)
-        return found.astype(self.image.dtype).reshape(len(voxels), *self.image.shape[3:])
+        return self._sampled(places)
 
     def voxels_of(self, plane: CutPlane) -> Array:
         """Return the voxels of a plane, (N, 3); those of the last plane are reused."""
         if self._cut is None or self._cut[0] != plane:
             self._cut = plane, plane.voxels(self.image.shape[:3])
         return self._cut[1]
+
+    def _sampled(self, places: Array) -> Array:
+        """Interpolate the image at points, (N, 3), in voxels."""
+        if self._values is None:
+            values = np.asarray(self.image, np.float32)
+            self._values = values.reshape(*values.shape[:3], -1)
+        found = _at_points(self._values, places)
+        if self.image.dtype.kind in "iub":
+            found = np.rint(found)
+        return found.astype(self.image.dtype).reshape(len(places), *self.image.shape[3:])
 
 
 def _at_points(image: npt.NDArray[np.float32], places: Array) -> npt.NDArray[np.float32]:
