@@ -94,7 +94,7 @@ class LineOfSight:
         if not first < last:
             return np.empty((0, 3))
         count = math.ceil((last - first) * float(np.linalg.norm(self.step)) / _STEP)
-        along = np.linspace(first, last, max(count, 2))
+        along = np.linspace(first, last, count + 1)
         return self.start + along[:, np.newaxis] * self.step
 
     def _distance(self, point: Point) -> float:
