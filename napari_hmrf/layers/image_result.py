@@ -305,6 +305,9 @@ class Result:
         layer, state = self.layer(part), self._states.get(part)
         if layer is None or state is None or state.part is not None or not _fits(layer, made):
             return False
+        # A coarse preview of a volume has fewer, larger voxels.
+        if made.kind == "image" and layer.data.shape != made.data.shape:
+            return False
         if part == PAINTED and layer.colormap is not made.attributes["colormap"]:
             return False
         if layer.data is not state.writable or not overwrite(self._viewer, layer, made.data):

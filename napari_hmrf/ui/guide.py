@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any, Literal
 
 from napari_hmrf.layers.image_choice import image_covering
+from napari_hmrf.layers.line_of_sight import shows_volume
 from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
@@ -72,13 +73,27 @@ class Guide:
         form, boundary = self._form, self._form.motion.boundary
         if form.image.value is None:
             return messages.CHOOSE if self._viewer.layers else messages.WELCOME
-        if self._covered or self._viewer.dims.ndisplay != 2:
-            return self._covered or motion_messages.FLAT
+        if self._covered or self.obstacle:
+            return self._covered or self.obstacle
         begun = boundary.choice.value is not None
         hint = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
             hint = self._pointer.tool.hint
+            if self._viewer.dims.ndisplay == 3:
+                hint = f"{hint} {motion_messages.IN_DEPTH}"
         return f"{self._controller.unheld_warning} {self._paused or hint}".lstrip()
+
+    @property
+    def obstacle(self) -> str:
+        """Reason why the tools cannot be used in this view, or ""."""
+        extent, moved = self._form.extent, self._pointer.display.moved
+        if self._viewer.dims.ndisplay == 2:
+            return ""
+        if not extent.is_volume:
+            return motion_messages.ONE_SLICE if extent.has_slices else motion_messages.FLAT
+        place = None if moved is None else moved.study.grid.known_place
+        seen = place is None or shows_volume(place, self._form.view()) or len(place.plane) == 2
+        return "" if seen else motion_messages.FLAT
 
     def show_message(self, sentence: str, why: Why = "news") -> None:
         """Show a message in place of the previous message."""

@@ -53,6 +53,11 @@ class BrushTool(Tool):
         return self.mark if self.is_dragging else None
 
     @property
+    def follows_surface(self) -> bool:
+        """True, because strokes are painted on the surface."""
+        return True
+
+    @property
     def mark_settings(self) -> ToolSettings | None:
         """Settings of the selected stroke except its radius; None if no stroke is selected."""
         settings = super().mark_settings
@@ -152,6 +157,11 @@ class PushTool(BrushTool):
 
     #: Start point of the drag, and displacement of the stroke before the drag; None while painting.
     _grip: tuple[Point, Point] | None = None
+
+    @property
+    def follows_surface(self) -> bool:
+        """True while a stroke is painted; the drag of a stroke follows the screen."""
+        return self._grip is None
 
     def _begin(self, point: Point, settings: ToolSettings) -> None:
         """Begin dragging the selected stroke if the point is on the stroke, else begin painting."""

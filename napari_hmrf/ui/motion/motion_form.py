@@ -29,6 +29,7 @@ _ICONS = QSize(24, 24), QSize(14, 14)
 _LOOK = """
 QToolButton { background: rgba(128, 128, 128, 60); border-radius: 2px; padding: 3px 0px; }
 QToolButton:hover { background: rgba(128, 128, 128, 110); }
+QToolButton:disabled { color: gray; background: rgba(128, 128, 128, 25); }
 QToolButton:checked { background: rgba(80, 105, 210, 220); }
 """
 
@@ -94,9 +95,20 @@ class MotionForm(Container):
         for each, button in self.tools.items():
             button.setChecked(each == name)
 
+    def show_obstacle(self, reason: str) -> None:
+        """Disable the tools for a reason, which is shown in their tooltips; "" enables them."""
+        for tool in TOOLS:
+            button = self.tools[tool.name]
+            button.setEnabled(not reason)
+            button.setToolTip(reason or _tip(tool))
+
+
+def _tip(tool: type[Tool]) -> str:
+    return f"{tool.hint} ({tool.key})"
+
 
 def _button(tool: type[Tool], is_large: bool) -> QToolButton:
-    button = QToolButton(text=tool.title, toolTip=f"{tool.hint} ({tool.key})", checkable=True)
+    button = QToolButton(text=tool.title, toolTip=_tip(tool), checkable=True)
     style, policy = Qt.ToolButtonStyle, QSizePolicy.Policy
     button.setIcon(QIcon(str(Path(__file__).with_name(f"{tool.name}.svg"))))
     button.setIconSize(_ICONS[not is_large])

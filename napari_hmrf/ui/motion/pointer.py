@@ -10,6 +10,7 @@ from psygnal import Signal
 
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.layers.compat import text_of
+from napari_hmrf.layers.line_of_sight import LineOfSight
 from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.viewer_undo import ViewerUndo
@@ -17,6 +18,7 @@ from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.without_effect import lacks_motion
 from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.drawing.drawing import ends_of
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.messages import in_short
@@ -223,6 +225,36 @@ class Pointer:
         self._model.changed.disconnect(self._on_drawn)
 
     # Mouse and key actions on the canvas
+
+    @property
+    def follows_surface(self) -> bool:
+        """True if the current drag follows the surface in the 3-D view; see `Tool`."""
+        return self.tool.follows_surface
+
+    def find(
+        self, line: LineOfSight, reach: float | None = None, picks: bool = False
+    ) -> Point | None:
+        """Return the point to draw at on a line of sight of the 3-D view, or None.
+
+        Parameters
+        ----------
+        line : LineOfSight
+        reach : float, optional
+            Largest distance from the line to an end of a mark, in the unit of the spacing. By
+            default, only tissue is found.
+        picks : bool
+            True if ends of marks are found with any tool, to select a mark. By default, only ends
+            that the current tool grabs are found.
+        """
+        moved = self.display.moved
+        if moved is None or moved.ground is None:
+            self.message.emit(motion_messages.PREPARING)
+            return None
+        end, spacing = None, moved.study.grid.spacing
+        if reach is not None and (picks or self.tool.grabs_ends):
+            ends = (end for mark in self.drawing.marks for end in ends_of(mark, spacing))
+            end = line.nearest(ends, reach)
+        return self.display.tissue_on(line) if end is None else end
 
     def press(self, point: Point, reach: float) -> None:
         """Begin a drag with the tool if the tissue is ready and visible."""

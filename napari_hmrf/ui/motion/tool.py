@@ -71,6 +71,8 @@ class Tool(ABC):
     key: ClassVar[str]
     fields: ClassVar[tuple[str, ...]]
     hint: ClassVar[str]
+    #: True if a press near an end of an arrow or landmark grabs this end.
+    grabs_ends: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -147,6 +149,11 @@ class Tool(ABC):
     def is_dragging(self) -> bool:
         """True while a drag is in progress."""
         return self._model.drawing_in_progress
+
+    @property
+    def follows_surface(self) -> bool:
+        """True if a drag in the 3-D view follows the surface, instead of the screen."""
+        return False
 
     @property
     def stroke(self) -> Stroke | None:

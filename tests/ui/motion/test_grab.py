@@ -286,7 +286,7 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     how = widget.status
     viewer.dims.ndisplay = 3
     at_rest()
-    assert "only in the 2D view" in widget.status
+    assert "only on a whole volume" in widget.status
     viewer.dims.ndisplay = 2
     settle(widget)
     assert (widget.status, len(widget.drawing.marks)) == (how, 1)
