@@ -25,6 +25,7 @@ from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import CalmField, row
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
+from napari_hmrf.ui.motion.carry_over import CarryOverForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.result.result_form import ResultForm
@@ -50,6 +51,8 @@ class DockForm:
     ----------
     image : LayerChoice
     extent : ExtentChoice
+    carry_over : CarryOverForm
+        Question about the drawing after a change of the extent.
     make, intensity : PushButton
         Button that adds layers for painting, and button that derives stiffness from brightness.
     tissue : TissueSection
@@ -69,6 +72,7 @@ class DockForm:
             layers, is_picture, "image", "Image to deform; in a stack, the visible slice"
         )
         self.extent = ExtentChoice()
+        self.carry_over = CarryOverForm()
         self.make = PushButton(
             text="Layers to paint on",
             tooltip="Add an empty tissue layer and an empty boundary layer on the image",
@@ -126,7 +130,7 @@ class DockForm:
     def _assemble(self, outer: Container) -> None:
         first = Container(widgets=[self.image, self.extent])
         ways = row(self.make, self.intensity)
-        body = Container(widgets=[first, ways], labels=False)
+        body = Container(widgets=[first, self.carry_over, ways], labels=False)
         layout = body.native.layout()
         steps: list[tuple[str, Container, bool]] = [
             ("1  Tissue", self.tissue, True),

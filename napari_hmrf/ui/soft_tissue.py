@@ -27,6 +27,7 @@ from napari_hmrf.ui.dock_values import DockValues
 from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.guide import Guide
+from napari_hmrf.ui.motion.carry_over import CarryOver
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.patient_sides import PatientSides
@@ -110,6 +111,13 @@ class SoftTissue(DockValues):
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.select_image)
         self._guide = Guide(viewer, controller, undo)
+        self._carry_over = CarryOver(
+            form.carry_over,
+            undo.model,
+            self._pointer.set_drawing,
+            partial(self._guide.show_message, why="step"),
+        )
+        controller.slice_changed.connect(self._carry_over.refresh)
         self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
         self._second = SecondImage(viewer, self._view, controller)
         self._sides = PatientSides(viewer, form.image)
