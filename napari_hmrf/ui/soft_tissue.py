@@ -27,6 +27,7 @@ from napari_hmrf.ui.dock_values import DockValues
 from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.guide import Guide
+from napari_hmrf.ui.introduction import Introduction
 from napari_hmrf.ui.motion.carry_over import CarryOver
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.new_layers import add_missing
@@ -119,6 +120,7 @@ class SoftTissue(DockValues):
         )
         controller.slice_changed.connect(self._carry_over.refresh)
         self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
+        self._introduction = Introduction(self.native, controller, self._guide, self._on_sample)
         self._second = SecondImage(viewer, self._view, controller)
         self._sides = PatientSides(viewer, form.image)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
@@ -422,3 +424,8 @@ class SoftTissue(DockValues):
     def _on_first(self) -> None:
         if self.docked:
             self._unused = self.start()
+
+    def _on_sample(self) -> bool:
+        """Start drawing on a sample, if the dock is in a window; return whether the mouse draws."""
+        self._on_first()
+        return self.docked and self.active

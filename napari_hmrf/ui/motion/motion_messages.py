@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+HERE = "Drag here: pull any tissue in the image with the mouse."
+HERE_OR_PLAY = f"{HERE} To see how the sample itself moves, press Play."
+ON_CANVAS = "{}: drag tissue here"
 START = "Press 'Pull', then drag tissue in the image."
 PREPARING = "Getting ready ..."
 OFF = "To continue drawing, press a tool, or select the layer 'Motion'."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -80,6 +81,8 @@ class Pointer:
         self._draw_timer = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
+        # True once the user has pressed the mouse button on the image.
+        self._is_used = False
         undo.message.connect(self._on_step)
         self._model.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
@@ -168,8 +171,15 @@ class Pointer:
         """Show the name of the tool on the canvas, unless other text is shown there."""
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
-            self._in_corner = corner.text = self._fields.words if self.active else ""
+            self._in_corner = corner.text = self._words if self.active else ""
             corner.visible = self.active
+
+    @property
+    def _words(self) -> str:
+        """Text on the canvas: the tool, and until its first use where to drag."""
+        words = self._fields.words
+        is_new = not (self._is_used or self.drawing.marks) and self.tool.name == "pull"
+        return motion_messages.ON_CANVAS.format(words) if is_new else words
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
         """Replace the drawing as an undo step named `word`, or without a step if `word` is ""."""
@@ -228,6 +238,10 @@ class Pointer:
         if moved is None or moved.ground is None:
             self.message.emit(motion_messages.PREPARING)
             return
+        result = self.display.result
+        if result is not None and result.is_before:  # the pressed tissue is seen at its origin
+            moved = replace(moved, solution=None)
+        self._is_used = True
         self.action_started.emit()
         other = self.display.covering
         if other is not None:
