@@ -178,7 +178,7 @@ class Pointer:
     def _words(self) -> str:
         """Text on the canvas: the tool, and until its first use where to drag."""
         words = self._fields.words
-        is_new = not (self._is_used or self.drawing.marks) and self.tool.name == "pull"
+        is_new = not (self._is_used or self.drawing.marks) and words == BY_NAME["pull"].title
         return motion_messages.ON_CANVAS.format(words) if is_new else words
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
@@ -320,8 +320,8 @@ class Pointer:
 
     def resize(self, factor: float) -> None:
         """Multiply the brush radius by a factor."""
-        radius = self._fields.radius
-        radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
+        radius, (least, largest) = self._fields.radius, self._fields.radius_range
+        radius.value = min(max(float(f"{radius.value * factor:.3g}"), least), largest)
 
     # Reactions to changes
 
@@ -376,6 +376,8 @@ class Pointer:
         self._show_cursor()
         self.report_tool()
         self.tool.change(self._fields.settings)
+        if refusal := self._fields.pop_refusal():
+            self.refusal.emit(refusal)
 
     def _show_error(self, state: ShownDeformation) -> None:
         error = state.moved.error

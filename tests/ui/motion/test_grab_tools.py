@@ -701,6 +701,38 @@ def test_a_stroke_is_picked_changed_and_removed(brushing_beside, settle):
     assert "There is no mark at this point" in widget.status
 
 
+@pytest.mark.parametrize(
+    ("typed", "used"),
+    [("0.0001", 0.05), ("99999", 6.4), ("3", 3.0)],
+    ids=["small", "large", "fits"],
+)
+def test_a_radius_out_of_the_range_of_the_image_is_replaced_with_a_message(
+    open_beside, settle, typed, used
+):
+    person, widget = open_beside(scale=(0.1, 0.1), units=("mm", "mm"))
+    person.frame.show()
+    settle(widget)
+    box = widget.fields.radius.native
+    box.selectAll()
+    QTest.keyClicks(box, typed)
+    QTest.keyClick(box, Qt.Key.Key_Return)
+    assert widget.fields.radius.value == used
+    assert ("'radius' must be from 0.05 to 6.4 mm" in widget.status) == (typed != "3")
+    person.drag((3.0, 3.0), (3.2, 3.2))
+    settle(widget)
+    assert only(widget).radius == used
+
+
+def test_a_mark_with_a_tiny_radius_is_shown_and_changed(pulling_beside, settle):
+    person, widget = pulling_beside
+    widget.drawing = Drawing((Arrow((30, 30), (2, 0), 1e-6),))
+    settle(widget)
+    person.pick(32, 30)
+    widget.fields.confidence.value = 0.5
+    settle(widget)
+    assert (only(widget).confidence, only(widget).radius) == (0.5, 0.5)
+
+
 def test_keys_change_the_radius_of_the_brush(pulling_beside):
     person, widget = pulling_beside
     person.key(PIN)
