@@ -89,7 +89,8 @@ class Guide:
         hint = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
             hint = self._introduction or self._pointer.tool.hint
-        return f"{self._controller.unheld_warning} {self._paused or hint}".lstrip()
+        sentences = self._controller.unheld_warning, self._paused or hint, form.footer.live.reason
+        return " ".join(filter(None, sentences))
 
     def show_message(self, sentence: str, why: Why = "news") -> None:
         """Show a message in place of the previous message."""

@@ -14,7 +14,7 @@ from qtpy.QtWidgets import QApplication
 from napari_hmrf import Arrow, Drawing
 from napari_hmrf.contributions import dock
 from napari_hmrf.layers.compat import text_of
-from napari_hmrf.ui.motion.motion_messages import HERE
+from napari_hmrf.ui.motion.motion_messages import EARLY, HERE
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import quick
 from tests.support.person import Person, only
@@ -104,6 +104,39 @@ def test_play_shows_the_motion_of_an_undeformed_sample(frame, settle, at_rest, c
 def visible(viewer):
     """Return the names of the visible layers."""
     return {layer.name for layer in viewer.layers if layer.visible}
+
+
+@pytest.mark.parametrize("is_held", [False, True])
+def test_a_drag_before_the_tissue_is_ready_is_applied_when_it_is(
+    open_beside, busy_thread, settle, is_held
+):
+    person, widget = open_beside()
+    assert widget.active
+    person.drag((10, 40), (11, 42))
+    person.press(30, 30)
+    person.move(32, 33)
+    if not is_held:
+        person.release(34, 34)
+    assert widget.status == EARLY
+    assert not widget.drawing.marks
+    busy_thread.set()
+    settle(widget)
+    if is_held:
+        person.release(34, 34)
+        settle(widget)
+    assert [mark.by for mark in widget.drawing.marks] == [(1, 2), (4, 4)]
+    assert widget.solution.displacement[30, 30] == pytest.approx((4, 4), abs=0.05)
+
+
+def test_escape_cancels_a_drag_before_the_tissue_is_ready(open_beside, busy_thread, settle):
+    person, widget = open_beside()
+    person.press(30, 30)
+    person.move(32, 33)
+    person.key(Qt.Key.Key_Escape)
+    busy_thread.set()
+    settle(widget)
+    person.release(34, 34)
+    assert not widget.drawing.marks
 
 
 def test_a_press_deactivates_pull_after_it_was_used(pulling_beside, settle, click):

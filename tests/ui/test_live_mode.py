@@ -300,9 +300,11 @@ def test_live_mode_is_off_for_a_large_image_until_the_user_switches_it_on(
     at_rest()
     check = widget._form.footer.live
     assert not widget.live
+    assert "'Live' is off, because the image is larger" in widget.invitation
     check.native.click()
     at_rest()
     assert widget.live, "the user cannot switch it on"
+    assert "'Live' is off" not in widget.invitation
 
 
 @pytest.mark.parametrize(("size", "followed"), [((1200, 1200), True), ((1200, 1201), False)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from psygnal import Signal
 
@@ -31,6 +31,13 @@ from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
 _AHEAD = 250
 #: Factor by which a key press enlarges the brush.
 _LARGER = 1.25
+
+
+class EarlyDrag(NamedTuple):
+    """Drag that began before the tissue was ready: hit distance and points; see `CanvasListener`."""
+
+    reach: float
+    points: list[Point]
 
 
 class Pointer:
@@ -81,6 +88,9 @@ class Pointer:
         self._draw_timer = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
+        # Drags that began before the tissue was ready, and True while the last one continues.
+        self._early_drags: list[EarlyDrag] = []
+        self._is_early = False
         # True once the user has pressed the mouse button on the image.
         self._is_used = False
         undo.message.connect(self._on_step)
@@ -124,6 +134,7 @@ class Pointer:
             Image to draw on.
         """
         self.release()
+        self._early_drags.clear()
         place = None if study is None else SlicePlace.of(study.grid.known_place)
         self._model.select_slice(None if study is None else image, place)
         self.display.select_slice(study, image, bool(self.drawing.marks))
@@ -144,6 +155,7 @@ class Pointer:
         if tool is type(self.tool):
             return
         self.release()
+        self._early_drags.clear()
         self.tool = self._create_tool(tool)
         self._fields.show_for(tool)
         self._show_cursor()
@@ -202,6 +214,7 @@ class Pointer:
         """Show the new state of the tissue after a change to the drawing."""
         ground = state.moved.ground
         if state.moved.error is not None:
+            self._early_drags.clear()
             self._show_error(state)
             return
         before = self.display.state
@@ -217,6 +230,8 @@ class Pointer:
         if (known is None and self.active) or self._in_error:
             self._in_error = False
             self.message.emit("")
+        if ground is not None and self._early_drags:
+            self._replay()
 
     def leave(self) -> None:
         """Stop drawing and remove the layer *Motion*, but keep the drawing."""
@@ -236,7 +251,9 @@ class Pointer:
         """Begin a drag with the tool if the tissue is ready and visible."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
-            self.message.emit(motion_messages.PREPARING)
+            self._early_drags.append(EarlyDrag(reach, [point]))
+            self._is_early = True
+            self.message.emit(motion_messages.EARLY)
             return
         result = self.display.result
         if result is not None and result.is_before:  # the pressed tissue is seen at its origin
@@ -274,12 +291,16 @@ class Pointer:
 
     def move(self, point: Point) -> None:
         """Continue the drag of the tool."""
+        if self._is_early:
+            self._early_drags[-1].points.append(point)
+            return
         self.tool.move(point)
         self._show_stroke(at_once=False)
 
     def release(self) -> None:
         """End the drag of the tool."""
         self.display.arrows.end_drag()
+        self._is_early = False
         was_dragging, message = self.tool.is_dragging, None
         try:
             message = self.tool.release()
@@ -304,7 +325,11 @@ class Pointer:
     def cancel(self) -> None:
         """Cancel the current drag; without a drag, clear the selection."""
         self.display.arrows.end_drag()
-        if self.tool.cancel():
+        self._is_early = False
+        if self._early_drags:
+            self._early_drags.clear()
+            self.message.emit(motion_messages.CANCELLED)
+        elif self.tool.cancel():
             self.message.emit(motion_messages.CANCELLED)
         else:
             self.tool.select(None)
@@ -322,6 +347,18 @@ class Pointer:
         """Multiply the brush radius by a factor."""
         radius, (least, largest) = self._fields.radius, self._fields.radius_range
         radius.value = min(max(float(f"{radius.value * factor:.3g}"), least), largest)
+
+    def _replay(self) -> None:
+        """Apply the drags that began before the tissue was ready."""
+        drags, self._early_drags = self._early_drags, []
+        goes_on, self._is_early = self._is_early, False
+        for drag in drags:
+            first, *others = drag.points
+            self.press(first, drag.reach)
+            for point in others:
+                self.move(point)
+            if drag is not drags[-1] or not goes_on:
+                self.release()
 
     # Reactions to changes
 
