@@ -34,7 +34,7 @@ _LARGER = 1.25
 
 
 class EarlyDrag(NamedTuple):
-    """Drag that began before the tissue was ready: hit distance and points; see `CanvasListener`."""
+    """Drag from before the tissue was ready: hit distance and points, as in `CanvasListener`."""
 
     reach: float
     points: list[Point]
