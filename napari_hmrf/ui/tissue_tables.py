@@ -38,7 +38,7 @@ from napari_hmrf.tissue.boundary_rules import (
     read_stiffness,
     stiffness_in_words,
 )
-from napari_hmrf.tissue.material_presets import PRESETS, Preset
+from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.tissue_names import NamedMaterials
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
@@ -302,7 +302,7 @@ class MaterialMenu(QPushButton):
         """Fill the menu with the current presets and layers."""
         menu = self.menu()
         menu.clear()
-        for preset in PRESETS:
+        for preset in (*PRESETS, PLAIN):
             self._offer(menu, preset)
         menu.addSeparator()
         taken = menu.addMenu("Load from layer")

@@ -11,7 +11,7 @@ from magicgui.widgets import ComboBox, Container, Widget
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.tissue.material_presets import PRESETS, Palette
+from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Palette, Preset
 from napari_hmrf.ui.forms import length, menu, narrow, share
 from napari_hmrf.ui.motion.tool import Tool, ToolSettings
 from napari_hmrf.ui.motion.tools import BY_NAME
@@ -74,9 +74,9 @@ class ToolFields(Container):
         )
         self.preset = menu(
             "tissues of",
-            {each: each.name for each in PRESETS},
-            "Published tissues to paint with, because the tissue layer has no table; unpainted "
-            "pixels are the first of these tissues",
+            {each: each.name for each in (*PRESETS, PLAIN)},
+            "Tissues to paint with, because the tissue layer has no table; unpainted pixels are "
+            "the first of these tissues",
         )
         tip = "Tissue to paint, from the table of the tissue layer or from the presets"
         self.material = ComboBox(choices=[], label="new tissue", tooltip=tip)
@@ -244,6 +244,20 @@ class ToolFields(Container):
             with self.components.changed.blocked():
                 self.components.choices = _components(ways)
                 self.components.value = before
+
+    def offer_presets(self, preset: Preset) -> None:
+        """Offer all presets, beginning with a default, and choose this default.
+
+        Parameters
+        ----------
+        preset : Preset
+            Default, which may be unknown to the menu, such as a preset from a study.
+        """
+        presets = dict.fromkeys((preset, *PRESETS, PLAIN))
+        with self.preset.changed.blocked():
+            self.preset.choices = []  # otherwise magicgui would keep the earlier order
+            self.preset.choices = [(each.name, each) for each in presets]
+            self.preset.value = preset
 
     def offer(self, palette: Palette) -> None:
         """Offer tissues to paint, and keep the chosen tissue if the palette contains it."""

@@ -14,6 +14,7 @@ from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metada
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
+from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.motion.motion_messages import NO_WAY, OPEN, OUTSIDE
 from napari_hmrf.ui.motion.tool import Tool
 from napari_hmrf.ui.motion.tools import BY_NAME
@@ -513,7 +514,7 @@ def test_tissue_is_painted_with_presets_if_there_is_no_table(brushing_beside, se
     material = widget.fields.material.native
     said = [material.itemText(at) for at in range(material.count())]
     assert said[-1] == "bone or implant (rigid)"
-    assert material.currentText() == "tumour (40)", "rigid tissue is the default"
+    assert material.currentText() == "stiff (5)", "rigid tissue is the default"
     widget.fields.material.value = 0
     person.paint((30, 22), (36, 22), (42, 22), (48, 22), (54, 22))
     settle(widget)
@@ -940,6 +941,42 @@ def test_presets_offer_their_tissues_and_unpainted_tissue_is_the_first(brushing_
     assert displacement(widget) == pytest.approx(before, abs=0.02), (
         "painting the tissue of the unpainted sites changed the displacement"
     )
+
+
+@pytest.mark.parametrize(
+    ("data", "place", "tissues"),
+    [
+        (np.zeros((32, 32, 3), np.uint8), {}, ["normal", "soft", "stiff"]),
+        (np.zeros((32, 32), np.uint8), {}, ["normal", "soft", "stiff"]),
+        (np.zeros((32, 32), np.uint16), {}, ["normal tissue", "soft tissue", "tumour"]),
+        (np.zeros((32, 32), np.uint8), {"units": "mm"}, ["normal tissue", "soft tissue", "tumour"]),
+    ],
+    ids=["colours", "8 bits", "16 bits", "millimetres"],
+)
+def test_a_photograph_is_offered_materials_instead_of_tissues(
+    open_beside, settle, data, place, tissues
+):
+    _, widget = open_beside(data, **place)
+    settle(widget)
+    assert [row.name for row in widget.fields.preset.value.materials] == tissues
+    widget.make_layers()
+    assert [row.name for row in widget.materials[1:]] == tissues
+
+
+def test_a_preset_is_chosen_again_with_its_image_or_study(open_beside, settle, tmp_path):
+    person, widget = open_beside()
+    viewer, first, preset = person.viewer, widget.image, PRESETS[4]
+    widget.fields.preset.value = preset
+    widget.drawing = Drawing((Stroke("tissue", (((30, 30),),), 5.0, label=2),))
+    settle(widget)
+    widget.save_study(tmp_path / "painted.study")
+    widget.image = viewer.add_image(np.zeros((32, 32), np.uint16), name="other")
+    assert widget.fields.preset.value == PRESETS[0]
+    widget.image = first
+    assert widget.fields.preset.value == preset
+    viewer.layers.clear()
+    widget.open_study(tmp_path / "painted.study")
+    assert widget.study.tissue.preset == preset
 
 
 def test_a_typed_radius_is_one_undo_step(pulling_beside, settle):
