@@ -19,7 +19,7 @@ from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.tissue.row_table import RowTable
 
 #: Name of the method for each key.
-KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
+KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo"}
 # Counter of brush strokes in napari's Labels layers, common to all viewers.
 _strokes = itertools.count(1)
 

@@ -29,6 +29,7 @@ from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import CalmField, row
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
+from napari_hmrf.ui.motion.carry_over import CarryOverForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.remembered_settings import remember_open
@@ -74,6 +75,8 @@ class DockForm:
     ----------
     image : LayerChoice
     extent : ExtentChoice
+    carry_over : CarryOverForm
+        Question about the drawing after a change of the extent.
     make, intensity : PushButton
         Button that adds layers for painting, and button that derives stiffness from brightness.
     sections : dict of str to QCollapsible
@@ -95,6 +98,7 @@ class DockForm:
             layers, is_picture, "image", "Image to deform; in a stack, the visible slice"
         )
         self.extent = ExtentChoice()
+        self.carry_over = CarryOverForm()
         self.make = PushButton(
             text=NEW_TISSUE,
             tooltip="Add an empty tissue layer, and an empty boundary layer for 'Edges, rules, "
@@ -154,7 +158,7 @@ class DockForm:
         first = Container(widgets=[self.image, self.extent])
         ways = row(self.make, self.intensity)
         tissue = Container(widgets=[ways, self.tissue], labels=False)
-        body = Container(widgets=[first, self.motion], labels=False)
+        body = Container(widgets=[first, self.carry_over, self.motion], labels=False)
         layout = body.native.layout()
         parts: dict[str, Container] = {
             "tissue": tissue,

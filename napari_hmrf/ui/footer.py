@@ -21,12 +21,16 @@ _HELP = (
     "[ and ]: radius. While Space is pressed: move the view. While Shift+B is pressed: show the\n"
     "undeformed image.\n"
     "In a Labels layer of napari: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
-    "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: search all commands.\n"
+    "Ctrl+Z: undo. Ctrl+Shift+Z: redo. Ctrl+Shift+P: search all commands.\n"
 )
 #: Largest image, in pixels, for which *Live* is on by default. On two cores without a GPU, an
 #: update takes 0.4 s (elastic) to 1.4 s for 1200 x 1200 pixels, and 1.6 s to 5 s for 2048 x 2048
 #: pixels.
 LARGEST = 1200 * 1200
+_LIVE_OFF = (
+    "'Live' is off, because the image is larger than 1200 x 1200 pixels: after an edit without a "
+    "tool, press Deform, or tick 'Live'."
+)
 _LIVE = (
     "Update the result after every edit to tissue, boundary or tables. Tools always update it.\n"
     "Off by default above 1200 x 1200 pixels: without a graphics card, each edit takes seconds."
@@ -174,6 +178,11 @@ class LiveChoice(CheckBox):
         if not self._decided:
             with self.changed.blocked():
                 self.value = pixels <= LARGEST
+
+    @property
+    def reason(self) -> str:
+        """Message if the box is off because the image is large, else ""."""
+        return "" if self._decided or self.value else _LIVE_OFF
 
     def _on_changed(self, _: bool) -> None:
         self._decided = True

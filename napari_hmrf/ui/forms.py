@@ -43,9 +43,13 @@ def share(label: str, tooltip: str, **options: Any) -> FloatSlider:
     return made
 
 
-def length(label: str, tooltip: str, least: float = -1e6, **options: Any) -> FloatSpinBox:
-    """Create a field for a length, or for a displacement if negative values are allowed."""
-    settings = {"value": 0.0, "min": least, "max": 1e6, "step": 0.5, **options}
+def length(label: str, tooltip: str, least: float = -1e9, **options: Any) -> FloatSpinBox:
+    """Create a field for a length, or for a displacement if negative values are allowed.
+
+    The range of the field is wide, so that a number out of the range of the image can be typed; the
+    form refuses the number with a message. Otherwise Qt would drop some of its digits.
+    """
+    settings = {"value": 0.0, "min": least, "max": 1e9, "step": 0.5, **options}
     return FloatSpinBox(label=label, tooltip=tooltip, **settings)
 
 

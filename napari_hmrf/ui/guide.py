@@ -39,6 +39,7 @@ class Guide:
         form, pointer = self._form, self._pointer = controller.form, controller.pointer
         self._message = self._doing = self._read = ""
         self._why: Why = "news"
+        self._introduction = ""
         for table in form.tables:
             table.message.connect(partial(self.show_message, why="step"))
             table.refusal.connect(self.refuse)
@@ -68,6 +69,16 @@ class Guide:
         return doing or self._message or self.invitation
 
     @property
+    def introduction(self) -> str:
+        """Hint for a new sample; "" after the first action."""
+        return self._introduction
+
+    @introduction.setter
+    def introduction(self, sentence: str) -> None:
+        self._introduction = sentence
+        self.show()
+
+    @property
     def invitation(self) -> str:
         """Hint about the next step."""
         form, boundary = self._form, self._form.motion.boundary
@@ -78,10 +89,11 @@ class Guide:
         begun = boundary.choice.value is not None
         hint = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
-            hint = self._pointer.tool.hint
+            hint = self._introduction or self._pointer.tool.hint
             if self._viewer.dims.ndisplay == 3:
                 hint = f"{hint} {motion_messages.IN_DEPTH}"
-        return f"{self._controller.unheld_warning} {self._paused or hint}".lstrip()
+        sentences = self._controller.unheld_warning, self._paused or hint, form.footer.live.reason
+        return " ".join(filter(None, sentences))
 
     @property
     def obstacle(self) -> str:

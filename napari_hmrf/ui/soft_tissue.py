@@ -28,6 +28,8 @@ from napari_hmrf.ui.dock_values import DockValues
 from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.guide import Guide
+from napari_hmrf.ui.introduction import Introduction
+from napari_hmrf.ui.motion.carry_over import CarryOver
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.patient_sides import PatientSides
@@ -111,7 +113,15 @@ class SoftTissue(DockValues):
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.select_image)
         self._guide = Guide(viewer, controller, undo)
+        self._carry_over = CarryOver(
+            form.carry_over,
+            undo.model,
+            self._pointer.set_drawing,
+            partial(self._guide.show_message, why="step"),
+        )
+        controller.slice_changed.connect(self._carry_over.refresh)
         self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
+        self._introduction = Introduction(self.native, controller, self._guide, self._on_sample)
         self._second = SecondImage(viewer, self._view, controller)
         self._sides = PatientSides(viewer, form.image)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
@@ -434,3 +444,8 @@ class SoftTissue(DockValues):
     def _on_first(self) -> None:
         if self.docked:
             self._unused = self.start()
+
+    def _on_sample(self) -> bool:
+        """Start drawing on a sample, if the dock is in a window; return whether the mouse draws."""
+        self._on_first()
+        return self.docked and self.active

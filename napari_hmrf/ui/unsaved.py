@@ -178,6 +178,8 @@ class Unsaved(QObject):
                 place = SlicePlace(frame.plane, (0,) * first.ndim)
                 self._undo.go_to(Part("drawing", first, place), turn=True)
             self._model.restore(study, layers)
+            if study.tissue.preset is not None:
+                self._controller.form.motion.fields.offer_presets(study.tissue.preset)
             if study.motion.drawing.marks and not self._controller.refresh():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing

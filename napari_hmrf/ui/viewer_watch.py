@@ -16,7 +16,7 @@ from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
-from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
+from napari_hmrf.tissue.usual_lengths import length_range, usual_radius, usual_step
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.dock_form import NEW_BOUNDARY, NEW_TISSUE
@@ -90,12 +90,17 @@ class ViewerWatch:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
     def _on_moved(self, study: Study) -> None:
-        """Set the ranges of lengths; for the first image, also schedule `first_image_ready`."""
+        """Set the range of the tool sizes; for the first image, also set the sizes.
+
+        After the first image, schedule `first_image_ready`.
+        """
         size = study.grid.shape, study.grid.spacing
-        self._form.motion.fields.limit(*size)
+        usual, (smallest, largest) = (usual_radius(*size), usual_step(*size)), length_range(*size)
+        self._form.motion.fields.limit(smallest, largest, *usual)
+        self._form.motion.boundary.table.largest = largest
         if not self._has_started:
             self._has_started = True
-            self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
+            self._form.motion.fields.begin_with(*usual)
             self._first_timer.start()
 
     def _on_first(self) -> None:

@@ -14,7 +14,7 @@ from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.messages import CHOOSE, STILL
 from tests.support.docks import dock_in, forget_choice, quick, viewer_of
-from tests.support.person import CTRL, Person
+from tests.support.person import CTRL, SHIFT, Person
 from tests.support.screen import Cell, Screen
 from tests.support.timeouts import LONG, LONG_MS
 
@@ -300,9 +300,11 @@ def test_live_mode_is_off_for_a_large_image_until_the_user_switches_it_on(
     at_rest()
     check = widget._form.footer.live
     assert not widget.live
+    assert "'Live' is off, because the image is larger" in widget.invitation
     check.native.click()
     at_rest()
     assert widget.live, "the user cannot switch it on"
+    assert "'Live' is off" not in widget.invitation
 
 
 @pytest.mark.parametrize(("size", "followed"), [((1200, 1200), True), ((1200, 1201), False)])
@@ -527,7 +529,7 @@ def test_undo_keys_work_in_the_dock_and_a_removed_layer_removes_its_undo_steps(
     Cell(table, 1, 4).write("5")
     QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
     assert widget.rules == before
-    QTest.keyClick(table, Qt.Key.Key_Y, CTRL)
+    QTest.keyClick(table, Qt.Key.Key_Z, CTRL | SHIFT)
     assert widget.rules != before
     viewer_of(widget).layers.remove(boundary)
     assert not widget._form.footer.undo.enabled

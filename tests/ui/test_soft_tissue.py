@@ -330,6 +330,17 @@ def test_editing_a_cell_selects_its_label_and_hides_no_layer(widget, small_sampl
     assert (tissue.visible, tissue.mode) == (False, "pan_zoom")
 
 
+@pytest.mark.parametrize(("typed", "used"), [("24", 24), ("25", 3), ("-1e9", 3)])
+def test_a_boundary_moves_at_most_by_the_longest_side_of_the_image(
+    widget, small_sample, at_rest, typed, used
+):
+    small_sample(viewer_of(widget))
+    at_rest()
+    Cell(widget._form.motion.boundary.table, 1, 4).write(typed)
+    assert widget.rules[1].vector == (0, used)
+    assert ("a number from -24 to 24 px" in widget.status) == (used == 3)
+
+
 def test_letters_typed_after_a_click_on_a_row_do_not_edit_its_name(widget, small_sample):
     small_sample(viewer_of(widget))
     table = widget._form.tissue.table

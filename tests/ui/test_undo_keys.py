@@ -2,6 +2,7 @@
 
 import pytest
 from napari.components import ViewerModel
+from napari.layers import Vectors
 from qtpy.QtCore import Qt
 
 from napari_hmrf.layers.viewer_undo import undo_of
@@ -11,7 +12,7 @@ from tests.support.person import CTRL, SHIFT, Person
 from tests.support.screen import Screen
 from tests.support.windowless import Touch
 
-Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
+Z = Qt.Key.Key_Z
 
 
 @pytest.fixture
@@ -43,7 +44,7 @@ def test_a_typed_number_is_undone_by_the_key_on_the_canvas(user_in_window):
     person.key(Z, CTRL)
     assert dock.materials == materials
     assert dock.status == "Undid: changed label 1 of 'Tissue'."
-    person.key(Y, CTRL)
+    person.key(Z, CTRL | SHIFT)
     assert dock.materials[1].stiffness == 33
     person.key(Z, CTRL)
     person.key(Z, CTRL)
@@ -143,13 +144,25 @@ def test_undo_keys_of_a_deleted_owner_are_released():
 
 def test_undo_keys_remain_bound_while_one_of_two_docks_is_open(pointer_and_dock, frame):
     _, first = pointer_and_dock
-    keys = {each for each in frame.viewer.keymap if str(each) in ("Ctrl+Z", "Ctrl+Y")}
+    keys = {each for each in frame.viewer.keymap if str(each) in ("Ctrl+Z", "Ctrl+Shift+Z")}
     assert len(keys) == 2
     second = quick(frame.open())
     frame.close(second)
     assert keys <= frame.viewer.keymap.keys(), "the keys of the open dock were released"
     frame.close(first)
     assert not keys & frame.viewer.keymap.keys()
+
+
+def test_keys_of_napari_keep_their_action_while_a_tool_is_active(pulling_beside):
+    person, _ = pulling_beside
+    viewer = person.viewer
+    motion = viewer.layers["Motion"]
+    own = {str(key) for each in (viewer, motion) for key in each.keymap}
+    napari = {str(key) for each in (ViewerModel, Vectors) for key in each.class_keymap}
+    assert "Ctrl+Y" in napari
+    assert own & napari == {"Space"}, "a key of napari has another action"
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert viewer.dims.ndisplay == 3
 
 
 def test_arrows_and_typed_numbers_are_undone_in_reverse_order(pointer_and_dock, at_rest):

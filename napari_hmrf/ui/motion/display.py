@@ -11,11 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.field.motion_lines import Lines
-<<<<<<< HEAD
-from napari_hmrf.layers.compat import fade
-=======
 from napari_hmrf.field.volume_preview import CutPlane
->>>>>>> wt-view3d
+from napari_hmrf.layers.compat import fade
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
@@ -30,12 +27,8 @@ from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
-<<<<<<< HEAD
-from napari_hmrf.ui.events import EventConnections, single_shot
-=======
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.ui.events import single_shot
->>>>>>> wt-view3d
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, CanvasListener
 
 #: Longest time that a brush stroke waits for the updated tissue, in milliseconds. Painting both
@@ -227,13 +220,10 @@ class Display:
         if result is not None:
             result.drop_paint(besides=shown)
         self._results.show(self._image, place, shown, moving=moving)
-<<<<<<< HEAD
         self._fade(self._is_faded)  # the layers may be new
-=======
         is_volume = result is not None and len(place.plane) == 3
         picture_shown = result.layer("image") if is_volume and result is not None else None
         self._volume_look.link(self._image, picture_shown)
->>>>>>> wt-view3d
 
     def show_painted(self, state: ShownDeformation) -> None:
         """Show the paint of a state."""

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+HERE = "Drag here: pull any tissue in the image with the mouse."
+HERE_OR_PLAY = f"{HERE} To see how the sample itself moves, press Play."
+ON_CANVAS = "{}: drag tissue here"
 START = "Press 'Pull', then drag tissue in the image."
 PREPARING = "Getting ready ..."
+EARLY = "Getting ready ... Your drag is shown as soon as the tissue is ready."
 OFF = "To continue drawing, press a tool, or select the layer 'Motion'."
 FLAT = "The tools work only in the 2D view: press napari's 2D/3D button first."
 ONE_SLICE = (

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from psygnal import Signal
 
@@ -33,6 +34,13 @@ from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
 _AHEAD = 250
 #: Factor by which a key press enlarges the brush.
 _LARGER = 1.25
+
+
+class EarlyDrag(NamedTuple):
+    """Drag from before the tissue was ready: hit distance and points, as in `CanvasListener`."""
+
+    reach: float
+    points: list[Point]
 
 
 class Pointer:
@@ -83,6 +91,11 @@ class Pointer:
         self._draw_timer = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
+        # Drags that began before the tissue was ready, and True while the last one continues.
+        self._early_drags: list[EarlyDrag] = []
+        self._is_early = False
+        # True once the user has pressed the mouse button on the image.
+        self._is_used = False
         undo.message.connect(self._on_step)
         self._model.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
@@ -124,6 +137,7 @@ class Pointer:
             Image to draw on.
         """
         self.release()
+        self._early_drags.clear()
         place = None if study is None else SlicePlace.of(study.grid.known_place)
         self._model.select_slice(None if study is None else image, place)
         self.display.select_slice(study, image, bool(self.drawing.marks))
@@ -144,6 +158,7 @@ class Pointer:
         if tool is type(self.tool):
             return
         self.release()
+        self._early_drags.clear()
         self.tool = self._create_tool(tool)
         self._fields.show_for(tool)
         self._show_cursor()
@@ -171,8 +186,15 @@ class Pointer:
         """Show the name of the tool on the canvas, unless other text is shown there."""
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
-            self._in_corner = corner.text = self._fields.words if self.active else ""
+            self._in_corner = corner.text = self._words if self.active else ""
             corner.visible = self.active
+
+    @property
+    def _words(self) -> str:
+        """Text on the canvas: the tool, and until its first use where to drag."""
+        words = self._fields.words
+        is_new = not (self._is_used or self.drawing.marks) and words == BY_NAME["pull"].title
+        return motion_messages.ON_CANVAS.format(words) if is_new else words
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
         """Replace the drawing as an undo step named `word`, or without a step if `word` is ""."""
@@ -195,6 +217,7 @@ class Pointer:
         """Show the new state of the tissue after a change to the drawing."""
         ground = state.moved.ground
         if state.moved.error is not None:
+            self._early_drags.clear()
             self._show_error(state)
             return
         before = self.display.state
@@ -210,6 +233,8 @@ class Pointer:
         if (known is None and self.active) or self._in_error:
             self._in_error = False
             self.message.emit("")
+        if ground is not None and self._early_drags:
+            self._replay()
 
     def leave(self) -> None:
         """Stop drawing and remove the layer *Motion*, but keep the drawing."""
@@ -260,8 +285,14 @@ class Pointer:
         """Begin a drag with the tool if the tissue is ready and visible."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
-            self.message.emit(motion_messages.PREPARING)
+            self._early_drags.append(EarlyDrag(reach, [point]))
+            self._is_early = True
+            self.message.emit(motion_messages.EARLY)
             return
+        result = self.display.result
+        if result is not None and result.is_before:  # the pressed tissue is seen at its origin
+            moved = replace(moved, solution=None)
+        self._is_used = True
         self.action_started.emit()
         other = self.display.covering
         if other is not None:
@@ -294,12 +325,16 @@ class Pointer:
 
     def move(self, point: Point) -> None:
         """Continue the drag of the tool."""
+        if self._is_early:
+            self._early_drags[-1].points.append(point)
+            return
         self.tool.move(point)
         self._show_stroke(at_once=False)
 
     def release(self) -> None:
         """End the drag of the tool."""
         self.display.arrows.end_drag()
+        self._is_early = False
         was_dragging, message = self.tool.is_dragging, None
         try:
             message = self.tool.release()
@@ -327,7 +362,11 @@ class Pointer:
     def cancel(self) -> None:
         """Cancel the current drag; without a drag, clear the selection."""
         self.display.arrows.end_drag()
-        if self.tool.cancel():
+        self._is_early = False
+        if self._early_drags:
+            self._early_drags.clear()
+            self.message.emit(motion_messages.CANCELLED)
+        elif self.tool.cancel():
             self.message.emit(motion_messages.CANCELLED)
         else:
             self.tool.select(None)
@@ -343,8 +382,20 @@ class Pointer:
 
     def resize(self, factor: float) -> None:
         """Multiply the brush radius by a factor."""
-        radius = self._fields.radius
-        radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
+        radius, (least, largest) = self._fields.radius, self._fields.radius_range
+        radius.value = min(max(float(f"{radius.value * factor:.3g}"), least), largest)
+
+    def _replay(self) -> None:
+        """Apply the drags that began before the tissue was ready."""
+        drags, self._early_drags = self._early_drags, []
+        goes_on, self._is_early = self._is_early, False
+        for drag in drags:
+            first, *others = drag.points
+            self.press(first, drag.reach)
+            for point in others:
+                self.move(point)
+            if drag is not drags[-1] or not goes_on:
+                self.release()
 
     @property
     def _lacks_motion(self) -> bool:
@@ -407,6 +458,8 @@ class Pointer:
         self._show_cursor()
         self.report_tool()
         self.tool.change(self._fields.settings)
+        if refusal := self._fields.pop_refusal():
+            self.refusal.emit(refusal)
 
     def _show_error(self, state: ShownDeformation) -> None:
         error = state.moved.error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from functools import partial
 from typing import Any, cast
 
 from magicgui.widgets import ComboBox, Container, Widget
@@ -11,7 +11,7 @@ from magicgui.widgets import ComboBox, Container, Widget
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.tissue.material_presets import PRESETS, Palette
+from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Palette, Preset
 from napari_hmrf.ui.forms import length, menu, narrow, share
 from napari_hmrf.ui.motion.tool import Tool, ToolSettings
 from napari_hmrf.ui.motion.tools import BY_NAME
@@ -22,10 +22,6 @@ _SURE = (
     "Confidence in this motion: 1 holds tissue exactly; below 1, tissue slips if holding it would "
     "strain it by more than about this value"
 )
-#: Smallest radius, in pixels, and largest radius, in diagonals of the image.
-_LEAST_RADIUS, _LARGEST_RADIUS = 0.5, 1.0
-#: Number of digits of the smallest radius, which every length field shows.
-_DIGITS = 2
 #: Attributes of marks by the name of the field that sets them, if the names differ.
 _ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}
 #: Fields for the displacement along the row axis and the column axis.
@@ -48,7 +44,7 @@ class ToolFields(Container):
         self.radius = length(
             "radius",
             "Radius of the pulled patch or of the brush ([ makes it smaller, ] makes it larger)",
-            least=0.5,
+            least=0.0,
             value=10.0,
             step=1.0,
         )
@@ -56,8 +52,8 @@ class ToolFields(Container):
         self.by_row, self.by_col = (length(self._ways.label(axis), "") for axis in (0, 1))
         self.amount = length(
             "outward",
-            "Distance by which the outline moves along its normal; a negative distance shrinks the "
-            "patch",
+            "Distance by which the outline moves along its normal, in the unit of the image; a "
+            "negative distance shrinks the patch",
         )
         self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
         self.stroke_confidence = share(
@@ -77,15 +73,21 @@ class ToolFields(Container):
         )
         self.preset = menu(
             "tissues of",
-            {each: each.name for each in PRESETS},
-            "Published tissues to paint with, because the tissue layer has no table; unpainted "
-            "pixels are the first of these tissues",
+            {each: each.name for each in (*PRESETS, PLAIN)},
+            "Tissues to paint with, because the tissue layer has no table; unpainted pixels are "
+            "the first of these tissues",
         )
         tip = "Tissue to paint, from the table of the tissue layer or from the presets"
         self.material = ComboBox(choices=[], label="new tissue", tooltip=tip)
         for choices in (self.preset, self.components):
             narrow(choices)
         self._own_table = False
+        # Smallest and largest value of each length; and why the last typed length was replaced.
+        self._ranges: dict[Any, tuple[float, float]] = {}
+        self._unit, self._refusal = "px", ""
+        for each in (self.radius, self.by_row, self.by_col, self.amount):
+            # Connected before the container, so that tools never receive a length out of range.
+            each.changed.connect(partial(self._on_length, each))
         # Tools refer to a field by its name, which is the name of the attribute.
         fields = {name: each for name, each in vars(self).items() if isinstance(each, Widget)}
         for name, field in fields.items():
@@ -98,7 +100,6 @@ class ToolFields(Container):
         self._tool = BY_NAME["pull"]
         self._labels = {field: str(field.label) for field in lengths}
         self._about = {field: str(field.tooltip) for field in lengths}
-        self._range, self._unit = (self.radius.min, self.radius.max), "px"
         self.show_for(self._tool)
         self.show_place("px", self._ways)
 
@@ -110,6 +111,8 @@ class ToolFields(Container):
             for name in self._tool.fields
             if name not in _STEPS
         }
+        if "radius" in values:  # the field of a mark from a file may show a radius rounded to 0
+            values["radius"] = max(values["radius"], self.radius_range[0])
         if values.get("label", 0) is None:  # there are no tissues to choose yet
             del values["label"]
         if self._has_step:
@@ -157,61 +160,88 @@ class ToolFields(Container):
         for name in self._tool.fields:
             field, attribute = getattr(self, name), _ATTRIBUTES.get(name, name)
             value = values.get(attribute, field.value)
-            if hasattr(field, "min"):  # a mark of a script may exceed the range of the field
-                value = min(max(value, field.min), field.max)
+            if name == "confidence":
+                value = max(value, _LEAST_CONFIDENCE)
             if name != "material" or value in field.choices:
                 with field.changed.blocked():
                     field.value = value
+
+    @property
+    def radius_range(self) -> tuple[float, float]:
+        """Smallest and largest radius."""
+        return self._ranges.get(self.radius, (0.5, math.inf))
+
+    def limit(self, smallest: float, largest: float, radius: float, step: float) -> None:
+        """Set the range of the lengths for an image, in the unit of the image.
+
+        Parameters
+        ----------
+        smallest, largest : float
+            Smallest radius, and largest length in any field; see `length_range`.
+        radius, step : float
+            Default radius and growth, which replace values out of range.
+        """
+        decimals = min(max(2, 1 + math.ceil(-math.log10(smallest))), 12)
+        for field, least, usual, pixels in (
+            (self.radius, smallest, radius, 1.0),
+            (self.by_row, -largest, 0.0, 0.5),
+            (self.by_col, -largest, 0.0, 0.5),
+            (self.amount, -largest, step, 0.5),
+        ):
+            self._ranges[field] = least, largest
+            field.native.setDecimals(decimals)
+            field.step = float(f"{2 * smallest * pixels:.1g}")
+            if not least <= field.value <= largest:
+                with field.changed.blocked():
+                    field.value = min(max(usual, least), largest)
+        self._describe_ranges()
+
+    def _describe_ranges(self) -> None:
+        """Add the range of each length to its tooltip."""
+        for field, about in self._about.items():
+            if field in self._ranges:
+                least, largest = self._ranges[field]
+                field.tooltip = f"{about}. From {least:g} to {largest:g} {self._unit}."
+
+    def pop_refusal(self) -> str:
+        """Return why the last typed length was replaced, once; "" if it was not."""
+        refusal, self._refusal = self._refusal, ""
+        return refusal
+
+    def _on_length(self, field: Any, value: float) -> None:
+        """Replace a length out of range by the nearest length in the range."""
+        if field not in self._ranges:
+            return
+        least, largest = self._ranges[field]
+        nearest = min(max(value, least), largest)
+        if nearest != value:
+            with field.changed.blocked():
+                field.value = nearest
+            unit, name = self._unit, self._labels[field]
+            self._refusal = (
+                f"'{name}' must be from {least:g} to {largest:g} {unit} in this image; it was set "
+                f"to {nearest:g} {unit}."
+            )
 
     def begin_with(self, radius: float, step: float) -> None:
         """Set default lengths for an image, so that the tool *Grow* has an immediate effect.
 
         A displacement has no good default direction, so it stays 0 until the user sets it.
         """
-        for field, size in ((self.radius, radius), (self.amount, self.amount.value or step)):
-            field.value = min(max(size, field.min), field.max)
-
-    def limit(self, shape: Sequence[int], spacing: Sequence[float]) -> None:
-        """Set the ranges of lengths and the number of their decimals to the size of an image.
-
-        Parameters
-        ----------
-        shape : sequence of int
-            Number of pixels along each axis.
-        spacing : sequence of float
-            Size of a pixel along each axis.
-        """
-        across = math.dist((0,) * len(shape), [n * s for n, s in zip(shape, spacing, strict=True)])
-        least = float(f"{_LEAST_RADIUS * min(spacing):.{_DIGITS}g}")
-        most = float(f"{max(_LARGEST_RADIUS * across, 2 * least):.3g}")
-        decimals = max(_DIGITS, _DIGITS - 1 - math.floor(math.log10(least)))
-        for field in (self.radius, self.by_row, self.by_col, self.amount):
-            low = least if field is self.radius else -most
-            with field.changed.blocked():
-                field.native.setDecimals(decimals)
-                field.range = low, most
-                field.step = float(f"{max(most / 500, least):.1g}")
-        self._range = least, most
-        self._describe_range()
-
-    def _describe_range(self) -> None:
-        """Add the range of each length to its tooltip."""
-        least, most = self._range
-        for field, about in self._about.items():
-            low = least if field is self.radius else -most
-            field.tooltip = f"{about}. From {low:g} to {most:g} {self._unit}."
+        self.radius.value = max(radius, self.radius_range[0])
+        self.amount.value = self.amount.value or step
 
     def show_place(self, unit: str, ways: Directions) -> None:
         """Show the unit of length and the directions of the rows and columns.
 
         The displacement stays the same; only the labels and signs of its fields change.
         """
-        by, steps = self._by, (self.by_row, self.by_col)
+        self._unit, by, steps = unit, self._by, (self.by_row, self.by_col)
         turned, self._ways = ways != self._ways, ways
         for axis, field in enumerate(steps):
             self._labels[field], self._about[field] = ways.label(axis), ways.about(axis)
-        self._unit = unit
-        self._describe_range()
+            field.tooltip = f"{ways.about(axis)}; in the unit of the image"
+        self._describe_ranges()
         for field, words in self._labels.items():
             field.label = f"{words} ({unit})"
         self.show_for(self._tool)
@@ -223,6 +253,20 @@ class ToolFields(Container):
             with self.components.changed.blocked():
                 self.components.choices = _components(ways)
                 self.components.value = before
+
+    def offer_presets(self, preset: Preset) -> None:
+        """Offer all presets, beginning with a default, and choose this default.
+
+        Parameters
+        ----------
+        preset : Preset
+            Default, which may be unknown to the menu, such as a preset from a study.
+        """
+        presets = dict.fromkeys((preset, *PRESETS, PLAIN))
+        with self.preset.changed.blocked():
+            self.preset.choices = []  # otherwise magicgui would keep the earlier order
+            self.preset.choices = [(each.name, each) for each in presets]
+            self.preset.value = preset
 
     def offer(self, palette: Palette) -> None:
         """Offer tissues to paint, and keep the chosen tissue if the palette contains it."""
