@@ -768,7 +768,7 @@ def test_progress_is_shown_in_per_cent_with_details_in_the_tool_tip(widget, smal
     widget.settings = replace(widget.settings, sweeps=100_000)
     widget.deform()
     labels = widget.native.findChildren(QLabel)
-    percent, sweep = re.compile(r"Deforming: \d+ %"), re.compile(r"level \d+ \(.*\), sweep \d+")
+    percent, sweep = re.compile(r"Deforming \.\.\. \d+ %"), re.compile(r"level \d+ \(.*\), sweep \d+")
     wait_for(
         lambda: (
             bool(percent.fullmatch(widget.status))
