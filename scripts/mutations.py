@@ -58,8 +58,8 @@ MUTATIONS = (
     ),
     Mutation(
         "study/edit_history.py",
-        "        back = step._replace(value=self._now[step.part])\n        target.append(back)",
-        "        back = step\n        target.append(back)",
+        "            back = step._replace(value=self._now[step.part])",
+        "            back = step",
         "study/test_edit_history.py",
     ),
     Mutation(

@@ -12,7 +12,7 @@ from napari_hmrf.ui.forms import ElidedButton, FixedText, row
 #: Number of lines of the status.
 _LINES = 2
 #: Dark text on amber: legible on napari's dark and light themes.
-_CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 8px;"
+_CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 4px;"
 #: Height of the row of the warning and the offer, in pixels.
 _CHIP_HEIGHT = 26
 _HELP = (

@@ -188,7 +188,9 @@ class _ElideLines(QObject):
     def _fit(self) -> None:
         words = self._words
         frame = words.contentsMargins()
-        height = self._count * words.fontMetrics().lineSpacing() + frame.top() + frame.bottom() + 1
+        # Two texts of one line are as high as a text of two lines.
+        line = words.fontMetrics().lineSpacing() + frame.top() + frame.bottom()
+        height = self._count * line
         if words.maximumHeight() != height:
             words.setFixedHeight(height)
         words.update()
@@ -217,8 +219,8 @@ class _ElideLines(QObject):
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
         kind, words = event.type(), self._words
-        if kind in (QEvent.Type.FontChange, QEvent.Type.StyleChange):
-            self._fit()
+        if kind in (QEvent.Type.FontChange, QEvent.Type.StyleChange, QEvent.Type.Show):
+            self._fit()  # a style sheet can change the font without another event than `Show`
         elif kind == QEvent.Type.MouseButtonRelease and words.toolTip():
             QWhatsThis.showText(event.globalPosition().toPoint(), words.toolTip(), words)
         elif kind == QEvent.Type.Paint:

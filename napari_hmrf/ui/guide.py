@@ -14,6 +14,7 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
+from napari_hmrf.ui.footer import DEFORM
 from napari_hmrf.ui.motion import motion_messages
 
 #: Kind of the current message. Messages of kind "step" and "refused" remain until a new action
@@ -64,9 +65,10 @@ class Guide:
 
     @property
     def shown(self) -> str:
-        """Displayed status text."""
+        """Displayed status text; it names the button "Deform" as the button is labelled now."""
         doing = "" if self._why == "refused" else self._doing
-        return doing or self._message or self.invitation
+        text, button = doing or self._message or self.invitation, self._form.footer.deform.text
+        return text if button == DEFORM else text.replace(f"ress {DEFORM}", f"ress '{button}'")
 
     @property
     def introduction(self) -> str:

@@ -38,6 +38,7 @@ RESET = (
     "Remove all marks of '{}' and restore the default settings? Layers and tables are kept. Undo "
     "restores everything."
 )
+WAS_RESET = "Removed all marks and restored the default settings. Press Undo to restore them."
 _NO_IMAGE = "No image is chosen. Choose an image above to see its result."
 _PAINT_HIDDEN = "Tissue hidden while pulling: {}. To show a layer, click its eye icon."
 _HIDDEN = "Hidden to make '{}' visible: {}. Click the eye icon of a layer to show the layer again."
@@ -161,7 +162,7 @@ def progress(monitor: Monitor, work: str = "Deforming") -> str:
     if monitor.message.startswith(_WAITS):
         return f"{work}: {monitor.message}."
     percent = round(100 * monitor.fraction)  # at 100 % the result must still be drawn
-    return f"{work}: {percent} %" if 0 < percent < 100 else f"{work} ..."
+    return f"{work} ... {percent} %" if 0 < percent < 100 else f"{work} ..."
 
 
 def describe_hidden_paint(hidden: Sequence[Any]) -> str:

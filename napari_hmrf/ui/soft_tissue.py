@@ -259,6 +259,7 @@ class SoftTissue(DockValues):
         """
         self._pointer.release()
         self.study_model.reset()
+        self._guide.show_message(messages.WAS_RESET, "step")
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixel grid of the image, and choose both.

@@ -222,9 +222,9 @@ def test_an_undo_with_a_cancelled_solve_remains_and_is_reported_until_deform(
     assert not widget.drawing.marks
     assert widget.solution.displacement.any()
     assert metadata_of(picture)["inputs_changed"]
-    assert "warnings do not include the last edits" in widget.status
+    assert "warnings do not include the last edits. Press 'Solve precisely'" in widget.status
     assert "nothing was changed" not in widget.status
-    Screen(widget).press("Deform")
+    Screen(widget).press("Solve precisely")
     settle(widget)
     assert not widget.solution.displacement.any()
     assert widget.status == STILL

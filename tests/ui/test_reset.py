@@ -49,6 +49,7 @@ def test_a_reset_after_a_question_is_undone_in_one_step(pulled, reset, settle):
     settle(pulled)
     assert chosen(pulled) == (Drawing(), "stress", True)
     assert pulled.solution is None
+    assert pulled.status.startswith("Removed all marks and restored the default settings.")
     Screen(pulled).press("Undo")
     settle(pulled)
     assert chosen(pulled) == before

@@ -770,7 +770,7 @@ def test_progress_is_described_with_a_percentage_or_the_state_of_compiling():
     assert progress(preparing) == "Deforming ..."
     compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
     edit = "Updating"
-    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit}: 60 %"
+    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit} ... 60 %"
     assert progress(compiling) == "Deforming: compiling loops (3 of 10), about 18 s left."
 
 
@@ -779,7 +779,8 @@ def test_progress_is_shown_in_per_cent_with_details_in_the_tool_tip(widget, smal
     widget.settings = replace(widget.settings, sweeps=100_000)
     widget.deform()
     labels = widget.native.findChildren(QLabel)
-    percent, sweep = re.compile(r"Deforming: \d+ %"), re.compile(r"level \d+ \(.*\), sweep \d+")
+    percent = re.compile(r"Deforming \.\.\. \d+ %")
+    sweep = re.compile(r"level \d+ \(.*\), sweep \d+")
     wait_for(
         lambda: (
             bool(percent.fullmatch(widget.status))

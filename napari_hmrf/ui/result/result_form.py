@@ -118,9 +118,11 @@ class ResultForm(Container):
         self.comparison = Container(widgets=[self.second, self.reference, self.differences])
         slider = Container(widgets=[self.slider], labels=False)
         top, overlay = row(self.play, slider, self.before), Container(widgets=[self.overlay])
-        super().__init__(widgets=[top, overlay, self.how_far, self.landmarks], labels=False)
+        texts = Container(widgets=[self.how_far, self.landmarks], labels=False)
+        texts.native.layout().setSpacing(0)
+        super().__init__(widgets=[top, overlay, texts], labels=False)
         self.native.layout().setSpacing(2)
-        for part in (slider, top, overlay):
+        for part in (slider, top, overlay, texts):
             part.margins = (0, 0, 0, 0)
         for text in (self.how_far, self.landmarks):
             text.native.setContentsMargins(4, 0, 4, 0)

@@ -495,7 +495,7 @@ def test_keys_of_tools_work_after_a_choice_from_a_menu(pulling, settle):
     widget.make_layers()
     assert widget.start()
     settle(widget)
-    for entry in ("grid", "moves", "nothing"):
+    for entry in ("grid", "moves", "none"):
         person.key(Qt.Key.Key_BracketLeft)
         Screen(widget).pick(entry)
         settle(widget)
