@@ -13,7 +13,7 @@ from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.compat import outline_arrows, show_name
+from napari_hmrf.layers.compat import hide_in_list, outline_arrows, show_name
 from napari_hmrf.layers.label_colours import opaque_gaps
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
@@ -341,6 +341,8 @@ class Result:
                 state = self._states[part] = _PartState(weakref.ref(layer), name, wanted)
                 layers.insert(self._index(part, made, source), layer)
                 state.name = layer.name
+                if part in (PAINTED, CONFIDENCE):  # parts of the drawing, which the tools edit
+                    hide_in_list(self._viewer, layer)
                 if made.kind == "vectors":
                     outline_arrows(self._viewer, layer)
                 corner = "top_right"

@@ -274,6 +274,7 @@ class ViewerWatch:
         elif layer is self._in_use and not layer.visible:
             self._in_use = None
             self._show_before(False)
+            self._guide.invite()
 
     def _on_paint_hidden(self, layers: list[Any]) -> None:
         names = ", ".join(f"'{layer.name}'" for layer in layers)
