@@ -95,6 +95,17 @@ def drawn_node(viewer: Any, layer: Any) -> Any:
         return None
 
 
+def hide_in_list(viewer: Any, layer: Any) -> None:
+    """Remove the row of a helper layer from the layer list; the layer stays in the viewer."""
+    # Private: napari has neither groups of layers nor a public way to omit a row. The row stays
+    # hidden when other rows are added, moved or removed.
+    with suppress(AttributeError):  # there is no window
+        rows = viewer.window._qt_viewer.layers
+        model = rows.model()
+        index = model.sourceModel().index(viewer.layers.index(layer), 0)
+        rows.setRowHidden(model.mapFromSource(index).row(), True)
+
+
 def fade(viewer: Any, layer: Any, share: float) -> None:
     """Draw a layer with a share of its opacity, without changing its settings.
 

@@ -13,7 +13,7 @@ from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.compat import outline_arrows, show_name
+from napari_hmrf.layers.compat import hide_in_list, outline_arrows, show_name
 from napari_hmrf.layers.label_colours import opaque_gaps
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
@@ -24,6 +24,7 @@ from napari_hmrf.layers.metadata import (
     role_of,
 )
 from napari_hmrf.layers.result_layers import Kind, LayerData
+from napari_hmrf.layers.still_paint import hide_still_paint
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
 #: Kind of the layer that shows painted confidence.
@@ -77,6 +78,8 @@ class Result:
         Deformed layer; for a result from a file, the arrow layer that contains the result.
     where : str
         Name of the slice, as in the metadata of the layers.
+    paint_hidden : callable
+        Called with the painted layers that were hidden for the deformed image.
 
     Attributes
     ----------
@@ -91,8 +94,14 @@ class Result:
     #: True if another update will follow soon.
     moving = False
 
-    def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
-        self._viewer = viewer
+    def __init__(
+        self,
+        viewer: Any,
+        anchor: Any,
+        where: str,
+        paint_hidden: Callable[[list[Any]], object] = lambda _: None,
+    ) -> None:
+        self._viewer, self._paint_hidden = viewer, paint_hidden
         #: Weak reference to the deformed layer.
         self.anchor: Callable[[], Any] = weakref.ref(anchor)
         self.where = where
@@ -243,8 +252,8 @@ class Result:
                 self._viewer.layers.remove(layer)
             else:
                 layer.visible = False
-            if part == "overlay":
-                self._update_visibility()  # the overlay has hidden painted confidence
+            if part in ("image", "overlay"):
+                self._update_visibility()  # paint may be visible again
 
     def drop_paint(self, besides: Collection[Part] = ()) -> None:
         """Remove the paint layers, except those of the parts in `besides`."""
@@ -299,6 +308,13 @@ class Result:
             state.is_shown = state.is_wanted and state.current and not hidden
             if layer.visible != state.is_shown:
                 layer.visible = state.is_shown
+        self.hide_paint()
+
+    def hide_paint(self) -> None:
+        """Hide painted layers, which do not move, while the deformed image is visible."""
+        hidden = hide_still_paint(self._viewer)
+        if hidden:
+            self._paint_hidden(hidden)
 
     def _overwrite(self, part: Part, made: LayerData) -> bool:
         """Write new pixels to a layer if nothing else has changed; return True on success."""
@@ -328,6 +344,8 @@ class Result:
                 state = self._states[part] = _PartState(weakref.ref(layer), name, wanted)
                 layers.insert(self._index(part, made, source), layer)
                 state.name = layer.name
+                if part in (PAINTED, CONFIDENCE):  # parts of the drawing, which the tools edit
+                    hide_in_list(self._viewer, layer)
                 if made.kind == "vectors":
                     outline_arrows(self._viewer, layer)
                 corner = "top_right"
@@ -425,9 +443,12 @@ class ResultLayers:
     ----------
     changed : Signal(Result)
         Emitted when the displayed result of an image and slice changes.
+    paint_hidden : Signal(list)
+        Emitted with the painted layers that were hidden for a deformed image.
     """
 
     changed = Signal(object)
+    paint_hidden = Signal(object)
 
     def __init__(self, viewer: Any) -> None:
         self._viewer = weakref.proxy(viewer)
@@ -443,7 +464,7 @@ class ResultLayers:
         for result in self._results:
             if result.anchor() is source and result.where == where:
                 return result
-        self._results.append(Result(self._viewer, source, where))
+        self._results.append(Result(self._viewer, source, where, self.paint_hidden.emit))
         return self._results[-1]
 
     def pictures_of(self, source: Any) -> list[Any]:
@@ -503,6 +524,11 @@ class ResultLayers:
         for result in self._results:
             if not isinstance(result.anchor(), Vectors):
                 result.show_before(result.anchor() is not source)
+
+    def hide_paint(self) -> None:
+        """Hide painted layers, which do not move, while a deformed image is visible."""
+        if self._results:
+            self._results[0].hide_paint()
 
     def remove_orphans(self) -> None:
         """Remove the results of images that are no longer in the viewer."""

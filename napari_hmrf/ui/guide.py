@@ -39,6 +39,8 @@ class Guide:
         self._viewer, self._controller = viewer, controller
         form, pointer = self._form, self._pointer = controller.form, controller.pointer
         self._message = self._doing = self._read = ""
+        # Sentence that is appended to the next message about the study.
+        self._aside = ""
         self._why: Why = "news"
         self._introduction = ""
         for table in form.tables:
@@ -114,6 +116,12 @@ class Guide:
         self._message, self._why, self._read = sentence, why, ""
         self.show()
 
+    def add_aside(self, sentence: str) -> None:
+        """Show a sentence, and append it to the message about the study that may follow."""
+        self._aside = sentence
+        if self._why == "news":
+            self.show_message(sentence)
+
     def invite(self) -> None:
         """Show the hint about the next step, unless a step or a refusal is being reported."""
         if self._why == "news":
@@ -144,7 +152,7 @@ class Guide:
 
     def _on_begun(self, *_: object) -> None:
         """Allow other messages to replace the current message, because a new action has begun."""
-        self._why, self._read = "news", self._message
+        self._why, self._read, self._aside = "news", self._message, ""
 
     def _on_followed(self, *_: object) -> None:
         """Clear a message from before the last action, because the result is newer."""
@@ -168,6 +176,8 @@ class Guide:
 
     def _on_study(self, sentence: str) -> None:
         """Show a message about the study, appended to a step message; "" shows the hint instead."""
+        aside, self._aside = self._aside, ""
+        sentence = f"{sentence} {aside}".strip()
         if not sentence:
             self.invite()
         elif self._why != "refused":

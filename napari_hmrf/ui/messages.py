@@ -42,6 +42,11 @@ WAS_RESET = "Removed all marks and restored the default settings. Press Undo to 
 _NO_IMAGE = "No image is chosen. Choose an image above to see its result."
 _PAINT_HIDDEN = "Tissue hidden while pulling: {}. To show a layer, click its eye icon."
 _HIDDEN = "Hidden to make '{}' visible: {}. Click the eye icon of a layer to show the layer again."
+PAINT_HIDDEN = (
+    "Hidden over the deformed image, because paint does not move with it: {}. The overlay 'tissue "
+    "labels' moves."
+)
+PAINT_SHOWN = "'{0}' belongs to the undeformed image, shown now. To see the result, hide '{0}'."
 EDGE_GOES = (
     "The outer edge is no longer fixed, because '{}' sets the motion. Tick 'Fix outer edge' to "
     "fix the parts of the edge that the layer does not cover."

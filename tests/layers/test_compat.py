@@ -145,6 +145,29 @@ def test_arrows_have_an_outline_in_the_window(make_napari_viewer):
     compat.outline_arrows(ViewerModel(), layer)  # without a window, nothing is drawn
 
 
+def test_the_row_of_a_helper_layer_stays_hidden_in_the_layer_list(make_napari_viewer):
+    viewer = make_napari_viewer()
+    names = ["a", "helper", "b"]
+    first, helper, last = (viewer.add_image(np.eye(4), name=name) for name in names)
+    compat.hide_in_list(viewer, helper)
+    rows = viewer.window._qt_viewer.layers
+
+    def listed():
+        model = rows.model()
+        shown = [row for row in range(model.rowCount()) if not rows.isRowHidden(row)]
+        return [model.index(row, 0).data() for row in shown]
+
+    assert listed() == ["b", "a"]
+    viewer.add_image(np.eye(4), name="c")
+    assert listed() == ["c", "b", "a"]
+    viewer.layers.move(3, 0)
+    viewer.layers.remove(first)
+    assert listed() == ["b", "c"]
+    assert helper in viewer.layers
+    assert public_names_with(helper, "group", "listed") == [], "check for a public way"
+    compat.hide_in_list(ViewerModel(), last)  # without a window, there is no list
+
+
 def test_a_layer_fades_without_a_change_of_its_settings(make_napari_viewer):
     viewer = make_napari_viewer()
     layer = viewer.add_image(np.eye(8), opacity=0.5)

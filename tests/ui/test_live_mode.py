@@ -369,6 +369,7 @@ def test_the_painted_slice_of_a_stack_is_followed(widget, small_sample, run, set
     settle(widget)
     assert (widget.solution, widget.status) == (None, STILL)
     dims.set_current_step(0, 1)
+    boundary.visible = True  # napari can paint only in visible layers
     boundary.data_setitem((np.full(8, 1), np.arange(6, 14), np.full(8, 12)), 1)
     settle(widget)
     assert_newest(widget)
