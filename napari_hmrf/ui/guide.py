@@ -80,7 +80,8 @@ class Guide:
         if self._pointer.active:
             hint = self._pointer.tool.hint
             if self._viewer.dims.ndisplay == 3:
-                hint = f"{hint} {motion_messages.IN_DEPTH}"
+                depth = "" if self._pointer.tool.follows_surface else motion_messages.IN_DEPTH
+                hint = f"{hint} {motion_messages.TURN} {depth}".rstrip()
         return f"{self._controller.unheld_warning} {self._paused or hint}".lstrip()
 
     @property
@@ -154,7 +155,7 @@ class Guide:
 
     def _on_study(self, sentence: str) -> None:
         """Show a message about the study, appended to a step message; "" shows the hint instead."""
-        if not sentence:
+        if not sentence or (sentence == messages.STILL and self.obstacle):
             self.invite()
         elif self._why != "refused":
             self.show_message(

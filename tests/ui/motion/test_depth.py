@@ -1,10 +1,13 @@
 """Tests of drawing on a volume in napari's 3-D view."""
 
+from itertools import count
+
 import numpy as np
 import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QToolButton
 
+from napari_hmrf.layers.compat import camera_of
 from tests.support.person import only
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
@@ -199,7 +202,7 @@ def test_tools_are_disabled_with_a_reason_if_a_slice_is_deformed_in_the_3d_view(
     settle(widget)
     assert not button.isEnabled()
     assert "whole volume" in button.toolTip()
-    assert "whole volume" in widget.status
+    assert "only on a whole volume" in widget.status
     assert not widget.start()
     person.viewer.dims.ndisplay = 2
     settle(widget)
@@ -219,3 +222,43 @@ def test_play_draws_pictures_in_the_3d_view(beside, settle, qtbot):
     widget.pause()
     assert picture.visible
     assert (picture.data != whole).any()
+
+
+def test_play_explains_that_a_slice_is_hidden_inside_the_volume(open_beside, settle):
+    person, widget = open_beside(head(), scale=SCALE)
+    person.viewer.dims.set_point(0, MIDDLE[0])
+    settle(widget)
+    if not widget.active:
+        Screen(widget).press("Pull")
+    settle(widget)
+    person.drag(MIDDLE[1:], (14.5, 13.5))
+    settle(widget)
+    person.viewer.dims.ndisplay = 3
+    settle(widget)
+    widget.play()
+    widget.pause()
+    assert "hidden inside the volume" in widget.status
+
+
+def test_the_mouse_turns_the_camera_beside_the_tissue_in_a_window(
+    open_window, show_volume, settle, wait_for
+):
+    person, widget = show_volume(*open_window(head(), scale=SCALE))
+    camera = camera_of(person.viewer)
+    person.viewer.reset_view()
+    before, places = camera.angles, ((MIDDLE[0], 1.0, col) for col in count(2.0, 0.5))
+    person.press(*next(places))
+
+    def turned():
+        person.canvas._last_time = 0.0  # vispy drops moves in quick succession
+        person.move(*next(places))
+        return camera.angles != before
+
+    wait_for(turned)
+    person.release(*next(places))
+    assert not widget.drawing.marks
+    camera.angles = before
+    person.paint(MIDDLE, (MIDDLE[0], 13.5, 13.5), (MIDDLE[0], 15.5, 16.5))
+    settle(widget)
+    assert camera.angles == before
+    assert only(widget).by == pytest.approx((0, 4, 3), abs=0.3)
