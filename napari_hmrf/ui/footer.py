@@ -19,7 +19,7 @@ _HELP = (
     "[ and ]: radius. While Space is pressed: move the view. While Shift+B is pressed: show the\n"
     "undeformed image.\n"
     "In a Labels layer of napari: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
-    "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: search all commands.\n"
+    "Ctrl+Z: undo. Ctrl+Shift+Z: redo. Ctrl+Shift+P: search all commands.\n"
 )
 #: Largest image, in pixels, for which *Live* is on by default. On two cores without a GPU, an
 #: update takes 0.4 s (elastic) to 1.4 s for 1200 x 1200 pixels, and 1.6 s to 5 s for 2048 x 2048

@@ -194,13 +194,13 @@ def test_undo_and_redo_select_a_stroke_and_show_its_settings(pulling_beside, set
     amount.value = -1.5
     person.key(Qt.Key.Key_Z, CTRL)
     assert (only(widget).amount, amount.value) == (2.0, 2.0)
-    person.key(Qt.Key.Key_Y, CTRL)
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
     assert (only(widget).amount, amount.value) == (-1.5, -1.5)
     for _ in range(2):
         person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
     assert not Screen(widget).button("Remove").isEnabled()
-    person.key(Qt.Key.Key_Y, CTRL)
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
     assert Screen(widget).button("Remove").isEnabled(), "the restored stroke is not selected"
     amount.value = 1.0
     assert only(widget).amount == 1.0, "the field did not change the restored stroke"
@@ -295,7 +295,7 @@ def test_the_layer_of_strokes_is_removed_with_the_last_stroke_and_restored_by_re
         settle(widget)
         assert "Motion, painted" not in layers
         assert widget.active, "the tool was deactivated"
-        person.key(Qt.Key.Key_Y, CTRL)
+        person.key(Qt.Key.Key_Z, CTRL | SHIFT)
         settle(widget)
         assert displayed_paint(person)[20, 22] == number_of("pin")
     person.key(Qt.Key.Key_Z, CTRL)
