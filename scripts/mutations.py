@@ -185,8 +185,8 @@ MUTATIONS = (
     ),
     Mutation(
         "study/drag_preview.py",
-        "Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)",
-        "Preview(CoarseGrid(1), *plane)",
+        "Preview(grid, axis, number, cut)",
+        "Preview(CoarseGrid(1), axis, number, cut)",
         "study/test_drag_preview.py",
     ),
     Mutation(

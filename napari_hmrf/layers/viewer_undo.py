@@ -18,7 +18,7 @@ from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.tissue.row_table import RowTable
 
-#: Name of the method for each key.
+#: Name of the method for each key. In napari, Ctrl+Y switches between the 2-D and the 3-D view.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo"}
 # Counter of brush strokes in napari's Labels layers, common to all viewers.
 _strokes = itertools.count(1)

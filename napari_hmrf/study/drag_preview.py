@@ -41,7 +41,8 @@ def drag_preview(
     shape = study.grid.shape
     if len(shape) == 3:
         grid = CoarseGrid.of_at_most(PREVIEW_SITES, shape)
-        return Preview(grid, cut=cut) if plane is None else Preview(grid, *plane)
+        axis, number = (None, 0) if plane is None else plane
+        return Preview(grid, axis, number, cut)
     if study.model_name != "large motion" or math.prod(shape) <= _LARGER * PREVIEW_SITES:
         return None
     return Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape))

@@ -95,7 +95,8 @@ class Guide:
         if self._pointer.active:
             hint = self._introduction or self._pointer.tool.hint
             if self._viewer.dims.ndisplay == 3:
-                hint = f"{hint} {motion_messages.IN_DEPTH}"
+                depth = "" if self._pointer.tool.follows_surface else motion_messages.IN_DEPTH
+                hint = f"{hint} {motion_messages.TURN} {depth}".rstrip()
         sentences = self._controller.unheld_warning, self._paused or hint, form.footer.live.reason
         return " ".join(filter(None, sentences))
 
@@ -178,7 +179,7 @@ class Guide:
         """Show a message about the study, appended to a step message; "" shows the hint instead."""
         aside, self._aside = self._aside, ""
         sentence = f"{sentence} {aside}".strip()
-        if not sentence:
+        if not sentence or (sentence == messages.STILL and self.obstacle):
             self.invite()
         elif self._why != "refused":
             self.show_message(

@@ -63,9 +63,9 @@ class Person:
             between()
         self.release(*places[-1])
 
-    def _is_at(self, row, col):
-        """Return whether napari's cursor is at a pixel, to 2 pixels of the screen."""
-        at = self.where(*self.viewer.cursor.position[-2:]) - self.where(row, col)
+    def _is_at(self, *place):
+        """Return whether napari's cursor is at a place, to 2 pixels of the screen."""
+        at = self.where(*self.viewer.cursor.position[-len(place) :]) - self.where(*place)
         return at.manhattanLength() <= 2
 
     def key(self, key, modifiers=PLAIN):

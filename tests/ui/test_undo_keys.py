@@ -178,3 +178,14 @@ def test_arrows_and_typed_numbers_are_undone_in_reverse_order(pointer_and_dock, 
     person.key(Z, CTRL)
     assert not dock.drawing.marks
     assert dock.status == "Undid: replaced the drawing."
+
+
+def test_the_key_of_napari_for_the_3d_view_is_not_taken(user_in_window):
+    person, dock = user_in_window
+    before = dock.materials
+    Screen(dock).click_row("gel")
+    Screen(dock).cell("gel", "Stiffness").write("33")
+    person.key(Z, CTRL)
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert dock.materials == before
+    assert person.viewer.dims.ndisplay == 3

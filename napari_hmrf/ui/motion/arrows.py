@@ -24,7 +24,7 @@ from napari_hmrf.tissue.drawing.marks import Point
 #: Largest distance from the mouse to an arrow's end that counts as a hit, in screen pixels.
 _NEAR = 8.0
 #: Keys that move tissue away from the camera or towards it during a drag, and their steps.
-_DEPTH_KEYS = {"Up": 1.0, "Down": -1.0}
+DEPTH_KEYS = {"Up": 1.0, "Down": -1.0}
 
 
 class CanvasListener(Protocol):
@@ -204,7 +204,7 @@ class ArrowsLayer:
         layer.mouse_drag_callbacks.append(self._on_drag)
         layer.mouse_move_callbacks.append(self._stop_turning)
         layer.mouse_wheel_callbacks.append(self._on_wheel)
-        for key, steps in _DEPTH_KEYS.items():
+        for key, steps in DEPTH_KEYS.items():
             layer.bind_key(key, lambda _, steps=steps: self._push(steps))
         for key, callback in self._listener.keys.items():
             layer.bind_key(key, lambda _, callback=callback: callback())

@@ -14,10 +14,8 @@ ONE_SLICE = (
     "In the 3D view, the tools work only on a whole volume: choose 'the whole volume' above, or "
     "press napari's 2D/3D button."
 )
-IN_DEPTH = (
-    "Drag beside the tissue to turn the view. While you drag tissue, the wheel or the keys Up and "
-    "Down move it away or nearer."
-)
+TURN = "Drag beside the tissue to turn the view."
+IN_DEPTH = "While you drag tissue, the wheel or the keys Up and Down move it away or nearer."
 ARROWS_GONE = "The layer 'Motion' was deleted: press a tool to restore it."
 NOTHING = "There is no tissue at this point."
 OUTSIDE = "This point is outside the image."

@@ -296,8 +296,19 @@ class ResultView:
         elif not self.shown.ready():
             self.message.emit(words.NO_IMAGE)
         else:
+            if self._is_buried:
+                self.message.emit(words.BURIED)
             return True
         return False
+
+    @property
+    def _is_buried(self) -> bool:
+        """True if the result is a slice inside a volume that is visible in a 3-D view."""
+        shown = self.shown
+        if shown is None or shown.source is None or self._viewer.dims.ndisplay == 2:
+            return False
+        is_slice = len(shown.answer.frame.plane) == 2 and shown.source.ndim > 2
+        return is_slice and bool(shown.source.visible)
 
     def _put_back(self, release: bool = True) -> None:
         """Show the deformation at 100 %, and drop all jobs."""

@@ -1,10 +1,13 @@
 """Tests of drawing on a volume in napari's 3-D view."""
 
+from itertools import count
+
 import numpy as np
 import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QToolButton
 
+from napari_hmrf.layers.compat import camera_of
 from tests.support.person import only
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
@@ -59,6 +62,16 @@ def test_a_press_grabs_the_first_tissue_on_the_line_of_sight(beside):
     person.press(MIDDLE[0], 16.0, 8.0)
     last = widget.drawing.marks[-1]
     assert last.at == pytest.approx((BOTTOM, 16, 8), abs=0.6)
+
+
+def test_a_press_on_a_surface_passes_darker_tissue_in_front_of_it(beside):
+    person, widget = beside
+    layer = person.viewer.layers["MR"]
+    layer.data[:8][layer.data[:8] > 0] //= 2
+    layer.rendering, layer.iso_threshold = "iso", 100
+    person.viewer.layers["MR deformed, elastic"].data = layer.data
+    person.press(*MIDDLE)
+    assert only(widget).at == pytest.approx((8, 11.5, 13.5), abs=0.6)
 
 
 def test_a_drag_moves_tissue_parallel_to_the_screen(beside, settle):
@@ -191,6 +204,16 @@ def test_only_the_deformed_volume_is_visible_in_the_3d_view(beside, settle):
     assert layer.visible
 
 
+def test_the_image_is_visible_again_after_the_dock_was_closed_in_the_3d_view(beside, settle):
+    person, widget = beside
+    person.drag(MIDDLE, (MIDDLE[0], 13.5, 13.5))
+    settle(widget)
+    layer = person.viewer.layers["MR"]
+    assert not layer.visible
+    person.frame.close(widget)
+    assert layer.visible
+
+
 def test_tools_are_disabled_with_a_reason_if_a_slice_is_deformed_in_the_3d_view(beside, settle):
     person, widget = beside
     (button,) = tools(widget)
@@ -199,7 +222,7 @@ def test_tools_are_disabled_with_a_reason_if_a_slice_is_deformed_in_the_3d_view(
     settle(widget)
     assert not button.isEnabled()
     assert "whole volume" in button.toolTip()
-    assert "whole volume" in widget.status
+    assert "only on a whole volume" in widget.status
     assert not widget.start()
     person.viewer.dims.ndisplay = 2
     settle(widget)
@@ -219,3 +242,43 @@ def test_play_draws_pictures_in_the_3d_view(beside, settle, qtbot):
     widget.pause()
     assert picture.visible
     assert (picture.data != whole).any()
+
+
+def test_play_explains_that_a_slice_is_hidden_inside_the_volume(open_beside, settle):
+    person, widget = open_beside(head(), scale=SCALE)
+    person.viewer.dims.set_point(0, MIDDLE[0])
+    settle(widget)
+    if not widget.active:
+        Screen(widget).press("Pull")
+    settle(widget)
+    person.drag(MIDDLE[1:], (14.5, 13.5))
+    settle(widget)
+    person.viewer.dims.ndisplay = 3
+    settle(widget)
+    widget.play()
+    widget.pause()
+    assert "hidden inside the volume" in widget.status
+
+
+def test_the_mouse_turns_the_camera_beside_the_tissue_in_a_window(
+    open_window, show_volume, settle, wait_for
+):
+    person, widget = show_volume(*open_window(head(), scale=SCALE))
+    camera = camera_of(person.viewer)
+    person.viewer.reset_view()
+    before, places = camera.angles, ((MIDDLE[0], 1.0, col) for col in count(2.0, 0.5))
+    person.press(*next(places))
+
+    def turned():
+        person.canvas._last_time = 0.0  # vispy drops moves in quick succession
+        person.move(*next(places))
+        return camera.angles != before
+
+    wait_for(turned)
+    person.release(*next(places))
+    assert not widget.drawing.marks
+    camera.angles = before
+    person.paint(MIDDLE, (MIDDLE[0], 13.5, 13.5), (MIDDLE[0], 15.5, 16.5))
+    settle(widget)
+    assert camera.angles == before
+    assert only(widget).by == pytest.approx((0, 4, 3), abs=0.3)
