@@ -156,6 +156,7 @@ class ViewerWatch:
     # Visible slice, and layers
 
     def _on_slice(self, *_: Any) -> None:
+        self._pointer.display.arrows.update_wheel()
         # `dims` also emits events if an arrow beyond the image's edge enlarges the canvas.
         before, self._slice = self._slice, self._slice_shown
         if self._slice != before:

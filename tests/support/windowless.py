@@ -8,6 +8,7 @@ from napari.utils.interactions import (
     mouse_move_callbacks,
     mouse_press_callbacks,
     mouse_release_callbacks,
+    mouse_wheel_callbacks,
 )
 from napari.utils.key_bindings import KeymapHandler
 from qtpy.QtCore import Qt
@@ -48,6 +49,11 @@ class Touch:
     def release(self, row, col):
         self._tell(mouse_release_callbacks, "mouse_release", row, col)
 
+    def turn_wheel(self, row, col, notches=1, modifiers=()):
+        """Move the pointer to a pixel, and turn the mouse wheel."""
+        self._tell(mouse_move_callbacks, "mouse_move", row, col, is_dragging=False)
+        self._tell(mouse_wheel_callbacks, "mouse_wheel", row, col, modifiers, delta=(0, notches))
+
     def pick(self, row, col):
         self.press(row, col, ("Shift",))
         self.release(row, col)
@@ -70,7 +76,7 @@ class Touch:
         self._keys.press_key(name)
         self._keys.release_key(name)
 
-    def _tell(self, callbacks, kind, row, col, modifiers=()):
+    def _tell(self, callbacks, kind, row, col, modifiers=(), is_dragging=True, delta=(0, 0)):
         dims = self.viewer.dims
         place = list(dims.point)
         for axis, at in zip(dims.displayed, (row, col), strict=True):
@@ -80,7 +86,9 @@ class Touch:
             position=tuple(place),
             button=1,
             modifiers=modifiers,
-            is_dragging=True,
+            is_dragging=is_dragging,
+            delta=delta,
+            native=SimpleNamespace(inverted=lambda: False),
             dims_displayed=list(dims.displayed),
             dims_point=list(dims.point),
             camera_zoom=_ZOOM,

@@ -43,6 +43,12 @@ class CanvasListener(Protocol):
     def release(self) -> None:
         """End the drag."""
 
+    def takes_wheel_at(self, point: Point | None = None) -> bool:
+        """Return whether the mouse wheel changes a mark at a point, or at any point."""
+
+    def turn_wheel(self, point: Point, notches: float) -> None:
+        """Change a mark at a point; `notches` is positive if the wheel was turned up."""
+
 
 class ArrowsLayer:
     """Vectors layer *Motion* of the viewer, created on first use.
@@ -166,6 +172,13 @@ class ArrowsLayer:
         layer.cursor_size = 2 * circle * step / frame.spacing[-1]
         layer.cursor = "circle"
 
+    def update_wheel(self, point: Point | None = None) -> None:
+        """Let napari zoom with the mouse wheel, unless the wheel changes a mark at a point."""
+        layer = self.layer
+        if layer is not None:
+            draws = layer.mode == "pan_zoom" and self._viewer.dims.ndisplay == 2
+            layer.mouse_zoom = not (draws and self._listener.takes_wheel_at(point))
+
     def end_drag(self) -> None:
         """Resume the updates that were suspended for the drag."""
         self._drag.close()
@@ -184,6 +197,8 @@ class ArrowsLayer:
         # A thumbnail of all lines would take longer than the rest of the update.
         thin_thumbnail(layer, 8)
         layer.mouse_drag_callbacks.append(self._on_drag)
+        layer.mouse_wheel_callbacks.append(self._on_wheel)
+        layer.mouse_move_callbacks.append(self._on_hover)
         for key, callback in self._listener.keys.items():
             layer.bind_key(key, lambda _, callback=callback: callback())
         layer.bind_key("Space", self._on_space)
@@ -198,17 +213,30 @@ class ArrowsLayer:
         napari resets the mouse and the cursor when the layer is added and when its mode changes.
         """
         layer.mouse_pan = False
+        self.update_wheel()
         self.show_cursor(self._circle)
 
     def _on_mode(self, *_: Any) -> None:
+        self.update_wheel()
         if self.layer is not None and self._layer.mode == "pan_zoom":
             self._equip(self._layer)
 
     def _on_space(self, layer: Any) -> Iterator[None]:
         """Move the view with the mouse while Space is pressed, as in napari's own tools."""
-        layer.mouse_pan = True
+        layer.mouse_pan = layer.mouse_zoom = True
         yield
         layer.mouse_pan = False
+        self.update_wheel()
+
+    def _on_hover(self, layer: Any, event: Any) -> None:
+        if not layer.mouse_pan and self._listener.takes_wheel_at():
+            self.update_wheel(self._pixel(layer, event))
+
+    def _on_wheel(self, layer: Any, event: Any) -> None:
+        """Pass a turn of the wheel to the listener, unless napari uses it to zoom."""
+        point = self._pixel(layer, event)
+        if not (layer.mouse_zoom or event.modifiers or point is None):
+            self._listener.turn_wheel(point, float(event.delta[1]))
 
     def _on_drag(self, layer: Any, event: Any) -> Iterator[None]:
         draws = layer.mode == "pan_zoom" and not layer.mouse_pan
