@@ -19,6 +19,7 @@ NO_IMAGE = (
     "There is no image on the pixel grid of this result. Open the image of the result to deform "
     "it. The arrows and the choices of 'overlay' are available without the image."
 )
+FLAT_FILM = "A film shows one slice of a volume: press napari's 2D/3D button first."
 NO_FORCES = (
     "Forces are available for elastic tissue and large motion, after Deform in this session. "
     "Results of the paper's model and results from files have no forces."
