@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from napari.layers import Labels
+from napari.layers import Labels, Points
 from psygnal import Signal
 
 from napari_hmrf.field.frame import PLACE
@@ -177,8 +177,11 @@ class ViewerWatch:
 
     def _on_pixels(self, event: Any) -> None:
         """Schedule a refresh, because the pixels of a layer or their position may have changed."""
-        if self._reads(event.sources[0]):
+        layer = event.sources[0]
+        if self._reads(layer):
             self._controller.schedule_refresh()
+        if isinstance(layer, Points):
+            self._form.motion.boundary.landmarks.suggest()
 
     def _reads(self, layer: Any) -> bool:
         """Return whether the study is read from a layer."""

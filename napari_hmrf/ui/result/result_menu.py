@@ -88,6 +88,8 @@ class ResultMenu:
             show_message,
         )
         self._jobs = BackgroundJobs(show_message)
+        #: Returns the titles and cells of the table of landmarks, or None if there are none.
+        self.landmarks: Callable[[], tuple[list[str], list[list[str]]] | None] = lambda: None
         give_menu(self._button, self._fill)
         form.save.changed.connect(self._on_save)
 
@@ -225,6 +227,9 @@ class ResultMenu:
         add_entry(menu, "Measurements ...", about, measure)
         forces = partial(attempt, self._show_forces, self._show_message)
         add_entry(menu, "Forces ...", "Forces that hold or move tissue", forces)
+        about = "Distance of each landmark from its target, before and after the motion"
+        pairs = partial(attempt, self._show_landmarks, self._show_message)
+        add_entry(menu, "Landmarks ...", about, pairs).setEnabled(self.landmarks() is not None)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         source = None if shown is None else shown.source
@@ -281,6 +286,11 @@ class ResultMenu:
             self._show_table("Forces on tissue where it is held or moved", words)
 
         self._jobs.submit("forces", answer.forces, show)
+
+    def _show_landmarks(self) -> None:
+        """Show the distance of each landmark from its target in a table."""
+        if (words := self.landmarks()) is not None:
+            self._show_table("Distance of each landmark from its target", words)
 
     def _show_table(
         self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QWidget
