@@ -93,7 +93,8 @@ class ResultForm(Container):
         )
         self.more = QPushButton("More")
         self.more.setToolTip(
-            "Measurements, forces, landmarks, moved copies of other layers, fields for other tools, films"
+            "Measurements, forces, landmarks, moved copies of other layers, fields for other "
+            "tools, films"
         )
         buttons = row(self.save, self.keep)
         buttons.native.layout().addWidget(self.more)
