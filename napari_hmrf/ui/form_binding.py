@@ -150,6 +150,7 @@ class FormBinding:
             for choice in form.choices:
                 choice.reset_choices()
             form.motion.boundary.landmarks.refresh()
+            form.motion.boundary.landmarks.suggest()
             if before is not None and form.image.value is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]

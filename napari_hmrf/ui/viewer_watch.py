@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from napari.layers import Labels, Points
 from psygnal import Signal
 
 from napari_hmrf.field.frame import PLACE
@@ -158,6 +159,7 @@ class ViewerWatch:
     # Visible slice, and layers
 
     def _on_slice(self, *_: Any) -> None:
+        self._pointer.display.arrows.update_wheel()
         # `dims` also emits events if an arrow beyond the image's edge enlarges the canvas.
         before, self._slice = self._slice, self._slice_shown
         if self._slice != before:
@@ -178,8 +180,11 @@ class ViewerWatch:
 
     def _on_pixels(self, event: Any) -> None:
         """Schedule a refresh, because the pixels of a layer or their position may have changed."""
-        if self._reads(event.sources[0]):
+        layer = event.sources[0]
+        if self._reads(layer):
             self._controller.schedule_refresh()
+        if isinstance(layer, Points):
+            self._form.motion.boundary.landmarks.suggest()
 
     def _reads(self, layer: Any) -> bool:
         """Return whether the study is read from a layer."""

@@ -66,6 +66,12 @@ class Touch:
         """Turn the mouse wheel forward by a number of steps."""
         self._tell(mouse_wheel_callbacks, "mouse_wheel", None, delta=(0.0, float(steps)))
 
+    def turn_wheel(self, row, col, notches=1, modifiers=()):
+        """Move the pointer to a pixel, and turn the mouse wheel."""
+        at = row, col
+        self._tell(mouse_move_callbacks, "mouse_move", at, is_dragging=False)
+        self._tell(mouse_wheel_callbacks, "mouse_wheel", at, modifiers, delta=(0, notches))
+
     def drag(self, *places, between=lambda: None):
         self.press(*places[0])
         for place in places[1:]:
@@ -84,7 +90,7 @@ class Touch:
         self._keys.press_key(name)
         self._keys.release_key(name)
 
-    def _tell(self, callbacks, kind, at, modifiers=(), delta=(0.0, 0.0)):
+    def _tell(self, callbacks, kind, at, modifiers=(), is_dragging=True, delta=(0.0, 0.0)):
         dims = self.viewer.dims
         place = list(self.viewer.cursor.position if at is None else dims.point)
         for axis, along in () if at is None else zip(dims.displayed, at, strict=True):
@@ -94,7 +100,9 @@ class Touch:
             position=tuple(place),
             button=1,
             modifiers=modifiers,
-            is_dragging=True,
+            is_dragging=is_dragging,
+            delta=delta,
+            native=SimpleNamespace(inverted=lambda: False),
             dims_displayed=list(dims.displayed),
             dims_point=list(dims.point),
             camera_zoom=_ZOOM,

@@ -54,6 +54,11 @@ class CanvasListener(Protocol):
         self, line: LineOfSight, reach: float | None = None, picks: bool = False
     ) -> Point | None:
         """Return the tissue on a line of sight, or the end of a mark within `reach` of the line."""
+    def takes_wheel_at(self, point: Point | None = None) -> bool:
+        """Return whether the mouse wheel changes a mark at a point, or at any point."""
+
+    def turn_wheel(self, point: Point, notches: float) -> None:
+        """Change a mark at a point; `notches` is positive if the wheel was turned up."""
 
 
 class ArrowsLayer:
@@ -183,6 +188,13 @@ class ArrowsLayer:
         layer.cursor_size = 2 * circle * step / frame.spacing[-1]
         layer.cursor = "circle"
 
+    def update_wheel(self, point: Point | None = None) -> None:
+        """Let napari zoom with the mouse wheel, unless the wheel changes a mark at a point."""
+        layer = self.layer
+        if layer is not None:
+            draws = layer.mode == "pan_zoom" and self._viewer.dims.ndisplay == 2
+            layer.mouse_zoom = not (draws and self._listener.takes_wheel_at(point))
+
     def end_drag(self) -> None:
         """Resume the updates that were suspended for the drag."""
         self._deep = None
@@ -202,7 +214,7 @@ class ArrowsLayer:
         # A thumbnail of all lines would take longer than the rest of the update.
         thin_thumbnail(layer, 8)
         layer.mouse_drag_callbacks.append(self._on_drag)
-        layer.mouse_move_callbacks.append(self._stop_turning)
+        layer.mouse_move_callbacks.append(self._on_move)
         layer.mouse_wheel_callbacks.append(self._on_wheel)
         for key, steps in DEPTH_KEYS.items():
             layer.bind_key(key, lambda _, steps=steps: self._push(steps))
@@ -220,17 +232,38 @@ class ArrowsLayer:
         napari resets the mouse and the cursor when the layer is added and when its mode changes.
         """
         layer.mouse_pan = False
+        self.update_wheel()
         self.show_cursor(self._circle)
 
     def _on_mode(self, *_: Any) -> None:
+        self.update_wheel()
         if self.layer is not None and self._layer.mode == "pan_zoom":
             self._equip(self._layer)
 
     def _on_space(self, layer: Any) -> Iterator[None]:
         """Move the view with the mouse while Space is pressed, as in napari's own tools."""
-        layer.mouse_pan = True
+        layer.mouse_pan = layer.mouse_zoom = True
         yield
         layer.mouse_pan = False
+        self.update_wheel()
+
+    def _on_move(self, layer: Any, event: Any) -> None:
+        self._stop_turning(layer)
+        is_flat = len(event.dims_displayed) == 2
+        if is_flat and not layer.mouse_pan and self._listener.takes_wheel_at():
+            self.update_wheel(self._pixel(layer, event))
+
+    def _on_wheel(self, layer: Any, event: Any) -> None:
+        """Move dragged tissue in depth, or pass a turn of the wheel to the listener.
+
+        Otherwise napari zooms.
+        """
+        if len(event.dims_displayed) == 3:
+            self._push(float(event.delta[1]))
+            return
+        point = self._pixel(layer, event)
+        if not (layer.mouse_zoom or event.modifiers or point is None):
+            self._listener.turn_wheel(point, float(event.delta[1]))
 
     def _on_drag(self, layer: Any, event: Any) -> Iterator[None]:
         self._stop_turning(layer)
@@ -296,9 +329,6 @@ class ArrowsLayer:
         # At the release of the mouse, vispy's camera must still receive the event.
         if self._turns:
             layer.mouse_pan = self._turns = False
-
-    def _on_wheel(self, _: Any, event: Any) -> None:
-        self._push(float(event.delta[1]))
 
     def _push(self, steps: float) -> None:
         """Move dragged tissue away from the camera by a number of voxels."""

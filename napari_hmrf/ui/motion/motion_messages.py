@@ -41,6 +41,13 @@ NO_OUTSIDE = (
 )
 
 
+def grown(amount: float, unit: str) -> str:
+    """Return a message about growth with the mouse wheel."""
+    way = "shrinks" if amount < 0 else "grows"
+    still = "" if amount else ": its outline is held in place"
+    return f"This tissue {way} by {abs(amount):.3g} {unit}{still}."
+
+
 def covered(other: str) -> str:
     """Return a message that another layer covers the image, with a remedy."""
     return f"'{other}' covers the image: hide '{other}', or choose it as the image."

@@ -34,6 +34,8 @@ from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
 _AHEAD = 250
 #: Factor by which a key press enlarges the brush.
 _LARGER = 1.25
+#: Time without a turn of the mouse wheel after which its undo step ends, in milliseconds.
+_WHEEL_REST = 400
 
 
 class EarlyDrag(NamedTuple):
@@ -89,6 +91,7 @@ class Pointer:
         # Text overlay in a corner of the canvas, and the text last written there by this object.
         self._corner, self._in_corner = text_of(viewer), ""
         self._draw_timer = single_shot(native, _AHEAD, self.draw)
+        self._wheel_timer = single_shot(native, _WHEEL_REST, self.release)
         self.tissue: Any = None
         self._in_error = False
         # Drags that began before the tissue was ready, and True while the last one continues.
@@ -162,6 +165,7 @@ class Pointer:
         self.tool = self._create_tool(tool)
         self._fields.show_for(tool)
         self._show_cursor()
+        self.display.arrows.update_wheel()
         self.draw()
         self.report_tool()
         if self.active:
@@ -331,8 +335,33 @@ class Pointer:
         self.tool.move(point)
         self._show_stroke(at_once=False)
 
+    def takes_wheel_at(self, point: Point | None = None) -> bool:
+        """Return whether the tool uses the mouse wheel at a point on tissue, or anywhere."""
+        if point is None or not self.tool.takes_wheel:
+            return self.tool.takes_wheel
+        moved = self.display.moved
+        return moved is not None and moved.origin_of(point) is not None
+
+    def turn_wheel(self, point: Point, notches: float) -> None:
+        """Change a mark with the mouse wheel."""
+        moved = self.display.moved
+        if moved is None or moved.ground is None:
+            self.message.emit(motion_messages.PREPARING)
+            return
+        if not self.tool.is_dragging:
+            self.action_started.emit()
+        if (other := self.display.covering) is not None:
+            self.message.emit(motion_messages.covered(other.name))
+        elif self.tool.turn_wheel(point, notches, self._fields.settings, moved.origin_of):
+            self._wheel_timer.start()
+            self._show_settings()
+            self._show_cursor()
+            amount = self.tool.mark_settings["amount"] if self.tool.mark_settings else 0.0
+            self.message.emit(motion_messages.grown(amount, self._fields.unit))
+
     def release(self) -> None:
         """End the drag of the tool."""
+        self._wheel_timer.stop()
         self.display.arrows.end_drag()
         self._is_early = False
         was_dragging, message = self.tool.is_dragging, None

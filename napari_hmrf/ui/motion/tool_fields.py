@@ -167,6 +167,11 @@ class ToolFields(Container):
                     field.value = value
 
     @property
+    def unit(self) -> str:
+        """Unit of the lengths."""
+        return self._unit
+
+    @property
     def radius_range(self) -> tuple[float, float]:
         """Smallest and largest radius."""
         return self._ranges.get(self.radius, (0.5, math.inf))

@@ -111,7 +111,8 @@ class ResultForm(Container):
         )
         self.more = QPushButton("More")
         self.more.setToolTip(
-            "Measurements, forces, moved copies of other layers, fields for other tools, films"
+            "Measurements, forces, landmarks, moved copies of other layers, fields for other "
+            "tools, films"
         )
         self.files = row(self.keep, self.save)
         self.files.native.layout().addWidget(self.more)

@@ -23,6 +23,7 @@ BURIED = (
     "This result is one slice, which is hidden inside the volume in the 3D view. Press napari's "
     "2D/3D button to see it."
 )
+FLAT_FILM = "A film shows one slice of a volume: press napari's 2D/3D button first."
 NO_FORCES = (
     "Forces are available for elastic tissue and large motion, after Deform in this session. "
     "Results of the paper's model and results from files have no forces."

@@ -774,6 +774,59 @@ def test_a_mark_with_a_tiny_radius_is_shown_and_changed(pulling_beside, settle):
     assert (only(widget).confidence, only(widget).radius) == (0.5, 0.5)
 
 
+def test_the_wheel_grows_and_shrinks_tissue_in_one_undo_step(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.key(EXPAND)
+    widget.fields.radius.value = 8.0
+    for notches in (1, 1, 1, -1):
+        person.turn_wheel(32, 32, notches)
+    settle(widget)
+    assert (only(widget).amount, only(widget).lines) == (0.8, (((32, 32),),))
+    assert widget.fields.amount.value == 0.8
+    assert widget.status == "This tissue grows by 0.8 px."
+    assert widget.solution.displacement[32, 40] == pytest.approx((0, 0.8), abs=0.1)
+    person.turn_wheel(34, 34, -5)
+    settle(widget)
+    assert only(widget).amount == -1.2
+    assert widget.status == "This tissue shrinks by 1.2 px."
+    person.turn_wheel(32, 32, -100)
+    settle(widget)
+    assert only(widget).amount == -6.4, "the patch vanished"
+    for amount in (-1.2, 0.8):
+        widget.undo()
+        assert only(widget).amount == amount
+    widget.undo()
+    assert not widget.drawing.marks
+
+
+def test_the_wheel_zooms_unless_grow_is_active_over_tissue(open_beside, settle):
+    person, widget = open_beside(disc())
+    settle(widget)
+    camera = person.viewer.scene.camera
+    for row, col in ((32, 32), (1, 1)):
+        person.turn_wheel(row, col)
+        assert camera.mouse_zoom
+    person.key(EXPAND)
+    person.turn_wheel(1, 1)
+    assert camera.mouse_zoom, "the wheel does not zoom over air"
+    person.turn_wheel(32, 32, modifiers=("Control",))
+    assert not widget.drawing.marks, "a turn with Ctrl, which moves through slices, is used"
+    assert not camera.mouse_zoom
+    person.viewer.dims.ndisplay = 3
+    assert camera.mouse_zoom
+    person.viewer.dims.ndisplay = 2
+    assert not camera.mouse_zoom
+    person.key(Qt.Key.Key_G)
+    assert camera.mouse_zoom
+
+
+def disc():
+    """Return an image of a bright disc in air."""
+    rows, cols = np.indices((64, 64))
+    inside = np.hypot(rows - 32, cols - 32) < 28
+    return np.where(inside, 120 + 60 * ((rows // 8 + cols // 8) % 2), 0).astype(np.uint8)
+
+
 def test_keys_change_the_radius_of_the_brush(pulling_beside):
     person, widget = pulling_beside
     person.key(PIN)

@@ -353,6 +353,40 @@ def test_the_menu_saves_a_film(result, set_save_path, wait_for, tmp_path, monkey
     assert not (tmp_path / "gel.mp4").exists()
 
 
+def test_the_menu_saves_a_looping_gif_named_after_the_image(
+    result, wait_for, tmp_path, monkeypatch
+):
+    dock, _ = result()
+    names = []
+
+    def answer(parent, title, name, kinds):
+        names.append(name)
+        return str(tmp_path / "moving"), kinds
+
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", answer)
+    Screen(dock).entry("More", "Save looping GIF ...").trigger()
+    wait_for(lambda: not dock.busy)
+    assert names == ["MR.gif"]
+    with Picture.open(tmp_path / "moving.gif") as film:
+        assert (film.n_frames > 10, film.info["loop"]) == (True, 0)
+
+
+@pytest.mark.parametrize(("order", "size"), [((0, 1, 2), (24, 20)), ((1, 0, 2), (24, 6))])
+def test_the_film_of_a_volume_shows_the_visible_slice(result, wait_for, tmp_path, order, size):
+    dock, viewer = result(more=(6,))
+    dock.extent = "volume"
+    viewer.dims.order = order
+    dock.deform()
+    wait_for(lambda: not dock.busy)
+    dock.more.save_film(tmp_path / "slice.gif")
+    wait_for(lambda: not dock.busy)
+    with Picture.open(tmp_path / "slice.gif") as film:
+        assert film.size == size
+    viewer.dims.ndisplay = 3
+    with pytest.raises(HmrfError, match="press napari's 2D/3D button first"):
+        dock.more.save_film(tmp_path / "slice.gif")
+
+
 def test_an_unsupported_format_or_a_missing_result_is_reported(
     result, set_save_path, wait_for, tmp_path, widget
 ):
