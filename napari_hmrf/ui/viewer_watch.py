@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from napari.layers import Labels, Points
+from napari.layers import Points
 from psygnal import Signal
 
 from napari_hmrf.field.frame import PLACE

@@ -101,7 +101,6 @@ class Touch:
             button=1,
             modifiers=modifiers,
             is_dragging=is_dragging,
-            delta=delta,
             native=SimpleNamespace(inverted=lambda: False),
             dims_displayed=list(dims.displayed),
             dims_point=list(dims.point),

@@ -54,6 +54,7 @@ class CanvasListener(Protocol):
         self, line: LineOfSight, reach: float | None = None, picks: bool = False
     ) -> Point | None:
         """Return the tissue on a line of sight, or the end of a mark within `reach` of the line."""
+
     def takes_wheel_at(self, point: Point | None = None) -> bool:
         """Return whether the mouse wheel changes a mark at a point, or at any point."""
 
