@@ -129,7 +129,7 @@ class MovedPictures:
         if solution is None:
             where: Any = (slice(None, None, every),) * 3
             if cut is not None:
-                where = tuple(known.voxels_of(cut).T)
+                where = tuple(cut.voxels(image.shape[:3]).T)
             return np.array(image[where])
         if cut is None:
             return known.coarse(solution.displacement, solution.tissue)

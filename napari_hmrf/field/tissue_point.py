@@ -57,11 +57,16 @@ class Points:
     Parameters
     ----------
     solution : Solution
+
+    Attributes
+    ----------
+    farthest : ndarray, shape (n,)
+        Largest displacement along each axis, in the unit of the spacing.
     """
 
     def __init__(self, solution: Solution) -> None:
         self._solution = solution
-        self._farthest = farthest_of(solution.displacement)
+        self.farthest = farthest_of(solution.displacement)
 
     def before(self, place: tuple[float, ...], fraction: float = 1.0) -> tuple[float, ...] | None:
         """Return the origin of the tissue at a moved position; None if no tissue is there.
@@ -80,7 +85,7 @@ class Points:
         """
         solution = self._solution
         field = (solution.displacement, solution.spacing, solution.tissue)
-        return inverse_point(place, *field, self._farthest, fraction)
+        return inverse_point(place, *field, self.farthest, fraction)
 
     def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the moved positions, shape (N, n), of tissue points (N, n), in pixels."""

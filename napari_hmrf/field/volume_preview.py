@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -57,30 +58,30 @@ class CutPlane:
         return met
 
     def voxels(self, shape: tuple[int, ...]) -> npt.NDArray[np.intp]:
-        """Return the voxels that are displayed, (N, 3), in a volume of a shape."""
-        normal = np.array(self.normal) / np.linalg.norm(self.normal)
-        main = int(np.abs(normal).argmax())
-        others = [axis for axis in range(3) if axis != main]
-        # Number of voxels along the main axis at each line of voxels.
-        reach = (self.thickness / 2 + _BESIDE) / abs(normal[main])
-        grid = np.indices([shape[axis] for axis in others]).reshape(2, -1)
-        middle = (
-            self.position[main]
-            - sum(
-                normal[axis] * (along - self.position[axis])
-                for axis, along in zip(others, grid, strict=True)
-            )
-            / (normal[main])
-        )
-        steps = np.arange(math.ceil(2 * reach) + 1)
-        first = np.ceil(middle - reach).astype(np.intp)
-        levels = first[:, None] + steps
-        near = (levels <= (middle + reach)[:, None]) & (levels >= 0) & (levels < shape[main])
-        found = np.empty((int(near.sum()), 3), np.intp)
-        found[:, main] = levels[near]
-        for axis, along in zip(others, grid, strict=True):
-            found[:, axis] = np.broadcast_to(along[:, None], near.shape)[near]
-        return found
+        """Return the voxels that are displayed, (N, 3), in a volume of a shape; read-only."""
+        return _voxels_of(self, tuple(shape))
+
+
+@lru_cache(maxsize=2)
+def _voxels_of(plane: CutPlane, shape: tuple[int, ...]) -> npt.NDArray[np.intp]:
+    normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
+    main = int(np.abs(normal).argmax())
+    others = [axis for axis in range(3) if axis != main]
+    # Each line of voxels along the main axis meets the plane at `middle`.
+    reach = (plane.thickness / 2 + _BESIDE) / abs(normal[main])
+    grid = np.indices([shape[axis] for axis in others]).reshape(2, -1)
+    slopes = normal[others] / normal[main]
+    away = grid - np.array(plane.position)[others, np.newaxis]
+    middle = plane.position[main] - slopes @ away
+    levels = np.ceil(middle - reach).astype(np.intp)[:, np.newaxis]
+    levels = levels + np.arange(math.ceil(2 * reach) + 1)
+    near = (levels <= (middle + reach)[:, np.newaxis]) & (levels >= 0) & (levels < shape[main])
+    found = np.empty((int(near.sum()), 3), np.intp)
+    found[:, main] = levels[near]
+    for axis, along in zip(others, grid, strict=True):
+        found[:, axis] = np.broadcast_to(along[:, np.newaxis], near.shape)[near]
+    found.setflags(write=False)
+    return found
 
 
 class VolumePreview:
@@ -102,7 +103,6 @@ class VolumePreview:
         self._spacing = tuple(size * every for size in spacing)
         self._fill = emptiness(image, 3)
         self._values: Array | None = None
-        self._cut: tuple[CutPlane, Array] | None = None
 
     def coarse(self, displacement: Array, tissue: npt.NDArray[np.bool_]) -> Array:
         """Return the deformed volume at the sites of the coarse grid.
@@ -122,7 +122,7 @@ class VolumePreview:
         return picture
 
     def cut(self, displacement: Array, tissue: npt.NDArray[np.bool_], plane: CutPlane) -> Array:
-        """Return the values of the deformed volume at `voxels_of` a plane.
+        """Return the values of the deformed volume at `CutPlane.voxels` of a plane.
 
         Origins are interpolated between the sites of the coarse grid.
         """
@@ -131,19 +131,13 @@ class VolumePreview:
         # Outside tissue there is no motion to interpolate, so only the known motion has a weight.
         weight = (state > 0).astype(np.float32)[..., np.newaxis]
         away = (source - np.moveaxis(np.indices(mask.shape), 0, -1)) * (weight * self.every)
-        voxels = self.voxels_of(plane)
+        voxels = plane.voxels(self.image.shape[:3])
         known = _at_points(
             np.concatenate([away, weight], -1, dtype=np.float32), voxels / self.every
         )
         share = known[:, 3:]
         places = voxels + np.where(share > _LEAST_WEIGHT, known[:, :3] / np.maximum(share, 1e-6), 0)
         return self._sampled(places)
-
-    def voxels_of(self, plane: CutPlane) -> Array:
-        """Return the voxels of a plane, (N, 3); those of the last plane are reused."""
-        if self._cut is None or self._cut[0] != plane:
-            self._cut = plane, plane.voxels(self.image.shape[:3])
-        return self._cut[1]
 
     def _sampled(self, places: Array) -> Array:
         """Interpolate the image at points, (N, 3), in voxels."""

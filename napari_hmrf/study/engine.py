@@ -344,8 +344,10 @@ class Deformation:
         """Return the first visible point that has tissue, or None; points are (N, n) in pixels."""
         if self.ground is None:
             return None
-        body, sizes = self.ground.body, np.array(self.study.grid.spacing)
-        reach = 1 + self._farthest / sizes
+        body = self.ground.body
+        reach: npt.NDArray[np.floating] = np.ones(points.shape[-1])
+        if self.solution is not None:
+            reach = 1 + self._points.farthest / self.study.grid.spacing
         low = np.maximum(np.floor(points - reach), 0).astype(np.intp)
         high = np.ceil(points + reach).astype(np.intp) + 1
         for point, first, past in zip(points.tolist(), low, high, strict=True):
@@ -354,12 +356,6 @@ class Deformation:
             if body[box].any() and self.origin_of(tuple(point)) is not None:
                 return tuple(point)
         return None
-
-    @cached_property
-    def _farthest(self) -> float:
-        """Largest component of the displacement, in the unit of the spacing."""
-        field = None if self.solution is None else self.solution.displacement
-        return 0.0 if field is None else float(max(field.max(initial=0), -field.min(initial=0)))
 
     def moved_positions(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the moved positions of tissue points, both of shape (N, n) in pixels."""

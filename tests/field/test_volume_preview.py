@@ -39,7 +39,7 @@ def test_a_cut_agrees_with_the_whole_volume(motion, kind):
     image, d, tissue = motion
     image = image.astype(kind)
     preview = VolumePreview(image, EVERY, SPACING)
-    where = tuple(preview.voxels_of(PLANE).T)
+    where = tuple(PLANE.voxels(SHAPE).T)
     shown = preview.cut(coarse(d), coarse(tissue), PLANE)
     exact = warp(image, d, spacing=SPACING, tissue=tissue)[where].astype(float)
     # Tissue may leave the volume at its border.
@@ -57,7 +57,7 @@ def test_tissue_at_the_border_moves_in_a_cut():
     preview = VolumePreview(image, 4, (1, 1, 1))
     plane = CutPlane((12, 12, 12), (0, 0, 1))
     seen = np.full(image.shape, np.nan)
-    seen[tuple(preview.voxels_of(plane).T)] = preview.cut(
+    seen[tuple(plane.voxels(image.shape).T)] = preview.cut(
         d[::4, ::4, ::4], np.ascontiguousarray(tissue[::4, ::4, ::4]), plane
     )
     assert seen[17, 12, 12] == 100, "the front did not move"

@@ -64,6 +64,16 @@ def test_a_press_grabs_the_first_tissue_on_the_line_of_sight(beside):
     assert last.at == pytest.approx((BOTTOM, 16, 8), abs=0.6)
 
 
+def test_a_press_on_a_surface_passes_darker_tissue_in_front_of_it(beside):
+    person, widget = beside
+    layer = person.viewer.layers["MR"]
+    layer.data[:8][layer.data[:8] > 0] //= 2
+    layer.rendering, layer.iso_threshold = "iso", 100
+    person.viewer.layers["MR deformed, elastic"].data = layer.data
+    person.press(*MIDDLE)
+    assert only(widget).at == pytest.approx((8, 11.5, 13.5), abs=0.6)
+
+
 def test_a_drag_moves_tissue_parallel_to_the_screen(beside, settle):
     person, widget = beside
     person.drag(MIDDLE, (MIDDLE[0] + 5, 13.5, 14.5))
