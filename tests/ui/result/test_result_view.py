@@ -844,7 +844,7 @@ def test_the_circle_of_the_cursor_leaves_no_square(
     viewer.mouse_over_canvas = True
     arrows.cursor_size, arrows.cursor = 2, "circle"  # As a tool does.
     person = Person(viewer, qtbot)
-    person.move(20, 30, Qt.MouseButton.NoButton)
+    person.move(20, 30, button=Qt.MouseButton.NoButton)
     at_rest()
 
     def white_at_the_cursor():
