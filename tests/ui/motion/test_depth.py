@@ -204,6 +204,16 @@ def test_only_the_deformed_volume_is_visible_in_the_3d_view(beside, settle):
     assert layer.visible
 
 
+def test_the_image_is_visible_again_after_the_dock_was_closed_in_the_3d_view(beside, settle):
+    person, widget = beside
+    person.drag(MIDDLE, (MIDDLE[0], 13.5, 13.5))
+    settle(widget)
+    layer = person.viewer.layers["MR"]
+    assert not layer.visible
+    person.frame.close(widget)
+    assert layer.visible
+
+
 def test_tools_are_disabled_with_a_reason_if_a_slice_is_deformed_in_the_3d_view(beside, settle):
     person, widget = beside
     (button,) = tools(widget)
