@@ -203,7 +203,7 @@ class ArrowsLayer:
         thin_thumbnail(layer, 8)
         layer.mouse_drag_callbacks.append(self._on_drag)
         layer.mouse_move_callbacks.append(self._stop_turning)
-        layer.mouse_wheel_callbacks.append(self._on_wheel)
+        layer.mouse_wheel_callbacks.append(self._on_depth_wheel)
         for key, steps in DEPTH_KEYS.items():
             layer.bind_key(key, lambda _, steps=steps: self._push(steps))
         for key, callback in self._listener.keys.items():
@@ -297,7 +297,7 @@ class ArrowsLayer:
         if self._turns:
             layer.mouse_pan = self._turns = False
 
-    def _on_wheel(self, _: Any, event: Any) -> None:
+    def _on_depth_wheel(self, _: Any, event: Any) -> None:
         self._push(float(event.delta[1]))
 
     def _push(self, steps: float) -> None:
