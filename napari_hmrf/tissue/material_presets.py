@@ -108,7 +108,7 @@ PRESETS: tuple[Preset, ...] = tuple(_published())
 
 #: Preset for images that need not show tissue, such as photographs; not from a publication.
 PLAIN = Preset(
-    "Any material: normal 1, soft 0.2, stiff 5",
+    "Normal, soft, stiff",
     "",
     "no publication: relative stiffnesses for photographs and drawings, and Poisson's ratio 0.45",
     (
