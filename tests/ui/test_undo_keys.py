@@ -165,3 +165,12 @@ def test_arrows_and_typed_numbers_are_undone_in_reverse_order(pointer_and_dock, 
     person.key(Z, CTRL)
     assert not dock.drawing.marks
     assert dock.status == "Undid: replaced the drawing."
+
+
+def test_undo_of_paint_keeps_the_brush(pointer_and_dock):
+    person, dock = pointer_and_dock
+    screen = Screen(dock)
+    screen.click_row("gel")
+    person.paint((1, 1), (1, 4))
+    screen.press("Undo")
+    assert dock.tissue.mode == "paint"
