@@ -24,7 +24,7 @@ from napari_hmrf.layers.metadata import (
     role_of,
 )
 from napari_hmrf.layers.result_layers import Kind, LayerData
-from napari_hmrf.layers.still_paint import hide_still_paint
+from napari_hmrf.layers.still_paint import hide_still_paint, lies_still
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
 #: Kind of the layer that shows painted confidence.
@@ -177,7 +177,8 @@ class Result:
             self._update_or_replace(part, made, source)
         if show and part == "overlay" and not self.is_before:
             for each in self._viewer.layers:
-                each.visible = each.visible and role_of(each) not in (TISSUE, BOUNDARY)
+                if each.visible and lies_still(each):  # an assignment ends the mode of a layer
+                    each.visible = False
         self._states[part].current = True
         self.set_wanted(part, show or self.is_wanted(part))
 

@@ -185,7 +185,8 @@ def _repeat(layer: Any, name: str) -> None:
 
     napari does not report changes of hidden layers.
     """
-    layer.visible = True
+    if not layer.visible:
+        layer.visible = True
     getattr(layer, name)()
 
 

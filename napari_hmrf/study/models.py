@@ -215,9 +215,8 @@ def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
             details, sweeps=optimizer.iterations, method=method, energy_change=change or 0.0
         )
     parameters = optimizer.parameters
-    return replace(
-        details, accuracy=parameters["tolerance"], budget=parameters.get("budget", 0.0) or 0.0
-    )
+    budget = parameters.get("budget", Multigrid.budget)
+    return replace(details, accuracy=parameters["tolerance"], budget=budget or 0.0)
 
 
 def larger_budget(budget: float) -> float:

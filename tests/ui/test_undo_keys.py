@@ -189,3 +189,12 @@ def test_the_key_of_napari_for_the_3d_view_is_not_taken(user_in_window):
     person.key(Qt.Key.Key_Y, CTRL)
     assert dock.materials == before
     assert person.viewer.dims.ndisplay == 3
+
+
+def test_undo_of_paint_keeps_the_brush(pointer_and_dock):
+    person, dock = pointer_and_dock
+    screen = Screen(dock)
+    screen.click_row("gel")
+    person.paint((1, 1), (1, 4))
+    screen.press("Undo")
+    assert dock.tissue.mode == "paint"
