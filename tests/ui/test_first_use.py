@@ -378,7 +378,7 @@ def test_a_second_click_removes_the_marks_of_folds(deformed, run, settle, click)
     assert viewer.layers["MR folds, paper"].visible
     assert viewer.layers[-1].name == "MR folds, paper", "a layer covers the marks of folds"
     viewer.layers["MR folds, paper"].visible = False
-    assert "show where" in Screen(widget).button("\u26a0").text(), "there are no marks to hide"
+    assert ": show" in Screen(widget).button("\u26a0").text(), "there are no marks to hide"
     click(widget, "\u26a0")
     settle(widget)
     assert viewer.layers["MR folds, paper"].visible

@@ -364,7 +364,7 @@ def test_stiffness_motion_and_confidence_are_painted_and_shown_as_layers(pulling
     (overlay,) = (layer for layer in viewer.layers if "area change" in layer.name)
     assert overlay.colorbar.visible
     assert not confidence.visible, "two colour scales are displayed at once"
-    Screen(widget).choose("nothing")
+    Screen(widget).choose("none")
     settle(widget)
     assert confidence.visible
 
