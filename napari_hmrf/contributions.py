@@ -32,6 +32,13 @@ LayerData = tuple[Any, dict[str, Any], str]
 PathOrPaths = str | list[str]
 
 
+def sample_brain() -> list[LayerData]:
+    """Return the layers of the first sample: a brain with its tissues, which nothing moves yet."""
+    _show_dock()
+    image, tissue, _ = phantom_layers(sample("expansion"))
+    return [image, tissue]
+
+
 def sample_expansion() -> list[LayerData]:
     """Return the layers of the expansion sample: a brain that expands outward."""
     return _sample("expansion")
@@ -39,6 +46,7 @@ def sample_expansion() -> list[LayerData]:
 
 def sample_growth() -> list[LayerData]:
     """Return the layers of the growth sample: a brain with a growing tumour."""
+    _show_dock()
     return phantom_layers(sample("mass-effect").growing())
 
 
@@ -54,6 +62,7 @@ def sample_bar() -> list[LayerData]:
 
 def sample_head() -> list[LayerData]:
     """Return the layers of the head sample: a volume of a head with a growing tumour."""
+    _show_dock()
     return volume_layers(head_phantom(SAMPLE_SIZE))
 
 
@@ -68,7 +77,15 @@ def volume_layers(head: HeadPhantom) -> list[LayerData]:
 
 
 def _sample(name: str) -> list[LayerData]:
+    _show_dock()
     return phantom_layers(sample(name))
+
+
+def _show_dock() -> None:
+    """Show the dock beside a sample, if a napari window is open."""
+    viewer = napari.current_viewer()
+    if viewer is not None:
+        dock(viewer)
 
 
 def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:

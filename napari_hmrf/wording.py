@@ -32,7 +32,7 @@ TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
     "model='elastic'": Term("--model elastic", ""),
     "penalty=None": Term(
-        "without --penalty", "'holding force' under 'Advanced' at 'by confidence'"
+        "without --penalty", "'spring strength' under 'Advanced' at 'by confidence'"
     ),
     "action='move'": Term("the action move in --rules", "'moves by'"),
     "Motion(drawing=..., labels=..., observed=..., weight=...)": Term(

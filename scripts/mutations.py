@@ -58,8 +58,8 @@ MUTATIONS = (
     ),
     Mutation(
         "study/edit_history.py",
-        "        back = step._replace(value=self._now[step.part])\n        target.append(back)",
-        "        back = step\n        target.append(back)",
+        "            back = step._replace(value=self._now[step.part])",
+        "            back = step",
         "study/test_edit_history.py",
     ),
     Mutation(
@@ -185,8 +185,8 @@ MUTATIONS = (
     ),
     Mutation(
         "study/drag_preview.py",
-        "Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)",
-        "Preview(CoarseGrid(1), *plane)",
+        "Preview(grid, axis, number, cut)",
+        "Preview(CoarseGrid(1), axis, number, cut)",
         "study/test_drag_preview.py",
     ),
     Mutation(

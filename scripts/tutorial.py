@@ -45,12 +45,23 @@ def keep(
 
 
 def open_dock(person: Person) -> Any:
-    """Open the dock from the menu, and wait until its solve has finished."""
-    person.menu("Plugins", f"{TITLE} ({PLUGIN})")
+    """Return the dock, opened from the menu if no sample has opened it, after its solve."""
+    if not any(title.startswith(TITLE) for title in person.viewer.window.dock_widgets):
+        person.menu("Plugins", f"{TITLE} ({PLUGIN})")
     wait(0.5)
     dock = person.dock(TITLE)
     wait_until(lambda: not dock.busy)
     return dock
+
+
+def show_painted(person: Person, dock: Any) -> None:
+    """Show the paint and the deformed image of a sample."""
+    wait_until(lambda: dock.solution is not None and not dock.busy)
+    dock.stop()
+    for name in ("Tissue", "Boundary"):
+        person.viewer.layers[name].visible = True
+    person.click(dock._form.result.before)
+    wait_until(lambda: not dock.busy)
 
 
 def open_sample(person: Person, name: str) -> None:
@@ -90,13 +101,6 @@ def pulled(person: Person, dock: Any, *places: tuple[float, float], steps: int =
 def first(_: dict[str, Path]) -> None:
     """Take the pictures of the first deformation: a sample, the dock, a drag, a click."""
     person = Person(SIZE)
-    menu = person.menu("File", "Open Sample", PLUGIN)
-    chosen = next(each for each in menu.actions() if each.text() == GROWING)
-    person.point_at(menu, menu.actionGeometry(chosen).center())
-    menu.setActiveAction(chosen)
-    save(person.screen().crop((0, 0, 920, 330)), FOLDER / "first-sample.png")
-    person.click(menu, menu.actionGeometry(chosen).center())
-    wait(1)
     menu = person.menu("Plugins")
     chosen = next(each for each in menu.actions() if each.text().startswith(TITLE))
     person.point_at(menu, menu.actionGeometry(chosen).center())
@@ -104,6 +108,13 @@ def first(_: dict[str, Path]) -> None:
     save(person.screen().crop((0, 0, 860, 330)), FOLDER / "first-menu.png")
     person.click(menu, menu.actionGeometry(chosen).center())
     wait(0.5)
+    menu = person.menu("File", "Open Sample", PLUGIN)
+    chosen = next(each for each in menu.actions() if each.text() == GROWING)
+    person.point_at(menu, menu.actionGeometry(chosen).center())
+    menu.setActiveAction(chosen)
+    save(person.screen().crop((0, 0, 920, 330)), FOLDER / "first-sample.png")
+    person.click(menu, menu.actionGeometry(chosen).center())
+    wait(1)
     dock = person.dock(TITLE)
     wait_until(lambda: not dock.busy)
     take(person, dock, "pull")
@@ -171,7 +182,7 @@ def tumour(_: dict[str, Path]) -> None:
     open_sample(person, GROWING)
     dock = open_dock(person)
     form = dock._form
-    wait_until(lambda: dock.solution is not None and not dock.busy)
+    show_painted(person, dock)
     keep(person, "tumour-painted", pointer=False)
     person.show(form.result.overlay.native)
     person.choose(form.result.overlay, "strain: equivalent")
@@ -179,7 +190,7 @@ def tumour(_: dict[str, Path]) -> None:
     dock.result.visible = False
     wait_until(lambda: not dock.busy)
     keep(person, "tumour-strain")
-    person.choose(form.result.overlay, "nothing")
+    person.choose(form.result.overlay, "none")
     dock.result.visible = True
     table = form.tissue.table
     (row,) = [number for number, each in enumerate(table.rows) if each.name == "tumour"]
@@ -201,7 +212,7 @@ def tumour(_: dict[str, Path]) -> None:
     person = Person(SIZE)
     open_sample(person, PUSHED)
     dock = open_dock(person)
-    wait_until(lambda: dock.solution is not None and not dock.busy)
+    show_painted(person, dock)
     person.show(dock._form.motion.boundary.table)
     keep(person, "tumour-pushed", pointer=False)
     person.viewer.close()
@@ -295,6 +306,7 @@ def own(images: dict[str, Path]) -> None:
     dock = open_dock(person)
     form = dock._form
     home(person)
+    person.show(form.make)
     person.click(form.make)
     wait_until(lambda: not dock.busy)
     keep(person, "own-layers")
@@ -322,6 +334,7 @@ def photograph(images: dict[str, Path]) -> None:
     wait(0.5)
     dock = open_dock(person)
     home(person)
+    person.show(dock._form.intensity)
     person.click(dock._form.intensity)
     wait_until(lambda: not dock.busy)
     print(dock.status)
@@ -361,7 +374,7 @@ def volume(_: dict[str, Path]) -> None:
     open_sample(person, "Head with a growing tumour (volume)")
     dock = open_dock(person)
     form, viewer = dock._form, person.viewer
-    wait_until(lambda: dock.solution is not None and not dock.busy)
+    show_painted(person, dock)
     viewer.dims.set_point(0, 10.0)
     wait(0.5)
     keep(person, "volume-opened", pointer=False)
@@ -400,7 +413,7 @@ def views(_: dict[str, Path]) -> None:
     open_sample(person, "Head with a growing tumour (volume)")
     dock = open_dock(person)
     viewer = person.viewer
-    wait_until(lambda: dock.solution is not None and not dock.busy)
+    show_painted(person, dock)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # warnings of that plugin
         show_orthogonal_views(viewer)
@@ -409,7 +422,7 @@ def views(_: dict[str, Path]) -> None:
         viewer.layers[name].visible = False
     for axis, place in enumerate((10.0, 28.0, 30.0)):
         viewer.dims.set_point(axis, place)
-    person.choose(dock._form.result.overlay, "how far (mm)")
+    person.choose(dock._form.result.overlay, "displacement (mm)")
     wait_until(lambda: not dock.busy)
     home(person)
     wait(0.5)

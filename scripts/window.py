@@ -15,6 +15,7 @@ from qtpy.QtCore import QEvent, QPoint, QPointF, QRect, QSettings, Qt
 from qtpy.QtGui import QImage, QMouseEvent
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QLineEdit, QWidget
+from superqt import QCollapsible
 
 ROOT = Path(__file__).resolve().parent.parent
 LEFT, NO_BUTTON = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
@@ -139,10 +140,13 @@ class Person:
         wait(0.2)
 
     def show(self, widget: Any) -> None:
-        """Scroll to a widget."""
+        """Open the section of a widget, and scroll to the widget."""
         native = getattr(widget, "native", widget)
         area = native.parent()
         while area is not None and not hasattr(area, "ensureWidgetVisible"):
+            if isinstance(area, QCollapsible) and not area.isExpanded():
+                self.click(area.toggleButton())
+                wait(1.0)  # the section opens gradually
             area = area.parent()
         if area is not None:
             area.ensureWidgetVisible(native)

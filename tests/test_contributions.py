@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from napari.layers import Image, Labels, Layer
-from npe2 import PluginManifest
+from npe2 import PluginManager, PluginManifest
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.contributions import (
@@ -275,6 +275,26 @@ def test_pairs_of_bigwarp_have_the_unit_of_the_open_image(tmp_path, make_napari_
     path = write_points(tmp_path / "pairs.csv", [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]])
     where, should = viewer.open(path, plugin="napari-hmrf")
     assert {str(unit) for each in (where, should) for unit in each.units} == {"millimeter"}
+
+
+@pytest.mark.parametrize(
+    ("name", "is_only"),
+    [
+        ("a.study", True),
+        ("a.mrk.json", True),
+        ("a.fcsv", True),
+        ("a.nii.gz", False),
+        ("A.NII", False),
+        ("a.npz", False),
+        ("a.dcm", False),
+    ],
+)
+def test_napari_offers_this_reader_and_asks_only_if_it_has_its_own(name, is_only):
+    manager = PluginManager.instance()
+    manager.discover()
+    plugins = {reader.plugin_name for reader in manager.iter_compatible_readers([name])}
+    assert "napari-hmrf" in plugins
+    assert (plugins == {"napari-hmrf"}) == is_only
 
 
 def test_the_dock_is_listed_in_the_menus():

@@ -44,7 +44,7 @@ def test_a_setting_is_named_in_the_terms_of_the_interface():
     error = ProblemError(
         "tissue", "take the elastic model that holds by confidence (`penalty=None`)"
     )
-    assert "('holding force' under 'Advanced' at 'by confidence')" in in_short(error)
+    assert "('spring strength' under 'Advanced' at 'by confidence')" in in_short(error)
 
 
 def test_every_setting_in_a_message_has_a_term_for_shell_and_window():

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.deformation import deformation_grid, pixels_between
 from napari_hmrf.field.live_warp import Picture, Warper
-from napari_hmrf.field.quantities import Quantity, values_of
+from napari_hmrf.field.quantities import Quantity, values_of, within, without_folds
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.field.warp import inverse_map_and_overlaps
@@ -69,6 +69,9 @@ class Motion:
     quantity : Quantity, optional
         Quantity in `overlay`, which contains its values at fraction 1. The values at other
         fractions are recomputed.
+    limits : (float, float), optional
+        Ends of the scale of the quantity. If `overlay` contains folds (-infinity), other values are
+        clipped to the scale.
     """
 
     solution: Solution
@@ -76,6 +79,7 @@ class Motion:
     overlay: npt.NDArray[Any] | None = None
     grid: bool = False
     quantity: Quantity | None = None
+    limits: tuple[float, float] | None = None
 
     def at(self, fraction: float) -> Moment:
         """Warp the images by a fraction of the displacement; call on the compute thread only.
@@ -130,14 +134,25 @@ class Motion:
             fill = emptiness(self.image, self.solution.tissue.ndim)
             pictures["image"] = Picture(self.image, order=1, fill=fill)
         if self.overlay is not None and self.overlay.dtype != bool:
-            pictures["overlay"] = _overlaid(self.overlay)
+            whole = self._values_at(1, self.overlay) if self.quantity else self.overlay
+            pictures["overlay"] = _overlaid(whole)
         return pictures
+
+    @cached_property
+    def _folds(self) -> bool:
+        """True if the overlay contains folds."""
+        return self.overlay is not None and bool(np.isneginf(self.overlay).any())
 
     def _values_at(self, fraction: float, whole: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the quantity at a fraction of the displacement, on the grid before the motion."""
-        if fraction == 1 or self.quantity is None:
+        if self.quantity is None:
             return whole
-        return values_of(self.solution, self.quantity, fraction)
+        values = whole if fraction == 1 else values_of(self.solution, self.quantity, fraction)
+        if not self._folds or self.limits is None:
+            return values
+        if fraction != 1:
+            values = without_folds(values, self.solution, fraction)
+        return within(values, self.limits)
 
     @cached_property
     def _warper(self) -> Warper:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
+from napari_hmrf.field.volume_preview import CutPlane, VolumePreview
 from napari_hmrf.solver.solution import Solution
 
 Array = npt.NDArray[Any]
@@ -25,6 +26,7 @@ class MovedPictures:
         self._warper: tuple[Array | None, tuple[Picture, ...], Warper] | None = None
         # For a volume: axis perpendicular to the displayed slices, the image, and the warper.
         self._slicer: tuple[int, Array, Warper] | None = None
+        self._preview: VolumePreview | None = None
 
     def whole(
         self, image: Array | None, over: tuple[Picture, ...], solution: Solution | None
@@ -93,3 +95,42 @@ class MovedPictures:
             known = self._slicer = (axis, image, warper)
         d = np.moveaxis(displacement[..., order], axis, 0)
         return known[2].slice(number, d, np.moveaxis(tissue, axis, 0), every=every)[0]
+
+    def volume(
+        self,
+        image: Array,
+        solution: Solution | None,
+        spacing: Sequence[float],
+        every: int,
+        cut: CutPlane | None,
+    ) -> Array:
+        """Warp a volume for a 3-D view by a solution on a coarse grid.
+
+        Parameters
+        ----------
+        image : ndarray, shape (D, H, W) or (D, H, W, 3 or 4)
+        solution : Solution, optional
+            Solution at every `every`-th voxel; None for no motion.
+        spacing : sequence of float, shape (3,)
+            Size of a voxel along each axis.
+        every : int
+            Step between the sites of the coarse grid along each axis, in voxels.
+        cut : CutPlane, optional
+            Visible plane; None if the whole volume is visible.
+
+        Returns
+        -------
+        ndarray
+            Values at `CutPlane.voxels` of the plane, or the volume at the sites of the coarse grid.
+        """
+        known = self._preview
+        if known is None or known.image is not image or known.every != every:
+            known = self._preview = VolumePreview(image, every, spacing)
+        if solution is None:
+            where: Any = (slice(None, None, every),) * 3
+            if cut is not None:
+                where = tuple(cut.voxels(image.shape[:3]).T)
+            return np.array(image[where])
+        if cut is None:
+            return known.coarse(solution.displacement, solution.tissue)
+        return known.cut(solution.displacement, solution.tissue, cut)

@@ -17,15 +17,21 @@ Quantity = Literal[
     "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
 ]
 _PER_CENT = 100.0
+#: Largest end of a scale of strain, in per cent. Larger strain occurs only at sites that nearly
+#: fold, and would make the strain of the other tissue invisible.
+_LARGEST_STRAIN = 100.0
+#: Distance of clipped values from the lower end of a scale, as a fraction of the scale. napari
+#: draws values at the lower end in the colour of folds.
+_INSIDE = 1e-3
 #: Title and unit of each quantity. The unit "" means the unit of length, and "{kind}" is replaced
 #: by the `StrainKind`. "rows", "columns" and "shear" are the components of the strain within
 #: slices, also for a volume.
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "magnitude": ("displacement", ""),
-    "jacobian": ("Jacobian", "area ratio"),
+    "jacobian": ("area change", "ratio"),
     "equivalent": ("equivalent {kind} strain", "%"),
-    "stretch": ("largest {kind} stretch", "%"),
-    "squeeze": ("largest {kind} squeeze", "%"),
+    "stretch": ("maximum {kind} stretch", "%"),
+    "squeeze": ("maximum {kind} compression", "%"),
     "rows": ("{kind} strain from row to row", "%"),
     "columns": ("{kind} strain from column to column", "%"),
     "shear": ("{kind} shear strain", "%"),
@@ -36,7 +42,7 @@ def title_and_unit(quantity: Quantity, solution: Solution) -> tuple[str, str]:
     """Return the title and the unit of a quantity; the title of a strain includes its kind."""
     title, unit = QUANTITIES[quantity]
     if solution.tissue.ndim == 3:
-        unit = unit.replace("area", "volume")
+        title = title.replace("area", "volume")
     return title.format(kind=strain_kind(solution)), unit
 
 
@@ -46,19 +52,32 @@ class Coloured(NamedTuple):
     Attributes
     ----------
     values : ndarray, shape ([D,] H, W), float32
-        Values in the unit of `QUANTITIES`; NaN outside tissue.
+        Values in the unit of `QUANTITIES`; NaN outside tissue. Strain at folds is -infinity.
     limits : (float, float)
         Ends of the scale.
     signed : bool
         True if the middle of the scale means no change; False if its lower end does.
     folded : bool
-        True if any tissue is folded; values at folds are at or below the lower limit.
+        True if any tissue is folded.
     """
 
     values: FloatArray
     limits: tuple[float, float]
     signed: bool
     folded: bool = False
+
+    @property
+    def unit_note(self) -> str:
+        """Explanation of the colour of folds, for the legend; "" without folds."""
+        return "; yellow: folded" if self.folded else ""
+
+    def is_fold(self, values: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return a mask of the folds in `values`, or in a slice of `values`."""
+        if not self.folded:
+            return np.zeros(values.shape, dtype=bool)
+        is_strain = bool(np.isneginf(self.values).any())
+        mask: npt.NDArray[np.bool_] = np.isneginf(values) if is_strain else values <= 0
+        return mask
 
 
 def coloured(solution: Solution, quantity: Quantity) -> Coloured:
@@ -81,9 +100,26 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
     if quantity == "jacobian":
         folded = bool((values <= 0).any())
         return Coloured(values, area_limits(values, folded), signed, folded)
-    least = SMALLEST * (_PER_CENT if QUANTITIES[quantity][1] == "%" else 1)
-    reach = reach_of(values, signed, least)
-    return Coloured(values, (-reach if signed else 0.0, reach), signed)
+    is_strain = QUANTITIES[quantity][1] == "%"
+    if is_strain:
+        values = without_folds(values, solution)
+    reach = reach_of(values, signed, SMALLEST * (_PER_CENT if is_strain else 1))
+    if is_strain:
+        reach = min(reach, _LARGEST_STRAIN)
+    folded = bool(np.isneginf(values).any())
+    return Coloured(values, (-reach if signed else 0.0, reach), signed, folded)
+
+
+def without_folds(values: FloatArray, solution: Solution, fraction: float = 1.0) -> FloatArray:
+    """Replace the strain at folds, where strain is not defined, by -infinity."""
+    return np.where(area_change(solution, fraction) <= 0, np.float32(-np.inf), values)
+
+
+def within(values: FloatArray, limits: tuple[float, float]) -> FloatArray:
+    """Clip strain to the inside of a scale, so that only folds are at or below the lower end."""
+    low, high = limits
+    inside = np.clip(values, low + _INSIDE * (high - low), high)
+    return np.where(np.isneginf(values), values, inside)
 
 
 def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> FloatArray:

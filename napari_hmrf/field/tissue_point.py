@@ -15,8 +15,8 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
-#: Remark after the Jacobian at a fold, where the displayed value is the smallest determinant of the
-#: elements around the site; elsewhere, the displayed value is the mean of these determinants.
+#: Remark after the area change at a fold, where the displayed value is the smallest determinant of
+#: the elements around the site; elsewhere, the displayed value is the mean of these determinants.
 _FOLDS = " (folds: value at the worst corner)"
 _FULL = 100
 
@@ -57,11 +57,16 @@ class Points:
     Parameters
     ----------
     solution : Solution
+
+    Attributes
+    ----------
+    farthest : ndarray, shape (n,)
+        Largest displacement along each axis, in the unit of the spacing.
     """
 
     def __init__(self, solution: Solution) -> None:
         self._solution = solution
-        self._farthest = farthest_of(solution.displacement)
+        self.farthest = farthest_of(solution.displacement)
 
     def before(self, place: tuple[float, ...], fraction: float = 1.0) -> tuple[float, ...] | None:
         """Return the origin of the tissue at a moved position; None if no tissue is there.
@@ -80,7 +85,7 @@ class Points:
         """
         solution = self._solution
         field = (solution.displacement, solution.spacing, solution.tissue)
-        return inverse_point(place, *field, self._farthest, fraction)
+        return inverse_point(place, *field, self.farthest, fraction)
 
     def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the moved positions, shape (N, n), of tissue points (N, n), in pixels."""
@@ -151,9 +156,10 @@ def at_point(
     """
     step = tuple(rounded(part) for part in ways.to_display(probe.displacement))
     length = rounded(probe.length)
+    size = "volume" if len(probe.displacement) == 3 else "area"
     parts = [
         f"moves {length:g} {unit}" + (f" ({ways.step(step)})" if length else ""),
-        f"Jacobian {probe.jacobian:.3f}" + (_FOLDS if probe.jacobian <= 0 else ""),
+        f"{size} change x {probe.jacobian:.3f}" + (_FOLDS if probe.jacobian <= 0 else ""),
     ]
     line = ", ".join([*parts, *filter(None, more)])
     return line if percent == _FULL else f"at {_FULL} %: {line}"

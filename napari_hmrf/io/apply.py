@@ -158,7 +158,7 @@ def write_field_file(
     Returns
     -------
     str
-        Sentences on the direction of the written field, its error as an inverse, and folds.
+        Sentences on the direction of the written field, the accuracy of the inverse, and folds.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def write_field_file(
         return f"Saved {name}: the forward field, which moves points.{place_note}"
     place_note = "" if field.is_placed else _NO_PLACE
     sentence = (
-        f"Saved {name}: the backward field, which moves images. Its error as an inverse is at most "
+        f"Saved {name}: the backward field, which moves images. Accuracy of the inverse: "
         f"{residual:.2g} px at the centres of the pixels that tissue moved to; between pixels and "
         "at the edge of the tissue, the error may be larger."
     )

@@ -273,14 +273,16 @@ def _draw_colours(
     """Draw slices of a quantity as colours, each on separate axes, with a common colour bar."""
     import matplotlib  # heavy: matplotlib
     from matplotlib.colors import ListedColormap  # heavy: matplotlib
+    from matplotlib.patches import Patch  # heavy: matplotlib
 
     part = np.linspace(0, 1, 256)
     colours = matplotlib.colormaps[DIVERGING if coloured_values.signed else RISING](part)
     colours[:, 3] = opacity(part, coloured_values.signed)
     low, high = coloured_values.limits
     for axes, values in parts:
+        folds = coloured_values.is_fold(values)
         shown = axes.imshow(
-            values,
+            np.where(folds, np.nan, values),
             cmap=ListedColormap(colours),
             alpha=OPACITY,
             aspect=axes.get_aspect(),
@@ -288,11 +290,13 @@ def _draw_colours(
             vmax=high,
         )
         if coloured_values.folded:
-            marked = np.where(values <= 0, 1.0, np.nan)
+            marked = np.where(folds, 1.0, np.nan)
             axes.imshow(marked, cmap=ListedColormap([FOLDED]), aspect=axes.get_aspect())
-    above, below = (
-        (coloured_values.values > high).any(),
-        (coloured_values.values < low).any() and coloured_values.signed,
+            axes.legend(handles=[Patch(color=FOLDED, label="folded")], loc="lower right")
+    all_values = coloured_values.values
+    above = (all_values > high).any()
+    below = (
+        coloured_values.signed and (all_values[~coloured_values.is_fold(all_values)] < low).any()
     )
     ends = "both" if above and below else "max" if above else "min" if below else "neither"
     figure.colorbar(shown, ax=[axes for axes, _ in parts], shrink=0.8, extend=ends)

@@ -37,6 +37,7 @@ def write_movie(
     frames: int = 24,
     per_second: int = 12,
     number: int | None = None,
+    axis: int = 0,
 ) -> Path:
     """Write an animation in which an image is repeatedly deformed and restored.
 
@@ -52,7 +53,9 @@ def write_movie(
     per_second : int
         Number of frames per second.
     number : int, optional
-        Index of the slice to show along the first axis of a volume; required for volumes.
+        Index of the slice to show along `axis` of a volume; required for volumes.
+    axis : int
+        Axis of the volume perpendicular to the slice.
 
     Returns
     -------
@@ -65,7 +68,7 @@ def write_movie(
         If the path has a different suffix.
     ArgumentError
         If `solution` is not a Solution, if `frames` is less than 2 or `per_second` less than 1, or
-        if the volume does not have the slice `number`.
+        if the volume does not have the slice `number` or the axis `axis`.
     ProblemError
         If `number` is missing for a volume, or given for a slice.
     HmrfError
@@ -95,10 +98,14 @@ def write_movie(
         motion = Motion(solution, np.asarray(image))
         pictures = [_frame_at(motion, step) for step in steps]
     else:
-        count = len(solution.tissue)
+        refuse_unless(axis in (0, 1, 2), "axis", axis, "0, 1 or 2")
+        count = solution.tissue.shape[axis]
         refuse_unless(0 <= number < count, "number", number, f"from 0 to {count - 1}")
-        pictures = _slice_frames(solution, np.asarray(image), number, steps)
-    forward_frames = _square_pixels(_to_bytes(np.stack(pictures)), solution.spacing[-2:])
+        pictures = _slice_frames(solution, np.asarray(image), axis, number, steps)
+    spacing = solution.spacing
+    if len(spacing) == 3:
+        spacing = (*spacing[:axis], *spacing[axis + 1 :])
+    forward_frames = _square_pixels(_to_bytes(np.stack(pictures)), spacing)
     loop = np.concatenate([forward_frames, forward_frames[-2:0:-1]])
     if target.suffix.lower() == ".gif":
         write_whole(target, _encode_gif(loop, per_second))
@@ -108,14 +115,18 @@ def write_movie(
 
 
 def _slice_frames(
-    solution: Solution, image: npt.NDArray[np.generic], number: int, steps: Sequence[float]
+    solution: Solution,
+    image: npt.NDArray[np.generic],
+    axis: int,
+    number: int,
+    steps: Sequence[float],
 ) -> list[npt.NDArray[np.generic]]:
     """Return a slice of the deformed volume at each step of the motion."""
     pictures, d = MovedPictures(), solution.displacement
 
     def picture_at(step: float) -> npt.NDArray[np.generic]:
         part = d * np.float32(step)
-        return pictures.plane(image, 0, number, part, solution.tissue, solution.spacing, every=1)
+        return pictures.plane(image, axis, number, part, solution.tissue, solution.spacing, every=1)
 
     return [compute_thread.result_of(partial(picture_at, step), "drawing") for step in steps]
 

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.layers.arrow_mesh import outlined
+
 
 def unwrapped(viewer: Any) -> Any:
     """Return the viewer without the proxy that napari passes to plugins.
@@ -32,6 +34,12 @@ def text_of(viewer: Any) -> Any:
     """Return the text overlay of a viewer (in napari 0.9 or later, of its canvas)."""
     overlay = _overlay(viewer, "text")
     return viewer.text_overlay if overlay is None else overlay
+
+
+def scale_bar_of(viewer: Any) -> Any:
+    """Return the scale bar of a viewer (in napari 0.9 or later, of its canvas)."""
+    overlay = _overlay(viewer, "scale_bar")
+    return viewer.scale_bar if overlay is None else overlay
 
 
 def show_name(layer: Any, corner: str) -> None:
@@ -85,6 +93,54 @@ def drawn_node(viewer: Any, layer: Any) -> Any:
         return viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
     except (AttributeError, KeyError):
         return None
+
+
+def hide_in_list(viewer: Any, layer: Any) -> None:
+    """Remove the row of a helper layer from the layer list; the layer stays in the viewer."""
+    # Private: napari has neither groups of layers nor a public way to omit a row. The row stays
+    # hidden when other rows are added, moved or removed.
+    with suppress(AttributeError):  # there is no window
+        rows = viewer.window._qt_viewer.layers
+        model = rows.model()
+        index = model.sourceModel().index(viewer.layers.index(layer), 0)
+        rows.setRowHidden(model.mapFromSource(index).row(), True)
+
+
+def fade(viewer: Any, layer: Any, share: float) -> None:
+    """Draw a layer with a share of its opacity, without changing its settings.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    layer : napari.layers.Layer
+    share : float
+        From 0 (invisible) to 1.
+    """
+    # Private: a change of `layer.opacity` would be shown in napari's controls and be saved.
+    node = drawn_node(viewer, layer)
+    if node is not None:
+        node.opacity = share * layer.opacity
+        node.update()
+
+
+def outline_arrows(viewer: Any, layer: Any) -> None:
+    """Draw the arrows of a Vectors layer with a dark outline and a minimum size of the head."""
+    # Private: napari has no public setting for the outline and the heads of arrows, so the
+    # triangles are replaced on their way from napari to vispy.
+    node = drawn_node(viewer, layer)
+    set_data = getattr(node, "set_data", None)
+    if set_data is None:
+        return
+
+    def set_outlined(**given: Any) -> None:
+        made = outlined(given["vertices"], given["faces"], np.asarray(given["face_colors"]))
+        names = ("vertices", "faces", "face_colors")
+        set_data(**(given if made is None else dict(zip(names, made, strict=True))))
+
+    node.unfreeze()
+    node.set_data = set_outlined
+    node.freeze()
+    layer.refresh(thumbnail=False, extent=False)
 
 
 class CanvasContext:

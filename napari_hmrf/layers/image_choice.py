@@ -44,6 +44,18 @@ def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] 
     return max(reversed([*images]), key=likelihood, default=None)
 
 
+def is_photograph(image: Any) -> bool:
+    """Return whether an image seems to be a photograph or a drawing rather than a scan.
+
+    This is the case for a colour image, or a single slice of 8-bit values, without a unit of length
+    and without metadata of this package, which scans and samples have.
+    """
+    has_unit = any(str(unit) != "pixel" for unit in image.units)
+    if has_unit or role_of(image) is not None:
+        return False
+    return bool(image.rgb) or (image.ndim == 2 and full_resolution(image).dtype == np.uint8)
+
+
 def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> list[Any]:
     """Return the tissue and boundary layers on the grid of an image, lowest first.
 

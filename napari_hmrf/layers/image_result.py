@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from napari.layers import Layer, Vectors
+from napari.layers import Image, Layer, Vectors
 from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.compat import show_name
+from napari_hmrf.layers.compat import hide_in_list, outline_arrows, show_name
+from napari_hmrf.layers.label_colours import opaque_gaps
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
     METADATA,
@@ -23,6 +24,7 @@ from napari_hmrf.layers.metadata import (
     role_of,
 )
 from napari_hmrf.layers.result_layers import Kind, LayerData
+from napari_hmrf.layers.still_paint import hide_still_paint, lies_still
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
 #: Kind of the layer that shows painted confidence.
@@ -76,6 +78,8 @@ class Result:
         Deformed layer; for a result from a file, the arrow layer that contains the result.
     where : str
         Name of the slice, as in the metadata of the layers.
+    paint_hidden : callable
+        Called with the painted layers that were hidden for the deformed image.
 
     Attributes
     ----------
@@ -90,8 +94,14 @@ class Result:
     #: True if another update will follow soon.
     moving = False
 
-    def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
-        self._viewer = viewer
+    def __init__(
+        self,
+        viewer: Any,
+        anchor: Any,
+        where: str,
+        paint_hidden: Callable[[list[Any]], object] = lambda _: None,
+    ) -> None:
+        self._viewer, self._paint_hidden = viewer, paint_hidden
         #: Weak reference to the deformed layer.
         self.anchor: Callable[[], Any] = weakref.ref(anchor)
         self.where = where
@@ -167,7 +177,8 @@ class Result:
             self._update_or_replace(part, made, source)
         if show and part == "overlay" and not self.is_before:
             for each in self._viewer.layers:
-                each.visible = each.visible and role_of(each) not in (TISSUE, BOUNDARY)
+                if each.visible and lies_still(each):  # an assignment ends the mode of a layer
+                    each.visible = False
         self._states[part].current = True
         self.set_wanted(part, show or self.is_wanted(part))
 
@@ -242,6 +253,8 @@ class Result:
                 self._viewer.layers.remove(layer)
             else:
                 layer.visible = False
+            if part in ("image", "overlay"):
+                self._update_visibility()  # paint may be visible again
 
     def drop_paint(self, besides: Collection[Part] = ()) -> None:
         """Remove the paint layers, except those of the parts in `besides`."""
@@ -284,18 +297,33 @@ class Result:
 
     def _update_visibility(self) -> None:
         """Update the visibility of each layer."""
-        for part, layer, state in self._present_layers():
+        # Two colour scales on one image, and their legends, could be mistaken for each other.
+        parts = sorted(self._present_layers(), key=lambda each: each[0] == CONFIDENCE)
+        overlay = self._states.get("overlay")
+        for part, layer, state in parts:
             state.is_wanted = self.is_wanted(part)
             partly = not self._is_whole and part in (PAINTED, CONFIDENCE)
             hidden = self.is_before or self.is_away or partly
+            if part == CONFIDENCE and overlay is not None and overlay.is_shown:
+                hidden = hidden or isinstance(self.layer("overlay"), Image)
             state.is_shown = state.is_wanted and state.current and not hidden
             if layer.visible != state.is_shown:
                 layer.visible = state.is_shown
+        self.hide_paint()
+
+    def hide_paint(self) -> None:
+        """Hide painted layers, which do not move, while the deformed image is visible."""
+        hidden = hide_still_paint(self._viewer)
+        if hidden:
+            self._paint_hidden(hidden)
 
     def _overwrite(self, part: Part, made: LayerData) -> bool:
         """Write new pixels to a layer if nothing else has changed; return True on success."""
         layer, state = self.layer(part), self._states.get(part)
         if layer is None or state is None or state.part is not None or not _fits(layer, made):
+            return False
+        # A coarse preview of a volume has fewer, larger voxels.
+        if made.kind == "image" and layer.data.shape != made.data.shape:
             return False
         if part == PAINTED and layer.colormap is not made.attributes["colormap"]:
             return False
@@ -317,8 +345,11 @@ class Result:
                 state = self._states[part] = _PartState(weakref.ref(layer), name, wanted)
                 layers.insert(self._index(part, made, source), layer)
                 state.name = layer.name
-                # Use different corners, because two colour bars in one corner would overlap.
-                corner = "top_left" if part == CONFIDENCE else "top_right"
+                if part in (PAINTED, CONFIDENCE):  # parts of the drawing, which the tools edit
+                    hide_in_list(self._viewer, layer)
+                if made.kind == "vectors":
+                    outline_arrows(self._viewer, layer)
+                corner = "top_right"
                 if is_scale:
                     layer.colorbar.position, layer.colorbar.visible = corner, True
                 if part in ("overlay", CONFIDENCE):
@@ -335,6 +366,9 @@ class Result:
                 now, at = layers.index(layer), self._index(part, made, source)
                 if is_overlaid and now + 1 < at:  # paint was added above the overlay
                     layers.move(now, at)
+        is_grey = part == "image" and not layer.rgb
+        if is_grey and layer.dtype.kind == "f" and np.isnan(layer.data).any():
+            layer.colormap = opaque_gaps(layer.colormap)
         state.writable = state.part = state.complete = None
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
@@ -410,9 +444,12 @@ class ResultLayers:
     ----------
     changed : Signal(Result)
         Emitted when the displayed result of an image and slice changes.
+    paint_hidden : Signal(list)
+        Emitted with the painted layers that were hidden for a deformed image.
     """
 
     changed = Signal(object)
+    paint_hidden = Signal(object)
 
     def __init__(self, viewer: Any) -> None:
         self._viewer = weakref.proxy(viewer)
@@ -428,7 +465,7 @@ class ResultLayers:
         for result in self._results:
             if result.anchor() is source and result.where == where:
                 return result
-        self._results.append(Result(self._viewer, source, where))
+        self._results.append(Result(self._viewer, source, where, self.paint_hidden.emit))
         return self._results[-1]
 
     def pictures_of(self, source: Any) -> list[Any]:
@@ -488,6 +525,11 @@ class ResultLayers:
         for result in self._results:
             if not isinstance(result.anchor(), Vectors):
                 result.show_before(result.anchor() is not source)
+
+    def hide_paint(self) -> None:
+        """Hide painted layers, which do not move, while a deformed image is visible."""
+        if self._results:
+            self._results[0].hide_paint()
 
     def remove_orphans(self) -> None:
         """Remove the results of images that are no longer in the viewer."""

@@ -35,7 +35,7 @@ def boundary_colours() -> Any:
 
 def mark_look() -> dict[str, Any]:
     """Return the display settings of a Labels layer that marks sites, such as folds."""
-    colours = {None: "transparent", 0: "transparent", 1: "red"}
+    colours = {None: "transparent", 0: "transparent", 1: FOLDED}
     return {"colormap": colormaps.DirectLabelColormap(color_dict=colours), "opacity": 1.0}
 
 
@@ -55,6 +55,24 @@ def quantity_colours(signed: bool, folds: bool = False) -> Any:
     colours[:, 3] = opacity(part, signed)
     low = transform_color(FOLDED)[0] if folds else None
     return colormaps.Colormap(colours, name=f"{name}, clear", low_color=low)
+
+
+def opaque_gaps(colormap: Any) -> Any:
+    """Return a copy of a colormap that draws NaN in black, so that no layer below shows through.
+
+    The copy has a name of its own, because napari replaces its colormap of the same name.
+    """
+    if colormap.nan_color[3] == 1:
+        return colormap
+    return colormaps.Colormap(
+        colormap.colors,
+        controls=colormap.controls,
+        interpolation=colormap.interpolation,
+        low_color=colormap.low_color,
+        high_color=colormap.high_color,
+        nan_color=(0.0, 0.0, 0.0, 1.0),
+        name=f"{colormap.name}, NaN black",
+    )
 
 
 def confidence_look() -> dict[str, Any]:

@@ -326,10 +326,27 @@ class Overlay(NamedTuple):
     picture: Array | None = None
 
     @property
+    def limits(self) -> tuple[float, float] | None:
+        """Ends of the colour scale, or None if the overlay has no colour scale."""
+        limits: tuple[float, float] | None = self.layer.attributes.get("contrast_limits")
+        return limits
+
+    @property
+    def quantity(self) -> Quantity | None:
+        """Quantity of the tissue in the overlay, or None for another overlay."""
+        return self.name if self.name in QUANTITIES else None
+
+    @property
     def beyond(self) -> str:
         """Note on values outside the colour limits, or "" if there are no such values."""
-        limits = self.layer.attributes.get("contrast_limits")
-        return "" if limits is None or self.picture is None else beyond(self.picture, limits)
+        if self.limits is None or self.picture is None:
+            return ""
+        return beyond(self.picture, self.limits)
+
+    def motion(self, solution: Solution, image: Array | None = None) -> Motion:
+        """Return the motion of the overlay and, if given, of an image."""
+        is_grid = self.name == "grid"
+        return Motion(solution, image, self.picture, is_grid, self.quantity, self.limits)
 
 
 def overlay_of(
@@ -367,8 +384,9 @@ def overlay_of(
     if (pixels := _pixels_of(answer, name, compared)) is None:
         return None
     picture, *shown = pixels
-    moved = np.asarray(Motion(answer.solution, overlay=picture).at(1).overlay)
-    return Overlay(name, answer.layer(name, moved, *shown), picture)
+    still = Overlay(name, answer.layer(name, picture, *shown), picture)
+    moved = np.asarray(still.motion(answer.solution).at(1).overlay)
+    return still._replace(layer=still.layer._replace(data=answer.frame.put_image(moved)))
 
 
 def _pixels_of(
@@ -382,7 +400,8 @@ def _pixels_of(
     if name in QUANTITIES:
         title, unit = title_and_unit(name, answer.solution)
         shown = coloured(answer.solution, name)
-        return shown.values, f"{title} ({unit or answer.unit})", _colours(shown)
+        legend = f"{title} ({unit or answer.unit}{shown.unit_note})"
+        return shown.values, legend, _colours(shown)
     if name in MARKS:
         sites = marked_sites(answer.solution, name)
         return (sites, name, label_colours.mark_look(), "labels") if sites.any() else None

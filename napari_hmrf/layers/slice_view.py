@@ -162,7 +162,8 @@ def _axes_of(layer: Any, view: View | None) -> tuple[int, ...]:
         raise LayerError(
             layer,
             f"has {ndim} axes, but lacks world axis {min(view.displayed[-2:])}, which the viewer "
-            "shows. Show the axes of this layer (with the roll button below the canvas).",
+            "shows. Show the axes of this layer (with the button below the layer list that changes "
+            "the order of the axes).",
         )
     return rows, cols
 

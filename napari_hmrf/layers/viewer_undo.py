@@ -18,8 +18,8 @@ from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.tissue.row_table import RowTable
 
-#: Name of the method for each key.
-KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
+#: Name of the method for each key. In napari, Ctrl+Y switches between the 2-D and the 3-D view.
+KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo"}
 # Counter of brush strokes in napari's Labels layers, common to all viewers.
 _strokes = itertools.count(1)
 
@@ -128,7 +128,7 @@ class ViewerUndo:
         layer = self._viewer.layers.selection.active
         has_paint = step is None and bool(paint_steps(layer, name))
         if has_paint:
-            getattr(layer, name)()
+            _repeat(layer, name)
         return has_paint
 
     def _report(self, name: str, what: str, step: Step | None, nothing: str) -> None:
@@ -136,7 +136,7 @@ class ViewerUndo:
         if step is not None and isinstance(part := step.part, Part):
             # napari stores at most 100 strokes, so the stroke may no longer be available.
             if part.kind == "paint" and paint_steps(part.layer, name):
-                getattr(part.layer, name)()
+                _repeat(part.layer, name)
             self.go_to(part)
             what += self._of_image(part)
         self.message.emit(nothing if step is None else f"{what}: {step.word}.", step)
@@ -178,6 +178,16 @@ class ViewerUndo:
 
     def _on_removed(self, event: Any) -> None:
         self.model.remove(event.value)
+
+
+def _repeat(layer: Any, name: str) -> None:
+    """Undo or redo a stroke in a Labels layer, and show the layer, which may be hidden.
+
+    napari does not report changes of hidden layers.
+    """
+    if not layer.visible:
+        layer.visible = True
+    getattr(layer, name)()
 
 
 def _tip(what: str, step: Step | None) -> str:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import scipy
 
+from napari_hmrf.field.frame import Frame, as_tuples
+from napari_hmrf.field.volume_preview import CutPlane
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Mark
 from napari_hmrf.tissue.drawing.marks import Point
@@ -53,7 +55,7 @@ class CoarseGrid:
         Returns
         -------
         Study
-            Study on this grid, with the `place` of the full grid.
+            Study on this grid.
         """
         if self.step == 1:
             return study
@@ -65,11 +67,20 @@ class CoarseGrid:
             motion = replace(motion, labels=painted)
         return replace(
             study,
-            grid=replace(grid, shape=shape, spacing=spacing),
+            grid=replace(grid, shape=shape, spacing=spacing, place=self._place(grid.place)),
             tissue=self._sampled(study.tissue, len(shape)),
             motion=self._sampled(replace(motion, drawing=self.drawing(motion.drawing)), len(shape)),
             pictures=self._sampled(study.pictures, len(shape)),
         )
+
+    def _place(self, place: Frame | None) -> Frame | None:
+        """Return the place of this grid, given the place of the full grid."""
+        if place is None:
+            return None
+        scale, matrix = np.array(place.scale), np.array(place.matrix)
+        scale[list(place.plane)] *= self.step
+        matrix[:, list(place.plane)] *= self.step
+        return replace(place, scale=as_tuples(scale), matrix=as_tuples(matrix))
 
     def _sampled(self, part: Any, axes: int) -> Any:
         """Return a part of a study with its images sampled at the sites of this grid."""
@@ -103,9 +114,14 @@ class Preview:
     grid : CoarseGrid
         Grid on which the tissue is solved.
     axis, number : int, optional
-        For a volume: axis perpendicular to the visible slice, and index of the slice.
+        For a volume in a slice view: axis perpendicular to the visible slice, and index of the
+        slice.
+    cut : CutPlane, optional
+        For a volume in a 3-D view: visible plane. Without `axis` and `cut`, the whole volume is
+        shown on the coarse grid.
     """
 
     grid: CoarseGrid
     axis: int | None = None
     number: int = 0
+    cut: CutPlane | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from napari_hmrf.field.volume_preview import CutPlane
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Preview
@@ -19,14 +20,19 @@ _LARGER = 4
 _LARGE_MOTION_TOLERANCE = 0.1
 
 
-def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Preview | None:
+def drag_preview(
+    study: Study, plane: tuple[int, int] | None = None, cut: CutPlane | None = None
+) -> Preview | None:
     """Return the coarse grid for a study during a drag; None for the full grid.
 
     Parameters
     ----------
     study : Study
     plane : tuple of int, optional
-        For a volume: axis perpendicular to the visible slice, and index of the slice.
+        For a volume in a slice view: axis perpendicular to the visible slice, and index of the
+        slice; None in a 3-D view.
+    cut : CutPlane, optional
+        For a volume in a 3-D view: visible plane; None if the whole volume is visible.
 
     Returns
     -------
@@ -34,8 +40,9 @@ def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Preview 
     """
     shape = study.grid.shape
     if len(shape) == 3:
-        assert plane is not None
-        return Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)
+        grid = CoarseGrid.of_at_most(PREVIEW_SITES, shape)
+        axis, number = (None, 0) if plane is None else plane
+        return Preview(grid, axis, number, cut)
     if study.model_name != "large motion" or math.prod(shape) <= _LARGER * PREVIEW_SITES:
         return None
     return Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape))

@@ -7,7 +7,7 @@ undo restores them exactly.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from psygnal import Signal
@@ -17,11 +17,23 @@ DEPTH = 500
 
 
 class Step(NamedTuple):
-    """Step of the history: its part, the value that undo or redo would set, and its name."""
+    """Step of the history.
+
+    Attributes
+    ----------
+    part : hashable
+    value : object
+        Value that undo or redo would set.
+    word : str
+        Name of the step.
+    is_joined : bool
+        True if undo and redo treat the step and the step before it as one.
+    """
 
     part: Hashable
     value: Any
     word: str
+    is_joined: bool = False
 
 
 class EditHistory:
@@ -108,6 +120,25 @@ class EditHistory:
             self._keep(Step(part, before, word))
             self._show(part, value)
 
+    def do_all(self, values: Mapping[Any, Any], word: str) -> None:
+        """End any edit in progress, then set the values of several parts as one step.
+
+        Parameters
+        ----------
+        values : mapping of hashable to object
+            New value of each part; each part must have a value.
+        word : str
+            Name of the step, in the past tense.
+        """
+        self.end()
+        is_joined = False
+        for part, value in values.items():
+            before = self._now[part]
+            if value != before:
+                self._keep(Step(part, before, word, is_joined))
+                self._show(part, value)
+                is_joined = True
+
     def begin(self, part: Hashable, word: str) -> None:
         """Begin an edit with several updates, such as a drag, that is undone as one step.
 
@@ -178,10 +209,11 @@ class EditHistory:
         if self._begun is not None and unwanted(self._begun.part):
             self._begun = None
         before = len(self._past) + len(self._future)
-        for steps in (self._past, self._future):
-            kept = [step for step in steps if not unwanted(step.part)]
+        past, future = self._past, self._future
+        kept = _without(past, unwanted), _without(reversed(future), unwanted)[::-1]
+        for steps, left in zip((past, future), kept, strict=True):
             steps.clear()
-            steps.extend(kept)
+            steps.extend(left)
         self._now = {part: value for part, value in self._now.items() if not unwanted(part)}
         if len(self._past) + len(self._future) != before:
             self.steps_changed.emit()
@@ -192,17 +224,36 @@ class EditHistory:
         self.steps_changed.emit()
 
     def _go(self, source: Any, target: Any) -> Step | None:
-        if not source:
-            return None
-        step: Step = source.pop()
-        back = step._replace(value=self._now[step.part])
-        target.append(back)
-        self._show(step.part, step.value)
-        self.steps_changed.emit()
-        return back
+        """Move a step and all steps joined with it; return the first of them."""
+        first: Step | None = None
+        while source:
+            step: Step = source.pop()
+            back = step._replace(value=self._now[step.part])
+            target.append(back)
+            self._show(step.part, step.value)
+            first = back if first is None or not back.is_joined else first
+            goes_on = step.is_joined if source is self._past else source and source[-1].is_joined
+            if not goes_on:
+                break
+        if first is not None:
+            self.steps_changed.emit()
+        return first
 
     def _show(self, part: Hashable, value: Any) -> None:
         before = self._now[part]
         if value != before:
             self._now[part] = value
             self.changed.emit(part, value, before)
+
+
+def _without(steps: Iterable[Step], unwanted: Callable[[Any], bool]) -> list[Step]:
+    """Return steps, oldest first, without unwanted parts; joined steps remain joined."""
+    kept: list[Step] = []
+    has_first = True
+    for step in steps:
+        if not step.is_joined:
+            has_first = not unwanted(step.part)
+        if not unwanted(step.part):
+            kept.append(step if has_first else step._replace(is_joined=False))
+            has_first = True
+    return kept

@@ -244,6 +244,12 @@ class Engine:
     ) -> tuple[Array | None, tuple[Array, ...]]:
         """Return the image and its overlays, warped by a solution."""
         image, preview = request.study.pictures.image, request.preview
+        spacing = request.study.grid.spacing
+        if preview is not None and preview.axis is None and len(spacing) == 3:
+            if image is None:
+                return None, ()
+            every, cut = preview.grid.step, preview.cut
+            return self._pictures.volume(image, solution, spacing, every, cut), ()
         if preview is None or preview.axis is None:
             if solution is not None and request.ground is not None and request.grid.step > 1:
                 solution = on_finer_grid(solution, request.ground.stiffness > 0, request.grid.step)
@@ -253,8 +259,7 @@ class Engine:
         if solution is None or request.ground is None:
             return np.asarray(image.take(preview.number, preview.axis)), ()
         where = preview.axis, preview.number, solution.displacement, request.ground.stiffness > 0
-        spacing, every = request.study.grid.spacing, preview.grid.step
-        return self._pictures.plane(image, *where, spacing, every), ()
+        return self._pictures.plane(image, *where, spacing, preview.grid.step), ()
 
 
 def patience_for(study: Study, preview: Preview | None) -> float:
@@ -294,7 +299,8 @@ class Deformation:
         True if the study was solved from a cold start, as by `solve_study`.
     preview : Preview, optional
         Settings of a preview. The `image` of a preview is one slice, (H, W), of a volume, or the
-        whole image.
+        whole image. In a 3-D view it is a volume on the coarse grid, or the values, (N,), at the
+        voxels of a cut.
     generation : int
         Generation number, as returned by `Engine.submit`.
     """
@@ -333,6 +339,23 @@ class Deformation:
             # Otherwise the tissue is unconstrained: it was excluded and has not moved.
         is_tissue = self.ground is not None and holds(self.ground.body, _pixel(point))
         return point if is_tissue else None
+
+    def first_tissue(self, points: npt.NDArray[np.float64]) -> Point | None:
+        """Return the first visible point that has tissue, or None; points are (N, n) in pixels."""
+        if self.ground is None:
+            return None
+        body = self.ground.body
+        reach: npt.NDArray[np.floating] = np.ones(points.shape[-1])
+        if self.solution is not None:
+            reach = 1 + self._points.farthest / self.study.grid.spacing
+        low = np.maximum(np.floor(points - reach), 0).astype(np.intp)
+        high = np.ceil(points + reach).astype(np.intp) + 1
+        for point, first, past in zip(points.tolist(), low, high, strict=True):
+            # Inverting the motion is slow, so points far from all tissue are skipped first.
+            box = tuple(map(slice, first, past))
+            if body[box].any() and self.origin_of(tuple(point)) is not None:
+                return tuple(point)
+        return None
 
     def moved_positions(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the moved positions of tissue points, both of shape (N, n) in pixels."""

@@ -234,7 +234,7 @@ class Ground:
     def idle_marks(self, statement: Statement) -> tuple[str, ...]:
         """Return clauses about marks of the drawing that have no effect."""
         drawing, tissue = self.study.motion.drawing, statement.problem.tissue | statement.at_rest
-        return tuple(marks_without_effect(drawing, tissue, self.study.grid.spacing))
+        return tuple(marks_without_effect(drawing, tissue, self.base))
 
     def unused(self, statement: Statement) -> tuple[str, ...]:
         """Return clauses about rules and growth that have no effect.

@@ -18,7 +18,7 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 USUAL_PRIOR, USUAL_OPTIMIZER = ElasticPrior(), Multigrid()
 #: Budgets of large motion in the form, in linear solves.
 WORK_STEPS = 60.0, 300.0, 1500.0
-#: Holding force in the form that enforces all observations exactly, regardless of confidence.
+#: Spring strength in the form that enforces all observations exactly, regardless of confidence.
 HOLD_ALL = 1e6
 
 
@@ -96,9 +96,9 @@ class SolverDetails:
     )
     grip: float = _form_field(
         0.0,
-        "holding force",
-        "Largest force that holds a boundary pixel, multiplied by its confidence. A force of 1 "
-        "strains the stiffest tissue by 1. Where tissue pulls harder, the pixel slips.\n"
+        "spring strength",
+        "Largest force of the spring that holds a boundary pixel, multiplied by its confidence. A "
+        "force of 1 strains the stiffest tissue by 1. Where tissue pulls harder, the pixel slips.\n"
         "By confidence: pixels with confidence 1 are held exactly, other pixels with a force equal "
         "to their confidence.\n1,000,000: all pixels are held exactly, regardless of confidence",
         max=HOLD_ALL,
@@ -106,8 +106,8 @@ class SolverDetails:
     )
     accuracy: float = _form_field(
         Multigrid.tolerance,
-        "converged to",
-        "Tolerance: largest accepted error of any pixel, as estimated by the solver.\n"
+        "tolerance",
+        "Largest accepted error of any pixel, as estimated by the solver.\n"
         "The error is the distance from the field that further iterations would reach.",
         choices=[(f"{distance:g} px", distance) for distance in (1e-1, 1e-2, 1e-3, 1e-4)],
     )
@@ -215,9 +215,8 @@ def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
             details, sweeps=optimizer.iterations, method=method, energy_change=change or 0.0
         )
     parameters = optimizer.parameters
-    return replace(
-        details, accuracy=parameters["tolerance"], budget=parameters.get("budget", 0.0) or 0.0
-    )
+    budget = parameters.get("budget", Multigrid.budget)
+    return replace(details, accuracy=parameters["tolerance"], budget=budget or 0.0)
 
 
 def larger_budget(budget: float) -> float:

@@ -371,6 +371,26 @@ class StudyModel(EditHistory):
 
     # Common
 
+    def reset(self) -> None:
+        """Remove the drawing and restore the default settings, as one step.
+
+        The chosen layers, their tables and the device are kept. The edge is fixed only if there is
+        no boundary layer, as for a new image.
+        """
+        choice, model = self.choice, self.model
+        edge = choice.hold_edge if choice.boundary is not None else ImageChoice.hold_edge
+        usual = replace(choice, without_border=True, hold_edge=edge, weight=())
+        usual_model = ModelChoice(details=SolverDetails(device=model.details.device))
+        values: dict[Part, Any] = {
+            self.slice: Drawing(),
+            Part("choice", self.image): usual,
+            MODEL_PART: usual_model,
+        }
+        before = {self.slice: self.drawing, Part("choice", self.image): choice, MODEL_PART: model}
+        for part, value in before.items():
+            self.setdefault(part, value)
+        self.do_all(values, "reset the study")
+
     def remove(self, layer: Hashable) -> None:
         """Drop the parts of a removed layer, and remove the layer from all choices."""
         self.drop(lambda part: part.layer is layer)

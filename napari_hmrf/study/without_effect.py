@@ -12,8 +12,8 @@ import numpy.typing as npt
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
-from napari_hmrf.tissue.drawing.canvas import Box, box_of, covered, is_empty
+from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Stroke
+from napari_hmrf.tissue.drawing.canvas import box_of, covered, is_empty
 from napari_hmrf.tissue.drawing.marks import Mark, Point
 
 #: Actions of strokes that have no effect outside tissue; other strokes can change earlier marks.
@@ -29,36 +29,68 @@ def asks_motion(problem: Problem) -> bool:
 
 
 def marks_without_effect(
-    drawing: Drawing, tissue: npt.NDArray[np.bool_], spacing: Sequence[float]
+    drawing: Drawing, tissue: npt.NDArray[np.bool_], base: Canvas
 ) -> Iterator[str]:
-    """Yield a clause for each kind of mark that is outside the image or outside tissue.
+    """Yield a clause for each kind of mark that has no effect.
+
+    Such marks are outside the image or outside tissue, or they paint the confidence of tissue that
+    is neither held nor moved.
 
     Parameters
     ----------
     drawing : Drawing
     tissue : ndarray of bool, shape ([D,] H, W)
-    spacing : sequence of float
-        Size of a pixel along each axis.
+    base : Canvas
+        Observations without the drawing.
 
     Yields
     ------
     str
     """
     idle: dict[tuple[str, str], list[Point]] = defaultdict(list)
-    whole: Box = tuple(slice(0, size) for size in tissue.shape)
-    for mark in drawing.marks:
+    whole, spacing = base.whole, base.spacing
+    for number, mark in enumerate(drawing.marks):
         kind, place = _named(mark)
         box = box_of(mark, spacing, whole)
         if is_empty(box):
             idle[kind, "outside the image"].append(place)
         elif _needs_tissue(mark) and not (covered(mark, spacing, box) & tissue[box]).any():
             idle[kind, "outside tissue"].append(place)
+        elif lacks_motion(drawing, number, base):
+            idle[kind, "over tissue that is neither held nor moved"].append(place)
     for (kind, where), places in idle.items():
         first = "(" + ", ".join(f"{at:.4g}" for at in places[0]) + ")"
         if len(places) == 1:
             yield f"the {kind} at {first} is {where} and has no effect"
         else:
             yield f"{len(places)} {kind}s are {where} and have no effect, the first at {first}"
+
+
+def lacks_motion(drawing: Drawing, number: int, base: Canvas) -> bool:
+    """Return whether a mark paints the confidence of tissue that is neither held nor moved.
+
+    Parameters
+    ----------
+    drawing : Drawing
+    number : int
+        Number of the mark.
+    base : Canvas
+        Observations without the drawing.
+    """
+    mark, spacing = drawing.marks[number], base.spacing
+    if not isinstance(mark, Stroke) or mark.action != "confidence":
+        return False
+    box = box_of(mark, spacing, base.whole)
+    if is_empty(box):
+        return True
+    under = covered(mark, spacing, box)
+    if (base.confidence[box][under] > 0).any():
+        return False
+    earlier = (each for each in drawing.marks[:number] if _needs_tissue(each))
+    return not any(
+        not is_empty(box_of(each, spacing, box)) and (covered(each, spacing, box) & under).any()
+        for each in earlier
+    )
 
 
 def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterator[str]:

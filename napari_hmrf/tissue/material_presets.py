@@ -106,6 +106,18 @@ def _published() -> Iterator[Preset]:
 #: ratios within a study agree better, and only ratios matter for the displacement.
 PRESETS: tuple[Preset, ...] = tuple(_published())
 
+#: Preset for images that need not show tissue, such as photographs; not from a publication.
+PLAIN = Preset(
+    "Normal, soft, stiff",
+    "",
+    "no publication: relative stiffnesses for photographs and drawings, and Poisson's ratio 0.45",
+    (
+        Material(1, "normal", 1.0, 0.45),
+        Material(2, "soft", 0.2, 0.45),
+        Material(3, "stiff", 5.0, 0.45),
+    ),
+)
+
 
 def _key(row: Material) -> str:
     """Return the name of a row for comparisons that ignore case and surrounding spaces."""

@@ -1,4 +1,4 @@
-"""Default lengths of the drawing tools, which are proportional to the size of the image."""
+"""Default lengths of the drawing tools and their range, in proportion to the image."""
 
 from __future__ import annotations
 
@@ -22,6 +22,25 @@ def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
     """
     shorter = min(size * step for size, step in zip(shape, spacing, strict=True))
     return float(f"{shorter / 16:.2g}")
+
+
+def length_range(shape: Sequence[int], spacing: Sequence[float]) -> tuple[float, float]:
+    """Return the smallest radius and the largest length that have an effect in an image.
+
+    Parameters
+    ----------
+    shape, spacing
+        As for `usual_radius`.
+
+    Returns
+    -------
+    smallest : float
+        Half a pixel; the patch of a smaller radius is the same pixel.
+    largest : float
+        Longest side of the image.
+    """
+    sides = (size * step for size, step in zip(shape, spacing, strict=True))
+    return float(f"{min(spacing) / 2:.2g}"), float(f"{max(sides):.4g}")
 
 
 def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:

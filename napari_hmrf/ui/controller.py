@@ -250,6 +250,7 @@ class Controller:
     def release(self) -> None:
         """Stop responding to edits permanently."""
         self._is_released = True
+        self.chip.release()
         self.engine.release()
 
     # Solving and showing
@@ -303,9 +304,15 @@ class Controller:
         self.progress.start("Updating" if study.moves else "Getting ready")
         preview = None
         if self.pointer.tool.is_dragging:
-            volume, place = len(study.grid.shape) == 3, study.grid.known_place
-            plane = plane_shown(place, self.form.view()) if volume else None
-            study, preview = as_dragged(study), drag_preview(study, plane)
+            volume, place, view = (
+                len(study.grid.shape) == 3,
+                study.grid.known_place,
+                self.form.view(),
+            )
+            in_slices = volume and len(view.displayed) == 2
+            plane = plane_shown(place, view) if in_slices else None
+            cut = self.pointer.display.cut if volume and not in_slices else None
+            study, preview = as_dragged(study), drag_preview(study, plane, cut)
         self.engine.submit(study, self._model.model.details.device, preview=preview)
 
     def _on_answer(self, state: ShownDeformation) -> None:

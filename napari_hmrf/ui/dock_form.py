@@ -1,4 +1,8 @@
-"""Layout of the dock: the forms, which scroll, and the footer, which is always visible."""
+"""Layout of the dock: the forms, which scroll, and the footer, which is always visible.
+
+The image and the tools come first. Settings that are not needed while pulling are in sections,
+which are closed until the user opens them.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +29,33 @@ from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import CalmField, row
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
+from napari_hmrf.ui.motion.carry_over import CarryOverForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
+from napari_hmrf.ui.remembered_settings import remember_open
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.tissue_form import Layers, TissueSection
 from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
+#: Labels of the button that adds the missing layers for painting.
+NEW_TISSUE, NEW_BOUNDARY = "New tissue layer", "New boundary layer"
+#: Title and tooltip of each section.
+_SECTIONS = {
+    "tissue": (
+        "Tissue and stiffness",
+        "Kinds of tissue and their stiffness: painted, or derived from brightness",
+    ),
+    "edges": (
+        "Edges, rules, gravity",
+        "Outer edge, painted regions that are held or moved, landmark layers, and weight",
+    ),
+    "comparison": (
+        "Second image, known field",
+        "Comparison of the result with a later image or with a displacement field",
+    ),
+    "model": ("Model", "Model of the tissue, with advice on its use"),
+    "advanced": ("Advanced", "Settings of the solver; the default settings suit most studies"),
+}
 #: Minimum width of the dock, in pixels.
 _WIDTH = 336
 #: Time after which an opened section has its final height, in milliseconds.
@@ -50,8 +75,12 @@ class DockForm:
     ----------
     image : LayerChoice
     extent : ExtentChoice
+    carry_over : CarryOverForm
+        Question about the drawing after a change of the extent.
     make, intensity : PushButton
         Button that adds layers for painting, and button that derives stiffness from brightness.
+    sections : dict of str to QCollapsible
+        Sections by the name under which their state is stored.
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
@@ -69,9 +98,11 @@ class DockForm:
             layers, is_picture, "image", "Image to deform; in a stack, the visible slice"
         )
         self.extent = ExtentChoice()
+        self.carry_over = CarryOverForm()
         self.make = PushButton(
-            text="Layers to paint on",
-            tooltip="Add an empty tissue layer and an empty boundary layer on the image",
+            text=NEW_TISSUE,
+            tooltip="Add an empty tissue layer, and an empty boundary layer for 'Edges, rules, "
+            "gravity', on the pixels of the image; a layer that is in use is kept",
         )
         self.intensity = PushButton(
             text="Tissue from brightness",
@@ -83,7 +114,7 @@ class DockForm:
         self.result = ResultForm(layers, self.image)
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
-        self.footer = Footer(f"Tools: {keys}.")
+        self.footer = Footer(self.result, self.result.files, f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
         self.extent.changed.connect(lambda _: self.model.extent_is(self.extent.is_volume))
         model, motion = self.model, self.motion
@@ -126,23 +157,26 @@ class DockForm:
     def _assemble(self, outer: Container) -> None:
         first = Container(widgets=[self.image, self.extent])
         ways = row(self.make, self.intensity)
-        body = Container(widgets=[first, ways], labels=False)
+        tissue = Container(widgets=[ways, self.tissue], labels=False)
+        body = Container(widgets=[first, self.carry_over, self.motion], labels=False)
         layout = body.native.layout()
-        steps: list[tuple[str, Container, bool]] = [
-            ("1  Tissue", self.tissue, True),
-            ("2  Motion", self.motion, True),
-            ("3  Result", self.result, True),
-            ("Model", self.model, False),
-            ("Advanced", self.model.in_detail, False),
-        ]
-        for title, part, open_ in steps:
-            step = QCollapsible(title, expandedIcon="▾", collapsedIcon="▸")
+        parts: dict[str, Container] = {
+            "tissue": tissue,
+            "edges": self.motion.edges,
+            "comparison": self.result.comparison,
+            "model": self.model,
+            "advanced": self.model.in_detail,
+        }
+        self.sections: dict[str, QCollapsible] = {}
+        for name, part in parts.items():
+            title, about = _SECTIONS[name]
+            self.sections[name] = step = QCollapsible(title, expandedIcon="▾", collapsedIcon="▸")
+            step.toggleButton().setToolTip(about)
             for inner in (step.layout(), step.content().layout()):
                 inner.setSpacing(2)
                 inner.setContentsMargins(0, 0, 0, 0)
             step.addWidget(part.native)
-            if open_:
-                step.expand(animate=False)
+            remember_open(step, name)
             layout.addWidget(step)
             shown = single_shot(step, _LAYOUT_TIME, partial(self._scroll_to, step))
             step.toggled.connect(lambda opened, timer=shown: timer.start() if opened else None)
@@ -157,14 +191,24 @@ class DockForm:
         scroll.setMinimumWidth(_WIDTH)
         scroll.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
-        self._body = body  # magicgui deletes an unreferenced container
+        self._body = body, tissue  # magicgui deletes an unreferenced container
         outer.native.layout().addWidget(self.footer)
         calm = CalmField(scroll)
         for kind in (QComboBox, QAbstractSpinBox, QAbstractSlider):
-            for field in body.native.findChildren(kind):
-                calm.watch(field)
-        for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
+            for place in (body.native, self.footer):
+                for field in place.findChildren(kind):
+                    calm.watch(field)
+        for container in (outer, body, first, ways, self.motion, *parts.values()):
             container.margins = (2, 2, 2, 2)
+        self.tissue.margins = (0, 0, 0, 0)
+        for choice in (self.result.reference, self.result.second):
+            choice.listed.connect(self._show_comparison)
+        self._show_comparison()
+
+    def _show_comparison(self) -> None:
+        """Show the section for comparisons only if there is a layer to compare with."""
+        choices = (self.result.reference, self.result.second)
+        self.sections["comparison"].setVisible(any(choice.offered for choice in choices))
 
     def _scroll_to(self, step: QCollapsible) -> None:
         """Scroll until all of an opened section is visible, or at least its top."""

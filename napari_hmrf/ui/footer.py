@@ -1,44 +1,53 @@
-"""Footer of the dock: status text, warning and buttons, which are always visible."""
+"""Strip at the bottom of the dock: result, warning, status text and buttons, always visible."""
 
 from __future__ import annotations
 
-from magicgui.widgets import CheckBox, PushButton
+from magicgui.widgets import CheckBox, Container, PushButton
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QPushButton, QSizePolicy, QVBoxLayout, QWhatsThis, QWidget
+from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QVBoxLayout, QWhatsThis, QWidget
 
 from napari_hmrf.layers.viewer_undo import ViewerUndo
-from napari_hmrf.ui.forms import Prose, row
+from napari_hmrf.ui.forms import ElidedButton, FixedText, row
 
-#: Largest number of visible lines of the status; its tooltip has the whole text.
-_LINES = 9
+#: Number of lines of the status.
+_LINES = 2
 #: Dark text on amber: legible on napari's dark and light themes.
-_CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 8px;"
+_CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 4px;"
+#: Height of the row of the warning and the offer, in pixels.
+_CHIP_HEIGHT = 26
 _HELP = (
     "Drag: pull tissue. Click: hold tissue in place. Drag an end of an arrow: change the arrow.\n"
     "Shift+click: select a mark. Delete: remove the selected mark. Esc: cancel.\n"
     "[ and ]: radius. While Space is pressed: move the view. While Shift+B is pressed: show the\n"
     "undeformed image.\n"
     "In a Labels layer of napari: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
-    "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: search all commands.\n"
+    "Ctrl+Z: undo. Ctrl+Shift+Z: redo. Ctrl+Shift+P: search all commands.\n"
 )
 #: Largest image, in pixels, for which *Live* is on by default. On two cores without a GPU, an
 #: update takes 0.4 s (elastic) to 1.4 s for 1200 x 1200 pixels, and 1.6 s to 5 s for 2048 x 2048
 #: pixels.
 LARGEST = 1200 * 1200
+_LIVE_OFF = (
+    "'Live' is off, because the image is larger than 1200 x 1200 pixels: after an edit without a "
+    "tool, press Deform, or tick 'Live'."
+)
 _LIVE = (
     "Update the result after every edit to tissue, boundary or tables. Tools always update it.\n"
     "Off by default above 1200 x 1200 pixels: without a graphics card, each edit takes seconds."
 )
+#: Labels of the button that solves from a cold start, without and with *Live*.
+DEFORM, PRECISELY = "Deform", "Solve precisely"
 
 
 class Footer(QWidget):
-    """Status text and warning, with buttons below them.
-
-    The height of the text fits its content. The buttons are at the bottom, so that they do not move
-    under the mouse.
+    """Result, warning, status text and buttons; the height is fixed, so that nothing moves.
 
     Parameters
     ----------
+    result : Container
+        Controls of the displayed result, shown on top.
+    files : Container
+        Row of buttons for files, shown at the bottom.
     tools : str
         Text about the keys of the tools, appended to the help.
 
@@ -48,45 +57,71 @@ class Footer(QWidget):
     live : LiveChoice
     undo, redo : PushButton
         Buttons; the tooltip names the step to undo or redo.
+    reset : PushButton
+        Button that removes the marks and restores the default settings.
     chip : QPushButton
         Warning about the visible tissue; hidden if there is no warning.
     other : QPushButton
         Button that offers another model; hidden if no model is offered.
     """
 
-    def __init__(self, tools: str = "") -> None:
+    def __init__(self, result: Container, files: Container, tools: str = "") -> None:
         super().__init__()
         self.deform = PushButton(
-            text="Deform", tooltip="Compute the motion of the tissue from scratch"
+            text=DEFORM, tooltip="Compute the motion of the tissue from scratch, to the tolerance"
         )
         self.cancel = PushButton(text="Cancel", tooltip="Stop computing; nothing is changed")
         self.cancel.enabled = False
         self.live = LiveChoice()
         self.undo = PushButton(text="Undo", enabled=False)
         self.redo = PushButton(text="Redo", enabled=False)
+        self.reset = PushButton(
+            text="Reset",
+            enabled=False,
+            tooltip="Remove all marks of this study and restore the default settings, after a "
+            "question; layers and tables are kept. Undo restores everything.",
+        )
         self.help = PushButton(text="?", tooltip=_HELP + tools)
         self.help.native.setFixedWidth(28)
-        self.chip = QPushButton()
+        self.chip = ElidedButton()
         self.other = QPushButton()
         self.warning = ""
-        self._status = Prose(_LINES)
+        self._status = FixedText(_LINES)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
         # Keep a reference, because magicgui deletes unreferenced containers.
-        self._rows = row(self.live, self.undo, self.redo, self.help), row(self.deform, self.cancel)
+        self._rows = (
+            row(self.undo, self.redo, self.reset, self.live, self.help),
+            row(self.deform, self.cancel),
+            files,
+            result,
+        )
         self.chip.setStyleSheet(_CHIP)
         self.chip.hide()
         self.other.hide()
-        words = self._status.native
-        words.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        words.setContentsMargins(4, 0, 4, 0)
+        self._status.native.setContentsMargins(4, 0, 4, 0)
         for each in self._rows:
             each.margins = (2, 0, 2, 0)
-        for part in (words, self.chip, self.other, *(each.native for each in self._rows)):
+        below = (self._status.native, *(each.native for each in self._rows[:-1]))
+        for part in (result.native, self._warnings(), *below):
             layout.addWidget(part)
         self.help.changed.connect(self._show_help)
+        self.live.native.toggled.connect(self._name_deform)
+        self._name_deform()
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+
+    def _warnings(self) -> QWidget:
+        """Return the row of the warning and the offer, which keeps its height without them."""
+        place = QWidget()
+        place.setFixedHeight(_CHIP_HEIGHT)
+        beside = QHBoxLayout(place)
+        beside.setContentsMargins(4, 0, 4, 0)
+        beside.setSpacing(2)
+        beside.addWidget(self.chip, 1)
+        beside.addWidget(self.other)
+        beside.setAlignment(self.other, Qt.AlignmentFlag.AlignRight)
+        return place
 
     def show_steps(self, undo: ViewerUndo) -> None:
         """Show the next steps to undo and redo."""
@@ -97,28 +132,32 @@ class Footer(QWidget):
     def show_status(self, status: str) -> None:
         """Show a status text; the tooltip has the whole text in case it does not fit."""
         self._status.show_text(status)
-        self._status.tooltip = status
 
     def _show_help(self, *_: object) -> None:
         button = self.help.native
         middle = button.mapToGlobal(button.rect().center())
         QWhatsThis.showText(middle, self.help.tooltip, button)  # stays until a click or a key press
 
+    def _name_deform(self, *_: object) -> None:
+        """Name the button that solves: with *Live*, there already is a result."""
+        self.deform.text = PRECISELY if self.live.value else DEFORM
+
     def explain(self, technical: str) -> None:
         """Show technical details in the tooltip of the status."""
         self._status.tooltip = technical
 
     def warn(self, sentences: str, short: str = "") -> None:
-        """Show a warning about the visible tissue; "" hides it."""
+        """Show a warning about the visible tissue with a short label; "" hides it."""
         self.warning = sentences
         self.chip.setVisible(bool(sentences))
-        self.chip.setText(f"⚠  {short or 'Note: show details'}")
+        self.chip.setText(f"⚠  {short}")
         self.chip.setToolTip(sentences)
 
-    def offer(self, words: str) -> None:
-        """Show a button that offers another model; "" hides it."""
+    def offer(self, words: str, about: str = "") -> None:
+        """Show a button that offers another model, with a tooltip; "" hides it."""
         self.other.setVisible(bool(words))
         self.other.setText(words)
+        self.other.setToolTip(about)
 
     def show_work(self, is_working: bool) -> None:
         """Enable "Cancel" while a solve is in progress, otherwise "Deform"."""
@@ -139,6 +178,11 @@ class LiveChoice(CheckBox):
         if not self._decided:
             with self.changed.blocked():
                 self.value = pixels <= LARGEST
+
+    @property
+    def reason(self) -> str:
+        """Message if the box is off because the image is large, else ""."""
+        return "" if self._decided or self.value else _LIVE_OFF
 
     def _on_changed(self, _: bool) -> None:
         self._decided = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -12,7 +13,13 @@ from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.field_layer import holds_field
-from napari_hmrf.layers.image_choice import image_covering, image_in_front, painted_on, uncover
+from napari_hmrf.layers.image_choice import (
+    image_covering,
+    image_in_front,
+    is_photograph,
+    painted_on,
+    uncover,
+)
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, role_of
 from napari_hmrf.layers.read import Request
@@ -20,6 +27,7 @@ from napari_hmrf.layers.slice_view import fits
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study_model import BRIGHTNESS, MODEL_PART, ImageChoice, Part
+from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
 from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
@@ -64,6 +72,8 @@ class FormBinding:
             "compare_with": form.result.second,
         }
         self._image: Any = None
+        # Preset of each image that was chosen before.
+        self._presets: weakref.WeakKeyDictionary[Layer, Preset] = weakref.WeakKeyDictionary()
         self.automatic = False
         # True once the user has chosen or deformed an image; new images then do not replace it.
         self._image_is_fixed = False
@@ -140,6 +150,7 @@ class FormBinding:
             for choice in form.choices:
                 choice.reset_choices()
             form.motion.boundary.landmarks.refresh()
+            form.motion.boundary.landmarks.suggest()
             if before is not None and form.image.value is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]
@@ -225,6 +236,7 @@ class FormBinding:
         before, self._image = self._image, image
         if before is image:
             return
+        self._show_preset(before, image)
         # Choices made before the first image, or for a removed image, apply to the next image.
         keep_choices = before is None or (image is None and self.automatic)
         self._image_is_gone = image is None
@@ -239,6 +251,15 @@ class FormBinding:
                 self._show(choice)
             elif image is not None:
                 self._begin_with(image)
+
+    def _show_preset(self, before: Any, image: Any) -> None:
+        """Show the preset that was chosen for an image; by default, a preset for its kind."""
+        fields = self._form.motion.fields
+        if before is not None:
+            self._presets[before] = fields.preset.value
+        if image is not None:
+            usual = PLAIN if is_photograph(image) else PRESETS[0]
+            fields.offer_presets(self._presets.get(image, usual))
 
     def _begin_with(self, image: Any) -> None:
         """Choose the layers painted on a new image, and drop choices that do not fit the image."""

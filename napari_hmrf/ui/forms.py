@@ -8,9 +8,20 @@ from functools import partial
 from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from qtpy.QtCore import QEvent, QObject, Qt
-from qtpy.QtGui import QKeySequence
-from qtpy.QtWidgets import QAbstractSpinBox, QComboBox, QMenu, QPushButton, QSizePolicy
+from qtpy.QtCore import QEvent, QObject, QRect, Qt
+from qtpy.QtGui import QKeySequence, QPainter, QTextLayout
+from qtpy.QtWidgets import (
+    QAbstractSpinBox,
+    QComboBox,
+    QMenu,
+    QPushButton,
+    QSizePolicy,
+    QStyle,
+    QStyleOptionButton,
+    QStylePainter,
+    QWhatsThis,
+    QWidget,
+)
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.ui.messages import in_short
@@ -27,12 +38,18 @@ def narrow(menu: Any) -> None:
 def share(label: str, tooltip: str, **options: Any) -> FloatSlider:
     """Create a slider for a fraction; it emits its value when the mouse button is released."""
     settings = {"value": 0.5, "min": 0.0, "max": 1.0, "step": 0.05, **options}
-    return FloatSlider(label=label, tooltip=tooltip, tracking=False, **settings)
+    made = FloatSlider(label=label, tooltip=tooltip, tracking=False, **settings)
+    made.native.setToolTip(tooltip)  # for the number beside the slider
+    return made
 
 
-def length(label: str, tooltip: str, least: float = -1e6, **options: Any) -> FloatSpinBox:
-    """Create a field for a length, or for a displacement if negative values are allowed."""
-    settings = {"value": 0.0, "min": least, "max": 1e6, "step": 0.5, **options}
+def length(label: str, tooltip: str, least: float = -1e9, **options: Any) -> FloatSpinBox:
+    """Create a field for a length, or for a displacement if negative values are allowed.
+
+    The range of the field is wide, so that a number out of the range of the image can be typed; the
+    form refuses the number with a message. Otherwise Qt would drop some of its digits.
+    """
+    settings = {"value": 0.0, "min": least, "max": 1e9, "step": 0.5, **options}
     return FloatSpinBox(label=label, tooltip=tooltip, **settings)
 
 
@@ -121,6 +138,119 @@ class _FitHeight(QObject):
         if event.type() in (QEvent.Type.Resize, QEvent.Type.FontChange, QEvent.Type.StyleChange):
             self.fit()
         return False
+
+
+class FixedText(Label):
+    """Label of a fixed height; a text that does not fit ends in dots, and a click shows all of it.
+
+    Parameters
+    ----------
+    lines : int
+        Number of lines.
+    """
+
+    def __init__(self, lines: int = 1) -> None:
+        super().__init__()
+        self.native.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._painter = _ElideLines(self.native)
+        self.limit(lines)
+
+    def limit(self, lines: int) -> None:
+        """Set the number of lines."""
+        self._painter.limit(lines)
+
+    @property
+    def is_elided(self) -> bool:
+        """True if a part of the text is not visible."""
+        return self._painter.is_elided
+
+    def show_text(self, sentence: str, details: str = "") -> None:
+        """Show a text, with the text or its details in the tooltip."""
+        self.value = sentence
+        self.tooltip = details or sentence
+
+
+class _ElideLines(QObject):
+    """Event filter that paints the first lines of a label's text, and shows all of it on a click.
+
+    The text of the label remains complete.
+    """
+
+    def __init__(self, words: Any) -> None:
+        super().__init__(words)
+        self._words, self._count = words, 1
+        words.installEventFilter(self)
+
+    def limit(self, lines: int) -> None:
+        self._count = lines
+        self._fit()
+
+    def _fit(self) -> None:
+        words = self._words
+        frame = words.contentsMargins()
+        # Two texts of one line are as high as a text of two lines.
+        line = words.fontMetrics().lineSpacing() + frame.top() + frame.bottom()
+        height = self._count * line
+        if words.maximumHeight() != height:
+            words.setFixedHeight(height)
+        words.update()
+
+    @property
+    def is_elided(self) -> bool:
+        return bool(self._lines()) and self._lines()[-1].endswith("…")
+
+    def _lines(self) -> list[str]:
+        """Return the visible lines; the last line ends in dots if more text follows."""
+        words, text = self._words, self._words.text().replace("\n", "\u2028")
+        width, metrics = words.contentsRect().width(), words.fontMetrics()
+        lines: list[str] = []
+        layout = QTextLayout(text, words.font())
+        layout.beginLayout()
+        while (line := layout.createLine()).isValid():
+            line.setLineWidth(max(width, 1))
+            begin = line.textStart()
+            if len(lines) + 1 == self._count:
+                rest = text[begin:].replace("\u2028", " ").rstrip()
+                lines.append(metrics.elidedText(rest, Qt.TextElideMode.ElideRight, width))
+                break
+            lines.append(text[begin : begin + line.textLength()].strip("\u2028 "))
+        layout.endLayout()
+        return lines
+
+    def eventFilter(self, watched: Any, event: Any) -> bool:
+        kind, words = event.type(), self._words
+        if kind in (QEvent.Type.FontChange, QEvent.Type.StyleChange, QEvent.Type.Show):
+            self._fit()  # a style sheet can change the font without another event than `Show`
+        elif kind == QEvent.Type.MouseButtonRelease and words.toolTip():
+            QWhatsThis.showText(event.globalPosition().toPoint(), words.toolTip(), words)
+        elif kind == QEvent.Type.Paint:
+            painter, area, step = QPainter(words), words.contentsRect(), 0
+            for line in self._lines():
+                row = QRect(area.left(), area.top() + step, area.width(), area.height() - step)
+                words.style().drawItemText(
+                    painter, row, 0, words.palette(), True, line, words.foregroundRole()
+                )
+                step += words.fontMetrics().lineSpacing()
+            painter.end()
+            return True
+        return False
+
+
+class ElidedButton(QPushButton):
+    """Button as wide as its place; a longer text is painted with dots at its end."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+
+    def paintEvent(self, event: Any) -> None:
+        """Paint the button with as much of its text as fits."""
+        look = QStyleOptionButton()
+        self.initStyleOption(look)
+        area = self.style().subElementRect(QStyle.SubElement.SE_PushButtonContents, look, self)
+        elided = Qt.TextElideMode.ElideRight
+        look.text = self.fontMetrics().elidedText(look.text, elided, area.width())
+        QStylePainter(self).drawControl(QStyle.ControlElement.CE_PushButton, look)
 
 
 class CalmField(QObject):

@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any, Literal
 
 from napari_hmrf.layers.image_choice import image_covering
+from napari_hmrf.layers.line_of_sight import shows_volume
 from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
@@ -13,6 +14,7 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
+from napari_hmrf.ui.footer import DEFORM
 from napari_hmrf.ui.motion import motion_messages
 
 #: Kind of the current message. Messages of kind "step" and "refused" remain until a new action
@@ -37,7 +39,10 @@ class Guide:
         self._viewer, self._controller = viewer, controller
         form, pointer = self._form, self._pointer = controller.form, controller.pointer
         self._message = self._doing = self._read = ""
+        # Sentence that is appended to the next message about the study.
+        self._aside = ""
         self._why: Why = "news"
+        self._introduction = ""
         for table in form.tables:
             table.message.connect(partial(self.show_message, why="step"))
             table.refusal.connect(self.refuse)
@@ -62,9 +67,20 @@ class Guide:
 
     @property
     def shown(self) -> str:
-        """Displayed status text."""
+        """Displayed status text; it names the button "Deform" as the button is labelled now."""
         doing = "" if self._why == "refused" else self._doing
-        return doing or self._message or self.invitation
+        text, button = doing or self._message or self.invitation, self._form.footer.deform.text
+        return text if button == DEFORM else text.replace(f"ress {DEFORM}", f"ress '{button}'")
+
+    @property
+    def introduction(self) -> str:
+        """Hint for a new sample; "" after the first action."""
+        return self._introduction
+
+    @introduction.setter
+    def introduction(self, sentence: str) -> None:
+        self._introduction = sentence
+        self.show()
 
     @property
     def invitation(self) -> str:
@@ -72,18 +88,40 @@ class Guide:
         form, boundary = self._form, self._form.motion.boundary
         if form.image.value is None:
             return messages.CHOOSE if self._viewer.layers else messages.WELCOME
-        if self._covered or self._viewer.dims.ndisplay != 2:
-            return self._covered or motion_messages.FLAT
+        if self._covered or self.obstacle:
+            return self._covered or self.obstacle
         begun = boundary.choice.value is not None
         hint = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
-            hint = self._pointer.tool.hint
-        return f"{self._controller.unheld_warning} {self._paused or hint}".lstrip()
+            hint = self._introduction or self._pointer.tool.hint
+            if self._viewer.dims.ndisplay == 3:
+                depth = "" if self._pointer.tool.follows_surface else motion_messages.IN_DEPTH
+                hint = f"{hint} {motion_messages.TURN} {depth}".rstrip()
+        sentences = self._controller.unheld_warning, self._paused or hint, form.footer.live.reason
+        return " ".join(filter(None, sentences))
+
+    @property
+    def obstacle(self) -> str:
+        """Reason why the tools cannot be used in this view, or ""."""
+        extent, moved = self._form.extent, self._pointer.display.moved
+        if self._viewer.dims.ndisplay == 2:
+            return ""
+        if not extent.is_volume:
+            return motion_messages.ONE_SLICE if extent.has_slices else motion_messages.FLAT
+        place = None if moved is None else moved.study.grid.known_place
+        seen = place is None or shows_volume(place, self._form.view()) or len(place.plane) == 2
+        return "" if seen else motion_messages.FLAT
 
     def show_message(self, sentence: str, why: Why = "news") -> None:
         """Show a message in place of the previous message."""
         self._message, self._why, self._read = sentence, why, ""
         self.show()
+
+    def add_aside(self, sentence: str) -> None:
+        """Show a sentence, and append it to the message about the study that may follow."""
+        self._aside = sentence
+        if self._why == "news":
+            self.show_message(sentence)
 
     def invite(self) -> None:
         """Show the hint about the next step, unless a step or a refusal is being reported."""
@@ -115,7 +153,7 @@ class Guide:
 
     def _on_begun(self, *_: object) -> None:
         """Allow other messages to replace the current message, because a new action has begun."""
-        self._why, self._read = "news", self._message
+        self._why, self._read, self._aside = "news", self._message, ""
 
     def _on_followed(self, *_: object) -> None:
         """Clear a message from before the last action, because the result is newer."""
@@ -139,7 +177,9 @@ class Guide:
 
     def _on_study(self, sentence: str) -> None:
         """Show a message about the study, appended to a step message; "" shows the hint instead."""
-        if not sentence:
+        aside, self._aside = self._aside, ""
+        sentence = f"{sentence} {aside}".strip()
+        if not sentence or (sentence == messages.STILL and self.obstacle):
             self.invite()
         elif self._why != "refused":
             self.show_message(

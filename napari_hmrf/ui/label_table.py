@@ -111,7 +111,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(NAME, QHeaderView.ResizeMode.Stretch)
         header.setMinimumSectionSize(30)
-        header.setTextElideMode(Qt.TextElideMode.ElideRight)
+        header.setTextElideMode(Qt.TextElideMode.ElideNone)  # Qt elides two lines as one
         self.cellClicked.connect(self._on_click)
         self.itemChanged.connect(self._on_typed)
 

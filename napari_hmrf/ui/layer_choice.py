@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from typing import Any
 
 from magicgui.widgets import ComboBox, Container, PushButton
 from napari.layers import Image, Points, Shapes
+from psygnal import Signal
 
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, role_of
 from napari_hmrf.layers.slice_view import layer_extents
@@ -36,6 +38,9 @@ class LayerChoice(ComboBox):
     if_any : bool
         If True, the menu is visible only if there is a layer to choose.
     """
+
+    #: Emitted after the layers that can be chosen were listed.
+    listed = Signal()
 
     def __init__(
         self,
@@ -69,6 +74,7 @@ class LayerChoice(ComboBox):
             self.set_value(after)
         if self._if_any:
             self.visible = bool(self.offered)
+        self.listed.emit()
         if after is not before:
             self.changed.emit(after)
 
@@ -106,6 +112,8 @@ class LandmarkChoice(Container):
             text="Use as landmarks",
             tooltip="Add these landmarks to the drawing; landmarks added before are replaced",
         )
+        # Layers that were chosen automatically before; the user may have cleared the choice.
+        self._suggested: weakref.WeakSet[Points] = weakref.WeakSet()
         super().__init__(widgets=[self.sources, self.targets, self.take_button])
         self.sources.changed.connect(self._on_sources)
         self.refresh()
@@ -114,6 +122,19 @@ class LandmarkChoice(Container):
     def pair(self) -> tuple[Any, Any]:
         """Chosen landmark layer and target layer; each may be None."""
         return self.sources.value, self.targets.value
+
+    def suggest(self) -> None:
+        """Choose the two Points layers of the viewer, once, if they have equal numbers of points.
+
+        The lower layer becomes the landmarks.
+        """
+        if self.pair != (None, None):
+            return
+        points = [layer for layer in self.sources.offered if isinstance(layer, Points)]
+        counts = [len(layer.data) for layer in points]
+        if len(points) == 2 and counts[0] == counts[1] > 0 and {*points} != {*self._suggested}:
+            self._suggested = weakref.WeakSet(points)
+            self.sources.value = points[0]
 
     def refresh(self) -> None:
         """Update which widgets are visible and enabled."""

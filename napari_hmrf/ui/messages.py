@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,8 +33,20 @@ BEHIND = (
     "them."
 )
 NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, choose it above."
+#: Question before a reset.
+RESET = (
+    "Remove all marks of '{}' and restore the default settings? Layers and tables are kept. Undo "
+    "restores everything."
+)
+WAS_RESET = "Removed all marks and restored the default settings. Press Undo to restore them."
 _NO_IMAGE = "No image is chosen. Choose an image above to see its result."
+_PAINT_HIDDEN = "Tissue hidden while pulling: {}. To show a layer, click its eye icon."
 _HIDDEN = "Hidden to make '{}' visible: {}. Click the eye icon of a layer to show the layer again."
+PAINT_HIDDEN = (
+    "Hidden over the deformed image, because paint does not move with it: {}. The overlay 'tissue "
+    "labels' moves."
+)
+PAINT_SHOWN = "'{0}' belongs to the undeformed image, shown now. To see the result, hide '{0}'."
 EDGE_GOES = (
     "The outer edge is no longer fixed, because '{}' sets the motion. Tick 'Fix outer edge' to "
     "fix the parts of the edge that the layer does not cover."
@@ -55,9 +68,15 @@ MODELS: dict[ModelName, str] = {
     "paper, converged": "paper, converged",
 }
 #: Labels of the button that offers another model.
-OFFER = "Use large motion, which never folds"
+OFFER = "Use large motion"
 #: Label of the button that continues a solve that used up its budget.
 CONTINUE = "Continue with more work"
+#: Tooltips of these buttons.
+ABOUT_OFFERS = {
+    "": "",
+    OFFER: "Solve with the model 'large motion', in which tissue never folds",
+    CONTINUE: "Set a larger 'largest work' under 'Advanced', and continue from this result",
+}
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
 #: Prefixes of progress messages that are shown to the user unchanged: waiting and compiling.
 _WAITS = ("waiting for", "compiling", "starting to compile")
@@ -91,8 +110,10 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
     parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in counts.items()]
     parts += map(_sentence, done.notes)
     if (mark := next_mark(done.outputs, overlay)) is not None:
-        return " ".join(parts), f"{mark.capitalize()} at {counts[mark]} {sites}: show where"
-    return " ".join(parts), f"Hide the {overlay}" if overlay in counts else ""
+        return " ".join(parts), f"{mark.capitalize()} at {counts[mark]} {sites}: show"
+    if overlay in counts:
+        return " ".join(parts), f"Hide the {overlay}"
+    return " ".join(parts), _issue(done.notes[0]) if done.notes else ""
 
 
 def can_unfold(done: CompleteResult) -> bool:
@@ -121,6 +142,11 @@ def _sentence(clause: str) -> str:
     return f"{sentence[0].upper()}{sentence[1:]}."
 
 
+def _issue(clause: str) -> str:
+    """Return the first part of a note, which names the issue."""
+    return re.split(r"[:;,]", _sentence(clause))[0].rstrip(".")
+
+
 def next_mark(outputs: Outputs, overlay: str) -> Mark | None:
     """Return the mark to show after an overlay: folds, then overlaps, then None."""
     marks = [*marks_of(outputs)]
@@ -141,7 +167,12 @@ def progress(monitor: Monitor, work: str = "Deforming") -> str:
     if monitor.message.startswith(_WAITS):
         return f"{work}: {monitor.message}."
     percent = round(100 * monitor.fraction)  # at 100 % the result must still be drawn
-    return f"{work}: {percent} %" if 0 < percent < 100 else f"{work} ..."
+    return f"{work} ... {percent} %" if 0 < percent < 100 else f"{work} ..."
+
+
+def describe_hidden_paint(hidden: Sequence[Any]) -> str:
+    """Return a message about painted layers that were hidden when a tool was chosen."""
+    return _PAINT_HIDDEN.format(", ".join(f"'{layer.name}'" for layer in hidden))
 
 
 def describe_image_choice(image: Any, hidden: Sequence[Any]) -> str:

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from napari.layers import Labels
 
+from napari_hmrf.layers.image_choice import is_photograph
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.layers.slice_view import View, fits, frame_of, layer_extents, plane_shape
 from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
-from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.tissue.material_presets import PLAIN, PRESETS
 from napari_hmrf.tissue.usual_lengths import usual_step
 
 #: Largest number of pixels in a new Labels layer; for a larger image, the layer covers one slice.
@@ -49,9 +50,9 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
     )
     layers, blank = viewer.layers, partial(_blank, image, view)
     if not has_tissue:
-        paper = PRESETS[0]
-        materials = (Material(0, UNPAINTED, paper.materials[0].stiffness), *paper.materials)
-        tissue = blank("Tissue", layer_metadata(TISSUE, materials, paper.unit), opacity=0.4)
+        preset = PLAIN if is_photograph(image) else PRESETS[0]
+        materials = (Material(0, UNPAINTED, preset.materials[0].stiffness), *preset.materials)
+        tissue = blank("Tissue", layer_metadata(TISSUE, materials, preset.unit), opacity=0.4)
         # Insert below the boundary, which must stay visible.
         layers.insert(layers.index(boundary) if has_boundary else len(layers), tissue)
     if not has_boundary:

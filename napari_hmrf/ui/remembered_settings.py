@@ -1,4 +1,4 @@
-"""Settings stored between sessions: the chosen device.
+"""Settings stored between sessions: the chosen device, and the open sections of the dock.
 
 The choice of result layers is not stored, so each new dock initially shows the same few layers.
 """
@@ -6,9 +6,11 @@ The choice of result layers is not stored, so each new dock initially shows the 
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import partial
 
 from magicgui.widgets import ComboBox
 from qtpy.QtCore import QSettings
+from superqt import QCollapsible
 
 _DEVICE = "deform/device"
 
@@ -26,3 +28,18 @@ def remember(device: ComboBox) -> None:
     with suppress(ValueError):  # the stored value may be from another version
         device.value = store.value(_DEVICE, device.value)
     device.changed.connect(lambda value: store.setValue(_DEVICE, value))
+
+
+def remember_open(section: QCollapsible, name: str) -> None:
+    """Open a section if it was open in the last session, and store later changes.
+
+    Parameters
+    ----------
+    section : QCollapsible
+    name : str
+        Name of the section in the store, which stays the same if its title changes.
+    """
+    store, key = settings(), f"open/{name}"
+    if store.value(key, False, type=bool):
+        section.expand(animate=False)
+    section.toggled.connect(partial(store.setValue, key))

@@ -57,6 +57,10 @@ class SecondImage:
         self._points = EventConnections()
         # Layer with the residuals, and the name of their feature column.
         self._residuals: tuple[Any, str] | None = None
+        # Number of each landmark, its distance from its target before and after the motion, and
+        # the unit of the distances.
+        self._distances: tuple[Any, Any, Any, str] | None = None
+        view.more.landmarks = self.list_distances
 
     def release(self) -> None:
         """Restore all layers, and disconnect from all events."""
@@ -73,6 +77,25 @@ class SecondImage:
         pair = {*self._pair.pair} - {None}
         self._points = EventConnections(*((layer.events.data, self._on_points) for layer in pair))
         self._measure()
+
+    def list_distances(self) -> tuple[list[str], list[list[str]]] | None:
+        """List the distance of each landmark from its target, before and after the motion.
+
+        Returns
+        -------
+        titles : list of str
+            Titles of the columns.
+        cells : list of list of str
+            Cells of each row.
+        None
+            If there are no landmarks or no result.
+        """
+        if self._distances is None:
+            return None
+        *columns, unit = self._distances
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        cells = [[str(number), f"{before:.3g}", f"{now:.3g}"] for number, before, now in rows]
+        return ["landmark", f"before ({unit})", f"now ({unit})"], cells
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
         """Restore the layers of the last comparison, and draw an image over the moved images."""
@@ -102,10 +125,10 @@ class SecondImage:
 
     def _measure(self) -> None:
         """Show the residuals of the landmarks, and remove the previous residuals."""
-        earlier, self._residuals = self._residuals, None
+        earlier, self._residuals, self._distances = self._residuals, None, None
         if earlier is not None and earlier[1] in earlier[0].features:
             earlier[0].features = earlier[0].features.drop(columns=earlier[1])
-        self._form.landmarks.show_text(self._describe_residuals())
+        self._form.show_landmarks(self._describe_residuals())
 
     def _describe_residuals(self) -> str:
         """Describe the residuals, and store each as a feature of its landmark."""
@@ -124,6 +147,7 @@ class SecondImage:
             column[pairs.numbers] = left
             self._residuals = where, f"residual ({unit})"
             where.features = where.features.assign(**{self._residuals[1]: column})
+        self._distances = pairs.numbers, at_first, left, unit
         both = (float(np.sqrt((lengths**2).mean())) for lengths in (at_first, left))
         before, after = (as_seen(length, spacing) for length in both)
         return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"

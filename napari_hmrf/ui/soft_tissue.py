@@ -9,6 +9,7 @@ from typing import Any
 
 from napari.layers import Labels
 from napari.utils.notifications import show_warning
+from qtpy.QtWidgets import QMessageBox
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.image_result import ResultLayers
@@ -27,6 +28,8 @@ from napari_hmrf.ui.dock_values import DockValues
 from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.guide import Guide
+from napari_hmrf.ui.introduction import Introduction
+from napari_hmrf.ui.motion.carry_over import CarryOver
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.patient_sides import PatientSides
@@ -110,7 +113,15 @@ class SoftTissue(DockValues):
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.select_image)
         self._guide = Guide(viewer, controller, undo)
+        self._carry_over = CarryOver(
+            form.carry_over,
+            undo.model,
+            self._pointer.set_drawing,
+            partial(self._guide.show_message, why="step"),
+        )
+        controller.slice_changed.connect(self._carry_over.refresh)
         self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
+        self._introduction = Introduction(self.native, controller, self._guide, self._on_sample)
         self._second = SecondImage(viewer, self._view, controller)
         self._sides = PatientSides(viewer, form.image)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
@@ -202,7 +213,7 @@ class SoftTissue(DockValues):
 
     def start(self) -> bool:
         """Start drawing with the current tool; return whether the mouse draws now."""
-        if self._viewer.dims.ndisplay != 2 or self.image is None:
+        if self._guide.obstacle or self.image is None:
             self._guide.invite()
         elif self._controller.refresh():
             self._pointer.start_drawing()
@@ -240,6 +251,15 @@ class SoftTissue(DockValues):
                 table.refresh()
             self._binding.begin()
             self._controller.solve_cold()
+
+    def reset(self) -> None:
+        """Remove the drawing and restore the default settings, as one undo step.
+
+        The layers, their tables and the device are kept.
+        """
+        self._pointer.release()
+        self.study_model.reset()
+        self._guide.show_message(messages.WAS_RESET, "step")
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixel grid of the image, and choose both.
@@ -345,6 +365,7 @@ class SoftTissue(DockValues):
         form.result.keep.changed.connect(lambda _: self._try(self._unsaved.save_as))
         form.footer.deform.changed.connect(lambda _: self.deform())
         form.footer.cancel.changed.connect(lambda _: self.cancel())
+        form.footer.reset.changed.connect(lambda _: self._on_reset())
         for table in form.tables:
             table.picked.connect(self.hand_brush)
             # Show the effect of a typed value even while the brush is active.
@@ -357,10 +378,20 @@ class SoftTissue(DockValues):
         self._view.message.connect(self.show_message)
         self._watch.first_image_ready.connect(self._on_first)
 
+    def _on_reset(self) -> None:
+        """Ask, and reset the study."""
+        button = QMessageBox.StandardButton
+        question = messages.RESET.format(getattr(self.image, "name", ""))
+        offered = button.Reset | button.Cancel
+        answer = QMessageBox.question(self.native, "Soft tissue", question, offered, button.Cancel)
+        if answer == button.Reset:
+            self.reset()
+
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer
         if not pointer.tool.is_dragging:  # a drag does not change the widgets below
             motion.show_tool(pointer.tool.name if pointer.active else "")
+            motion.show_obstacle(self._guide.obstacle)
             motion.remove.enabled = pointer.tool.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.report_tool()
@@ -414,3 +445,8 @@ class SoftTissue(DockValues):
     def _on_first(self) -> None:
         if self.docked:
             self._unused = self.start()
+
+    def _on_sample(self) -> bool:
+        """Start drawing on a sample, if the dock is in a window; return whether the mouse draws."""
+        self._on_first()
+        return self.docked and self.active

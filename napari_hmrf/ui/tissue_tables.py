@@ -38,7 +38,7 @@ from napari_hmrf.tissue.boundary_rules import (
     read_stiffness,
     stiffness_in_words,
 )
-from napari_hmrf.tissue.material_presets import PRESETS, Preset
+from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.tissue_names import NamedMaterials
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
@@ -69,7 +69,7 @@ class MaterialTable(LabelTable[Material]):
         return [
             *super().columns,
             Column(
-                f"Stiffness ({unit})" if unit else "Relative\nstiffness",
+                _stiffness_title(unit, self.rows),
                 "Young's modulus, in the same unit for all tissues.\n0: no tissue, such as air. "
                 "'rigid': a rigid body, such as bone, in the elastic model.\n"
                 "Label 0: all pixels that are not painted.",
@@ -95,6 +95,12 @@ class MaterialTable(LabelTable[Material]):
     def default(self, label: int) -> Material:
         """Return a material with the properties of the first row."""
         return default_material(label, self.rows)
+
+
+def _stiffness_title(unit: str, rows: Iterable[Material]) -> str:
+    """Return the title of the stiffness column; without a unit, 1 often means normal tissue."""
+    is_ratio = any(row.stiffness == 1 for row in rows)
+    return f"Stiffness\n({unit or ('x normal' if is_ratio else 'relative')})"
 
 
 def _stiffness(material: Material, text: str) -> Material:
@@ -128,9 +134,16 @@ def _growth(material: Material, text: str) -> Material:
 
 
 class BoundaryTable(LabelTable[BoundaryRule]):
-    """Table with label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
+    """Table with label, name, action, distances and confidence; `rows` are `BoundaryRule`s.
 
-    role, title = BOUNDARY, "Boundary"
+    Attributes
+    ----------
+    largest : float
+        Largest distance that can be typed: the longest side of the image.
+    """
+
+    role, title = BOUNDARY, "Name"  # a longer title does not fit into the dock
+    largest = math.inf
     _place = "px", Directions(), ""
 
     @property
@@ -149,17 +162,32 @@ class BoundaryTable(LabelTable[BoundaryRule]):
                 _action,
                 tuple(_BY_WORD),
             ),
-            *(_along(axis, unit, ways, "move") for axis in (0, 1)),
-            _amount("out", "Distance outward; negative: inward", unit, "expand"),
+            *(_along(axis, unit, ways, "move", self._largest_distance) for axis in (0, 1)),
+            _amount(
+                "out",
+                "Distance outward; negative: inward",
+                unit,
+                "expand",
+                self._largest_distance,
+            ),
             Column(
                 "confi-\ndence",
                 "Confidence from 0 to 1.\nTwo numbers, such as 1 / 0.5: along rows and columns.",
                 lambda row: _joined(() if row.action in FORCES else dict.fromkeys(row.confidence)),
                 _confidence,
             ),
-            _amount("pressure", "Force per area; negative: suction", per_area, "press"),
-            *(_along(axis, per_area, ways, "pull") for axis in (0, 1)),
+            _amount(
+                "pressure",
+                "Force per area; negative: suction",
+                per_area,
+                "press",
+                _largest_force,
+            ),
+            *(_along(axis, per_area, ways, "pull", _largest_force) for axis in (0, 1)),
         ]
+
+    def _largest_distance(self) -> float:
+        return self.largest
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
         """Show the units of amounts and forces, and the directions of rows and columns."""
@@ -179,7 +207,13 @@ def _action(rule: BoundaryRule, text: str) -> BoundaryRule:
     return changed_rule if same else replace(changed_rule, vector=(0.0, 0.0), amount=0.0)
 
 
-def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[BoundaryRule]:
+def _largest_force() -> float:
+    return math.inf
+
+
+def _along(
+    axis: int, unit: str, ways: Directions, action: Action, largest: Callable[[], float]
+) -> Column[BoundaryRule]:
     """Return the column for one component of a motion or a pull, along rows or columns."""
 
     def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
@@ -191,16 +225,18 @@ def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[Bou
         return ways.to_display(rule.vector)[axis - 2] if rule.action == action else None
 
     title = ways.label(axis) if action == "move" else f"pull {ways.label(axis)}"
-    return _distance(title, ways.about(axis), unit, seen, typed)
+    return _distance(title, ways.about(axis), unit, seen, typed, largest)
 
 
-def _amount(title: str, about: str, unit: str, action: Action) -> Column[BoundaryRule]:
+def _amount(
+    title: str, about: str, unit: str, action: Action, largest: Callable[[], float]
+) -> Column[BoundaryRule]:
     """Return the column for an amount that applies to one action only."""
 
     def shown(rule: BoundaryRule) -> float | None:
         return rule.amount if rule.action == action else None
 
-    return _distance(title, about, unit, shown, lambda row, far: replace(row, amount=far))
+    return _distance(title, about, unit, shown, lambda row, far: replace(row, amount=far), largest)
 
 
 def _distance(
@@ -209,6 +245,7 @@ def _distance(
     unit: str,
     amount: Callable[[BoundaryRule], float | None],
     changed: Callable[[BoundaryRule, float], BoundaryRule],
+    largest: Callable[[], float],
 ) -> Column[BoundaryRule]:
     """Return a column of numbers with a unit; a cell is empty if `amount` returns None."""
 
@@ -217,8 +254,9 @@ def _distance(
         return "" if value is None else f"{round(value, 9) + 0.0:g}"
 
     def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
-        if not math.isfinite(far := number_of(text)):
-            raise ValueError(f"The value must be a number in {unit}")
+        if not abs(far := number_of(text)) <= (limit := largest()) or math.isinf(far):
+            known = "in" if math.isinf(limit) else f"from {-limit:g} to {limit:g}"
+            raise ValueError(f"The value must be a number {known} {unit}")
         return changed(rule, far)
 
     words = title.replace("along ", "along\n")  # saves width in the narrow dock
@@ -270,7 +308,7 @@ class MaterialMenu(QPushButton):
         """Fill the menu with the current presets and layers."""
         menu = self.menu()
         menu.clear()
-        for preset in PRESETS:
+        for preset in (*PRESETS, PLAIN):
             self._offer(menu, preset)
         menu.addSeparator()
         taken = menu.addMenu("Load from layer")

@@ -12,10 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from magicgui.widgets import Container, PushButton
+from magicgui.widgets import Container, Label, PushButton
 from napari.qt import QtViewer
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
-from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox, QWidget
+from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox, QSizePolicy, QWidget
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import SlicePlace
@@ -34,7 +34,7 @@ from napari_hmrf.tissue.drawing.drawing import Drawing, ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections, single_shot
-from napari_hmrf.ui.forms import Prose, row
+from napari_hmrf.ui.forms import row
 from napari_hmrf.ui.remembered_settings import settings
 
 Answer = Literal["save", "discard", "cancel"]
@@ -178,6 +178,8 @@ class Unsaved(QObject):
                 place = SlicePlace(frame.plane, (0,) * first.ndim)
                 self._undo.go_to(Part("drawing", first, place), turn=True)
             self._model.restore(study, layers)
+            if study.tissue.preset is not None:
+                self._controller.form.motion.fields.offer_presets(study.tissue.preset)
             if study.motion.drawing.marks and not self._controller.refresh():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
@@ -303,7 +305,9 @@ class Unsaved(QObject):
 
 
 class RecoveryNotice(Container):
-    """Notice about work that was not saved when napari ended, with buttons to open or discard it.
+    """Notice of one line about work that was not saved when napari ended, with two buttons.
+
+    The tooltip has the whole text, because the line may be cut.
 
     Parameters
     ----------
@@ -313,23 +317,31 @@ class RecoveryNotice(Container):
 
     def __init__(self, open_recovered: Callable[[Path], None]) -> None:
         self._file = Path()
-        self._text = Prose()
-        opened, discarded = PushButton(text="Open it"), PushButton(text="Discard")
-        super().__init__(widgets=[self._text, row(opened, discarded)], labels=False)
+        self._text = Label()
+        self._text.native.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        opened = PushButton(text="Open it", tooltip="Open the work that was not saved")
+        discarded = PushButton(text="Discard", tooltip="Move the file of this work to the trash")
+        line = row(self._text, opened, discarded)
+        line.margins = (0, 0, 0, 0)
+        for button in (opened, discarded):
+            button.native.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
+        super().__init__(widgets=[line], labels=False)
+        self.margins = (4, 0, 0, 0)
         opened.changed.connect(partial(self._on_pressed, open_recovered))
         discarded.changed.connect(partial(self._on_pressed, _discard))
         self.refresh()
 
     def refresh(self) -> None:
         """Show the newest recovery file of a terminated process, or hide the notice."""
-        files, text = recovery.abandoned_files(folder()), ""
+        files, text, about = recovery.abandoned_files(folder()), "", ""
         if files:
             self._file = files[0]
             when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
             more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
             of = f" on '{name}'" if (name := image_named_in(files[0])) else ""
-            text = f"Work from {when}{of} was not saved when napari ended{more}."
-        self._text.show_text(text)
+            about = f"Work from {when}{of} was not saved when napari ended{more}."
+            text = f"Unsaved work{of}, {when}{more}"
+        self._text.value, self._text.tooltip = text, about
         self.visible = bool(files)
 
     def _on_pressed(self, answer: Callable[[Path], None], _: bool) -> None:

@@ -5,26 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from napari.layers import Labels
+from napari.layers import Points
 from psygnal import Signal
 
 from napari_hmrf.field.frame import PLACE
 from napari_hmrf.layers.image_choice import in_middle, uncover
 from napari_hmrf.layers.image_result import ResultLayers
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
+from napari_hmrf.layers.still_paint import is_deformed, is_painted, lies_still
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
-from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
+from napari_hmrf.tissue.usual_lengths import length_range, usual_radius, usual_step
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
+from napari_hmrf.ui.dock_form import NEW_BOUNDARY, NEW_TISSUE
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
-
-#: Modes in which napari paints.
-_BRUSHES = ("paint", "erase", "fill", "polygon")
 
 
 class ViewerWatch:
@@ -59,6 +57,8 @@ class ViewerWatch:
         # Deferred, because napari may still be removing other layers.
         self._removal_timer = single_shot(native, 0, self._on_left)
         self._has_started = self._was_active = False
+        # Painted layer that the user works on, shown on the undeformed image; or None.
+        self._in_use: Any = None
         # Message about a removed layer, until it is shown.
         self._removal_message = ""
         controller.slice_changed.connect(self._on_moved)
@@ -70,7 +70,7 @@ class ViewerWatch:
             "removed": self._on_removed,
             "renamed": self._binding.refresh,
             "reordered": guide.show,
-            "visible": guide.show,
+            "visible": self._on_visible,
             "mode": self._on_mode,
             **dict.fromkeys((*CHANGES, *PLACE), self._on_pixels),
         }
@@ -79,21 +79,29 @@ class ViewerWatch:
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events, self._on_slice),
         )
+        self._results.paint_hidden.connect(self._on_paint_hidden)
         viewer.mouse_drag_callbacks.append(self._on_drag)
         self._on_choice()
 
     def release(self) -> None:
         """Disconnect from all events."""
         self._events.release()
+        self._results.paint_hidden.disconnect(self._on_paint_hidden)
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
     def _on_moved(self, study: Study) -> None:
-        """Set tool sizes and schedule `first_image_ready`, for the first image only."""
+        """Set the range of the tool sizes; for the first image, also set the sizes.
+
+        After the first image, schedule `first_image_ready`.
+        """
+        size = study.grid.shape, study.grid.spacing
+        usual, (smallest, largest) = (usual_radius(*size), usual_step(*size)), length_range(*size)
+        self._form.motion.fields.limit(smallest, largest, *usual)
+        self._form.motion.boundary.table.largest = largest
         if not self._has_started:
             self._has_started = True
-            size = study.grid.shape, study.grid.spacing
-            self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
+            self._form.motion.fields.begin_with(*usual)
             self._first_timer.start()
 
     def _on_first(self) -> None:
@@ -105,13 +113,12 @@ class ViewerWatch:
 
     def hide_paint(self) -> None:
         """Hide painted layers, which show the undeformed tissue and would tint the image."""
-        painted, roles = self._painted, (TISSUE, BOUNDARY)
         shown = [each for each in self._viewer.layers if each.visible]
-        shown = [each for each in shown if each in painted or role_of(each) in roles]
+        shown = [each for each in shown if each in self._painted or lies_still(each)]
         for layer in shown:
             layer.visible = False
         if shown:
-            hidden = messages.describe_image_choice(self._form.image.value, shown)
+            hidden = messages.describe_hidden_paint(shown)
             self._guide.show_message(f"{self._guide.invitation} {hidden}", "step")
 
     @property
@@ -124,7 +131,9 @@ class ViewerWatch:
     def _on_choice(self, *_: Any) -> None:
         form, has_image = self._form, self._form.image.value is not None
         form.make.enabled = has_image and None in self._painted
+        form.make.text = NEW_TISSUE if self._painted[0] is None else NEW_BOUNDARY
         form.intensity.enabled = form.result.keep.enabled = has_image
+        form.footer.reset.enabled = has_image
         self._controller.schedule_refresh()
         self._guide.show()
 
@@ -150,6 +159,7 @@ class ViewerWatch:
     # Visible slice, and layers
 
     def _on_slice(self, *_: Any) -> None:
+        self._pointer.display.arrows.update_wheel()
         # `dims` also emits events if an arrow beyond the image's edge enlarges the canvas.
         before, self._slice = self._slice, self._slice_shown
         if self._slice != before:
@@ -170,8 +180,11 @@ class ViewerWatch:
 
     def _on_pixels(self, event: Any) -> None:
         """Schedule a refresh, because the pixels of a layer or their position may have changed."""
-        if self._reads(event.sources[0]):
+        layer = event.sources[0]
+        if self._reads(layer):
             self._controller.schedule_refresh()
+        if isinstance(layer, Points):
+            self._form.motion.boundary.landmarks.suggest()
 
     def _reads(self, layer: Any) -> bool:
         """Return whether the study is read from a layer."""
@@ -241,19 +254,52 @@ class ViewerWatch:
     def _is_painted(self) -> bool:
         """True if a napari brush is selected in the chosen tissue or boundary layer."""
         active = self._viewer.layers.selection.active
-        painted = isinstance(active, Labels) and active in self._painted
-        return painted and active.mode in _BRUSHES
+        return active in self._painted and is_painted(self._viewer, active)
 
     def _on_mode(self, *_: Any) -> None:
-        """Show the undeformed image if a napari brush is selected, else the deformed image."""
-        self._controller.show_before(self._is_painted)
+        """Show the undeformed image while a painted layer is in use, else the deformed image.
+
+        Without its brush, the layer stays in use until another layer is selected: napari takes away
+        the brush while the view is moved with the space key.
+        """
+        active = self._viewer.layers.selection.active
+        if self._is_painted:
+            self._in_use = active
+        elif active is not self._in_use:
+            self._in_use = None
+        self._show_before(self._in_use is not None)
+
+    def _show_before(self, before: bool) -> None:
+        """Show the undeformed image with its paint, or the deformed image without paint."""
+        self._controller.show_before(before)
+        self._results.hide_paint()
+
+    def _on_visible(self, event: Any) -> None:
+        """Show the undeformed image while the user shows a painted layer on it."""
+        self._guide.show()
+        layer = event.sources[0]
+        if not lies_still(layer) or self._pointer.display.quiet:
+            return
+        if layer.visible and is_deformed(self._viewer):
+            self._in_use = layer
+            self._show_before(True)
+            if layer.visible:  # else the deformed image is that of another study
+                self._guide.show_message(messages.PAINT_SHOWN.format(layer.name))
+        elif layer is self._in_use and not layer.visible:
+            self._in_use = None
+            self._show_before(False)
+            self._guide.invite()
+
+    def _on_paint_hidden(self, layers: list[Any]) -> None:
+        names = ", ".join(f"'{layer.name}'" for layer in layers)
+        self._guide.add_aside(messages.PAINT_HIDDEN.format(names))
 
     def _on_drag(self, _: Any, event: Any) -> Iterator[None]:
         """Show the undeformed image while a brush paints, then the deformed image."""
         if not self._is_painted:
             return
-        self._controller.show_before(True)
+        self._show_before(True)
         yield
         while event.type == "mouse_move":
             yield
-        self._controller.show_before(False)
+        self._show_before(False)

@@ -9,10 +9,12 @@ from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.layers.complete_result import CompleteResult
+from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.study.models import larger_budget
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.result.result_messages import NOTHING
 
 
@@ -40,13 +42,32 @@ class WarningChip:
         form.footer.other.clicked.connect(self._take_offer)
         for signal in (form.result.overlay.changed, form.model.model.changed):
             signal.connect(self.refresh)
+        self._events = EventConnections((viewer.layers.events, self._on_layers))
+
+    def release(self) -> None:
+        """Disconnect from the viewer."""
+        self._events.release()
 
     def refresh(self, *_: Any) -> None:
         """Update the warnings of the latest result, and the offer of another model."""
-        done, overlay = self._latest(), self._form.result.overlay.value
+        done, overlay = self._latest(), self._visible_overlay
         self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, overlay)))
         offer = messages.OFFER if self._can_unfold() else ""
-        self._form.footer.offer(messages.CONTINUE if self._can_continue() else offer)
+        offer = messages.CONTINUE if self._can_continue() else offer
+        self._form.footer.offer(offer, messages.ABOUT_OFFERS[offer])
+
+    @property
+    def _visible_overlay(self) -> str:
+        """Chosen overlay, or `NOTHING` if its marks are not visible."""
+        chosen: str = self._form.result.overlay.value
+        if chosen not in MARKS:
+            return chosen
+        marks = (each for each in self._viewer.layers if metadata_of(each).get("kind") == chosen)
+        return chosen if any(each.visible for each in marks) else NOTHING
+
+    def _on_layers(self, event: Any) -> None:
+        if event.type in ("inserted", "removed", "visible"):
+            self.refresh()
 
     def _can_unfold(self) -> bool:
         """Return whether the large-motion model would avoid the folds of the latest result."""
@@ -68,8 +89,11 @@ class WarningChip:
     def _on_chip(self) -> None:
         """Emit the warning, and show the next mark: folds, then overlaps, then no mark."""
         overlay, latest, slice_message = self._form.result.overlay, self._latest(), ""
-        mark = None if latest is None else messages.next_mark(latest.outputs, overlay.value)
+        shown = self._visible_overlay
+        mark = None if latest is None else messages.next_mark(latest.outputs, shown)
         if latest is not None and mark is not None:
+            if overlay.value == mark:  # the marks are hidden
+                overlay.value = NOTHING
             overlay.value = mark
             slice_message = self._go_to_most(latest, mark)
         elif overlay.value in MARKS:

@@ -252,7 +252,7 @@ def test_quantities_of_a_volume_match_the_strain_of_its_sites():
             values_of(found, quantity), 100 * expected, rtol=1e-6, err_msg=quantity
         )
         assert coloured(found, quantity).values.shape == shape
-    assert title_and_unit("jacobian", found) == ("Jacobian", "volume ratio")
+    assert title_and_unit("jacobian", found) == ("volume change", "ratio")
     assert title_and_unit("shear", found) == ("total shear strain", "%")
     ratio = jacobian_determinant(found.displacement, spacing=SIZE, tissue=tissue)
     inner = tissue & (ratio > 0.8)

@@ -39,17 +39,19 @@ def test_napari_versions_before_the_move_of_camera_and_overlays_are_allowed():
     listed = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]["dependencies"]
     (lowest,) = [each.partition(">=")[2] for each in listed if each.startswith("napari>=")]
     major, minor, *_ = map(int, lowest.split("."))
-    assert (major, minor) < (0, 9), "camera_of and text_of can be removed"
+    assert (major, minor) < (0, 9), "camera_of, text_of and scale_bar_of can be removed"
 
 
-def test_the_camera_and_the_text_overlay_are_found_in_any_napari_version():
+def test_the_camera_and_the_overlays_are_found_in_any_napari_version():
     viewer = ViewerModel()
     compat.camera_of(viewer).zoom = 3.0
     assert compat.camera_of(viewer).zoom == 3.0
     assert compat.text_of(viewer).text == ""
+    assert not compat.scale_bar_of(viewer).visible
     if hasattr(viewer, "canvas"):
         assert compat.camera_of(viewer) is viewer.scene.camera
         assert compat.text_of(viewer) is viewer.canvas.overlays.text
+        assert compat.scale_bar_of(viewer) is viewer.canvas.overlays.scale_bar
 
 
 def test_the_brush_circle_has_no_public_overlay():
@@ -124,6 +126,58 @@ def test_the_window_has_no_public_access_to_the_node_of_a_layer(make_napari_view
     layer.data = np.array([[[1.0, 1.0], [4.0, 4.0]]])
     assert not compat.compile_once(None)
     assert not compat.compile_once(object())
+
+
+def test_arrows_have_an_outline_in_the_window(make_napari_viewer):
+    viewer = make_napari_viewer()
+    data = np.array([[[0.0, 0.0], [4.0, 4.0]]])
+    layer = viewer.add_vectors(data, vector_style="arrow")
+
+    def corners():
+        return len(compat.drawn_node(viewer, layer).mesh_data.get_vertices())
+
+    assert corners() == 7, "napari draws the outline, so outline_arrows can be removed"
+    assert public_names_with(layer, "outline", "border", "head") == [], "check for a public way"
+    compat.outline_arrows(viewer, layer)
+    assert corners() == 14
+    layer.vector_style = "line"
+    assert corners() == 4
+    compat.outline_arrows(ViewerModel(), layer)  # without a window, nothing is drawn
+
+
+def test_the_row_of_a_helper_layer_stays_hidden_in_the_layer_list(make_napari_viewer):
+    viewer = make_napari_viewer()
+    names = ["a", "helper", "b"]
+    first, helper, last = (viewer.add_image(np.eye(4), name=name) for name in names)
+    compat.hide_in_list(viewer, helper)
+    rows = viewer.window._qt_viewer.layers
+
+    def listed():
+        model = rows.model()
+        shown = [row for row in range(model.rowCount()) if not rows.isRowHidden(row)]
+        return [model.index(row, 0).data() for row in shown]
+
+    assert listed() == ["b", "a"]
+    viewer.add_image(np.eye(4), name="c")
+    assert listed() == ["c", "b", "a"]
+    viewer.layers.move(3, 0)
+    viewer.layers.remove(first)
+    assert listed() == ["b", "c"]
+    assert helper in viewer.layers
+    assert public_names_with(helper, "group", "listed") == [], "check for a public way"
+    compat.hide_in_list(ViewerModel(), last)  # without a window, there is no list
+
+
+def test_a_layer_fades_without_a_change_of_its_settings(make_napari_viewer):
+    viewer = make_napari_viewer()
+    layer = viewer.add_image(np.eye(8), opacity=0.5)
+    compat.fade(viewer, layer, 0.2)
+    assert layer.opacity == 0.5
+    assert compat.drawn_node(viewer, layer).opacity == pytest.approx(0.1)
+    compat.fade(viewer, layer, 1.0)
+    assert compat.drawn_node(viewer, layer).opacity == 0.5
+    compat.fade(ViewerModel(), layer, 0.2)  # without a window, nothing is drawn
+    assert public_names_with(layer, "fade") == [], "check for a public way"
 
 
 def test_textures_of_a_removed_layer_are_deleted_in_their_context(

@@ -244,7 +244,7 @@ def test_the_distance_of_a_result_from_a_reference_is_reported_and_shown(pulled,
     wait_for(lambda: not dock.busy)
     assert dock.comparison.rmsd == pytest.approx(0.5, abs=1e-4)
     assert "RMSD from 't': 0.5 mm." in screen.words
-    screen.choose("difference from reference (mm)")
+    screen.choose("difference from known field (mm)")
     wait_for(lambda: not dock.busy)
     shown = viewer.layers["MR difference from t (mm), elastic"]
     seen = shown.data[np.isfinite(shown.data)]

@@ -81,7 +81,7 @@ def test_every_layer_is_named_after_its_source():
         "grid": "MR grid",
         "labels": "Tissue deformed",
         "magnitude": "MR displacement (px)",
-        "jacobian": "MR Jacobian (area ratio)",
+        "jacobian": "MR area change (ratio)",
     }
     assert layers["labels"].data[12, 20] == 1
     assert layers["arrows"].vector_style == "arrow"
@@ -207,6 +207,21 @@ def test_folds_are_counted():
     assert layer.data.sum() == outputs.folds
     unfolded = result_layers(solution())
     assert unfolded.folds == 0
+
+
+def test_a_scale_of_strain_is_capped_and_folds_are_named():
+    stretched, columns = solution((0.0, 0.0)), np.minimum(np.arange(SHAPE[1]), 20)
+    stretched.displacement[..., 1] = 2 * columns  # 3 times as wide: a strain of 400 %
+    answer = result_of(Layer.create(*result_layers(stretched).layers["arrows"]))
+    overlay = overlay_of(answer, "stretch")
+    assert overlay.limits == (-100, 100)
+    assert overlay.beyond == "Colours end at 100 (values to 400)"
+    assert "folded" not in overlay.layer.attributes["name"]
+    stretched.displacement[:, 2, 1] -= 5
+    folded = overlay_of(answer, "stretch")
+    assert "(%; yellow: folded)" in folded.layer.attributes["name"]
+    assert (folded.layer.data == -np.inf).any()
+    assert "inf" not in folded.beyond
 
 
 def test_overlapping_pieces_without_folds_are_counted():

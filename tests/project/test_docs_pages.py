@@ -162,6 +162,7 @@ def test_the_cheat_sheet_has_each_tool_with_its_key():
 
 def test_the_cheat_sheet_has_each_key_that_is_bound():
     from napari_hmrf.layers.viewer_undo import KEYS
+    from napari_hmrf.ui.motion.arrows import DEPTH_KEYS
     from napari_hmrf.ui.motion.pointer import Pointer
     from napari_hmrf.ui.result.result_form import BEFORE_KEY
 
@@ -174,7 +175,7 @@ def test_the_cheat_sheet_has_each_key_that_is_bound():
     shown = {
         key for key, _ in rows("Keys while a tool is active") for key in re.findall(r"`(.*?)`", key)
     }
-    assert shown == keys | {"Shift", "Space"}
+    assert shown == keys | {"Shift", "Space", *DEPTH_KEYS}
 
 
 class _Anything:

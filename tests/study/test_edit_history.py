@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from napari_hmrf.study.edit_history import EditHistory
+from napari_hmrf.study.edit_history import EditHistory, Step
 from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -134,10 +134,10 @@ def test_a_step_stores_its_part_and_its_description():
     edits.begin(SLOTS[0], "drew an arrow")
     edits.update(VALUES[SLOTS[0]][1])
     assert edits.in_progress == SLOTS[0]
-    assert edits.next_undo == (SLOTS[0], VALUES[SLOTS[0]][0], "drew an arrow")
+    assert edits.next_undo == Step(SLOTS[0], VALUES[SLOTS[0]][0], "drew an arrow")
     step = edits.undo()
     assert (step.part, step.word) == (SLOTS[0], "drew an arrow")
-    assert edits.next_redo == (SLOTS[0], VALUES[SLOTS[0]][1], "drew an arrow")
+    assert edits.next_redo == Step(SLOTS[0], VALUES[SLOTS[0]][1], "drew an arrow")
     assert edits.next_undo.word == "stiffened gel"
 
 
@@ -148,6 +148,41 @@ def test_an_edit_of_one_slot_ends_the_drag_of_another_slot():
     edits.do(SLOTS[3], VALUES[SLOTS[3]][2], "moved the wall")
     assert [edits.undo().word, edits.undo().word] == ["moved the wall", "dragged"]
     assert state(edits) == FIRST
+
+
+def reset():
+    """Return a history with one edit, and then one of all slots together."""
+    edits = opened()
+    edits.do(SLOTS[0], VALUES[SLOTS[0]][1], "drew an arrow")
+    edits.do_all({slot: VALUES[slot][2] for slot in SLOTS}, "reset")
+    return edits
+
+
+def test_values_that_were_set_together_are_undone_and_redone_together():
+    edits = reset()
+    after = state(edits)
+    step = edits.undo()
+    assert (step.part, step.word) == (SLOTS[0], "reset")
+    assert state(edits) == FIRST | {SLOTS[0]: VALUES[SLOTS[0]][1]}
+    assert edits.redo().part == SLOTS[0]
+    assert state(edits) == after
+    assert [edits.undo().word, edits.undo().word, edits.undo()] == ["reset", "drew an arrow", None]
+
+
+@pytest.mark.parametrize("undone", [False, True])
+@pytest.mark.parametrize("gone", SLOTS)
+def test_values_of_a_joint_step_remain_together_without_a_dropped_slot(gone, undone):
+    edits = reset()
+    after = {slot: value for slot, value in state(edits).items() if slot != gone}
+    if undone:
+        edits.undo()
+    edits.drop(lambda slot: slot == gone)
+    if undone:
+        edits.redo()
+    assert state(edits) == after
+    edits.undo()
+    left = FIRST | {SLOTS[0]: VALUES[SLOTS[0]][1]}
+    assert state(edits) == {slot: left[slot] for slot in after}
 
 
 def test_an_amended_value_is_not_a_step():

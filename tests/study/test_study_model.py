@@ -108,6 +108,20 @@ def test_undo_reverts_choices_tables_drawings_and_the_model_in_one_order(layers)
         assert (model.choice, model.model, model.drawing) == state
 
 
+def test_reset_restores_drawing_and_settings_and_keeps_layers_as_one_step(layers):
+    model = edited_model(layers)
+    model.choose(weight=(1.0, 0.0))
+    model.choose_model(ModelChoice("paper", details=SolverDetails(device="cpu", sweeps=3)))
+    before = model.choice, model.model, model.drawing
+    model.reset()
+    assert model.drawing == Drawing()
+    assert model.model == ModelChoice(details=SolverDetails(device="cpu"))
+    kept = {name: layers[name] for name in ("tissue", "boundary")}
+    assert model.choice == ImageChoice(**kept, hold_edge=False)
+    assert model.undo().word == "reset the study"
+    assert (model.choice, model.model, model.drawing) == before
+
+
 def test_a_solver_setting_is_not_an_undo_step(layers):
     model = StudyModel()
     model.choose_model(ModelChoice())

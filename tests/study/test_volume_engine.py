@@ -1,12 +1,14 @@
 """Engine with coarse previews: a slice of a volume or an image, then the full result."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion, label
 
 from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study, warp
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.study.coarse_grid import CoarseGrid, Preview
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.ground import build_problem
@@ -54,6 +56,16 @@ def test_a_coarse_grid_samples_sites_at_a_constant_step():
     assert study.pictures.image[2, 1, 5] == a_study().pictures.image[8, 4, 20]
     assert study.motion.drawing.marks[0].at == (2.5, 3, 2.75)
     assert study.motion.drawing.marks[0].by == PULL.by
+
+
+def test_a_coarse_grid_of_a_placed_volume_has_a_place_of_its_own():
+    study = a_study()
+    place = Frame.at(SPACING, ("mm",) * 3, volume=True)
+    placed = replace(study, grid=Grid(SHAPE, SPACING, unit="mm", place=place))
+    coarse = CoarseGrid(4).study(placed).grid
+    assert coarse.place.spacing == coarse.spacing == (6.0, 4.0, 4.0)
+    first = np.array([0, 0, 0, 1])
+    assert np.array_equal(coarse.place.matrix @ first, place.matrix @ first)
 
 
 @pytest.mark.parametrize("step", [2, 3, 4])

@@ -52,6 +52,10 @@ def notes(study):
         (Stroke("pin", (((40.0, 9.0), (44.0, 9.0)),), 1.0), "the stroke at (40, 9) is outside"),
         (Stroke("pin", (((5.0, 1.0), (9.0, 1.0)),), 1.0), "the stroke at (5, 1) is outside tissue"),
         (Stroke("free", (((99.0, 1.0),),), 1.0), "the stroke at (99, 1) is outside the image"),
+        (
+            Stroke("confidence", (((9.0, 8.0),),), 1.0),
+            "the stroke at (9, 8) is over tissue that is neither held nor moved and has no effect",
+        ),
     ],
 )
 def test_a_mark_without_effect_is_named(mark, said):
@@ -64,7 +68,11 @@ def test_a_mark_without_effect_is_named(mark, said):
 def test_marks_with_an_effect_are_not_named():
     free = Stroke("free", (((5.0, 1.0), (9.0, 1.0)),), 1.0)  # frees the paint beneath it
     across = Stroke("pin", (((5.0, -9.0), (5.0, 9.0)),), 1.0)
-    assert not [note for note in notes(a_study(PULL, free, across)) if "no effect" in note]
+    over_pull, over_edge = (
+        Stroke("confidence", ((at,),), 1.0, confidence=0.5) for at in ((10.0, 12.0), (0.0, 12.0))
+    )
+    marks = PULL, free, across, over_pull, over_edge
+    assert not [note for note in notes(a_study(*marks)) if "no effect" in note]
 
 
 def test_marks_of_one_kind_share_a_note():

@@ -25,23 +25,24 @@ class Person:
         """Native canvas on which the image is drawn."""
         return self._canvas.native
 
-    def where(self, row, col):
+    def where(self, *at):
+        """Return the point of the canvas at (row, col), or at (depth, row, col) in a 3-D view."""
         view = self._canvas.view
-        x, y = (view.transform * view.scene.transform).map([col, row])[:2]
-        return QPoint(round(x), round(y))
+        x, y, _, w = (view.transform * view.scene.transform).map(at[::-1])
+        return QPoint(round(x / w), round(y / w))
 
-    def press(self, row, col):
-        QTest.mousePress(self._canvas.native, LEFT, PLAIN, self.where(row, col))
+    def press(self, *at):
+        QTest.mousePress(self._canvas.native, LEFT, PLAIN, self.where(*at))
 
-    def move(self, row, col, button=LEFT):
-        place = QPointF(self.where(row, col))
+    def move(self, *at, button=LEFT):
+        place = QPointF(self.where(*at))
         native = self._canvas.native
         there = QPointF(native.mapToGlobal(place.toPoint()))
         event = QMouseEvent(QEvent.Type.MouseMove, place, there, NO_BUTTON, button, PLAIN)
         QApplication.sendEvent(native, event)
 
-    def release(self, row, col):
-        QTest.mouseRelease(self._canvas.native, LEFT, PLAIN, self.where(row, col))
+    def release(self, *at):
+        QTest.mouseRelease(self._canvas.native, LEFT, PLAIN, self.where(*at))
 
     def pick(self, row, col):
         QTest.mouseClick(self._canvas.native, LEFT, SHIFT, self.where(row, col))
@@ -62,9 +63,9 @@ class Person:
             between()
         self.release(*places[-1])
 
-    def _is_at(self, row, col):
-        """Return whether napari's cursor is at a pixel, to 2 pixels of the screen."""
-        at = self.where(*self.viewer.cursor.position[-2:]) - self.where(row, col)
+    def _is_at(self, *place):
+        """Return whether napari's cursor is at a place, to 2 pixels of the screen."""
+        at = self.where(*self.viewer.cursor.position[-len(place) :]) - self.where(*place)
         return at.manhattanLength() <= 2
 
     def key(self, key, modifiers=PLAIN):

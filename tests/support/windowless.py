@@ -2,12 +2,14 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 from napari.components import ViewerModel
 from napari.utils._proxies import ReadOnlyWrapper
 from napari.utils.interactions import (
     mouse_move_callbacks,
     mouse_press_callbacks,
     mouse_release_callbacks,
+    mouse_wheel_callbacks,
 )
 from napari.utils.key_bindings import KeymapHandler
 from qtpy.QtCore import Qt
@@ -24,33 +26,51 @@ _KEYS = {
     Qt.Key.Key_Backspace: "Backspace",
     Qt.Key.Key_Escape: "Escape",
     Qt.Key.Key_Space: "Space",
+    Qt.Key.Key_Up: "Up",
+    Qt.Key.Key_Down: "Down",
 }
 
 
 class Touch:
     """Simulated pointer at a viewer without a window, moved in world coordinates.
 
+    In a 3-D view, places are (depth, row, col) on the line of sight, which has the direction
+    `ahead`.
+
     It calls the functions of napari that a canvas calls for mouse and keyboard events. Such a test
     is five times as fast as a test with a window. Tests of Qt, the canvas or the screen need a
     `Person`.
     """
 
+    #: Direction from the camera in a 3-D view, as a unit vector.
+    ahead = (1.0, 0.0, 0.0)
+
     def __init__(self, viewer, frame=None):
         self.viewer, self.frame = viewer, frame
         self._keys = KeymapHandler()
 
-    def press(self, row, col, modifiers=()):
-        self._tell(mouse_press_callbacks, "mouse_press", row, col, modifiers)
+    def press(self, *at, modifiers=()):
+        self._tell(mouse_press_callbacks, "mouse_press", at, modifiers)
 
-    def move(self, row, col):
-        self._tell(mouse_move_callbacks, "mouse_move", row, col)
+    def move(self, *at):
+        self._tell(mouse_move_callbacks, "mouse_move", at)
 
-    def release(self, row, col):
-        self._tell(mouse_release_callbacks, "mouse_release", row, col)
+    def release(self, *at):
+        self._tell(mouse_release_callbacks, "mouse_release", at)
 
-    def pick(self, row, col):
-        self.press(row, col, ("Shift",))
-        self.release(row, col)
+    def pick(self, *at):
+        self.press(*at, modifiers=("Shift",))
+        self.release(*at)
+
+    def wheel(self, steps):
+        """Turn the mouse wheel forward by a number of steps."""
+        self._tell(mouse_wheel_callbacks, "mouse_wheel", None, delta=(0.0, float(steps)))
+
+    def turn_wheel(self, row, col, notches=1, modifiers=()):
+        """Move the pointer to a pixel, and turn the mouse wheel."""
+        at = row, col
+        self._tell(mouse_move_callbacks, "mouse_move", at, is_dragging=False)
+        self._tell(mouse_wheel_callbacks, "mouse_wheel", at, modifiers, delta=(0, notches))
 
     def drag(self, *places, between=lambda: None):
         self.press(*places[0])
@@ -70,20 +90,23 @@ class Touch:
         self._keys.press_key(name)
         self._keys.release_key(name)
 
-    def _tell(self, callbacks, kind, row, col, modifiers=()):
+    def _tell(self, callbacks, kind, at, modifiers=(), is_dragging=True, delta=(0.0, 0.0)):
         dims = self.viewer.dims
-        place = list(dims.point)
-        for axis, at in zip(dims.displayed, (row, col), strict=True):
-            place[axis] = at
+        place = list(self.viewer.cursor.position if at is None else dims.point)
+        for axis, along in () if at is None else zip(dims.displayed, at, strict=True):
+            place[axis] = along
         event = SimpleNamespace(
             type=kind,
             position=tuple(place),
             button=1,
             modifiers=modifiers,
-            is_dragging=True,
+            is_dragging=is_dragging,
+            native=SimpleNamespace(inverted=lambda: False),
             dims_displayed=list(dims.displayed),
             dims_point=list(dims.point),
             camera_zoom=_ZOOM,
+            view_direction=np.array(self.ahead) if dims.ndisplay == 3 else None,
+            delta=delta,
             handled=False,
         )
         self.viewer.cursor.position = event.position

@@ -101,13 +101,13 @@ def test_one_dock_contains_tissue_motion_and_result(
     qtbot.waitUntil(dock.native.isVisible, timeout=LONG_MS)
     screen = Screen(dock)
     for words in (
-        "1  Tissue",
-        "Tissue from brightness",
-        "2  Motion",
         "Pull",
-        "3  Result",
         "Play",
-        "Deform",
+        "Solve precisely",
+        "Tissue and stiffness",
+        "Edges, rules, gravity",
+        "Model",
+        "Advanced",
     ):
         assert screen.button(words).isVisible(), words
     _, again = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
@@ -122,7 +122,7 @@ def test_layers_to_paint_on_are_made_and_a_click_on_a_row_starts_painting(
 ):
     dock, screen = dock_without_live_mode
     image = viewer.add_image(np.zeros((30, 40)), name="T1", scale=(0.5, 2.0))
-    screen.press("Layers to paint on")
+    screen.press("New tissue layer")
     tissue, boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
     for made in (tissue, boundary):
         assert made.data.shape == image.data.shape
@@ -161,15 +161,17 @@ def test_a_valid_number_in_a_table_is_accepted_and_an_invalid_number_is_reset(
 def test_stiffness_has_a_unit_only_if_the_unit_is_known(dock_without_live_mode, viewer):
     dock, screen = dock_without_live_mode
     viewer.add_image(np.full((30, 40), 200, np.uint8), name="MR")
-    screen.press("Layers to paint on")
+    screen.press("New tissue layer")
     table = dock.native.findChildren(QTableView)[0]
-    assert head(table, 2) == "Relative\nstiffness", (
+    assert head(table, 2) == "Stiffness\n(x normal)"
+    dock.take_materials(next(each for each in PRESETS if each.unit == "kPa"))
+    assert head(table, 2) == "Stiffness\n(kPa)"
+    dock.undo()
+    assert head(table, 2) == "Stiffness\n(x normal)"
+    dock.take_materials(next(each for each in PRESETS if "Seiler" in each.name))
+    assert head(table, 2) == "Stiffness\n(relative)", (
         "the paper's 20, 10 and 40 are ratios without a unit"
     )
-    dock.take_materials(next(each for each in PRESETS if each.unit == "kPa"))
-    assert head(table, 2) == "Stiffness (kPa)"
-    dock.undo()
-    assert head(table, 2) == "Relative\nstiffness"
     for name in PHANTOM_NAMES:
         _, (_, tissue, _), _ = phantom_layers(sample(name))
         assert "unit" not in tissue["metadata"][METADATA]
@@ -182,7 +184,7 @@ def test_dark_surroundings_are_void_unless_the_option_is_off(dock_without_live_m
     viewer.add_image(picture, name="CT")
     dock.drawing = Drawing((Arrow((15, 20), (0, 2), 3.0),))
     np.testing.assert_array_equal(run(dock).solution.tissue, picture > 0)
-    screen.press("Layers to paint on")
+    screen.press("New tissue layer")
     viewer.layers["Tissue"].data[2:4, 2:4] = dock.materials[1].label
     counted = run(dock).solution.tissue
     assert counted[2:4, 2:4].all(), "painted dark pixels are void"
@@ -479,7 +481,7 @@ def test_inputs_are_shown_as_layers(dock_with_result, viewer, wait_for):
     )
     assert set(np.unique(confidence[np.isfinite(confidence)])) == {0, 1}
     assert given["motion"][:, 1].max() == 3
-    screen.choose("nothing")
+    screen.choose("none")
     wait_for(lambda: not any("MR confidence" in layer.name for layer in viewer.layers))
 
 

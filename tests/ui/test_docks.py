@@ -6,14 +6,24 @@ from napari.components import ViewerModel
 from npe2 import PluginManifest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication, QDockWidget, QStyle, QStyleOptionComboBox
+from qtpy.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QDockWidget,
+    QLineEdit,
+    QSlider,
+    QStyle,
+    QStyleOptionComboBox,
+)
 
 from napari_hmrf.contributions import dock
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.motion.tools import TOOLS
+from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.support.screen import Screen
+from tests.support.screen import Screen, head
 from tests.support.timeouts import LONG_MS
 
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
@@ -76,29 +86,73 @@ def test_the_dock_fits_on_a_small_screen(styled_window, at_rest):
     assert (styled_window._qt_window.width(), styled_window._qt_window.height()) == ROOM
 
 
-def test_a_long_status_does_not_move_the_buttons(styled_window, at_rest, wait_for):
+def test_a_long_status_moves_nothing_and_a_click_shows_all_of_it(styled_window, at_rest, wait_for):
     found = dock()
     wait_for(lambda: not found.busy)
     at_rest()
-    footer = found._form.footer
+    footer, window = found._form.footer, styled_window._qt_window
+    parts = [found._form.result.play, footer.deform, found._form.result.keep]
+
+    def places():
+        return [part.native.mapTo(window, part.native.rect().topLeft()) for part in parts]
+
     found.show_message("One line.")
-    wait_for(lambda: footer.height() == footer.sizeHint().height())
-    deform, least = footer.deform.native, footer.height()
-    place = deform.mapTo(styled_window._qt_window, deform.rect().topLeft())
-    found.show_message("So much has to be said that it takes many lines. " * 20)
+    at_rest(thread=False)
+    before, status = places(), footer._status
+    assert not status.is_elided
+    words = "So much has to be said that it takes many lines. " * 20
+    found.show_message(words)
     footer.warn("It folds.", "Folds at 300 pixels")
-    wait_for(lambda: footer.height() == footer.sizeHint().height() > least)
-    assert deform.mapTo(styled_window._qt_window, deform.rect().topLeft()) == place
-    assert footer.height() < 250, "a long status is too high"
-    found.show_message("One line.")
-    footer.warn("")
-    wait_for(lambda: footer.height() == least)
+    footer.offer("Use large motion")
+    found._form.result.show_landmarks("Landmarks: 9.27 px apart before, 0.1 now")
+    at_rest(thread=False)
+    assert (places(), status.is_elided) == (before, True)
+    QTest.mouseClick(status.native, Qt.MouseButton.LeftButton)
+    shown = [each for each in QApplication.topLevelWidgets() if each.inherits("QWhatsThat")]
+    assert [each.isVisible() for each in shown] == [True]
+    assert status.native.toolTip() == words
+    QTest.keyClick(shown[0], Qt.Key.Key_Escape)
+
+
+def test_all_that_is_used_while_pulling_is_visible_on_a_small_screen(styled_window, at_rest):
+    found = dock()
+    at_rest()
+    form = found._form
+    for name in form.motion.tools:
+        found.tool = name
+        at_rest(thread=False)
+        fields = [getattr(found.fields, each) for each in BY_NAME[name].fields]
+        footer, result = form.footer, form.result
+        strip = [result.play, result.slider, result.before, result.overlay, result.how_far]
+        strip += [footer.undo, footer.redo, footer.live, footer.reset, result.keep]
+        shown = [each.native for each in (form.image, *fields, *strip)]
+        titles = [each for each in form.sections.values() if each.isVisible() and name == "pull"]
+        for part in (*form.motion.tools.values(), *shown, *titles):
+            assert part.visibleRegion().boundingRect() == part.rect(), (name, part)
+
+
+def test_every_field_and_button_has_a_tooltip(styled_window, at_rest):
+    found = dock()
+    at_rest()
+    without = []
+    for kind in (QAbstractButton, QComboBox, QAbstractSpinBox, QSlider, QLineEdit):
+        for part in found.native.findChildren(kind):
+            owner = part
+            while not owner.toolTip() and owner.parent() is not found.native:
+                owner = owner.parent()
+            # Buttons without a text: the corner of a table, and hidden warnings.
+            unused = isinstance(part, QAbstractButton) and not part.text().strip("⚠ ")
+            if not owner.toolTip() and not unused:
+                without.append((part.objectName(), getattr(part, "text", str)()))
+    assert not without
 
 
 def test_texts_of_the_curve_and_of_the_presets_are_not_truncated(styled_window, at_rest, wait_for):
     found = dock()
     found._viewer.layers["MR"].data = np.arange(1600, dtype=np.float32).reshape(40, 40)
-    Screen(found).press("Tissue from brightness")
+    screen = Screen(found)
+    screen.press("Tissue and stiffness")
+    screen.press("Tissue from brightness")
     found.tool = "tissue"
     found.start()
     wait_for(lambda: not found.busy)
@@ -113,6 +167,23 @@ def test_texts_of_the_curve_and_of_the_presets_are_not_truncated(styled_window, 
         assert box.fontMetrics().horizontalAdvance(box.currentText()) <= room, box.currentText()
     points = editor.points.native
     assert points.fontMetrics().horizontalAdvance(points.text()) + 4 <= points.width()
+
+
+def test_headers_of_tables_are_not_cut(styled_window, small_sample, at_rest):
+    found = dock()
+    screen = Screen(found)
+    small_sample(found._viewer)
+    for title in ("Tissue and stiffness", "Edges, rules, gravity"):
+        screen.press(title)
+    at_rest(thread=False)
+    for table in found._form.tables:
+        header = table.horizontalHeader()
+        elides = header.textElideMode() != Qt.TextElideMode.ElideNone
+        for column in range(1, table.columnCount()):
+            title = head(table, column)
+            lines = [title] if elides else title.split("\n")  # Qt elides two lines as one
+            width = max(map(header.fontMetrics().horizontalAdvance, lines))
+            assert width <= header.sectionSize(column) or table.isColumnHidden(column), title
 
 
 def test_an_opened_section_is_scrolled_into_view(window, at_rest, wait_for):

@@ -5,14 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from napari.components import ViewerModel
+from npe2 import PluginManager
 from qtpy.QtCore import QPoint, QPointF, Qt
 from qtpy.QtGui import QWheelEvent
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import Arrow, Drawing
+from napari_hmrf.contributions import dock
+from napari_hmrf.layers.compat import text_of
+from napari_hmrf.ui.motion.motion_messages import EARLY, HERE
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import quick
+from tests.support.person import Person, only
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
 
@@ -62,6 +67,78 @@ def test_the_first_press_of_an_automatically_activated_pull_leaves_it_active(
     assert not widget.active, "the second press did not deactivate the tool"
 
 
+@pytest.mark.parametrize("sample", ["brain", "growth"])
+def test_a_sample_opens_with_the_dock_undeformed_and_invites_to_drag(
+    unstyled, without_controls, make_napari_viewer, qtbot, settle, at_rest, sample
+):
+    viewer = make_napari_viewer(show=True)
+    viewer.open_sample("napari-hmrf", sample)
+    widget = dock(viewer)
+    assert len(viewer.window.dock_widgets) == 1
+    at_rest()
+    settle(widget)
+    assert widget.active
+    assert visible(viewer) == {"Brain", "Motion"}
+    assert widget.status.startswith(HERE)
+    assert ("press Play" in widget.status) == (sample == "growth")
+    assert text_of(viewer).text == "Pull: drag tissue here"
+    Person(viewer, qtbot).drag((150, 100), (155, 105))
+    settle(widget)
+    assert only(widget).at == pytest.approx((150, 100), abs=1)
+    assert "Brain deformed, elastic" in visible(viewer)
+    assert text_of(viewer).text == "Pull"
+
+
+def test_play_shows_the_motion_of_an_undeformed_sample(frame, settle, at_rest, click):
+    PluginManager.instance().discover()  # a window discovers plugins at its start
+    widget = frame.open()
+    frame.show()
+    frame.viewer.open_sample("napari-hmrf", "growth")
+    at_rest()
+    settle(widget)
+    assert "Brain deformed, elastic" not in visible(frame.viewer)
+    click(widget, "Play")
+    assert "Brain deformed, elastic" in visible(frame.viewer)
+
+
+def visible(viewer):
+    """Return the names of the visible layers."""
+    return {layer.name for layer in viewer.layers if layer.visible}
+
+
+@pytest.mark.parametrize("is_held", [False, True])
+def test_a_drag_before_the_tissue_is_ready_is_applied_when_it_is(
+    open_beside, busy_thread, settle, is_held
+):
+    person, widget = open_beside()
+    assert widget.active
+    person.drag((10, 40), (11, 42))
+    person.press(30, 30)
+    person.move(32, 33)
+    if not is_held:
+        person.release(34, 34)
+    assert widget.status == EARLY
+    assert not widget.drawing.marks
+    busy_thread.set()
+    settle(widget)
+    if is_held:
+        person.release(34, 34)
+        settle(widget)
+    assert [mark.by for mark in widget.drawing.marks] == [(1, 2), (4, 4)]
+    assert widget.solution.displacement[30, 30] == pytest.approx((4, 4), abs=0.05)
+
+
+def test_escape_cancels_a_drag_before_the_tissue_is_ready(open_beside, busy_thread, settle):
+    person, widget = open_beside()
+    person.press(30, 30)
+    person.move(32, 33)
+    person.key(Qt.Key.Key_Escape)
+    busy_thread.set()
+    settle(widget)
+    person.release(34, 34)
+    assert not widget.drawing.marks
+
+
 def test_a_press_deactivates_pull_after_it_was_used(pulling_beside, settle, click):
     person, widget = pulling_beside
     person.drag((30, 30), (30, 36))
@@ -103,7 +180,7 @@ def test_the_status_bar_is_updated_with_the_display(widget, small_sample, settle
     settle(widget)
     viewer.mouse_over_canvas = True
     viewer.cursor.position = (10, 12)
-    assert "Jacobian" in str(viewer.status)
+    assert "area change" in str(viewer.status)
     slide(widget, 0.5)
     settle(widget)
     assert "at 100 %: moves" in str(viewer.status)
@@ -300,6 +377,12 @@ def test_a_second_click_removes_the_marks_of_folds(deformed, run, settle, click)
     settle(widget)
     assert viewer.layers["MR folds, paper"].visible
     assert viewer.layers[-1].name == "MR folds, paper", "a layer covers the marks of folds"
+    viewer.layers["MR folds, paper"].visible = False
+    assert ": show" in Screen(widget).button("\u26a0").text(), "there are no marks to hide"
+    click(widget, "\u26a0")
+    settle(widget)
+    assert viewer.layers["MR folds, paper"].visible
+    assert Screen(widget).button("\u26a0").text().endswith("Hide the folds")
     click(widget, "\u26a0")
     settle(widget)
     assert "MR folds, paper" not in viewer.layers

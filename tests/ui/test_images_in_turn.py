@@ -213,7 +213,7 @@ def test_a_message_names_the_new_layers_to_paint_on(viewer, widget):
     brain(viewer)
     viewer.add_image(np.ones((20, 24)), name="photo", translate=(0, 300))
     widget.image = viewer.layers["photo"]
-    Screen(widget).press("Layers to paint on")
+    Screen(widget).press("New tissue layer")
     assert widget.status.startswith("Paint in 'Tissue [1]' and 'Boundary [1]': click a row")
 
 

@@ -14,7 +14,7 @@ from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.messages import CHOOSE, STILL
 from tests.support.docks import dock_in, forget_choice, quick, viewer_of
-from tests.support.person import CTRL, Person
+from tests.support.person import CTRL, SHIFT, Person
 from tests.support.screen import Cell, Screen
 from tests.support.timeouts import LONG, LONG_MS
 
@@ -222,9 +222,9 @@ def test_an_undo_with_a_cancelled_solve_remains_and_is_reported_until_deform(
     assert not widget.drawing.marks
     assert widget.solution.displacement.any()
     assert metadata_of(picture)["inputs_changed"]
-    assert "warnings do not include the last edits" in widget.status
+    assert "warnings do not include the last edits. Press 'Solve precisely'" in widget.status
     assert "nothing was changed" not in widget.status
-    Screen(widget).press("Deform")
+    Screen(widget).press("Solve precisely")
     settle(widget)
     assert not widget.solution.displacement.any()
     assert widget.status == STILL
@@ -300,9 +300,11 @@ def test_live_mode_is_off_for_a_large_image_until_the_user_switches_it_on(
     at_rest()
     check = widget._form.footer.live
     assert not widget.live
+    assert "'Live' is off, because the image is larger" in widget.invitation
     check.native.click()
     at_rest()
     assert widget.live, "the user cannot switch it on"
+    assert "'Live' is off" not in widget.invitation
 
 
 @pytest.mark.parametrize(("size", "followed"), [((1200, 1200), True), ((1200, 1201), False)])
@@ -367,6 +369,7 @@ def test_the_painted_slice_of_a_stack_is_followed(widget, small_sample, run, set
     settle(widget)
     assert (widget.solution, widget.status) == (None, STILL)
     dims.set_current_step(0, 1)
+    boundary.visible = True  # napari can paint only in visible layers
     boundary.data_setitem((np.full(8, 1), np.arange(6, 14), np.full(8, 12)), 1)
     settle(widget)
     assert_newest(widget)
@@ -527,7 +530,7 @@ def test_undo_keys_work_in_the_dock_and_a_removed_layer_removes_its_undo_steps(
     Cell(table, 1, 4).write("5")
     QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
     assert widget.rules == before
-    QTest.keyClick(table, Qt.Key.Key_Y, CTRL)
+    QTest.keyClick(table, Qt.Key.Key_Z, CTRL | SHIFT)
     assert widget.rules != before
     viewer_of(widget).layers.remove(boundary)
     assert not widget._form.footer.undo.enabled

@@ -3,8 +3,10 @@
 from dataclasses import replace
 
 from qtpy.QtCore import QSettings
+from superqt import QCollapsible
 
 from napari_hmrf.study.models import SolverDetails
+from tests.support.screen import Screen
 
 
 def open_dock(qtbot, viewer=None):
@@ -20,6 +22,21 @@ def open_dock(qtbot, viewer=None):
 def test_the_device_is_remembered_between_sessions(qtbot):
     open_dock(qtbot).settings = replace(open_dock(qtbot).settings, device="cpu")
     assert open_dock(qtbot).settings.device == "cpu"
+
+
+def test_sections_are_closed_until_opened_and_remembered_between_sessions(qtbot):
+    def opened(dock):
+        sections = dock.native.findChildren(QCollapsible)
+        return [each.text() for each in sections if each.isExpanded()]
+
+    first = open_dock(qtbot)
+    assert opened(first) == []
+    for title in ("Advanced", "Tissue and stiffness"):
+        Screen(first).press(title)
+    second = open_dock(qtbot)
+    assert opened(second) == ["Tissue and stiffness", "Advanced"]
+    Screen(second).press("Advanced")
+    assert opened(open_dock(qtbot)) == ["Tissue and stiffness"]
 
 
 def test_a_session_starts_without_an_overlay(qtbot):

@@ -327,10 +327,10 @@ def test_a_message_reports_landmarks_that_were_not_imported_before_saving(make_d
     dock.live = False
     viewer.add_points([[10, 10], [20, 30]], name="is")
     viewer.add_points([[11, 10], [20, 32]], name="ought")
-    path = tmp_path / "case.study"
+    path, screen = tmp_path / "case.study", Screen(dock)
+    dock._form.motion.boundary.landmarks.sources.value = None
     dock.save_study(path)
     assert "andmarks" not in dock.status, "none are chosen"
-    screen = Screen(dock)
     screen.choose("is")
     dock.save_study(path)
     assert "It lacks the landmarks of 'is': press 'Use as landmarks'" in dock.status

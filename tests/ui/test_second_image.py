@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from napari.components import ViewerModel
+from qtpy.QtWidgets import QTableWidget
 
 from napari_hmrf import Arrow, Drawing, Landmark
 from napari_hmrf.contributions import phantom_layers, volume_layers
@@ -139,8 +140,39 @@ def test_choosing_the_target_layer_as_source_swaps_the_layers(compared):
     assert pair.targets.value is None, "one of two possible targets was selected"
 
 
+def test_two_layers_of_points_are_chosen_once_as_landmarks(compared):
+    viewer, dock, *_ = compared
+    pair = dock._form.motion.boundary.landmarks
+    assert pair.pair == (viewer.layers["is"], viewer.layers["ought"])
+    pair.sources.value = None
+    pair.targets.value = None
+    viewer.layers["is"].name = "was"
+    assert pair.pair == (None, None), "a cleared choice was chosen again"
+    first = viewer.layers[-2]
+    viewer.layers.remove("ought")
+    third = viewer.add_points(WHERE[:-1], name="third")
+    assert pair.pair == (None, None), "layers with different numbers of points were chosen"
+    third.add(WHERE[-1])
+    assert pair.pair == (first, third)
+
+
+def test_the_distance_of_each_landmark_is_listed_in_a_table(compared, wait_for):
+    _, dock, _, _ = compared
+    dock.drawing = Drawing((Arrow(at=tuple(WHERE[0]), by=tuple(BY[0] * SIZE), radius=2.0),))
+    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
+    Screen(dock).entry("More", "Landmarks ...").trigger()
+    (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
+    cells = [
+        [table.item(row, column).text() for column in range(3)] for row in range(table.rowCount())
+    ]
+    before = np.linalg.norm(BY * SIZE, axis=1)
+    assert [row[:2] for row in cells] == [[str(at), f"{before[at]:.3g}"] for at in range(len(BY))]
+    assert float(cells[0][2]) < 0.01 < float(cells[1][2])
+
+
 def test_drawn_landmarks_have_residuals_without_a_layer_of_points(compared, wait_for):
     _, dock, _, _ = compared
+    dock._form.motion.boundary.landmarks.sources.value = None
     dock.drawing = Drawing((Landmark((20, 20), (22.0, 20.0), 2.0),))
     wait_for(lambda: "apart before" in dock.residual and not dock.busy)
     before, now, count = numbers(dock.residual)

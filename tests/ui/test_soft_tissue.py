@@ -174,7 +174,7 @@ def test_deform_shows_the_result_and_painting_shows_the_original_image(widget, s
     _, tissue, boundary = small_sample(viewer)
     run(widget)
     deformed = by_name(widget, "MR deformed, paper")
-    assert (deformed.visible, tissue.visible, boundary.visible) == (True, False, True)
+    assert (deformed.visible, tissue.visible, boundary.visible) == (True, False, False)
     assert names(viewer).index("MR deformed, paper") < names(viewer).index("Tissue")
     assert names(viewer)[-1] == "MR arrows, paper"
     widget._form.tissue.table.add()
@@ -328,6 +328,17 @@ def test_editing_a_cell_selects_its_label_and_hides_no_layer(widget, small_sampl
     Cell(table, 1, 2).click()
     assert (highlighted(table), tissue.selected_label) == ([1], 1)
     assert (tissue.visible, tissue.mode) == (False, "pan_zoom")
+
+
+@pytest.mark.parametrize(("typed", "used"), [("24", 24), ("25", 3), ("-1e9", 3)])
+def test_a_boundary_moves_at_most_by_the_longest_side_of_the_image(
+    widget, small_sample, at_rest, typed, used
+):
+    small_sample(viewer_of(widget))
+    at_rest()
+    Cell(widget._form.motion.boundary.table, 1, 4).write(typed)
+    assert widget.rules[1].vector == (0, used)
+    assert ("a number from -24 to 24 px" in widget.status) == (used == 3)
 
 
 def test_letters_typed_after_a_click_on_a_row_do_not_edit_its_name(widget, small_sample):
@@ -526,7 +537,7 @@ def test_results_have_the_place_and_the_units_of_the_image(widget, small_sample,
     outputs = run(widget)
     show_all(widget, at_rest)
     assert outputs.solution.spacing == pytest.approx((0.5, 2.0))
-    farthest = widget.status.removesuffix(".")
+    farthest = widget.status.partition(". Hidden over")[0]
     assert farthest.endswith(" mm"), "a length in pixels is undefined for non-square pixels"
     assert "px" not in farthest
     for layer in results_of(widget):
@@ -548,7 +559,7 @@ def test_the_displayed_slice_of_a_stack_is_deformed_and_named(widget, small_samp
     deformed = viewer.layers["MR deformed, paper (z = 3)"]
     assert deformed.data.shape == (1, 20, 24)
     assert deformed.data_to_world((0, 0, 0)) == (12, 0, 0)
-    said = widget.status
+    said = widget.status.partition(" Hidden over")[0]
     viewer.layers["Boundary"].data[1] = 0
     viewer.dims.set_current_step(0, 1)
     wait_for(lambda: widget.status.startswith("The inputs have changed"))
@@ -585,7 +596,7 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     assert outputs.folds > 0
     assert f"at {outputs.folds} pixels the tissue folds" in widget.warning
     # All is listed on the chip; folds can be seen, without solving again.
-    chip = Screen(widget).button(f"⚠  Folds at {outputs.folds} pixels: show where")
+    chip = Screen(widget).button(f"⚠  Folds at {outputs.folds} pixels: show")
     assert chip.toolTip() == widget.warning
     chip.click()
     assert "5 boundary pixels" in widget.status
@@ -617,7 +628,8 @@ def test_painting_during_a_solve_marks_the_result_as_outdated(
     tissue.refresh()
     busy_thread.set()
     wait_for(lambda: widget.idle)
-    assert widget.status == "The inputs have changed since the last result. Press Deform."
+    said = "The inputs have changed since the last result. Press Deform. Hidden over the deformed"
+    assert widget.status.startswith(said)
     assert viewer.layers["MR arrows, paper"].metadata[METADATA]["inputs_changed"]
 
 
@@ -627,7 +639,9 @@ def test_the_message_of_a_result_is_shown_while_the_result_is_current(
     viewer = viewer_of(widget)
     _, _, boundary = small_sample(viewer)
     run(widget)
-    said = widget.status
+    said, _, hidden = widget.status.partition(" Hidden over the deformed image, because paint does")
+    assert "'Tissue', 'Boundary'. The overlay 'tissue labels' moves." in hidden
+    boundary.visible = True
     boundary.paint((8, 8), 1)
     wait_for(
         lambda: widget.status == "The inputs have changed since the last result. Press Deform."
@@ -759,7 +773,7 @@ def test_progress_is_described_with_a_percentage_or_the_state_of_compiling():
     assert progress(preparing) == "Deforming ..."
     compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
     edit = "Updating"
-    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit}: 60 %"
+    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit} ... 60 %"
     assert progress(compiling) == "Deforming: compiling loops (3 of 10), about 18 s left."
 
 
@@ -768,7 +782,8 @@ def test_progress_is_shown_in_per_cent_with_details_in_the_tool_tip(widget, smal
     widget.settings = replace(widget.settings, sweeps=100_000)
     widget.deform()
     labels = widget.native.findChildren(QLabel)
-    percent, sweep = re.compile(r"Deforming: \d+ %"), re.compile(r"level \d+ \(.*\), sweep \d+")
+    percent = re.compile(r"Deforming \.\.\. \d+ %")
+    sweep = re.compile(r"level \d+ \(.*\), sweep \d+")
     wait_for(
         lambda: (
             bool(percent.fullmatch(widget.status))

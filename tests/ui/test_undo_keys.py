@@ -2,6 +2,7 @@
 
 import pytest
 from napari.components import ViewerModel
+from napari.layers import Vectors
 from qtpy.QtCore import Qt
 
 from napari_hmrf.layers.viewer_undo import undo_of
@@ -11,7 +12,7 @@ from tests.support.person import CTRL, SHIFT, Person
 from tests.support.screen import Screen
 from tests.support.windowless import Touch
 
-Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
+Z = Qt.Key.Key_Z
 
 
 @pytest.fixture
@@ -43,7 +44,7 @@ def test_a_typed_number_is_undone_by_the_key_on_the_canvas(user_in_window):
     person.key(Z, CTRL)
     assert dock.materials == materials
     assert dock.status == "Undid: changed label 1 of 'Tissue'."
-    person.key(Y, CTRL)
+    person.key(Z, CTRL | SHIFT)
     assert dock.materials[1].stiffness == 33
     person.key(Z, CTRL)
     person.key(Z, CTRL)
@@ -143,13 +144,25 @@ def test_undo_keys_of_a_deleted_owner_are_released():
 
 def test_undo_keys_remain_bound_while_one_of_two_docks_is_open(pointer_and_dock, frame):
     _, first = pointer_and_dock
-    keys = {each for each in frame.viewer.keymap if str(each) in ("Ctrl+Z", "Ctrl+Y")}
+    keys = {each for each in frame.viewer.keymap if str(each) in ("Ctrl+Z", "Ctrl+Shift+Z")}
     assert len(keys) == 2
     second = quick(frame.open())
     frame.close(second)
     assert keys <= frame.viewer.keymap.keys(), "the keys of the open dock were released"
     frame.close(first)
     assert not keys & frame.viewer.keymap.keys()
+
+
+def test_keys_of_napari_keep_their_action_while_a_tool_is_active(pulling_beside):
+    person, _ = pulling_beside
+    viewer = person.viewer
+    motion = viewer.layers["Motion"]
+    own = {str(key) for each in (viewer, motion) for key in each.keymap}
+    napari = {str(key) for each in (ViewerModel, Vectors) for key in each.class_keymap}
+    assert "Ctrl+Y" in napari
+    assert own & napari == {"Space"}, "a key of napari has another action"
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert viewer.dims.ndisplay == 3
 
 
 def test_arrows_and_typed_numbers_are_undone_in_reverse_order(pointer_and_dock, at_rest):
@@ -165,3 +178,23 @@ def test_arrows_and_typed_numbers_are_undone_in_reverse_order(pointer_and_dock, 
     person.key(Z, CTRL)
     assert not dock.drawing.marks
     assert dock.status == "Undid: replaced the drawing."
+
+
+def test_the_key_of_napari_for_the_3d_view_is_not_taken(user_in_window):
+    person, dock = user_in_window
+    before = dock.materials
+    Screen(dock).click_row("gel")
+    Screen(dock).cell("gel", "Stiffness").write("33")
+    person.key(Z, CTRL)
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert dock.materials == before
+    assert person.viewer.dims.ndisplay == 3
+
+
+def test_undo_of_paint_keeps_the_brush(pointer_and_dock):
+    person, dock = pointer_and_dock
+    screen = Screen(dock)
+    screen.click_row("gel")
+    person.paint((1, 1), (1, 4))
+    screen.press("Undo")
+    assert dock.tissue.mode == "paint"

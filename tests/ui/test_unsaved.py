@@ -389,7 +389,7 @@ def killed_process(wait_for):
     return living
 
 
-LEFT = "was not saved when napari ended"
+LEFT = "Unsaved work"
 
 
 def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
@@ -401,7 +401,9 @@ def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
         )
     (file,) = autosaved_files()
     dock = dock_beside(ViewerModel())
-    assert f" on 'photo' {LEFT}" in Screen(dock).words
+    assert f"{LEFT} on 'photo'" in Screen(dock).words
+    line = Screen(dock).button("Open it")
+    assert dock[0].native.sizeHint().height() < 2 * line.sizeHint().height(), "more than one line"
     Screen(dock).press("Open it")
     wait_for(lambda: not dock.busy)
     assert LEFT not in Screen(dock).words

@@ -162,6 +162,52 @@ def test_a_slice_and_its_volume_have_separate_drawings(volume_beside, settle):
     assert only(widget).by == pytest.approx((0, 2, 2), abs=0.6)
 
 
+def test_the_marks_of_a_slice_are_offered_to_its_volume_and_back(volume_beside, settle):
+    person, widget = volume_beside
+    screen = Screen(widget)
+    screen.choose("this slice")
+    settle(widget)
+    person.drag((16, 16), (18, 19))
+    settle(widget)
+    on_slice = widget.drawing
+    screen.choose("the whole volume")
+    settle(widget)
+    assert "1 mark is drawn on slice 12 alone." in screen.words
+    screen.press("Carry over")
+    settle(widget)
+    assert only(widget).at == pytest.approx((12, 16, 16), abs=0.6)
+    assert only(widget).by == (0, *on_slice.marks[0].by)
+    assert widget.solution.displacement.shape == (*SHAPE, 3)
+    assert "alone" not in screen.words, "the question is still open"
+    widget.undo()
+    assert not widget.drawing.marks
+    widget.redo()
+    person.drag((8, 8), (9, 9))
+    go_to(person, 14)
+    settle(widget)
+    person.drag((24, 24), (25, 25))
+    go_to(person, 12)
+    settle(widget)
+    screen.choose("this slice")
+    settle(widget)
+    assert widget.drawing == on_slice
+    assert "1 mark of the volume is drawn on this slice." in screen.words
+    assert "1 mark on other slices stays with the volume." in screen.words
+    screen.press("Keep there")
+    assert widget.status == "1 mark stays with the volume."
+    assert widget.drawing == on_slice
+
+
+def test_marks_of_a_volume_on_other_slices_are_reported(volume_beside, settle):
+    person, widget = volume_beside
+    person.drag((16, 16), (18, 18))
+    go_to(person, 5)
+    settle(widget)
+    Screen(widget).choose("this slice")
+    settle(widget)
+    assert "1 mark of the volume is on other slices, and stays with the volume." in widget.status
+
+
 def test_undo_removes_a_pull_of_a_volume(volume_beside, settle):
     person, widget = volume_beside
     person.drag((16, 16), (18, 18))
@@ -293,7 +339,7 @@ def test_the_warning_button_shows_the_slice_with_the_most_folds(volume_beside, s
     settle(widget)
     solution = widget.solution
     number = count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
-    Screen(widget).button(f"⚠  Folds at {number} voxels: show where").click()
+    Screen(widget).button(f"⚠  Folds at {number} voxels: show").click()
     settle(widget)
     marked = by_name(person.viewer, "MR folds, elastic").data
     across = order[0]

@@ -97,8 +97,11 @@ class Multigrid:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters by name (JSON types only)."""
-        return {"name": "Multigrid", **asdict(self)}
+        """Parameters by name (JSON types only), without the default budget."""
+        values = {"name": "Multigrid", **asdict(self)}
+        if self.budget == Multigrid.budget:
+            del values["budget"]  # it has no effect on most models
+        return values
 
     @property
     def kernels(self) -> str:

@@ -58,7 +58,7 @@ class CurveEditor(Container):
         tip = "Unit of measured stiffness, such as kPa; for display only"
         self.unit = LineEdit(label="unit", tooltip=tip)
         tip = "Replace the curve with a first guess from the visible slice: brighter is stiffer"
-        self.guess = PushButton(text="Reset", tooltip=tip)
+        self.guess = PushButton(text="First guess", tooltip=tip)
         super().__init__(widgets=[self.points, self.void_below, self.joined, self.unit, self.guess])
         self.margins = (0, 0, 0, 0)
         align_labels(self)

@@ -15,6 +15,8 @@ from napari_hmrf.ui.motion.tool import Origin, Tool, ToolError, ToolSettings, id
 
 #: Smallest distance between two points of a stroke, as a fraction of the brush radius.
 _STEP = 0.1
+#: Growth by one notch of the mouse wheel, and largest shrinkage, as fractions of the radius.
+_NOTCH, _MOST_SHRINKAGE = 0.05, 0.8
 
 
 class BrushTool(Tool):
@@ -51,6 +53,11 @@ class BrushTool(Tool):
     def stroke(self) -> Stroke | None:
         """Stroke that is being painted, or None."""
         return self.mark if self.is_dragging else None
+
+    @property
+    def follows_surface(self) -> bool:
+        """True, because strokes are painted on the surface."""
+        return True
 
     @property
     def mark_settings(self) -> ToolSettings | None:
@@ -153,6 +160,11 @@ class PushTool(BrushTool):
     #: Start point of the drag, and displacement of the stroke before the drag; None while painting.
     _grip: tuple[Point, Point] | None = None
 
+    @property
+    def follows_surface(self) -> bool:
+        """True while a stroke is painted; the drag of a stroke follows the screen."""
+        return self._grip is None
+
     def _begin(self, point: Point, settings: ToolSettings) -> None:
         """Begin dragging the selected stroke if the point is on the stroke, else begin painting."""
         self._grip, stroke = None, self._stroke_at(self._place(point))
@@ -186,14 +198,62 @@ class GrowTool(BrushTool):
     title = "Grow"
     key = "E"
     fields = ("radius", "amount", "confidence")
-    hint = "Paint a patch or a closed ring that grows; a negative amount shrinks it."
+    hint = (
+        "Turn the mouse wheel over tissue to grow or shrink it, or paint a patch or a closed ring."
+    )
     action = "expand"
     step = "painted growth"
+    takes_wheel = True
+
+    #: True while the wheel, rather than a drag, changes the growth.
+    _is_turning = False
 
     @property
     def error_message(self) -> str:
         """Advice to close the ring while a stroke is being painted, else ""."""
         return "" if self.stroke is None else motion_messages.OPEN
+
+    def turn_wheel(
+        self, point: Point, notches: float, settings: ToolSettings, origin: Origin = identity
+    ) -> bool:
+        """Grow or shrink the patch at a point, or a new patch; see `Tool.turn_wheel`."""
+        at = origin(point)
+        if at is None or not self._is_inside(point) or (self.is_dragging and not self._is_turning):
+            return False
+        stroke = self.stroke
+        if stroke is None or not covers(stroke, at, self._spacing):
+            self.release()
+            self._begin_turning(at, settings)
+            stroke = self.stroke
+            assert stroke is not None
+        step = float(f"{stroke.radius * _NOTCH:.2g}")
+        amount = round(stroke.amount + notches * step, 9)
+        if stroke.lines == ((stroke.lines[0][0],),):  # a disc or a ball, which must not vanish
+            amount = max(amount, -_MOST_SHRINKAGE * stroke.radius)
+        self._replace(replace(stroke, amount=amount))
+        return True
+
+    def _begin_turning(self, at: Point, settings: ToolSettings) -> None:
+        """Select the patch at an undeformed position, or add a patch that does not grow yet."""
+        drawing = self._model.drawing
+        patches = (
+            number
+            for number, mark in enumerate(drawing.marks)
+            if isinstance(mark, Stroke) and self.makes(mark) and covers(mark, at, self._spacing)
+        )
+        number = max(patches, default=None)
+        self._model.begin_drawing("grew tissue with the wheel")
+        self._is_turning = True
+        if number is None:
+            still: ToolSettings = {**settings, "amount": 0.0}
+            number = len(drawing.marks)
+            drawing = drawing.with_mark(Stroke(self.action, ((at,),), **still))
+        self._show(drawing, number)
+
+    def cancel(self) -> bool:
+        """Cancel the stroke or the growth; see `Tool.cancel`."""
+        self._is_turning = False
+        return super().cancel()
 
     def release(self) -> str | None:
         """End the stroke as one undo step, and refuse an open line.
@@ -203,14 +263,15 @@ class GrowTool(BrushTool):
         ToolError
             If the stroke is an open line; the drawing is then unchanged.
         """
-        stroke = self.stroke
-        if stroke is not None:
+        stroke, was_turning, self._is_turning = self.stroke, self._is_turning, False
+        if stroke is not None and not was_turning:
             try:
                 refuse_open_line(stroke, self._spacing, self._shape)
             except ProblemError as error:
                 self.cancel()
                 raise ToolError(motion_messages.NO_OUTSIDE) from error
-        return super().release()
+        message = super().release()
+        return None if was_turning else message
 
 
 class ConfidenceTool(BrushTool):

@@ -11,23 +11,31 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.field.motion_lines import Lines
+from napari_hmrf.field.volume_preview import CutPlane
+from napari_hmrf.layers.compat import fade
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
+from napari_hmrf.layers.line_of_sight import LineOfSight, cut_of
 from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer, way_of
 from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared, still_there
+from napari_hmrf.layers.volume_look import VolumeLook
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
-from napari_hmrf.ui.events import single_shot
+from napari_hmrf.tissue.drawing.marks import Point
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, CanvasListener
 
 #: Longest time that a brush stroke waits for the updated tissue, in milliseconds. Painting both
 #: together saves a repaint.
 _AHEAD = 80
+#: Share of the opacity of marks while the mouse is outside the canvas.
+_FADED = 0.2
 
 
 class Display:
@@ -66,7 +74,10 @@ class Display:
         self._whole: Any = None
         self._is_copy = False
         self.quiet = False
+        self._volume_look = VolumeLook(viewer)
         self._stroke_timer = single_shot(native, _AHEAD, self._show_stroke)
+        self._is_faded = False
+        self._events = EventConnections((viewer.events.mouse_over_canvas, self._on_mouse))
 
     @property
     def moved(self) -> Deformation | None:
@@ -85,6 +96,7 @@ class Display:
         """Switch to another slice in its undeformed state, or to no slice if `study` is None."""
         self._stroke_timer.stop()
         before, moved = self.result, self.moved
+        self._volume_look.release()
         self._image = image
         self.state = self._painted = self._stroke = None
         self._whole, self._is_copy = None if study is None else study.pictures.image, False
@@ -107,6 +119,41 @@ class Display:
         place = [self._viewer.cursor.position]
         return None if lowest is None else image_covering(self._viewer, lowest, place)
 
+    # Visible tissue in a 3-D view
+
+    @property
+    def visible_image(self) -> Any:
+        """Layer of the deformed image if it is visible, else the chosen image, or None."""
+        image, result = still_there(self._viewer, self._image), self.result
+        picture = None if result is None else result.layer("image")
+        return picture if picture is not None and picture.visible else image
+
+    @property
+    def cut(self) -> CutPlane | None:
+        """Plane that the image is cut by in a 3-D view; None if the whole volume is visible."""
+        moved, layer = self.moved, self.visible_image
+        if moved is None or layer is None:
+            return None
+        return cut_of(layer, moved.study.grid.known_place, View.of(self._viewer.dims))
+
+    def tissue_on(self, line: LineOfSight) -> Point | None:
+        """Return the point where a line of sight meets visible tissue, or None.
+
+        This is a point of the cut plane if there is one, else the first tissue from the camera.
+        """
+        moved, layer, cut = self.moved, self.visible_image, self.cut
+        if moved is None or layer is None:
+            return None
+        shape = moved.study.grid.shape
+        if cut is None:
+            points = line.points_in(shape)
+            points = points[_is_shown(layer, points, shape)]
+        else:
+            met = cut.meets(line.start, line.step)
+            points = np.empty((0, 3)) if met is None else met[np.newaxis]
+            points = points[((points >= -0.5) & (points <= np.array(shape) - 0.5)).all(axis=1)]
+        return moved.first_tissue(points)
+
     def show(self, state: ShownDeformation, stroke: Stroke | None) -> None:
         """Show a new state of the tissue, with the stroke that is being painted."""
         moved, result = state.moved, self.result
@@ -119,6 +166,7 @@ class Display:
                 study = moved.study
                 run = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
                 made = picture_layer(study.grid.known_place, study.pictures, picture, run)
+                made = _spread(made, moved)
                 self._show_result({"image": made}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
                 # Hide, rather than remove, the layers: napari 0.7 can crash if no lines are left.
@@ -127,13 +175,23 @@ class Display:
                 self._show_painting()
 
     def _picture_of(self, moved: Deformation) -> Any:
-        """Return the deformed image; in a volume, a preview replaces only one slice."""
-        if moved.preview is None or moved.preview.axis is None:
+        """Return the deformed image.
+
+        In a volume, a preview replaces only one slice or cut, or it is the whole coarse volume.
+        """
+        preview = moved.preview
+        if _is_coarse_volume(moved):
+            return moved.image
+        if preview is None or (preview.axis is None and preview.cut is None):
             self._whole, self._is_copy = moved.image, False
         elif moved.image is not None:
             if not self._is_copy:
                 self._whole, self._is_copy = np.array(self._whole), True
-            np.moveaxis(self._whole, moved.preview.axis, 0)[moved.preview.number] = moved.image
+            if preview.axis is not None:
+                np.moveaxis(self._whole, preview.axis, 0)[preview.number] = moved.image
+            elif preview.cut is not None:
+                voxels = preview.cut.voxels(self._whole.shape[:3])
+                self._whole[tuple(voxels.T)] = moved.image
         return self._whole
 
     def finish(self, done: CompleteResult | None) -> None:
@@ -162,6 +220,10 @@ class Display:
         if result is not None:
             result.drop_paint(besides=shown)
         self._results.show(self._image, place, shown, moving=moving)
+        self._fade(self._is_faded)  # the layers may be new
+        is_volume = result is not None and len(place.plane) == 3
+        picture_shown = result.layer("image") if is_volume and result is not None else None
+        self._volume_look.link(self._image, picture_shown)
 
     def show_painted(self, state: ShownDeformation) -> None:
         """Show the paint of a state."""
@@ -198,6 +260,7 @@ class Display:
         else:
             place = moved.study.grid.known_place
             result.put(PAINTED, painted_layer(place, picture, self.tissues), show=False)
+        self._fade(self._is_faded)  # the layer may be new
 
     def show_stroke(self, stroke: Stroke, at_once: bool) -> None:
         """Show the stroke that is being painted, immediately or after a short delay."""
@@ -221,9 +284,30 @@ class Display:
         if isinstance(mark, Stroke) and not is_dragging and state and state.moved.ground:
             below.append(way_of(mark, state.moved.study.grid.spacing, state.moved.moved_positions))
         self.arrows.show(drawing, selected, below, quick=is_dragging)
+        self._fade(self._is_faded)  # the layer may be new
+
+    def release(self) -> None:
+        """Disconnect from the viewer, and show the marks at their full opacity."""
+        self._events.release()
+        self._fade(False)
+
+    def _on_mouse(self, *_: object) -> None:
+        """Fade the marks when the mouse leaves the canvas, so that the result is visible."""
+        self._fade(not self._viewer.mouse_over_canvas)
+
+    def _fade(self, is_faded: bool) -> None:
+        before, self._is_faded = self._is_faded, is_faded
+        if not (before or is_faded):
+            return
+        result = self.result
+        parts = () if result is None else (result.layer(part) for part in (PAINTED, CONFIDENCE))
+        for layer in (self.arrows.layer, *parts):
+            if layer is not None:
+                fade(self._viewer, layer, _FADED if is_faded else 1.0)
 
     def leave(self) -> None:
         """Remove the arrow layer, which no longer responds to the mouse."""
+        self._volume_look.release()
         with self.program_changes():
             self.arrows.remove()
 
@@ -235,3 +319,31 @@ class Display:
             yield
         finally:
             self.quiet = before
+
+
+def _is_coarse_volume(moved: Deformation) -> bool:
+    """Return whether the image is a whole volume on the coarse grid of a preview."""
+    preview = moved.preview
+    is_volume = len(moved.study.grid.shape) == 3
+    return is_volume and preview is not None and preview.axis is None and preview.cut is None
+
+
+def _spread(made: LayerData, moved: Deformation) -> LayerData:
+    """Return the layer of a coarse volume with voxels as far apart as the sites of its grid."""
+    if not _is_coarse_volume(moved):
+        return made
+    scale, plane = np.array(made.attributes["scale"]), moved.study.grid.known_place.plane
+    scale[list(plane)] *= moved.grid.step
+    return made._replace(attributes={**made.attributes, "scale": scale})
+
+
+def _is_shown(
+    layer: Any, points: npt.NDArray[np.float64], shape: tuple[int, ...]
+) -> npt.NDArray[np.bool_]:
+    """Return which points, (N, 3), napari draws; others are below the threshold of a surface."""
+    data = layer.data
+    if str(layer.rendering) != "iso" or np.shape(data) != shape:
+        return np.ones(len(points), bool)
+    voxels = np.clip(np.rint(points).astype(np.intp), 0, np.array(shape) - 1)
+    shown: npt.NDArray[np.bool_] = np.asarray(data)[tuple(voxels.T)] >= layer.iso_threshold
+    return shown

@@ -1,4 +1,4 @@
-"""Dock section for the motion of tissue: tools, painted boundary and landmarks."""
+"""Forms for the motion of tissue: tools with their fields; edge, boundary and weight."""
 
 from __future__ import annotations
 
@@ -21,19 +21,21 @@ from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.motion.weight_form import WeightForm
 from napari_hmrf.ui.tissue_form import BoundarySection
 
-#: Number of tool buttons in a row.
+#: Number of tool buttons in a row; the buttons of the first row are larger.
 _ACROSS = 4
-_ICON = QSize(20, 20)
+#: Sizes of the icons in the first row and in the second row, in pixels.
+_ICONS = QSize(24, 24), QSize(14, 14)
 #: Style of the buttons on light and dark themes; napari's own style does not show a pressed state.
 _LOOK = """
 QToolButton { background: rgba(128, 128, 128, 60); border-radius: 2px; padding: 3px 0px; }
 QToolButton:hover { background: rgba(128, 128, 128, 110); }
+QToolButton:disabled { color: gray; background: rgba(128, 128, 128, 25); }
 QToolButton:checked { background: rgba(80, 105, 210, 220); }
 """
 
 
 class MotionForm(Container):
-    """Form with the tools and their fields, the outer edge, the boundary and the weight.
+    """Form with the tools and their fields.
 
     Parameters
     ----------
@@ -45,10 +47,12 @@ class MotionForm(Container):
     tools : dict of str to QToolButton
         Buttons by tool name.
     fields : ToolFields
-    edge : CheckBox
-    weight : WeightForm
-    boundary : BoundarySection
     remove, clear : PushButton
+    edges : Container
+        Section with the outer edge, the boundary and the weight.
+    edge : CheckBox
+    boundary : BoundarySection
+    weight : WeightForm
 
     picked : Signal(str)
         Emitted with the name of a tool when its button is pressed.
@@ -57,7 +61,9 @@ class MotionForm(Container):
     picked = Signal(str)
 
     def __init__(self, layers: Callable[[], list[Any]], view: Callable[[], View]) -> None:
-        self.tools = {tool.name: _button(tool) for tool in TOOLS}
+        self.tools = {
+            tool.name: _button(tool, is_large=number < _ACROSS) for number, tool in enumerate(TOOLS)
+        }
         self.fields = ToolFields()
         self.edge = CheckBox(
             text="Fix outer edge",
@@ -72,8 +78,8 @@ class MotionForm(Container):
         )
         self.clear = PushButton(text="Remove all", enabled=False, tooltip="Remove all marks")
         drawn = row(self.remove, self.clear)
-        parts = [self.fields, drawn, self.edge, self.boundary, self.weight]
-        super().__init__(widgets=parts, labels=False)
+        self.edges = Container(widgets=[self.edge, self.boundary, self.weight], labels=False)
+        super().__init__(widgets=[self.fields, drawn], labels=False)
         for container in (drawn, self.boundary):
             container.margins = (0, 0, 0, 0)
         grid = QGridLayout()
@@ -81,6 +87,7 @@ class MotionForm(Container):
         for number, (name, button) in enumerate(self.tools.items()):
             button.clicked.connect(partial(self.picked.emit, name))
             grid.addWidget(button, *divmod(number, _ACROSS))
+            grid.setColumnStretch(number % _ACROSS, 1)
         self.native.layout().insertLayout(0, grid)
 
     def show_tool(self, name: str) -> None:
@@ -88,12 +95,26 @@ class MotionForm(Container):
         for each, button in self.tools.items():
             button.setChecked(each == name)
 
+    def show_obstacle(self, reason: str) -> None:
+        """Disable the tools for a reason, which is shown in their tooltips; "" enables them."""
+        for tool in TOOLS:
+            button = self.tools[tool.name]
+            button.setEnabled(not reason)
+            button.setToolTip(reason or _tip(tool))
 
-def _button(tool: type[Tool]) -> QToolButton:
-    button = QToolButton(text=tool.title, toolTip=f"{tool.hint} ({tool.key})", checkable=True)
+
+def _tip(tool: type[Tool]) -> str:
+    return f"{tool.hint} ({tool.key})"
+
+
+def _button(tool: type[Tool], is_large: bool) -> QToolButton:
+    button = QToolButton(text=tool.title, toolTip=_tip(tool), checkable=True)
+    style, policy = Qt.ToolButtonStyle, QSizePolicy.Policy
     button.setIcon(QIcon(str(Path(__file__).with_name(f"{tool.name}.svg"))))
-    button.setIconSize(_ICON)
+    button.setIconSize(_ICONS[not is_large])
     button.setStyleSheet(_LOOK)
-    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextUnderIcon)
-    button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+    button.setToolButtonStyle(
+        style.ToolButtonTextUnderIcon if is_large else style.ToolButtonTextBesideIcon
+    )
+    button.setSizePolicy(policy.Expanding, policy.Fixed)
     return button

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+HERE = "Drag here: pull any tissue in the image with the mouse."
+HERE_OR_PLAY = f"{HERE} To see how the sample itself moves, press Play."
+ON_CANVAS = "{}: drag tissue here"
 START = "Press 'Pull', then drag tissue in the image."
 PREPARING = "Getting ready ..."
+EARLY = "Getting ready ... Your drag is shown as soon as the tissue is ready."
 OFF = "To continue drawing, press a tool, or select the layer 'Motion'."
 FLAT = "The tools work only in the 2D view: press napari's 2D/3D button first."
+ONE_SLICE = (
+    "In the 3D view, the tools work only on a whole volume: choose 'the whole volume' above, or "
+    "press napari's 2D/3D button."
+)
+TURN = "Drag beside the tissue to turn the view."
+IN_DEPTH = "While you drag tissue, the wheel or the keys Up and Down move it away or nearer."
 ARROWS_GONE = "The layer 'Motion' was deleted: press a tool to restore it."
 NOTHING = "There is no tissue at this point."
 OUTSIDE = "This point is outside the image."
@@ -20,11 +30,22 @@ NO_STEP = (
     "Now drag the paint to push the tissue, or set a distance above. Until then, the tissue is "
     "held in place."
 )
+NO_MOTION = (
+    "This stroke has no effect: the tissue under it is neither held nor moved. Paint confidence "
+    "over held or moved tissue."
+)
 NO_WAY = "This landmark holds tissue in place: drag the dot to its target to move the tissue."
 NO_OUTSIDE = (
     "Nothing was painted: an open line has no inside, so it cannot grow. Close the line to form a "
     "ring, paint a patch, or use 'Push'."
 )
+
+
+def grown(amount: float, unit: str) -> str:
+    """Return a message about growth with the mouse wheel."""
+    way = "shrinks" if amount < 0 else "grows"
+    still = "" if amount else ": its outline is held in place"
+    return f"This tissue {way} by {abs(amount):.3g} {unit}{still}."
 
 
 def covered(other: str) -> str:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from psygnal import Signal
 
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.layers.compat import text_of
+from napari_hmrf.layers.line_of_sight import LineOfSight
 from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.without_effect import lacks_motion
 from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.drawing.drawing import ends_of
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.messages import in_short
@@ -30,6 +34,15 @@ from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
 _AHEAD = 250
 #: Factor by which a key press enlarges the brush.
 _LARGER = 1.25
+#: Time without a turn of the mouse wheel after which its undo step ends, in milliseconds.
+_WHEEL_REST = 400
+
+
+class EarlyDrag(NamedTuple):
+    """Drag from before the tissue was ready: hit distance and points, as in `CanvasListener`."""
+
+    reach: float
+    points: list[Point]
 
 
 class Pointer:
@@ -78,8 +91,14 @@ class Pointer:
         # Text overlay in a corner of the canvas, and the text last written there by this object.
         self._corner, self._in_corner = text_of(viewer), ""
         self._draw_timer = single_shot(native, _AHEAD, self.draw)
+        self._wheel_timer = single_shot(native, _WHEEL_REST, self.release)
         self.tissue: Any = None
         self._in_error = False
+        # Drags that began before the tissue was ready, and True while the last one continues.
+        self._early_drags: list[EarlyDrag] = []
+        self._is_early = False
+        # True once the user has pressed the mouse button on the image.
+        self._is_used = False
         undo.message.connect(self._on_step)
         self._model.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
@@ -121,6 +140,7 @@ class Pointer:
             Image to draw on.
         """
         self.release()
+        self._early_drags.clear()
         place = None if study is None else SlicePlace.of(study.grid.known_place)
         self._model.select_slice(None if study is None else image, place)
         self.display.select_slice(study, image, bool(self.drawing.marks))
@@ -141,9 +161,11 @@ class Pointer:
         if tool is type(self.tool):
             return
         self.release()
+        self._early_drags.clear()
         self.tool = self._create_tool(tool)
         self._fields.show_for(tool)
         self._show_cursor()
+        self.display.arrows.update_wheel()
         self.draw()
         self.report_tool()
         if self.active:
@@ -168,8 +190,15 @@ class Pointer:
         """Show the name of the tool on the canvas, unless other text is shown there."""
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
-            self._in_corner = corner.text = self._fields.words if self.active else ""
+            self._in_corner = corner.text = self._words if self.active else ""
             corner.visible = self.active
+
+    @property
+    def _words(self) -> str:
+        """Text on the canvas: the tool, and until its first use where to drag."""
+        words = self._fields.words
+        is_new = not (self._is_used or self.drawing.marks) and words == BY_NAME["pull"].title
+        return motion_messages.ON_CANVAS.format(words) if is_new else words
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
         """Replace the drawing as an undo step named `word`, or without a step if `word` is ""."""
@@ -192,6 +221,7 @@ class Pointer:
         """Show the new state of the tissue after a change to the drawing."""
         ground = state.moved.ground
         if state.moved.error is not None:
+            self._early_drags.clear()
             self._show_error(state)
             return
         before = self.display.state
@@ -207,6 +237,8 @@ class Pointer:
         if (known is None and self.active) or self._in_error:
             self._in_error = False
             self.message.emit("")
+        if ground is not None and self._early_drags:
+            self._replay()
 
     def leave(self) -> None:
         """Stop drawing and remove the layer *Motion*, but keep the drawing."""
@@ -217,17 +249,54 @@ class Pointer:
     def end(self) -> None:
         """Disconnect from the undo steps, and end any drag."""
         self.display.arrows.end_drag()
+        self.display.release()
         self._undo.message.disconnect(self._on_step)
         self._model.changed.disconnect(self._on_drawn)
 
     # Mouse and key actions on the canvas
 
+    @property
+    def follows_surface(self) -> bool:
+        """True if the current drag follows the surface in the 3-D view; see `Tool`."""
+        return self.tool.follows_surface
+
+    def find(
+        self, line: LineOfSight, reach: float | None = None, picks: bool = False
+    ) -> Point | None:
+        """Return the point to draw at on a line of sight of the 3-D view, or None.
+
+        Parameters
+        ----------
+        line : LineOfSight
+        reach : float, optional
+            Largest distance from the line to an end of a mark, in the unit of the spacing. By
+            default, only tissue is found.
+        picks : bool
+            True if ends of marks are found with any tool, to select a mark. By default, only ends
+            that the current tool grabs are found.
+        """
+        moved = self.display.moved
+        if moved is None or moved.ground is None:
+            self.message.emit(motion_messages.PREPARING)
+            return None
+        end, spacing = None, moved.study.grid.spacing
+        if reach is not None and (picks or self.tool.grabs_ends):
+            ends = (end for mark in self.drawing.marks for end in ends_of(mark, spacing))
+            end = line.nearest(ends, reach)
+        return self.display.tissue_on(line) if end is None else end
+
     def press(self, point: Point, reach: float) -> None:
         """Begin a drag with the tool if the tissue is ready and visible."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
-            self.message.emit(motion_messages.PREPARING)
+            self._early_drags.append(EarlyDrag(reach, [point]))
+            self._is_early = True
+            self.message.emit(motion_messages.EARLY)
             return
+        result = self.display.result
+        if result is not None and result.is_before:  # the pressed tissue is seen at its origin
+            moved = replace(moved, solution=None)
+        self._is_used = True
         self.action_started.emit()
         other = self.display.covering
         if other is not None:
@@ -260,12 +329,41 @@ class Pointer:
 
     def move(self, point: Point) -> None:
         """Continue the drag of the tool."""
+        if self._is_early:
+            self._early_drags[-1].points.append(point)
+            return
         self.tool.move(point)
         self._show_stroke(at_once=False)
 
+    def takes_wheel_at(self, point: Point | None = None) -> bool:
+        """Return whether the tool uses the mouse wheel at a point on tissue, or anywhere."""
+        if point is None or not self.tool.takes_wheel:
+            return self.tool.takes_wheel
+        moved = self.display.moved
+        return moved is not None and moved.origin_of(point) is not None
+
+    def turn_wheel(self, point: Point, notches: float) -> None:
+        """Change a mark with the mouse wheel."""
+        moved = self.display.moved
+        if moved is None or moved.ground is None:
+            self.message.emit(motion_messages.PREPARING)
+            return
+        if not self.tool.is_dragging:
+            self.action_started.emit()
+        if (other := self.display.covering) is not None:
+            self.message.emit(motion_messages.covered(other.name))
+        elif self.tool.turn_wheel(point, notches, self._fields.settings, moved.origin_of):
+            self._wheel_timer.start()
+            self._show_settings()
+            self._show_cursor()
+            amount = self.tool.mark_settings["amount"] if self.tool.mark_settings else 0.0
+            self.message.emit(motion_messages.grown(amount, self._fields.unit))
+
     def release(self) -> None:
         """End the drag of the tool."""
+        self._wheel_timer.stop()
         self.display.arrows.end_drag()
+        self._is_early = False
         was_dragging, message = self.tool.is_dragging, None
         try:
             message = self.tool.release()
@@ -274,6 +372,9 @@ class Pointer:
             self.refusal.emit(str(error))
         self._show_cursor()
         if was_dragging:
+            if self._lacks_motion:
+                self.refusal.emit(motion_messages.NO_MOTION)
+                message = None
             self._show_settings()
             if message is not None:
                 self.message.emit(message)
@@ -290,7 +391,11 @@ class Pointer:
     def cancel(self) -> None:
         """Cancel the current drag; without a drag, clear the selection."""
         self.display.arrows.end_drag()
-        if self.tool.cancel():
+        self._is_early = False
+        if self._early_drags:
+            self._early_drags.clear()
+            self.message.emit(motion_messages.CANCELLED)
+        elif self.tool.cancel():
             self.message.emit(motion_messages.CANCELLED)
         else:
             self.tool.select(None)
@@ -306,8 +411,28 @@ class Pointer:
 
     def resize(self, factor: float) -> None:
         """Multiply the brush radius by a factor."""
-        radius = self._fields.radius
-        radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
+        radius, (least, largest) = self._fields.radius, self._fields.radius_range
+        radius.value = min(max(float(f"{radius.value * factor:.3g}"), least), largest)
+
+    def _replay(self) -> None:
+        """Apply the drags that began before the tissue was ready."""
+        drags, self._early_drags = self._early_drags, []
+        goes_on, self._is_early = self._is_early, False
+        for drag in drags:
+            first, *others = drag.points
+            self.press(first, drag.reach)
+            for point in others:
+                self.move(point)
+            if drag is not drags[-1] or not goes_on:
+                self.release()
+
+    @property
+    def _lacks_motion(self) -> bool:
+        """True if the selected stroke paints confidence where nothing is held or moved."""
+        moved, number = self.display.moved, self.tool.selected
+        if moved is None or moved.ground is None or number is None:
+            return False
+        return lacks_motion(self.drawing, number, moved.ground.base)
 
     # Reactions to changes
 
@@ -362,6 +487,8 @@ class Pointer:
         self._show_cursor()
         self.report_tool()
         self.tool.change(self._fields.settings)
+        if refusal := self._fields.pop_refusal():
+            self.refusal.emit(refusal)
 
     def _show_error(self, state: ShownDeformation) -> None:
         error = state.moved.error

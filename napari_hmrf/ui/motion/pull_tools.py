@@ -25,6 +25,7 @@ class PullTool(Tool):
     key = "G"
     fields: ClassVar[tuple[str, ...]] = ("radius", "confidence", "components")
     hint = "Drag tissue to pull it, or click it to hold it in place."
+    grabs_ends = True
 
     #: Dragged end of the mark.
     _part: Literal["head", "base"] = "head"

@@ -64,6 +64,8 @@ class Tool(ABC):
         Names of the fields in `ToolFields` with the settings of the tool.
     hint : str
         Instructions, shown in the tooltip of the button and in the status.
+    takes_wheel : bool
+        True if the mouse wheel over tissue changes a mark, instead of the zoom.
     """
 
     name: ClassVar[str]
@@ -71,6 +73,9 @@ class Tool(ABC):
     key: ClassVar[str]
     fields: ClassVar[tuple[str, ...]]
     hint: ClassVar[str]
+    #: True if a press near an end of an arrow or landmark grabs this end.
+    grabs_ends: ClassVar[bool] = False
+    takes_wheel: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -135,6 +140,25 @@ class Tool(ABC):
         self._model.end_drawing()
         return None
 
+    def turn_wheel(
+        self, point: Point, notches: float, settings: ToolSettings, origin: Origin = identity
+    ) -> bool:
+        """Change a mark with the mouse wheel; all turns until `release` are one undo step.
+
+        Parameters
+        ----------
+        point, settings, origin
+            As for `press`.
+        notches : float
+            Number of notches by which the wheel was turned; positive if it was turned up.
+
+        Returns
+        -------
+        bool
+            True if a mark was changed.
+        """
+        return False
+
     def cancel(self) -> bool:
         """Cancel the drag and restore the drawing; return whether there was a drag."""
         was_dragging, number = self.is_dragging, self._selected
@@ -147,6 +171,11 @@ class Tool(ABC):
     def is_dragging(self) -> bool:
         """True while a drag is in progress."""
         return self._model.drawing_in_progress
+
+    @property
+    def follows_surface(self) -> bool:
+        """True if a drag in the 3-D view follows the surface, instead of the screen."""
+        return False
 
     @property
     def stroke(self) -> Stroke | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from typing import Any, cast
 
 from magicgui.widgets import ComboBox, Container, Widget
@@ -9,7 +11,7 @@ from magicgui.widgets import ComboBox, Container, Widget
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.tissue.material_presets import PRESETS, Palette
+from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Palette, Preset
 from napari_hmrf.ui.forms import length, menu, narrow, share
 from napari_hmrf.ui.motion.tool import Tool, ToolSettings
 from napari_hmrf.ui.motion.tools import BY_NAME
@@ -41,9 +43,8 @@ class ToolFields(Container):
     def __init__(self) -> None:
         self.radius = length(
             "radius",
-            "Radius of the pulled patch or of the brush, in the unit of the image ([ makes it "
-            "smaller, ] makes it larger)",
-            least=0.001,
+            "Radius of the pulled patch or of the brush ([ makes it smaller, ] makes it larger)",
+            least=0.0,
             value=10.0,
             step=1.0,
         )
@@ -72,15 +73,21 @@ class ToolFields(Container):
         )
         self.preset = menu(
             "tissues of",
-            {each: each.name for each in PRESETS},
-            "Published tissues to paint with, because the tissue layer has no table; unpainted "
-            "pixels are the first of these tissues",
+            {each: each.name for each in (*PRESETS, PLAIN)},
+            "Tissues to paint with, because the tissue layer has no table; unpainted pixels are "
+            "the first of these tissues",
         )
         tip = "Tissue to paint, from the table of the tissue layer or from the presets"
         self.material = ComboBox(choices=[], label="new tissue", tooltip=tip)
         for choices in (self.preset, self.components):
             narrow(choices)
         self._own_table = False
+        # Smallest and largest value of each length; and why the last typed length was replaced.
+        self._ranges: dict[Any, tuple[float, float]] = {}
+        self._unit, self._refusal = "px", ""
+        for each in (self.radius, self.by_row, self.by_col, self.amount):
+            # Connected before the container, so that tools never receive a length out of range.
+            each.changed.connect(partial(self._on_length, each))
         # Tools refer to a field by its name, which is the name of the attribute.
         fields = {name: each for name, each in vars(self).items() if isinstance(each, Widget)}
         for name, field in fields.items():
@@ -92,6 +99,7 @@ class ToolFields(Container):
         self.margins = (0, 0, 0, 0)
         self._tool = BY_NAME["pull"]
         self._labels = {field: str(field.label) for field in lengths}
+        self._about = {field: str(field.tooltip) for field in lengths}
         self.show_for(self._tool)
         self.show_place("px", self._ways)
 
@@ -103,6 +111,8 @@ class ToolFields(Container):
             for name in self._tool.fields
             if name not in _STEPS
         }
+        if "radius" in values:  # the field of a mark from a file may show a radius rounded to 0
+            values["radius"] = max(values["radius"], self.radius_range[0])
         if values.get("label", 0) is None:  # there are no tissues to choose yet
             del values["label"]
         if self._has_step:
@@ -156,12 +166,74 @@ class ToolFields(Container):
                 with field.changed.blocked():
                     field.value = value
 
+    @property
+    def unit(self) -> str:
+        """Unit of the lengths."""
+        return self._unit
+
+    @property
+    def radius_range(self) -> tuple[float, float]:
+        """Smallest and largest radius."""
+        return self._ranges.get(self.radius, (0.5, math.inf))
+
+    def limit(self, smallest: float, largest: float, radius: float, step: float) -> None:
+        """Set the range of the lengths for an image, in the unit of the image.
+
+        Parameters
+        ----------
+        smallest, largest : float
+            Smallest radius, and largest length in any field; see `length_range`.
+        radius, step : float
+            Default radius and growth, which replace values out of range.
+        """
+        decimals = min(max(2, 1 + math.ceil(-math.log10(smallest))), 12)
+        for field, least, usual, pixels in (
+            (self.radius, smallest, radius, 1.0),
+            (self.by_row, -largest, 0.0, 0.5),
+            (self.by_col, -largest, 0.0, 0.5),
+            (self.amount, -largest, step, 0.5),
+        ):
+            self._ranges[field] = least, largest
+            field.native.setDecimals(decimals)
+            field.step = float(f"{2 * smallest * pixels:.1g}")
+            if not least <= field.value <= largest:
+                with field.changed.blocked():
+                    field.value = min(max(usual, least), largest)
+        self._describe_ranges()
+
+    def _describe_ranges(self) -> None:
+        """Add the range of each length to its tooltip."""
+        for field, about in self._about.items():
+            if field in self._ranges:
+                least, largest = self._ranges[field]
+                field.tooltip = f"{about}. From {least:g} to {largest:g} {self._unit}."
+
+    def pop_refusal(self) -> str:
+        """Return why the last typed length was replaced, once; "" if it was not."""
+        refusal, self._refusal = self._refusal, ""
+        return refusal
+
+    def _on_length(self, field: Any, value: float) -> None:
+        """Replace a length out of range by the nearest length in the range."""
+        if field not in self._ranges:
+            return
+        least, largest = self._ranges[field]
+        nearest = min(max(value, least), largest)
+        if nearest != value:
+            with field.changed.blocked():
+                field.value = nearest
+            unit, name = self._unit, self._labels[field]
+            self._refusal = (
+                f"'{name}' must be from {least:g} to {largest:g} {unit} in this image; it was set "
+                f"to {nearest:g} {unit}."
+            )
+
     def begin_with(self, radius: float, step: float) -> None:
         """Set default lengths for an image, so that the tool *Grow* has an immediate effect.
 
         A displacement has no good default direction, so it stays 0 until the user sets it.
         """
-        self.radius.value = radius
+        self.radius.value = max(radius, self.radius_range[0])
         self.amount.value = self.amount.value or step
 
     def show_place(self, unit: str, ways: Directions) -> None:
@@ -169,11 +241,12 @@ class ToolFields(Container):
 
         The displacement stays the same; only the labels and signs of its fields change.
         """
-        by, steps = self._by, (self.by_row, self.by_col)
+        self._unit, by, steps = unit, self._by, (self.by_row, self.by_col)
         turned, self._ways = ways != self._ways, ways
         for axis, field in enumerate(steps):
-            self._labels[field] = ways.label(axis)
+            self._labels[field], self._about[field] = ways.label(axis), ways.about(axis)
             field.tooltip = f"{ways.about(axis)}; in the unit of the image"
+        self._describe_ranges()
         for field, words in self._labels.items():
             field.label = f"{words} ({unit})"
         self.show_for(self._tool)
@@ -185,6 +258,20 @@ class ToolFields(Container):
             with self.components.changed.blocked():
                 self.components.choices = _components(ways)
                 self.components.value = before
+
+    def offer_presets(self, preset: Preset) -> None:
+        """Offer all presets, beginning with a default, and choose this default.
+
+        Parameters
+        ----------
+        preset : Preset
+            Default, which may be unknown to the menu, such as a preset from a study.
+        """
+        presets = dict.fromkeys((preset, *PRESETS, PLAIN))
+        with self.preset.changed.blocked():
+            self.preset.choices = []  # otherwise magicgui would keep the earlier order
+            self.preset.choices = [(each.name, each) for each in presets]
+            self.preset.value = preset
 
     def offer(self, palette: Palette) -> None:
         """Offer tissues to paint, and keep the chosen tissue if the palette contains it."""

@@ -14,16 +14,16 @@ from napari_hmrf.ui.motion.brush_tools import (
 from napari_hmrf.ui.motion.pull_tools import LandmarkTool, PullTool
 from napari_hmrf.ui.motion.tool import Tool
 
-#: Tools in the order of their buttons.
+#: Tools in the order of their buttons; the first four have larger buttons.
 TOOLS: tuple[type[Tool], ...] = (
     PullTool,
-    LandmarkTool,
     HoldTool,
+    LandmarkTool,
+    GrowTool,
     FreeTool,
     PushTool,
-    GrowTool,
-    ConfidenceTool,
     TissueTool,
+    ConfidenceTool,
 )
 BY_NAME = {tool.name: tool for tool in TOOLS}
 

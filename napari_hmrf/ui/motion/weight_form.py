@@ -11,6 +11,8 @@ from napari_hmrf.ui.forms import narrow
 
 #: Weight of water per unit volume, in kPa / mm.
 _WATER = 0.00981
+#: Largest weight that can be typed; a study from a file may have a larger weight.
+_LARGEST = 1000.0
 Step = tuple[float, ...]
 
 
@@ -38,8 +40,9 @@ class WeightForm(Container):
             "be held in place",
         )
         narrow(self.way)
-        tip = f"Weight per unit volume (density times acceleration); for water, {_WATER} kPa / mm"
-        self.amount = FloatSpinBox(name="amount", max=1e6, step=0.001, tooltip=tip)
+        tip = f"Weight per unit volume (density times acceleration); for water, {_WATER} kPa / mm. "
+        tip += f"From 0 to {_LARGEST:g}."
+        self.amount = FloatSpinBox(name="amount", max=_LARGEST, step=0.001, tooltip=tip)
         super().__init__(widgets=[self.way, self.amount])
         self.amount.native.setDecimals(5)
         self.amount.native.setKeyboardTracking(False)  # "0." is not a complete number
@@ -57,6 +60,7 @@ class WeightForm(Container):
     def value(self, vector: Step) -> None:
         size = math.hypot(*vector)
         self._choose(tuple(part / size for part in vector) if size else ())
+        self.amount.max = max(self.amount.max, size)
         self.amount.value = size or self.amount.value
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:

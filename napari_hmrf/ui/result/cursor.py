@@ -77,8 +77,9 @@ class UnderCursor:
         if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
             title, unit = title_and_unit(overlay.name, answer.solution)
             if unit == "%":  # every line includes the other quantities anyway
-                strain = rounded(float(overlay.picture[probe.site]))
-                more.insert(0, f"{title} {strain:g} %")
+                strain = float(overlay.picture[probe.site])
+                is_fold = strain == -np.inf
+                more.insert(0, f"{title}: folded" if is_fold else f"{title} {rounded(strain):g} %")
         return at_point(answer.unit, probe, ways, more, shown.percent)
 
     def append_to_status(self, *_: Any) -> None:

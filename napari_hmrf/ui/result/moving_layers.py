@@ -13,7 +13,6 @@ from psygnal import Signal
 
 from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.field.deformation import magnitude
-from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
@@ -75,8 +74,8 @@ class MovingLayers:
         self.percent = FULL
         self.longest = float(magnitude(answer.solution.displacement).max(initial=0.0))
         self.points = Points(answer.solution)
-        # Length of the arrows at 100 %.
-        self._length = arrows.length
+        # Length of the arrows at 100 %, and percentage for which they are drawn.
+        self._length, self._arrows_percent = arrows.length, FULL
 
     def copy_image(self) -> None:
         """Copy the current pixels of the image to deform.
@@ -98,9 +97,7 @@ class MovingLayers:
             self.motion = Motion(solution, self.image)
         else:
             self.layers.put("overlay", made.layer, self.source, show)
-            quantity = made.name if made.name in QUANTITIES else None
-            picture, is_grid = made.picture, made.name == "grid"
-            self.motion = Motion(solution, self.image, picture, is_grid, quantity)
+            self.motion = made.motion(solution, self.image)
 
     def ready(self) -> bool:
         """Add the layer of the moving image, if needed; return whether any layer can move."""
@@ -114,7 +111,7 @@ class MovingLayers:
         return any(self.layers.layer(part) is not None for part in ("image", "overlay"))
 
     def draw(self, percent: int, moment: Moment) -> None:
-        """Draw the layers at a percentage."""
+        """Draw the layers at a percentage, except the arrows."""
         frame, parts = self.answer.frame, dict[Part, Any]()
         if moment.image is not None:
             parts["image"] = frame.put_image(moment.image)
@@ -123,16 +120,29 @@ class MovingLayers:
         if moment.grid is not None:
             parts["overlay"] = frame.put_vectors(moment.grid)
         self.layers.show_part(percent, parts)
-        self.draw_arrows(percent)
+        self.percent = percent
+
+    @property
+    def times_as_long(self) -> float:
+        """Ratio of the displayed length of the arrows to the displacement."""
+        arrows = self.layers.layer("arrows")
+        if arrows is None or not self._arrows_percent:
+            return 1.0
+        return float(arrows.length) * FULL / self._arrows_percent
 
     def draw_arrows(self, percent: int) -> None:
         """Scale the displayed length of the arrows without changing their data."""
+        before, self._arrows_percent = self._arrows_percent, percent
         if (arrows := self.layers.layer("arrows")) is not None:
             # The user may have changed the length.
-            if self.percent and arrows.length != self._length * self.percent / FULL:
-                self._length = arrows.length * FULL / self.percent
+            if before and arrows.length != self._length * before / FULL:
+                self._length = arrows.length * FULL / before
             arrows.length = self._length * percent / FULL
-        self.percent = percent
+
+    def draw_whole(self) -> None:
+        """Draw the arrows at 100 %, because the other layers are at 100 % again."""
+        self.percent = FULL
+        self.draw_arrows(FULL)
 
 
 class Player:
@@ -186,9 +196,11 @@ class Player:
             self.playing_changed.emit(False)
 
     def show(self, percent: int) -> None:
-        """Draw the layers at a percentage: immediately if cached, else after the computation."""
+        """Draw the arrows at a percentage, and the pictures after they have been computed."""
         if (shown := self._shown()) is None:
             return
+        # Do not wait for the pictures, which take long in a volume.
+        shown.draw_arrows(percent)
         if (moment := shown.motion.cached(percent / FULL)) is not None:
             self._jobs.cancel("moment")
             self._draw(shown, percent, moment)

@@ -1,4 +1,4 @@
-"""Form for the display of the result."""
+"""Forms for the display of the result, its comparison, and files."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QProxyStyle, QPushButton, QSlider, QStyle
 
 from napari_hmrf.layers.field_layer import holds_field
-from napari_hmrf.ui.forms import Prose, narrow, row
+from napari_hmrf.ui.forms import FixedText, Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, overlay_choices
 
 #: Key that shows the undeformed image while it is pressed.
 BEFORE_KEY = "Shift-B"
 PLAY, PAUSE = "Play", "Pause"
+#: Number of lines below the overlay, which the displacement shares with the landmarks.
+_LINES = 2
 
 
 class _JumpStyle(QProxyStyle):
@@ -30,7 +32,7 @@ class _JumpStyle(QProxyStyle):
 
 
 class ResultForm(Container):
-    """Form for the percentage of the deformation, its overlay, and comparisons.
+    """Form for the percentage of the deformation and its overlay, with a fixed height.
 
     Parameters
     ----------
@@ -38,6 +40,22 @@ class ResultForm(Container):
         Returns the layers of the viewer.
     image : LayerChoice
         Menu for the image to deform.
+
+    Attributes
+    ----------
+    slider : Slider
+    play, before : PushButton
+    how_far, landmarks : FixedText
+        Displacement of the tissue, and distances of the landmarks from their targets.
+    overlay : ComboBox
+    comparison : Container
+        Section with the second image and the known field; hidden if there is nothing to choose.
+    reference, second : LayerChoice
+        Known field and second image.
+    differences : Prose
+        Difference between the result and the known field.
+    files : Container
+        Row of the buttons `save`, `keep` and `more`.
     """
 
     def __init__(self, layers: Callable[[], list[Any]], image: LayerChoice) -> None:
@@ -50,15 +68,16 @@ class ResultForm(Container):
             tooltip="Displayed fraction of the displacement: 0 % is the undeformed image, 100 % is "
             "the result",
         )
+        self.slider.native.setToolTip(self.slider.tooltip)
         self._style = _JumpStyle()  # Qt does not keep a reference to it
         self.slider.native.findChild(QSlider).setStyle(self._style)
         self.play = PushButton(text=PLAY, tooltip="Play back and forth between 0 and 100 %")
         self.before = PushButton(
-            text="Compare",
+            text="Compare (press)",
             tooltip="Show the undeformed image while this button is pressed "
             f"(or {BEFORE_KEY} on the canvas)",
         )
-        self.how_far = Prose()
+        self.how_far, self.landmarks, self.differences = FixedText(_LINES), FixedText(), Prose()
         self.overlay = ComboBox(
             choices=overlay_choices("px"), value=NOTHING, label="overlay", tooltip=OVERLAY_TIP
         )
@@ -66,7 +85,7 @@ class ResultForm(Container):
         self.reference = LayerChoice(
             layers,
             lambda layer: layer is not self._own_arrows and holds_field(layer),
-            "reference",
+            "known field",
             "Displacement field (File > Open) or another result; its difference from this result "
             "is reported here, and 'overlay' offers a map of the difference",
             if_any=True,
@@ -80,11 +99,10 @@ class ResultForm(Container):
             if_any=True,
         )
         image.changed.connect(self.second.reset_choices)
-        self.landmarks = Prose()
         self.save = PushButton(
             text="Save pictures ...",
             tooltip="Save figures as PNG files in a new folder: displacement, before and after, "
-            "grid, Jacobian, strain and energy. To save the canvas, use File > Save Screenshot.",
+            "grid, area change, strain and energy. To save the canvas, use File > Save Screenshot.",
         )
         self.keep = PushButton(
             text="Save study ...",
@@ -93,24 +111,29 @@ class ResultForm(Container):
         )
         self.more = QPushButton("More")
         self.more.setToolTip(
-            "Measurements, forces, moved copies of other layers, fields for other tools, films"
+            "Measurements, forces, landmarks, moved copies of other layers, fields for other "
+            "tools, films"
         )
-        buttons = row(self.save, self.keep)
-        buttons.native.layout().addWidget(self.more)
-        super().__init__(
-            widgets=[
-                Container(widgets=[self.slider], labels=False),
-                self.how_far,
-                row(self.play, self.before),
-                Container(widgets=[self.overlay, self.reference, self.second]),
-                buttons,
-                self.landmarks,
-            ],
-            labels=False,
-        )
-        for part in self:
-            if isinstance(part, Container):
-                part.margins = (0, 0, 0, 0)
+        self.files = row(self.keep, self.save)
+        self.files.native.layout().addWidget(self.more)
+        self.comparison = Container(widgets=[self.second, self.reference, self.differences])
+        slider = Container(widgets=[self.slider], labels=False)
+        top, overlay = row(self.play, slider, self.before), Container(widgets=[self.overlay])
+        texts = Container(widgets=[self.how_far, self.landmarks], labels=False)
+        texts.native.layout().setSpacing(0)
+        super().__init__(widgets=[top, overlay, texts], labels=False)
+        self.native.layout().setSpacing(2)
+        for part in (slider, top, overlay, texts):
+            part.margins = (0, 0, 0, 0)
+        for text in (self.how_far, self.landmarks):
+            text.native.setContentsMargins(4, 0, 4, 0)
+        self.show_landmarks("")
+
+    def show_landmarks(self, text: str) -> None:
+        """Show the distances of the landmarks in the last line; "" gives the line back."""
+        self.landmarks.show_text(text)
+        self.landmarks.visible = bool(text)
+        self.how_far.limit(_LINES - bool(text))
 
     def offer(self, arrows: Any) -> None:
         """Enable the widgets that require a result; disable them if `arrows` is None."""

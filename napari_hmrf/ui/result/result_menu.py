@@ -24,20 +24,30 @@ from napari_hmrf.layers.field_layer import MOVED, can_move, picture_of, prepare_
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData, stiffness_unit
 from napari_hmrf.layers.screen_directions import directions_of
+from napari_hmrf.layers.slice_view import View, plane_shown
 from napari_hmrf.layers.viewer_layers import same_selection
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
-from napari_hmrf.ui.result.result_messages import NO_FORCES, NO_IMAGE, NO_RESULT, SAVING, saved
+from napari_hmrf.ui.result.result_messages import (
+    FLAT_FILM,
+    NO_FORCES,
+    NO_IMAGE,
+    NO_RESULT,
+    SAVING,
+    saved,
+)
 
 # Alignment flag for the full width of the layout.
 _ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
 _FILMS = "Films (*.gif *.mp4)"
-_BACK = "For SimpleITK, ANTs, elastix and Slicer: maps deformed positions to original positions"
-_FORTH = "Opposite direction: maps original to deformed positions; the file records the direction"
+_BACK = "Moves images in SimpleITK, ANTs, elastix, Slicer: maps deformed to original positions"
+_FORTH = "Moves points. Maps original to deformed positions; the file records the direction"
+_GIFS = "GIFs (*.gif)"
+_GIF = "Animation that repeats forever: the image deforms and returns; for web pages and slides"
 _FILM = "Film of the image as it deforms and returns: .gif, or .mp4 with imageio-ffmpeg"
 _WITH_IT = (
     "New layer, moved with the tissue. In a volume at the same position, only the slice of this "
@@ -78,6 +88,8 @@ class ResultMenu:
             show_message,
         )
         self._jobs = BackgroundJobs(show_message)
+        #: Returns the titles and cells of the table of landmarks, or None if there are none.
+        self.landmarks: Callable[[], tuple[list[str], list[list[str]]] | None] = lambda: None
         give_menu(self._button, self._fill)
         form.save.changed.connect(self._on_save)
 
@@ -140,19 +152,33 @@ class ResultMenu:
         )
 
     def save_film(self, path: str | Path) -> None:
-        """Write a film of the image moving back and forth; see `write_movie`.
+        """Write a film of the image, or of the visible slice of a volume, moving back and forth.
+
+        See `write_movie` for the file formats.
 
         Raises
         ------
         HmrfError
-            If there is no result, or no image on the pixel grid of the result.
+            If there is no result, no image on the pixel grid of the result, or if a volume is
+            displayed in 3D.
         """
         shown = self._shown
         if shown.image is None:
             raise HmrfError(NO_IMAGE)
-        work = partial(write_movie, path, shown.answer.solution, shown.image)
+        place = {}
+        if len(shown.answer.shape) == 3:
+            if self._viewer.dims.ndisplay != 2:
+                raise HmrfError(FLAT_FILM)
+            axis, number = plane_shown(shown.answer.frame, View.of(self._viewer.dims))
+            place = {"axis": axis, "number": number}
+        work = partial(write_movie, path, shown.answer.solution, shown.image, **place)
         self._show_message("Saving the film ...")
         self._jobs.submit(f"{path}", work, lambda file: self._show_message(f"Saved {file.name}."))
+
+    def save_gif(self, path: str | Path) -> None:
+        """Write a looping GIF; see `save_film`. The suffix .gif is added if it is missing."""
+        path = Path(path)
+        self.save_film(path if path.suffix.lower() == ".gif" else f"{path}.gif")
 
     def move_along(self, *layers: Any) -> None:
         """Add moved copies of other layers, each above its original.
@@ -201,6 +227,9 @@ class ResultMenu:
         add_entry(menu, "Measurements ...", about, measure)
         forces = partial(attempt, self._show_forces, self._show_message)
         add_entry(menu, "Forces ...", "Forces that hold or move tissue", forces)
+        about = "Distance of each landmark from its target, before and after the motion"
+        pairs = partial(attempt, self._show_landmarks, self._show_message)
+        add_entry(menu, "Landmarks ...", about, pairs).setEnabled(self.landmarks() is not None)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         source = None if shown is None else shown.source
@@ -211,13 +240,15 @@ class ResultMenu:
             add_entry(along, title, _WITH_IT, move)
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
-        for title, about, save, name, kinds in (
-            ("field for images", _BACK, self.save_field, "field-for-images.mha", _FOR_IMAGES),
-            ("field for points", _FORTH, forth, "field-for-points.nrrd", _FOR_POINTS),
-            ("as film", _FILM, self.save_film, "film.gif", _FILMS),
+        name = "result" if source is None else str(source.name)
+        for title, about, save, file, kinds in (
+            ("Export warp (backward)", _BACK, self.save_field, "warp-backward.mha", _FOR_IMAGES),
+            ("Export warp (forward)", _FORTH, forth, "warp-forward.nrrd", _FOR_POINTS),
+            ("Save looping GIF", _GIF, self.save_gif, f"{name}.gif", _GIFS),
+            ("Save as film", _FILM, self.save_film, "film.gif", _FILMS),
         ):
-            ask = partial(self._choose_file, save, f"Save {title}", name, kinds)
-            add_entry(menu, f"Save {title} ...", about, ask)
+            ask = partial(self._choose_file, save, title, file, kinds)
+            add_entry(menu, f"{title} ...", about, ask)
 
     def _on_save(self, *_: Any) -> None:
         title = "Choose where to create a folder of pictures"
@@ -255,6 +286,11 @@ class ResultMenu:
             self._show_table("Forces on tissue where it is held or moved", words)
 
         self._jobs.submit("forces", answer.forces, show)
+
+    def _show_landmarks(self) -> None:
+        """Show the distance of each landmark from its target in a table."""
+        if (words := self.landmarks()) is not None:
+            self._show_table("Distance of each landmark from its target", words)
 
     def _show_table(
         self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QWidget

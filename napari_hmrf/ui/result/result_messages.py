@@ -19,18 +19,25 @@ NO_IMAGE = (
     "There is no image on the pixel grid of this result. Open the image of the result to deform "
     "it. The arrows and the choices of 'overlay' are available without the image."
 )
+BURIED = (
+    "This result is one slice, which is hidden inside the volume in the 3D view. Press napari's "
+    "2D/3D button to see it."
+)
+FLAT_FILM = "A film shows one slice of a volume: press napari's 2D/3D button first."
 NO_FORCES = (
     "Forces are available for elastic tissue and large motion, after Deform in this session. "
     "Results of the paper's model and results from files have no forces."
 )
+#: Value of the overlay menu without an overlay, and its text.
 NOTHING: str = "nothing"
+_NONE = "none"
 SAVING = "Saving pictures ..."
 FULL = 100
 _UPRIGHT = Directions()
 
 _ABOUT: dict[Name, str] = {
     "magnitude": "displacement ({unit})",
-    "jacobian": "Jacobian",
+    "jacobian": "{size} change",
     "equivalent": "strain: equivalent",
     "stretch": "strain: maximum stretch",
     "squeeze": "strain: maximum compression",
@@ -39,7 +46,7 @@ _ABOUT: dict[Name, str] = {
     "shear": "strain: shear",
     "grid": "grid",
     "labels": "tissue labels",
-    "difference": "difference from reference ({unit})",
+    "difference": "difference from known field ({unit})",
     "folds": "folds",
     "overlaps": "overlaps",
     "stiffness": "input: stiffness",
@@ -59,7 +66,7 @@ LACKING: dict[Name, str] = {
 }
 OVERLAY_TIP = (
     "Overlay on the image that moves with the tissue; its values belong to the visible tissue.\n"
-    "Jacobian: factor by which area changes. Purple: shrinks, orange: grows, yellow: folds.\n"
+    "Area change, volume change: ratio of sizes. Purple: shrinks, orange: grows, yellow: folds.\n"
     "Strain: elastic strain without growth, in %; negative: compression. Equivalent: von Mises\n"
     "strain in all three directions. For the paper's model: total strain within the image.\n"
     "Input motion: lines start at the undeformed tissue; a dot marks tissue that is held."
@@ -74,9 +81,10 @@ def overlay_choices(
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))
     )
-    words = {"unit": unit, "rows": rows, "columns": columns}
+    size = "volume" if len(ways.order) == 3 else "area"
+    words = {"unit": unit, "size": size, "rows": rows, "columns": columns}
     offered = {name: said for name, said in _ABOUT.items() if compared or name != "difference"}
-    return [(NOTHING, NOTHING), *((said.format(**words), name) for name, said in offered.items())]
+    return [(_NONE, NOTHING), *((said.format(**words), name) for name, said in offered.items())]
 
 
 def how_far(
@@ -89,6 +97,12 @@ def how_far(
     if compared is None:
         return moved
     return f"{moved}. {compared.in_words(result.solution, result.unit)}"
+
+
+def arrow_scale(times: float) -> str:
+    """Return a clause about arrows that are longer or shorter than the displacement, or ""."""
+    ratio = f"{times:.2g}"
+    return "" if ratio == "1" else f"Arrows are drawn {ratio} times as long as the motion"
 
 
 def saved(paths: Sequence[Path]) -> str:

@@ -23,6 +23,7 @@ from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import MovingLayers, Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_menu import ResultMenu
+from napari_hmrf.ui.result.scale_key import ScaleKey
 
 
 class ResultView:
@@ -55,6 +56,8 @@ class ResultView:
         #: Difference between the result and its reference, or None.
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer, lambda: self.shown)
+        self.key = ScaleKey(viewer, lambda: self.shown)
+        self.key.length_changed.connect(self._show_distance)
         self.player = Player(native, self._jobs, lambda: self.shown)
         self.more = ResultMenu(form, viewer, lambda: self.shown, self.message.emit)
         form.slider.changed.connect(self._on_slider)
@@ -115,6 +118,7 @@ class ResultView:
         if before is not None and other:
             before.layers.leave()
         self.shown = shown
+        self.key.refresh()
         self.cursor.refresh()
         self._form.offer(self.arrows)
         self.view_changed.emit()
@@ -158,6 +162,7 @@ class ResultView:
         self._jobs.release()
         self.more.release()
         self.cursor.release()
+        self.key.release()
 
     # Comparison with a reference
 
@@ -291,8 +296,19 @@ class ResultView:
         elif not self.shown.ready():
             self.message.emit(words.NO_IMAGE)
         else:
+            if self._is_buried:
+                self.message.emit(words.BURIED)
             return True
         return False
+
+    @property
+    def _is_buried(self) -> bool:
+        """True if the result is a slice inside a volume that is visible in a 3-D view."""
+        shown = self.shown
+        if shown is None or shown.source is None or self._viewer.dims.ndisplay == 2:
+            return False
+        is_slice = len(shown.answer.frame.plane) == 2 and shown.source.ndim > 2
+        return is_slice and bool(shown.source.visible)
 
     def _put_back(self, release: bool = True) -> None:
         """Show the deformation at 100 %, and drop all jobs."""
@@ -308,7 +324,7 @@ class ResultView:
         self.player.stop()
         self._jobs.cancel("moment")
         if self.shown is not None:
-            self.shown.draw_arrows(words.FULL)
+            self.shown.draw_whole()
         self._set_slider(words.FULL)
 
     def _set_slider(self, percent: int) -> None:
@@ -318,13 +334,18 @@ class ResultView:
 
     def _show_distance(self, *_: Any) -> None:
         """Show the percentage, the largest displacement, the slice and the differences."""
-        text = ""
+        text = difference = ""
         if (shown := self.shown) is not None:
+            if self.comparison is not None:
+                answer = shown.answer
+                difference = self.comparison.in_words(answer.solution, answer.unit)
             percent = self._form.slider.value
             text = words.how_far(shown.answer, shown.longest, percent, self.comparison)
+            text = ". ".join(filter(None, (text, words.arrow_scale(shown.times_as_long))))
             if shown.overlay is not None and percent == words.FULL:
                 text = ". ".join(filter(None, (text.rstrip("."), shown.overlay.beyond)))
         self._form.how_far.show_text(text)
+        self._form.differences.show_text(difference)
 
     # Buttons and events
 

@@ -10,10 +10,12 @@ from qtpy.QtTest import QTest
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
+from napari_hmrf.layers.compat import drawn_node
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
+from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.motion.motion_messages import NO_WAY, OPEN, OUTSIDE
 from napari_hmrf.ui.motion.tool import Tool
 from napari_hmrf.ui.motion.tools import BY_NAME
@@ -194,13 +196,13 @@ def test_undo_and_redo_select_a_stroke_and_show_its_settings(pulling_beside, set
     amount.value = -1.5
     person.key(Qt.Key.Key_Z, CTRL)
     assert (only(widget).amount, amount.value) == (2.0, 2.0)
-    person.key(Qt.Key.Key_Y, CTRL)
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
     assert (only(widget).amount, amount.value) == (-1.5, -1.5)
     for _ in range(2):
         person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
     assert not Screen(widget).button("Remove").isEnabled()
-    person.key(Qt.Key.Key_Y, CTRL)
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
     assert Screen(widget).button("Remove").isEnabled(), "the restored stroke is not selected"
     amount.value = 1.0
     assert only(widget).amount == 1.0, "the field did not change the restored stroke"
@@ -282,6 +284,21 @@ def test_a_soft_brush_paints_confidence_over_moved_tissue(brushing_beside, settl
     assert not displayed_paint(person).any()
 
 
+def test_a_stroke_of_confidence_where_nothing_is_held_or_moved_is_reported(brushing_beside, settle):
+    person, widget = brushing_beside
+    widget.clear()
+    person.key(CONFIDENCE)
+    person.paint((30, 31), (30, 33))
+    settle(widget)
+    assert widget.status.startswith("This stroke has no effect: the tissue under it is neither")
+    person.key(PIN)
+    person.paint((30, 31), (30, 33))
+    person.key(CONFIDENCE)
+    person.paint((30, 31), (30, 33))
+    settle(widget)
+    assert "no effect" not in widget.status
+
+
 def test_the_layer_of_strokes_is_removed_with_the_last_stroke_and_restored_by_redo(
     pulling_beside, settle
 ):
@@ -295,7 +312,7 @@ def test_the_layer_of_strokes_is_removed_with_the_last_stroke_and_restored_by_re
         settle(widget)
         assert "Motion, painted" not in layers
         assert widget.active, "the tool was deactivated"
-        person.key(Qt.Key.Key_Y, CTRL)
+        person.key(Qt.Key.Key_Z, CTRL | SHIFT)
         settle(widget)
         assert displayed_paint(person)[20, 22] == number_of("pin")
     person.key(Qt.Key.Key_Z, CTRL)
@@ -342,15 +359,39 @@ def test_stiffness_motion_and_confidence_are_painted_and_shown_as_layers(pulling
     assert not confidence.colormap.map([0.0])[0, 3], "a confidence of 0 hides the image"
     names = [layer.name for layer in viewer.layers]
     assert names.index("Confidence") == names.index("Motion, painted") - 1
-    Screen(widget).choose("Jacobian")
+    Screen(widget).choose("area change")
     settle(widget)
-    (overlay,) = (layer for layer in viewer.layers if "Jacobian" in layer.name)
+    (overlay,) = (layer for layer in viewer.layers if "area change" in layer.name)
     assert overlay.colorbar.visible
-    assert overlay.colorbar.position != confidence.colorbar.position, (
-        "two colour bars share a corner"
-    )
-    if hasattr(overlay, "name_overlay"):  # The name overlay exists since napari 0.9.
-        assert confidence.name_overlay.position == confidence.colorbar.position
+    assert not confidence.visible, "two colour scales are displayed at once"
+    Screen(widget).choose("none")
+    settle(widget)
+    assert confidence.visible
+
+
+def test_marks_fade_while_the_mouse_is_outside_the_canvas(pulling, settle):
+    person, widget = pulling
+    viewer = person.viewer
+    person.key(PIN)
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    names = "Motion", "Motion, painted"
+
+    def opacities():
+        return [drawn_node(viewer, by_name(viewer, name)).opacity for name in names]
+
+    viewer.mouse_over_canvas = True
+    assert opacities() == [1, 1]
+    viewer.mouse_over_canvas = False  # as napari does when the mouse leaves
+    assert opacities() == pytest.approx([0.2, 0.2])
+    assert [by_name(viewer, name).opacity for name in names] == [1, 1], "a setting was changed"
+    widget.undo()
+    settle(widget)
+    widget.redo()
+    settle(widget)
+    assert opacities() == pytest.approx([0.2, 0.2]), "new layers of marks do not fade"
+    viewer.mouse_over_canvas = True
+    assert opacities() == [1, 1]
 
 
 def test_a_mark_of_one_component_is_labelled_on_the_canvas_and_drawn_with_double_arrows(
@@ -513,7 +554,7 @@ def test_tissue_is_painted_with_presets_if_there_is_no_table(brushing_beside, se
     material = widget.fields.material.native
     said = [material.itemText(at) for at in range(material.count())]
     assert said[-1] == "bone or implant (rigid)"
-    assert material.currentText() == "tumour (40)", "rigid tissue is the default"
+    assert material.currentText() == "stiff (5)", "rigid tissue is the default"
     widget.fields.material.value = 0
     person.paint((30, 22), (36, 22), (42, 22), (48, 22), (54, 22))
     settle(widget)
@@ -699,6 +740,91 @@ def test_a_stroke_is_picked_changed_and_removed(brushing_beside, settle):
     assert len(widget.drawing.marks) == 1
     person.pick(60, 60)
     assert "There is no mark at this point" in widget.status
+
+
+@pytest.mark.parametrize(
+    ("typed", "used"),
+    [("0.0001", 0.05), ("99999", 6.4), ("3", 3.0)],
+    ids=["small", "large", "fits"],
+)
+def test_a_radius_out_of_the_range_of_the_image_is_replaced_with_a_message(
+    open_beside, settle, typed, used
+):
+    person, widget = open_beside(scale=(0.1, 0.1), units=("mm", "mm"))
+    person.frame.show()
+    settle(widget)
+    box = widget.fields.radius.native
+    box.selectAll()
+    QTest.keyClicks(box, typed)
+    QTest.keyClick(box, Qt.Key.Key_Return)
+    assert widget.fields.radius.value == used
+    assert ("'radius' must be from 0.05 to 6.4 mm" in widget.status) == (typed != "3")
+    person.drag((3.0, 3.0), (3.2, 3.2))
+    settle(widget)
+    assert only(widget).radius == used
+
+
+def test_a_mark_with_a_tiny_radius_is_shown_and_changed(pulling_beside, settle):
+    person, widget = pulling_beside
+    widget.drawing = Drawing((Arrow((30, 30), (2, 0), 1e-6),))
+    settle(widget)
+    person.pick(32, 30)
+    widget.fields.confidence.value = 0.5
+    settle(widget)
+    assert (only(widget).confidence, only(widget).radius) == (0.5, 0.5)
+
+
+def test_the_wheel_grows_and_shrinks_tissue_in_one_undo_step(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.key(EXPAND)
+    widget.fields.radius.value = 8.0
+    for notches in (1, 1, 1, -1):
+        person.turn_wheel(32, 32, notches)
+    settle(widget)
+    assert (only(widget).amount, only(widget).lines) == (0.8, (((32, 32),),))
+    assert widget.fields.amount.value == 0.8
+    assert widget.status == "This tissue grows by 0.8 px."
+    assert widget.solution.displacement[32, 40] == pytest.approx((0, 0.8), abs=0.1)
+    person.turn_wheel(34, 34, -5)
+    settle(widget)
+    assert only(widget).amount == -1.2
+    assert widget.status == "This tissue shrinks by 1.2 px."
+    person.turn_wheel(32, 32, -100)
+    settle(widget)
+    assert only(widget).amount == -6.4, "the patch vanished"
+    for amount in (-1.2, 0.8):
+        widget.undo()
+        assert only(widget).amount == amount
+    widget.undo()
+    assert not widget.drawing.marks
+
+
+def test_the_wheel_zooms_unless_grow_is_active_over_tissue(open_beside, settle):
+    person, widget = open_beside(disc())
+    settle(widget)
+    camera = person.viewer.scene.camera
+    for row, col in ((32, 32), (1, 1)):
+        person.turn_wheel(row, col)
+        assert camera.mouse_zoom
+    person.key(EXPAND)
+    person.turn_wheel(1, 1)
+    assert camera.mouse_zoom, "the wheel does not zoom over air"
+    person.turn_wheel(32, 32, modifiers=("Control",))
+    assert not widget.drawing.marks, "a turn with Ctrl, which moves through slices, is used"
+    assert not camera.mouse_zoom
+    person.viewer.dims.ndisplay = 3
+    assert camera.mouse_zoom
+    person.viewer.dims.ndisplay = 2
+    assert not camera.mouse_zoom
+    person.key(Qt.Key.Key_G)
+    assert camera.mouse_zoom
+
+
+def disc():
+    """Return an image of a bright disc in air."""
+    rows, cols = np.indices((64, 64))
+    inside = np.hypot(rows - 32, cols - 32) < 28
+    return np.where(inside, 120 + 60 * ((rows // 8 + cols // 8) % 2), 0).astype(np.uint8)
 
 
 def test_keys_change_the_radius_of_the_brush(pulling_beside):
@@ -908,6 +1034,42 @@ def test_presets_offer_their_tissues_and_unpainted_tissue_is_the_first(brushing_
     assert displacement(widget) == pytest.approx(before, abs=0.02), (
         "painting the tissue of the unpainted sites changed the displacement"
     )
+
+
+@pytest.mark.parametrize(
+    ("data", "place", "tissues"),
+    [
+        (np.zeros((32, 32, 3), np.uint8), {}, ["normal", "soft", "stiff"]),
+        (np.zeros((32, 32), np.uint8), {}, ["normal", "soft", "stiff"]),
+        (np.zeros((32, 32), np.uint16), {}, ["normal tissue", "soft tissue", "tumour"]),
+        (np.zeros((32, 32), np.uint8), {"units": "mm"}, ["normal tissue", "soft tissue", "tumour"]),
+    ],
+    ids=["colours", "8 bits", "16 bits", "millimetres"],
+)
+def test_a_photograph_is_offered_materials_instead_of_tissues(
+    open_beside, settle, data, place, tissues
+):
+    _, widget = open_beside(data, **place)
+    settle(widget)
+    assert [row.name for row in widget.fields.preset.value.materials] == tissues
+    widget.make_layers()
+    assert [row.name for row in widget.materials[1:]] == tissues
+
+
+def test_a_preset_is_chosen_again_with_its_image_or_study(open_beside, settle, tmp_path):
+    person, widget = open_beside()
+    viewer, first, preset = person.viewer, widget.image, PRESETS[4]
+    widget.fields.preset.value = preset
+    widget.drawing = Drawing((Stroke("tissue", (((30, 30),),), 5.0, label=2),))
+    settle(widget)
+    widget.save_study(tmp_path / "painted.study")
+    widget.image = viewer.add_image(np.zeros((32, 32), np.uint16), name="other")
+    assert widget.fields.preset.value == PRESETS[0]
+    widget.image = first
+    assert widget.fields.preset.value == preset
+    viewer.layers.clear()
+    widget.open_study(tmp_path / "painted.study")
+    assert widget.study.tissue.preset == preset
 
 
 def test_a_typed_radius_is_one_undo_step(pulling_beside, settle):

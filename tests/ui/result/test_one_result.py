@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from napari.utils.colormaps import AVAILABLE_COLORMAPS
 from qtpy.QtCore import Qt
 
 from napari_hmrf.field.strain import fold_mask
@@ -170,7 +171,7 @@ def test_overlays_of_a_pulled_result_are_named_after_the_image(pulled, settle):
     viewer, dock = pulled
     dock.overlay = "squeeze"
     settle(dock)
-    assert "MR largest elastic squeeze (%), elastic" in viewer.layers
+    assert "MR maximum elastic compression (%), elastic" in viewer.layers
     assert dock.image is viewer.layers["MR"]
 
 
@@ -676,7 +677,7 @@ def test_new_layers_to_paint_on_do_not_change_the_result(pulling_beside, settle)
     person.drag((24, 30), (28, 36))
     settle(dock)
     before = dock.solution
-    Screen(dock).press("Layers to paint on")
+    Screen(dock).press("New tissue layer")
     settle(dock)
     assert dock.tissue is person.viewer.layers["Tissue"]
     assert np.array_equal(dock.solution.tissue, before.tissue)
@@ -715,13 +716,28 @@ def test_the_status_bar_is_not_changed_without_a_pointer_on_the_canvas(
     assert person.viewer.status == "Brain"
 
 
-def test_a_long_status_is_limited_to_the_available_lines(pointer_and_dock):
+def test_a_status_of_any_length_has_two_lines_and_its_tooltip_has_all_of_it(pointer_and_dock):
     _, dock = pointer_and_dock
     footer = dock._form.footer
     label = footer._status.native
-    for count, seen in ((1, 1), (40, 9), (5, 5)):
+    for count in (1, 40, 5):
         footer.show_status("\n".join(["word"] * count))
-        assert round(label.height() / label.fontMetrics().lineSpacing()) == seen
+        assert round(label.height() / label.fontMetrics().lineSpacing()) == 2
+        assert footer._status.is_elided == (count == 40)
         assert label.toolTip().count("word") == count, (
             "the tool tip does not contain the whole status"
         )
+
+
+def test_pixels_without_a_value_hide_the_undeformed_image(frame, at_rest, settle):
+    pixels = np.full((48, 64), 50, np.float32)
+    pixels[20:24, 30:34] = np.nan
+    image = frame.viewer.add_image(pixels, name="MR", colormap="gray")
+    dock = without_live_mode(frame.open())
+    at_rest()
+    drag_a_patch(Touch(frame.viewer), dock, settle)
+    (deformed,) = parts(frame.viewer, "image")
+    assert np.isnan(deformed.data).any()
+    np.testing.assert_array_equal(deformed.colormap.map([np.nan])[0], (0, 0, 0, 1))
+    np.testing.assert_allclose(deformed.colormap.map([0.5]), image.colormap.map([0.5]))
+    assert image.colormap.nan_color[3] == AVAILABLE_COLORMAPS["gray"].nan_color[3] == 0

@@ -283,11 +283,11 @@ def test_each_direction_of_the_field_has_its_own_menu_entry_and_file_name(result
     said = []
     answer = lambda *given: (said.append(given[1:3]), ("", ""))[1]  # noqa: E731
     monkeypatch.setattr(QFileDialog, "getSaveFileName", answer)
-    for entry in ("field for images", "field for points", "as film"):
-        Screen(dock).entry("More", f"Save {entry}").trigger()
+    for entry in ("Export warp (backward)", "Export warp (forward)", "Save as film"):
+        Screen(dock).entry("More", entry).trigger()
     assert said == [
-        ("Save field for images", "field-for-images.mha"),
-        ("Save field for points", "field-for-points.nrrd"),
+        ("Export warp (backward)", "warp-backward.mha"),
+        ("Export warp (forward)", "warp-forward.nrrd"),
         ("Save as film", "film.gif"),
     ]
 
@@ -300,7 +300,7 @@ def test_the_menu_saves_the_field_in_each_direction(
     dock, _ = result(**MM)
     screen, path = Screen(dock), tmp_path / f"back{ending}"
     set_save_path(path)
-    screen.entry("More", "Save field for images").trigger()
+    screen.entry("More", "Export warp (backward)").trigger()
     wait_for(lambda: not dock.busy)
     assert dock.status.startswith(f"Saved back{ending}: the backward field, which moves images. ")
     solution = dock.solution
@@ -311,7 +311,7 @@ def test_the_menu_saves_the_field_in_each_direction(
     assert f"{back.residual:.2g} px" in dock.status
     path = tmp_path / f"forth{ending}"
     set_save_path(path)
-    screen.entry("More", "Save field for points").trigger()
+    screen.entry("More", "Export warp (forward)").trigger()
     wait_for(lambda: not dock.busy)
     if ending == ".h5":
         assert dock.status.startswith("forth.h5: this format does not store the direction")
@@ -332,7 +332,7 @@ def test_a_failure_to_save_is_reported_in_a_plain_sentence(
         ("folder.mha", "it is a folder. Choose a file name."),
     ):
         set_save_path(tmp_path / name)
-        Screen(dock).entry("More", "Save field for images").trigger()
+        Screen(dock).entry("More", "Export warp (backward)").trigger()
         wait_for(lambda: not dock.busy)
         assert dock.status.endswith(f"cannot save the file: {why}")
         assert "Errno" not in dock.status
@@ -353,12 +353,46 @@ def test_the_menu_saves_a_film(result, set_save_path, wait_for, tmp_path, monkey
     assert not (tmp_path / "gel.mp4").exists()
 
 
+def test_the_menu_saves_a_looping_gif_named_after_the_image(
+    result, wait_for, tmp_path, monkeypatch
+):
+    dock, _ = result()
+    names = []
+
+    def answer(parent, title, name, kinds):
+        names.append(name)
+        return str(tmp_path / "moving"), kinds
+
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", answer)
+    Screen(dock).entry("More", "Save looping GIF ...").trigger()
+    wait_for(lambda: not dock.busy)
+    assert names == ["MR.gif"]
+    with Picture.open(tmp_path / "moving.gif") as film:
+        assert (film.n_frames > 10, film.info["loop"]) == (True, 0)
+
+
+@pytest.mark.parametrize(("order", "size"), [((0, 1, 2), (24, 20)), ((1, 0, 2), (24, 6))])
+def test_the_film_of_a_volume_shows_the_visible_slice(result, wait_for, tmp_path, order, size):
+    dock, viewer = result(more=(6,))
+    dock.extent = "volume"
+    viewer.dims.order = order
+    dock.deform()
+    wait_for(lambda: not dock.busy)
+    dock.more.save_film(tmp_path / "slice.gif")
+    wait_for(lambda: not dock.busy)
+    with Picture.open(tmp_path / "slice.gif") as film:
+        assert film.size == size
+    viewer.dims.ndisplay = 3
+    with pytest.raises(HmrfError, match="press napari's 2D/3D button first"):
+        dock.more.save_film(tmp_path / "slice.gif")
+
+
 def test_an_unsupported_format_or_a_missing_result_is_reported(
     result, set_save_path, wait_for, tmp_path, widget
 ):
     dock, _ = result()
     set_save_path(tmp_path / "field.txt")
-    Screen(dock).entry("More", "Save field for images").trigger()
+    Screen(dock).entry("More", "Export warp (backward)").trigger()
     wait_for(lambda: not dock.busy)
     assert dock.status.startswith("field.txt: fields cannot be written in this format")
     with pytest.raises(HmrfError, match="There is no result yet"):

@@ -17,10 +17,11 @@ from napari_hmrf.contributions import open_solution
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.quantities import coloured
-from napari_hmrf.field.strain import green_lagrange_strain
+from napari_hmrf.field.strain import fold_mask, green_lagrange_strain
 from napari_hmrf.field.tissue_point import Probe, at_point
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
+from napari_hmrf.layers.compat import scale_bar_of
 from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
@@ -97,7 +98,7 @@ def test_a_missing_result_causes_a_hint_and_a_new_result_is_selected(
     assert look._form.result.slider.enabled
     assert look.status.startswith("Tissue moved up to 3")
     assert look.overlay == "jacobian", "the overlay chosen before the result was lost"
-    assert "MR Jacobian (area ratio), paper" in names(viewer_of(widget))
+    assert "MR area change (ratio), paper" in names(viewer_of(widget))
 
 
 def test_the_slider_moves_a_renamed_image(look, set_to):
@@ -259,7 +260,7 @@ def test_overlays_are_hidden_while_the_undeformed_image_is_shown(look, set_to):
     layer = viewer.layers["MR displacement (px), paper"]
     look.before = True
     set_to(look, overlay="jacobian")
-    assert layer.name == "MR Jacobian (area ratio), paper"
+    assert layer.name == "MR area change (ratio), paper"
     assert layer.visible, "the chosen overlay is hidden"
     assert not look.before
 
@@ -332,7 +333,7 @@ def test_colours_show_displacement_area_change_and_strain(look, set_to):
     np.testing.assert_allclose(layer.data, lengths_of(solution, 1.0))
     assert layer.contrast_limits == [0, 3]
     set_to(look, overlay="jacobian")
-    assert layer.name == "MR Jacobian (area ratio), paper"
+    assert layer.name == "MR area change (ratio), paper"
     inside = layer.data[10, 5:19]
     assert ((inside > 1.02) & (inside < 1.4)).all(), "the area of the pulled block does not grow"
     low, high = layer.contrast_limits
@@ -359,7 +360,7 @@ def test_paint_is_hidden_below_the_colours_of_a_result(look, run, set_to, overla
     set_to(look, overlay=overlay)
     for paint in ("Tissue", "Boundary"):
         assert not viewer.layers[paint].visible, "paint tints transparent colours"
-    (name,) = {"MR Jacobian (area ratio), paper", "Tissue deformed, paper"} & set(names(viewer))
+    (name,) = {"MR area change (ratio), paper", "Tissue deformed, paper"} & set(names(viewer))
     assert names(viewer)[-2:] == [name, "MR arrows, paper"], "colours cover the arrows"
     for layer in (viewer.layers["Tissue"], viewer.layers["Boundary"]):
         viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
@@ -375,7 +376,7 @@ def test_one_overlay_is_shown_at_a_time(look, set_to):
     for name, shown in (
         ("grid", "MR grid, paper"),
         ("stiffness", "MR stiffness (kPa), paper"),
-        ("jacobian", "MR Jacobian (area ratio), paper"),
+        ("jacobian", "MR area change (ratio), paper"),
         ("labels", "Tissue deformed, paper"),
         ("observed", "MR given motion, paper"),
         ("confidence", "MR confidence (0 to 1), paper"),
@@ -415,6 +416,43 @@ def test_arrows_end_at_the_displayed_position_of_the_tissue(look, set_to):
     set_to(look, percent=50)
     look._view.rest()
     assert arrows.length == pytest.approx(2)
+
+
+def test_a_scale_key_is_shown_while_arrows_are_to_scale(look, set_to):
+    bar, arrows, text = scale_bar_of(viewer_of(look)), look.result, look._form.result.how_far
+    assert bar.visible
+    assert bar.position == "bottom_left"
+    set_to(look, percent=50)
+    assert bar.visible, "shorter arrows show the displacement at 50 %"
+    set_to(look, percent=100)
+    arrows.length = 4
+    assert not bar.visible
+    assert "Arrows are drawn 4 times as long as the motion" in text.value
+    arrows.length = 1
+    assert bar.visible
+    assert "Arrows are drawn" not in text.value
+    arrows.visible = False
+    assert not bar.visible
+
+
+def test_the_scale_key_leaves_the_choice_of_the_user(look):
+    bar, arrows = scale_bar_of(viewer_of(look)), look.result
+    bar.visible = False
+    arrows.visible = False
+    arrows.visible = True
+    assert not bar.visible
+    bar.visible = True
+    arrows.visible = False
+    look._view.release()
+    assert not bar.visible, "a closed dock leaves its key on the canvas"
+
+
+def test_arrows_follow_the_slider_before_the_pictures_are_computed(look, set_to, monkeypatch):
+    arrows, jobs = look.result, []
+    monkeypatch.setattr(look._view.player._jobs, "submit", lambda *job: jobs.append(job))
+    look.percent = 30
+    assert arrows.length == pytest.approx(0.3)
+    assert jobs
 
 
 @pytest.mark.parametrize("largest", [0.00042, 0.0123, 0.43, 0.49, 0.8, 0.97, 8.3, 44, 72, 96, 450])
@@ -496,7 +534,7 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     set_to(widget, overlay="jacobian")
     assert f"at {outputs.folds} pixels" in widget.warning
     assert "the tissue folds" in widget.warning
-    layer = viewer_of(widget).layers["MR Jacobian (area ratio), paper"]
+    layer = viewer_of(widget).layers["MR area change (ratio; yellow: folded), paper"]
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
     assert folded.sum() == outputs.folds
@@ -514,6 +552,28 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     assert layer.colormap.map(np.array([1.0]))[0, :3] == pytest.approx((0.5, 0.23, 0.03), abs=0.05)
 
 
+def test_folds_are_drawn_and_named_as_folds_instead_of_strain(widget, small_sample, run, set_to):
+    small_sample(viewer_of(widget))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
+    widget.settings = replace(widget.settings, sweeps=60)
+    solution = run(widget).solution
+    for overlay in ("squeeze", "equivalent"):
+        set_to(widget, overlay=overlay)
+        (layer,) = [each for each in viewer_of(widget).layers if "; yellow: folded" in each.name]
+        folds = layer.data == -np.inf
+        field = solution.displacement, solution.spacing, solution.tissue
+        folded = fold_mask(field[0], spacing=field[1], tissue=field[2])
+        moved = warp(folded, field[0], spacing=field[1], tissue=field[2], order=0)
+        np.testing.assert_array_equal(folds, moved)
+        low = layer.contrast_limits[0]
+        assert not (layer.data[~folds] <= low).any(), "strain is drawn in the colour of folds"
+    site = tuple(np.argwhere(folded)[0])
+    widget._view.cursor.at = lambda _: Probe(site, (0.0, 1.0), 1.0, -1.0, 2.0)
+    assert "equivalent in-plane strain: folded" in widget._view.cursor.line_at(())
+    set_to(widget, percent=1)
+    assert not (layer.data == -np.inf).any(), "nothing folds at 1 %"
+
+
 # The status bar
 
 
@@ -524,11 +584,11 @@ def test_the_status_bar_describes_the_point_under_the_cursor(look):
     viewer.cursor.position = (10, 5.2)
     status = viewer.status["coordinates"]
     assert status.startswith("[10"), "the text of napari was removed"
-    assert status.count("Jacobian") == 1
+    assert status.count("area change") == 1
     assert " right)" in status, "the direction is a sign instead of a word"
     assert "stiffness 20 kPa (gel)" in status
     viewer.cursor.position = (0, 0)
-    assert "Jacobian" not in str(viewer.status)
+    assert "area change" not in str(viewer.status)
     viewer.layers.selection.clear()
     viewer.cursor.position = (10, 6)
     assert "stiffness 20 kPa (gel)" in viewer.status
@@ -538,7 +598,7 @@ def test_the_status_bar_describes_the_point_under_the_cursor(look):
 def test_the_jacobian_of_a_fold_is_described_as_that_of_the_worst_corner(jacobian):
     probe = Probe((1, 2), (0.0, 3.0), 3.0, jacobian, 5.0)
     said = at_point("px", probe, Directions())
-    assert f"Jacobian {jacobian:.3f}" in said
+    assert f"area change x {jacobian:.3f}" in said
     assert said.endswith("(folds: value at the worst corner)") == (jacobian < 0)
 
 
@@ -554,9 +614,9 @@ def test_lengths_in_the_status_bar_are_rounded_to_significant_digits():
         found = Probe((3, 4), (down, right), float(np.hypot(down, right)), 1.0, 0.0)
         return at_point("px", found, Directions())
 
-    assert said(6.37e-05, -2.3e-04) == "moves 0 px, Jacobian 1.000"
-    assert said(-3e-5, 1.2345) == "moves 1.23 px (1.23 right), Jacobian 1.000"
-    assert said(-12.345, 0.0067) == "moves 12.3 px (12.3 up, 0.01 right), Jacobian 1.000"
+    assert said(6.37e-05, -2.3e-04) == "moves 0 px, area change x 1.000"
+    assert said(-3e-5, 1.2345) == "moves 1.23 px (1.23 right), area change x 1.000"
+    assert said(-12.345, 0.0067) == "moves 12.3 px (12.3 up, 0.01 right), area change x 1.000"
 
 
 def test_the_status_bar_reads_the_origin_of_the_displayed_tissue(look, set_to):
@@ -613,7 +673,7 @@ def test_the_result_of_a_slice_moves_at_its_place_in_the_stack(make_stack, set_t
     look, outputs = make_stack
     viewer = viewer_of(look)
     set_to(look, percent=50, overlay="jacobian")
-    assert "MR Jacobian (area ratio), paper (z = 2)" in names(viewer)
+    assert "MR area change (ratio), paper (z = 2)" in names(viewer)
     moved = viewer.layers["MR deformed, paper (z = 2)"]
     assert moved.data.shape == (1, 20, 24)
     solution = outputs.solution
@@ -814,14 +874,14 @@ def test_a_closed_dock_adds_no_status_and_can_be_opened_again(framed, frame, wai
     viewer.status = "Ready"
     viewer.mouse_over_canvas = True
     viewer.cursor.position = (10, 12)
-    assert "Jacobian" not in str(viewer.status)
+    assert "area change" not in str(viewer.status)
     again = quick(frame.open())
     wait_for(lambda: not again.busy)
     assert again.result is viewer.layers["MR arrows, paper"]
     assert "Shift+B" in [str(key) for key in viewer.keymap]
     viewer.status = "Ready"
     viewer.status = "looked again"
-    assert "Jacobian" in viewer.status
+    assert "area change" in viewer.status
 
 
 def test_data_set_by_other_code_are_not_overwritten_by_the_full_motion(look, set_to):
@@ -844,7 +904,7 @@ def test_the_circle_of_the_cursor_leaves_no_square(
     viewer.mouse_over_canvas = True
     arrows.cursor_size, arrows.cursor = 2, "circle"  # As a tool does.
     person = Person(viewer, qtbot)
-    person.move(20, 30, Qt.MouseButton.NoButton)
+    person.move(20, 30, button=Qt.MouseButton.NoButton)
     at_rest()
 
     def white_at_the_cursor():
@@ -889,11 +949,11 @@ def test_an_added_layer_has_metadata_of_its_kind_and_source(look, set_to):
         set_to(look, overlay=name)
         (layer,) = (each for each in viewer.layers if metadata_of(each).get("kind") == name)
         assert type(layer) is kind
-    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
+    facts = viewer.layers["MR maximum in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["source"] == "MR"
     assert "percent" not in facts, "a layer of the full motion has a percentage"
     set_to(look, percent=30)
-    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
+    facts = viewer.layers["MR maximum in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["percent"] == 30
 
 
