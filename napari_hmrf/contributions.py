@@ -20,6 +20,7 @@ from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, layer_metadata
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
+from napari_hmrf.samples.mri import MRI_SCALE, mri_slices
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.solution import Solution, is_solution_file
 
@@ -37,6 +38,14 @@ def sample_brain() -> list[LayerData]:
     _show_dock()
     image, tissue, _ = phantom_layers(sample("expansion"))
     return [image, tissue]
+
+
+def sample_mri() -> list[LayerData]:
+    """Return the layer of a real MRI of a head, whose slices can be pulled."""
+    slices = mri_slices()
+    _show_dock()
+    settings = {"name": "Head MRI", "scale": MRI_SCALE, "metadata": layer_metadata(IMAGE)}
+    return [(slices, settings, "image")]
 
 
 def sample_expansion() -> list[LayerData]:

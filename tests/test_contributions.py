@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import skimage.data
 from napari.layers import Image, Labels, Layer
 from npe2 import PluginManager, PluginManifest
 
@@ -18,9 +19,10 @@ from napari_hmrf.contributions import (
     sample_growth,
     sample_head,
     sample_mass_effect,
+    sample_mri,
     write_solution,
 )
-from napari_hmrf.errors import FileFormatError
+from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.fields import read_field
 from napari_hmrf.io.fields import Place
@@ -104,6 +106,23 @@ def test_a_sample_gives_the_problem_of_its_phantom(opened, drawn):
     assert (problem.loads is None) == (expected.loads is None)
     if expected.loads is not None:
         assert problem.loads.same_as(expected.loads)
+
+
+def test_the_real_mri_has_thick_slices_and_needs_a_download_once(monkeypatch):
+    slices = np.zeros((10, 16, 16), np.uint16)
+    monkeypatch.setattr(skimage.data, "brain", lambda: slices)
+    (data, settings, kind), *others = sample_mri()
+    assert not others
+    layer = Layer.create(data, settings, kind)
+    assert tuple(layer.scale) == (2, 1, 1)
+    assert np.array_equal(layer.data, slices)
+
+    def offline():
+        raise ConnectionError("no route to host")
+
+    monkeypatch.setattr(skimage.data, "brain", offline)
+    with pytest.raises(HmrfError, match="needs no download"):
+        sample_mri()
 
 
 @pytest.fixture(scope="module")
