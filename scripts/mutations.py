@@ -322,8 +322,8 @@ MUTATIONS = (
     ),
     Mutation(
         "layers/result_layers.py",
-        "Motion(answer.solution, overlay=picture).at(1).overlay",
-        "Motion(answer.solution, overlay=picture).at(0).overlay",
+        "still.motion(answer.solution).at(1).overlay",
+        "still.motion(answer.solution).at(0).overlay",
         "ui/result/test_result_view.py",
     ),
     Mutation("ui/messages.py", "HANDFUL = 5", "HANDFUL = 50", "ui/test_messages.py"),

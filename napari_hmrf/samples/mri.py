@@ -25,7 +25,7 @@ def mri_slices() -> npt.NDArray[Any]:
     HmrfError
         If the file is not on this computer yet and cannot be downloaded.
     """
-    import skimage.data  # heavy: pooch
+    import skimage.data  # heavy: skimage
 
     try:
         return np.asarray(skimage.data.brain())
