@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from qtpy.QtWidgets import QTableView
 from window import ROOT, Person, save, wait_until
 
 FOLDER = ROOT / "docs" / "images"
@@ -23,7 +24,11 @@ def main() -> None:
     wait_until(lambda: dock.solution is not None and not dock.busy)
     dock.hand_brush(viewer.layers["Tissue"])
     wait_until(lambda: not dock.busy)
+    table = dock.native.findChild(QTableView)
+    person.show(table)
     save(person.sight(), FOLDER / "tissue.png")
+    dock.native.setFocus()
+    person.click(dock._form.sections["tissue"].toggleButton())
     dock.start()
     wait_until(lambda: not dock.busy)
     begin, end = (140, 92), (122, 108)
