@@ -196,7 +196,7 @@ def tumour(_: dict[str, Path]) -> None:
     (row,) = [number for number, each in enumerate(table.rows) if each.name == "tumour"]
     person.write(table, row, GROWS, "60")
     wait_until(lambda: not dock.busy)
-    person.show(form.image)
+    person.show(table)
     keep(person, "tumour-table", table, form.tissue.choice)
     person.write(table, row, GROWS, "120")
     wait_until(lambda: not dock.busy)
