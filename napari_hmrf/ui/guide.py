@@ -93,9 +93,12 @@ class Guide:
         begun = boundary.choice.value is not None
         hint = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
-            hint = self._introduction or self._pointer.tool.hint
-            if self._viewer.dims.ndisplay == 3:
-                depth = "" if self._pointer.tool.follows_surface else motion_messages.IN_DEPTH
+            tool = self._pointer.tool
+            hint = (self._introduction if tool.name == "pull" else "") or tool.hint
+            if self._viewer.dims.ndisplay == 2:
+                hint = f"{hint} {tool.flat_hint}".rstrip()
+            else:
+                depth = "" if tool.follows_surface else motion_messages.IN_DEPTH
                 hint = f"{hint} {motion_messages.TURN} {depth}".rstrip()
         sentences = self._controller.unheld_warning, self._paused or hint, form.footer.live.reason
         return " ".join(filter(None, sentences))

@@ -198,9 +198,8 @@ class GrowTool(BrushTool):
     title = "Grow"
     key = "E"
     fields = ("radius", "amount", "confidence")
-    hint = (
-        "Turn the mouse wheel over tissue to grow or shrink it, or paint a patch or a closed ring."
-    )
+    hint = "Paint a patch or a closed ring that grows."
+    flat_hint = "Turn the mouse wheel over tissue to grow or shrink it."
     action = "expand"
     step = "painted growth"
     takes_wheel = True

@@ -287,9 +287,8 @@ class Display:
         self._fade(self._is_faded)  # the layer may be new
 
     def release(self) -> None:
-        """Disconnect from the viewer, and show the marks at their full opacity."""
+        """Disconnect from the viewer, whose window may be deleted."""
         self._events.release()
-        self._fade(False)
 
     def _on_mouse(self, *_: object) -> None:
         """Fade the marks when the mouse leaves the canvas, so that the result is visible."""
@@ -307,6 +306,7 @@ class Display:
 
     def leave(self) -> None:
         """Remove the arrow layer, which no longer responds to the mouse."""
+        self._fade(False)
         self._volume_look.release()
         with self.program_changes():
             self.arrows.remove()

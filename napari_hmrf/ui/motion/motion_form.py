@@ -104,7 +104,7 @@ class MotionForm(Container):
 
 
 def _tip(tool: type[Tool]) -> str:
-    return f"{tool.hint} ({tool.key})"
+    return f"{tool.hint} {tool.flat_hint}".rstrip() + f" ({tool.key})"
 
 
 def _button(tool: type[Tool], is_large: bool) -> QToolButton:

@@ -64,6 +64,8 @@ class Tool(ABC):
         Names of the fields in `ToolFields` with the settings of the tool.
     hint : str
         Instructions, shown in the tooltip of the button and in the status.
+    flat_hint : str
+        More instructions, for the 2-D view only.
     takes_wheel : bool
         True if the mouse wheel over tissue changes a mark, instead of the zoom.
     """
@@ -73,6 +75,7 @@ class Tool(ABC):
     key: ClassVar[str]
     fields: ClassVar[tuple[str, ...]]
     hint: ClassVar[str]
+    flat_hint: ClassVar[str] = ""
     #: True if a press near an end of an arrow or landmark grabs this end.
     grabs_ends: ClassVar[bool] = False
     takes_wheel: ClassVar[bool] = False

@@ -154,6 +154,7 @@ class ResultView:
         """Restore the layers and remove the key binding, because the dock is closing."""
         if self._while_key_is_held in self._viewer.keymap.values():
             self._viewer.bind_key(BEFORE_KEY, None)
+        self.key.hide()
         self._put_back()
 
     def release(self) -> None:

@@ -57,8 +57,11 @@ class ScaleKey:
         bar.visible = self._set = visible
 
     def release(self) -> None:
-        """Disconnect from all events, and hide the key."""
+        """Disconnect from all events."""
         self._events.release()
+
+    def hide(self) -> None:
+        """Hide the key, because the dock is closing."""
         if self._set and self._bar.visible:
             self._bar.visible, self._bar.position = False, self._corner
 

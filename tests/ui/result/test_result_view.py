@@ -443,8 +443,16 @@ def test_the_scale_key_leaves_the_choice_of_the_user(look):
     assert not bar.visible
     bar.visible = True
     arrows.visible = False
-    look._view.release()
+    look.on_over(closed=True)
     assert not bar.visible, "a closed dock leaves its key on the canvas"
+
+
+def test_a_dock_changes_nothing_on_the_canvas_of_a_deleted_window(look):
+    bar, changes = scale_bar_of(viewer_of(look)), []
+    assert bar.visible
+    bar.events.connect(changes.append)
+    look.on_over(closed=False)
+    assert changes == []
 
 
 def test_arrows_follow_the_slider_before_the_pictures_are_computed(look, set_to, monkeypatch):
