@@ -249,8 +249,11 @@ class Unsaved(QObject):
         return answer != "cancel" and not self.has_work
 
     def _save_slice(self, part: Part) -> None:
-        """Go to a slice, and save it to its known path, or to a path that the user chooses."""
+        """Go to a slice or a volume, and save it to its known path, or to a path that is chosen."""
         self._dock.image = part.layer
+        extent = self._controller.form.extent
+        if part.place is not None and extent.has_slices:
+            extent.value = "volume" if len(part.place.plane) == 3 else "slice"
         self._undo.go_to(part, turn=True)
         self._controller.refresh()
         known = self._work.paths.get(part)

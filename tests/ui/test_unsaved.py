@@ -228,6 +228,28 @@ def test_one_answer_saves_all_slices(window, press_close, at_rest, tmp_path, mon
         assert read_study(tmp_path / name).study.motion.drawing == drawing
 
 
+def test_one_answer_saves_a_slice_and_its_volume(
+    window, press_close, at_rest, tmp_path, monkeypatch
+):
+    names = iter(["volume.study", "slice.study"])
+    monkeypatch.setattr(
+        QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / next(names)), "")
+    )
+    _, dock = window()
+    dock.extent = "volume"
+    at_rest()
+    dock.drawing = Drawing((Arrow((1, 30, 30), (0.0, 3.0, 0.0), 5.0),))
+    dock.extent = "slice"
+    at_rest()
+    dock.drawing = OTHER
+    Answers(dock, "save")
+    assert press_close(dock)
+    volume, flat = (read_study(tmp_path / f"{each}.study").study for each in ("volume", "slice"))
+    assert len(volume.grid.shape) == 3
+    assert len(volume.motion.drawing.marks) == 1
+    assert flat.motion.drawing == OTHER
+
+
 def test_one_answer_saves_slices_of_two_orientations(
     window, press_close, at_rest, tmp_path, monkeypatch
 ):

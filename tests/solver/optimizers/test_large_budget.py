@@ -106,6 +106,20 @@ def test_a_live_solve_shows_how_far_it_got_until_it_is_done(exact_budget, monkey
     assert farthest(last.solution, within(None)) < 0.03
 
 
+def test_a_pull_that_was_not_completed_is_no_start_for_another_pull(exact_budget):
+    updates: list[Update] = []
+    other = np.array(dragged().observed)[:, ::-1] * (1, -1)
+    mirrored = Problem(other, dragged().confidence[:, ::-1], np.ones((96, 96)))
+    with LiveSolver(updates.append, PRIOR, backend="cpu") as live:
+        live.optimizer = Multigrid(0.01, budget=5)
+        for problem in dragged(), mirrored:
+            live.submit(problem, preview=False)
+            assert live.wait(100)
+    assert updates[0].solution.reach.stopped
+    cold = solve(mirrored, PRIOR, optimizer=Multigrid(0.01, budget=5), backend="cpu")
+    assert np.array_equal(updates[1].solution.displacement, cold.displacement)
+
+
 def test_a_stopped_solve_is_marked_in_its_file(exact_budget, tmp_path):
     within(5).write(tmp_path / "short.hmrf")
     assert Solution.read(tmp_path / "short.hmrf").reach.stopped
