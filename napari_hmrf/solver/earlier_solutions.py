@@ -44,20 +44,6 @@ class EarlierSolutions:
             del self.solutions[0]
         self.solutions = [solution, *self.solutions][:KEPT]
 
-    def starts_for(self, problem: Problem) -> list[Solution]:
-        """Return the solutions that are useful warm starts for a problem.
-
-        An incomplete solution of large motion is useful only if it is the latest and the same sites
-        are observed. From a solution of another pull, the budget may not be sufficient.
-        """
-        latest = self._latest_problem
-        continues = latest is not None and np.array_equal(latest.known, problem.known)
-        return [
-            solution
-            for number, solution in enumerate(self.solutions)
-            if solution.reach is None or not solution.reach.stopped or (number == 0 and continues)
-        ]
-
 
 def _same_observations(one: Problem, other: Problem) -> bool:
     return one is other or (

@@ -314,7 +314,7 @@ class LiveSolver:
         stop: CancelFlag,
     ) -> Solution:
         """Solve with a warm start and store the solution for the next solve."""
-        earlier = self._earlier.starts_for(problem) if isinstance(optimizer, Multigrid) else ()
+        earlier = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
         initial = [solution for solution in earlier if not _is_crushed(solution)] or None
         solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
         self._earlier.add(problem, solution)

@@ -47,7 +47,8 @@ _TINY = 1e-300
 _COARSE_WORK = 0.5
 # Tolerance on coarser grids, in pixels.
 _COARSE_TOLERANCE = 0.05
-# Largest distance of a warm start from the observations, relative to that of a field of zeros.
+# Largest norm of the distances of a warm start from the observations, relative to the norm for a
+# field of zeros.
 _USEFUL_GAP = 0.95
 # Smallest allowed ratio between a corner's Jacobian after and before an extrapolation.
 _EXTRAPOLATION_PART = 0.25
@@ -123,7 +124,7 @@ def converge(
     newton = Newton(model, smoothing_of(material), progress, strategy, poses, outside, work)
     d = _start_field(problem, model, poses, start, observed, held)
     if problem.loads is None and limit is None:
-        gaps = [float(np.abs(np.where(held, observed - field, 0.0)).max()) for field in (d, 0.0)]
+        gaps = [norm(np.where(held, observed - field, 0.0)) for field in (d, 0.0)]
         if gaps[0] >= _USEFUL_GAP * gaps[1]:
             d, start = np.zeros_like(d), None  # the warm start belongs to another motion
     if start is None and limit is None and takes_coarse_start(problem):
