@@ -37,6 +37,12 @@ class EarlierSolutions:
             self._key = key
             self.solutions, self._latest_problem = [], None
 
+    def begin_with(self, solution: Solution, problem: Problem) -> None:
+        """Store a solution from a file, if it has the grid of a problem and is the first."""
+        grid = solution.tissue.shape, tuple(solution.spacing)
+        if not self.solutions and grid == (problem.shape, tuple(problem.spacing)):
+            self.solutions = [solution]
+
     def add(self, problem: Problem, solution: Solution) -> None:
         """Store a solution; it replaces the latest solution if both have the same observations."""
         before, self._latest_problem = self._latest_problem, problem

@@ -124,6 +124,7 @@ class LiveSolver:
         "__weakref__",
         "_deliver",
         "_earlier",
+        "_given",
         "_progress",
         "_queue",
         "backend",
@@ -157,6 +158,7 @@ class LiveSolver:
         self._queue = LatestQueue(doing)
         # Used on the compute thread only.
         self._earlier = EarlierSolutions()
+        self._given: Solution | None = None
 
     def submit(
         self,
@@ -201,6 +203,15 @@ class LiveSolver:
         edit = _Edit(problem, self.prior, self.optimizer, self.backend, preview)
         patience = math.inf if patience is None else patience
         return self._queue.submit(partial(self._answer, edit), patience).generation
+
+    def start_from(self, solution: Solution) -> None:
+        """Use a solution, such as one from a file, as the warm start of the next solve on its grid.
+
+        Parameters
+        ----------
+        solution : Solution
+        """
+        self._given = solution
 
     def cancel(self) -> None:
         """Drop the pending and the running edit; the next solve is a cold start.
@@ -271,6 +282,9 @@ class LiveSolver:
             check_arguments(problem=unchecked, prior=prior)
             problem = unchecked
             self._earlier.keep_for(problem, turn.series)
+            start, self._given = self._given, None
+            if start is not None:
+                self._earlier.begin_with(start, problem)
             solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
             optimizer = edit.optimizer
             for stage in self._previews(problem, prior, optimizer) if edit.preview else ():

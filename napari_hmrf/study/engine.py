@@ -141,6 +141,10 @@ class Engine:
         self._generation = self._live.submit(state, preview=bool(patience), patience=patience)
         return self._generation
 
+    def start_from(self, solution: Solution) -> None:
+        """Use a solution from a file as the warm start of the next solve on its grid."""
+        self._live.start_from(solution)
+
     def is_current(self, answer: Deformation) -> bool:
         """Return whether a result is the latest and its study has not been cancelled."""
         return answer is self._latest_deformation and answer.generation > self._dropped

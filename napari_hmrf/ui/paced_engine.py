@@ -13,6 +13,7 @@ from napari_hmrf.layers.complete_result import CompleteResult, complete_result
 from napari_hmrf.layers.painted_overlay import PaintedOverlay, ShownDeformation
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.coarse_grid import Preview
 from napari_hmrf.study.engine import Deformation, Engine
 from napari_hmrf.study.study import Study
@@ -60,6 +61,10 @@ class PacedEngine:
         if cold_start:  # the engine drops its own work
             self._jobs.cancel("layers")
         self._engine.submit(study, backend, cold_start, preview)
+
+    def start_from(self, solution: Solution) -> None:
+        """Use a solution from a file as the warm start of the next solve on its grid."""
+        self._engine.start_from(solution)
 
     def complete(self) -> None:
         """Create the layers of the latest answer in the background, unless a study is pending."""

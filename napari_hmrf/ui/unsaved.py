@@ -168,7 +168,9 @@ class Unsaved(QObject):
 
     def _add(self, path: str | Path) -> None:
         """Add the content of a file to the viewer, without undo steps for its layers."""
-        study, dock = read_study(path).study, self._dock
+        (study, solution), dock = read_study(path), self._dock
+        if solution is not None:
+            self._controller.engine.start_from(solution)
         layers = study_layers(study)
         with self._binding.automatically():
             for layer in layers.values():

@@ -120,6 +120,18 @@ def test_a_pull_that_was_not_completed_is_no_start_for_another_pull(exact_budget
     assert np.array_equal(updates[1].solution.displacement, cold.displacement)
 
 
+def test_a_live_solve_continues_a_solution_from_a_file(exact_budget, tmp_path):
+    whole = within(None)
+    whole.write(tmp_path / "whole.hmrf")
+    updates: list[Update] = []
+    with LiveSolver(updates.append, PRIOR, backend="cpu") as live:
+        live.optimizer = Multigrid(0.01, budget=5)
+        live.start_from(Solution.read(tmp_path / "whole.hmrf"))
+        live.submit(dragged(), preview=False)
+        assert live.wait(100)
+    assert farthest(updates[-1].solution, whole) < 0.03
+
+
 def test_a_stopped_solve_is_marked_in_its_file(exact_budget, tmp_path):
     within(5).write(tmp_path / "short.hmrf")
     assert Solution.read(tmp_path / "short.hmrf").reach.stopped
