@@ -262,7 +262,7 @@ class Newton:
             if ends and (held & (y != d)).any():
                 np.copyto(y, d)
                 self._is_converged = False
-                self.ran_out = number != _PULL_LIMIT
+                self.ran_out = self.ran_out or number != _PULL_LIMIT
             left = _largest(y - d, held)
             pulls = left > 0 and relaxations == 0
             aim = self._poses.aim(d, y)
@@ -275,8 +275,9 @@ class Newton:
             if step is None:
                 # The tissue is so crushed that its tangent system has no solution, or the work that
                 # is left is not sufficient to find out.
-                self.ran_out = not self._work.allows_factorization
-                settled = left == 0 and not self.ran_out
+                lacks_work = not self._work.allows_factorization
+                self.ran_out = self.ran_out or lacks_work
+                settled = left == 0 and not lacks_work
                 self._is_converged = self._is_converged and (
                     settled or math.isinf(self.distance.estimate)
                 )
