@@ -23,6 +23,7 @@ from napari_hmrf.tissue.drawing.marks import (
     Mark,
     Point,
     Stroke,
+    grows,
 )
 from napari_hmrf.tissue.normals import outward_normals
 
@@ -130,7 +131,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     Raises
     ------
     ProblemError
-        If an expanding stroke is an open line.
+        If a mark that grows is an open line.
     """
     box = box_of(mark, canvas.spacing, window)
     if is_empty(box):
@@ -142,20 +143,27 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     where = distance <= reach
     components = COMPONENTS[mark.components]
     y, c = canvas.observed[box][..., components], canvas.confidence[box][..., components]
-    if isinstance(mark, Arrow) or mark.action == "move":
+    if grows(mark):
+        normals, region = _outward(_outline(mark), canvas.spacing, canvas.shape)
+        sides = zip(box, region, strict=True)
+        at = tuple(slice(side.start - of.start, side.stop - of.start) for side, of in sides)
+        moves = normals[at][where]
+        # The interior of a patch is free, even where earlier marks prescribe a displacement.
+        is_prescribed = moves.any(axis=-1, keepdims=True)
+        y[where] = np.float32(mark.amount) * moves[:, components]
+        if isinstance(mark, Arrow) or mark.action == "move":
+            y[where] += is_prescribed * np.asarray(mark.by[components], dtype=np.float32)
+        c[where] = mark.confidence * is_prescribed
+        if isinstance(mark, Arrow):  # the centre moves as far as without growth
+            middle = [round(x) - side.start for x, side in zip(mark.at, box, strict=True)]
+            centre = tuple(slice(max(x, 0), max(x + 1, 0)) for x in middle)
+            y[centre], c[centre] = mark.by[components], mark.confidence
+    elif isinstance(mark, Arrow) or mark.action == "move":
         y[where], c[where] = mark.by[components], mark.confidence
     elif mark.action == "pin":
         y[where], c[where] = 0, mark.confidence
     elif mark.action == "free":
         y[where], c[where] = 0, 0
-    elif mark.action == "expand":
-        normals, region = _outward(mark, canvas.spacing, canvas.shape)
-        sides = zip(box, region, strict=True)
-        at = tuple(slice(side.start - of.start, side.stop - of.start) for side, of in sides)
-        moves = normals[at][where]
-        # The interior of a patch is free, even where earlier marks prescribe a displacement.
-        y[where] = np.float32(mark.amount) * moves[:, components]
-        c[where] = mark.confidence * moves.any(axis=-1, keepdims=True)
     elif mark.action == "confidence":
         soft = mark.softness * reach
         share = np.clip((reach - distance) / soft, 0, 1) if soft > 0 else np.ones_like(distance)
@@ -171,15 +179,19 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         kinds[where] = KINDS[mark.action]
 
 
-def refuse_open_line(stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]) -> None:
-    """Raise an error if an expanding stroke has no interior.
+def rim_of(
+    mark: Mark, spacing: tuple[float, ...], shape: tuple[int, ...]
+) -> tuple[npt.NDArray[np.bool_], Box]:
+    """Return a mask of the pixels that move outward if a mark grows, and the box of the mask.
 
     Raises
     ------
     ProblemError
-        If the stroke is an open line.
+        If the mark is an open line, which has no interior.
     """
-    _outward(stroke, spacing, shape)
+    normals, box = _outward(_outline(mark), spacing, shape)
+    rim: npt.NDArray[np.bool_] = np.asarray(normals.any(axis=-1))
+    return rim, box
 
 
 def covered(mark: Mark, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bool_]:
@@ -188,11 +200,11 @@ def covered(mark: Mark, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bo
     return distance_to(mark.lines, mark.radius, spacing, box) <= reach
 
 
-def covers(stroke: Stroke, point: Point, spacing: Sequence[float]) -> bool:
-    """Return whether a stroke covers a position, given in pixels."""
-    lines = [np.array(line) - point for line in stroke.lines]
-    pixel = distance_to(lines, stroke.radius, spacing, (slice(0, 1),) * len(point))
-    return bool(pixel.item() <= stroke.radius)
+def covers(mark: Mark, point: Point, spacing: Sequence[float]) -> bool:
+    """Return whether a mark covers a position, given in pixels."""
+    lines = [np.array(line) - point for line in mark.lines]
+    pixel = distance_to(lines, mark.radius, spacing, (slice(0, 1),) * len(point))
+    return bool(pixel.item() <= mark.radius)
 
 
 def distance_to(
@@ -250,6 +262,11 @@ def distance_to(
 def brush_reach(radius: float, spacing: Sequence[float]) -> float:
     """Return the radius of a brush, enlarged so that at least one pixel centre is covered."""
     return max(radius, 0.5 * math.hypot(*spacing)) * (1 + 1e-6)
+
+
+def _outline(mark: Mark) -> Stroke:
+    """Return the region of a mark as a stroke that does not depend on the motion of the mark."""
+    return Stroke("expand", mark.lines, mark.radius)
 
 
 @lru_cache(maxsize=8)

@@ -23,6 +23,7 @@ from napari_hmrf.tissue.drawing.marks import (
     Point,
     Stroke,
     between,
+    grows,
     mark_as_dict,
     mark_from_dict,
 )
@@ -355,7 +356,7 @@ def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
 
 def _differing(old: Mark | None, new: Mark | None) -> tuple[Mark, ...]:
     """Return the marks of a differing pair, or only the new part of a continued stroke."""
-    if isinstance(old, Stroke) and isinstance(new, Stroke) and new.action != "expand":
+    if isinstance(old, Stroke) and isinstance(new, Stroke) and not grows(new):
         added = new.added_to(old)
         if added is not None:
             return (added,)

@@ -132,6 +132,10 @@ class Arrow(_Checked):
         Confidence in the displacement, above 0 and up to 1 (certain).
     components : {"both", "row", "col"}
         Components that the mark prescribes; earlier marks determine the other components.
+    amount : float
+        Growth of the patch: distance by which its outline also moves outward, in the unit of the
+        pixel spacing; a negative value shrinks the patch. The centre moves by `by`, and the tissue
+        between the centre and the rim is not observed.
 
     Raises
     ------
@@ -144,6 +148,7 @@ class Arrow(_Checked):
     radius: float
     confidence: float = 1.0
     components: Components = "both"
+    amount: float = 0.0
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
@@ -164,7 +169,7 @@ class Landmark(_Checked):
     ----------
     source, target : tuple of float
         Position before and after the motion, (row, col) or (plane, row, col) in pixels.
-    radius, confidence
+    radius, confidence, amount
         As for an `Arrow`.
 
     Raises
@@ -177,6 +182,7 @@ class Landmark(_Checked):
     target: Point
     radius: float
     confidence: float = 1.0
+    amount: float = 0.0
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
@@ -186,7 +192,7 @@ class Landmark(_Checked):
     def arrow(self, spacing: Iterable[float]) -> Arrow:
         """Return the landmark as an arrow, with its displacement in the unit of `spacing`."""
         by = between(self.source, self.target, spacing)
-        return Arrow(self.source, by, self.radius, self.confidence)
+        return Arrow(self.source, by, self.radius, self.confidence, amount=self.amount)
 
 
 @dataclass(frozen=True)
@@ -211,7 +217,7 @@ class Stroke(_Checked):
         For "move": displacement along each axis, in the unit of the pixel spacing.
     amount : float
         For "expand": displacement in the unit of the pixel spacing. A negative value shrinks the
-        region.
+        region. For "move": growth of the region, in addition to `by`.
     confidence : float
         Confidence of the displacement, from 0 (not observed) to 1 (certain).
     softness : float
@@ -247,7 +253,7 @@ class Stroke(_Checked):
     @property
     def moves_nowhere(self) -> bool:
         """True if the action is "move" or "expand" with a distance of 0."""
-        by = {"move": self.by, "expand": (self.amount,)}.get(self.action, (1.0,))
+        by = {"move": (*self.by, self.amount), "expand": (self.amount,)}.get(self.action, (1.0,))
         return not any(by)
 
     def onward(self, point: Point) -> Stroke:
@@ -274,9 +280,19 @@ Mark = Arrow | Landmark | Stroke
 _KINDS: dict[str, type[Mark]] = {"arrow": Arrow, "landmark": Landmark, "stroke": Stroke}
 
 
+def grows(mark: Mark) -> bool:
+    """Return whether the outline of a mark moves outward or inward."""
+    if isinstance(mark, Stroke) and mark.action != "move":
+        return mark.action == "expand"
+    return mark.amount != 0
+
+
 def mark_as_dict(mark: Mark) -> dict[str, Any]:
     """Return a mark as a dictionary of JSON types."""
-    return {"kind": type(mark).__name__.lower(), **asdict(mark)}
+    values = asdict(mark)
+    if not isinstance(mark, Stroke) and not mark.amount:
+        del values["amount"]  # earlier versions read arrows and landmarks without growth
+    return {"kind": type(mark).__name__.lower(), **values}
 
 
 def mark_from_dict(values: Mapping[str, Any]) -> Mark:

@@ -8,7 +8,8 @@ from typing import ClassVar
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.drawing import Mark, Stroke
-from napari_hmrf.tissue.drawing.canvas import covers, refuse_open_line
+from napari_hmrf.tissue.drawing.canvas import covers, rim_of
+from napari_hmrf.tissue.drawing.growth import is_pull, patch_at, with_patch
 from napari_hmrf.tissue.drawing.marks import Action, Point, between
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.tool import Origin, Tool, ToolError, ToolSettings, identity
@@ -44,15 +45,15 @@ class BrushTool(Tool):
         return isinstance(mark, Stroke) and mark.action == cls.action
 
     @property
-    def mark(self) -> Stroke | None:
-        """Selected stroke, or None."""
-        mark = super().mark
-        return mark if isinstance(mark, Stroke) else None
-
-    @property
     def stroke(self) -> Stroke | None:
         """Stroke that is being painted, or None."""
-        return self.mark if self.is_dragging else None
+        return self._selected_stroke if self.is_dragging else None
+
+    @property
+    def _selected_stroke(self) -> Stroke | None:
+        """Selected stroke, or None."""
+        mark = self.mark
+        return mark if isinstance(mark, Stroke) else None
 
     @property
     def follows_surface(self) -> bool:
@@ -76,7 +77,7 @@ class BrushTool(Tool):
         self.release()
         self._origin = origin
         self._begin(point, settings)
-        stroke = self.mark
+        stroke = self._selected_stroke
         return motion_messages.NO_STEP if stroke is not None and stroke.moves_nowhere else ""
 
     def _begin(self, point: Point, settings: ToolSettings) -> None:
@@ -99,11 +100,11 @@ class BrushTool(Tool):
             self._replace(stroke.onward(at))
 
     def _changed(self, settings: ToolSettings) -> Mark | None:
-        stroke = self.mark
+        stroke = self._selected_stroke
         if stroke is None:
             return None
         kept: ToolSettings = {**settings, "radius": stroke.radius}
-        return Stroke(self.action, stroke.lines, **kept)
+        return replace(stroke, **kept)
 
     def _is_inside(self, point: Point) -> bool:
         """Return whether a point lies inside the image."""
@@ -117,7 +118,7 @@ class BrushTool(Tool):
 
     def _stroke_at(self, place: Point) -> Stroke | None:
         """Return the selected stroke if it covers an undeformed position, or None."""
-        stroke = self.mark
+        stroke = self._selected_stroke
         is_hit = stroke is not None and covers(stroke, place, self._spacing)
         return stroke if is_hit else None
 
@@ -192,7 +193,10 @@ class PushTool(BrushTool):
 
 
 class GrowTool(BrushTool):
-    """Brush for a patch or a closed ring of tissue that grows or shrinks."""
+    """Brush for a patch or a closed ring of tissue that grows or shrinks.
+
+    The mouse wheel also grows tissue that is pulled, which then moves and grows.
+    """
 
     name = "expand"
     title = "Grow"
@@ -212,42 +216,57 @@ class GrowTool(BrushTool):
         """Advice to close the ring while a stroke is being painted, else ""."""
         return "" if self.stroke is None else motion_messages.OPEN
 
+    def _changed(self, settings: ToolSettings) -> Mark | None:
+        mark = self.mark
+        if mark is None or not is_pull(mark):
+            return super()._changed(settings)
+        return replace(mark, amount=settings["amount"], confidence=settings["confidence"])
+
     def turn_wheel(
         self, point: Point, notches: float, settings: ToolSettings, origin: Origin = identity
     ) -> bool:
-        """Grow or shrink the patch at a point, or a new patch; see `Tool.turn_wheel`."""
+        """Grow or shrink the patch at a point, or a new patch; see `Tool.turn_wheel`.
+
+        Raises
+        ------
+        ToolError
+            If the tissue at the point cannot grow without undoing a pull, or is too small to grow;
+            the drawing is then unchanged.
+        """
         at = origin(point)
         if at is None or not self._is_inside(point) or (self.is_dragging and not self._is_turning):
             return False
-        stroke = self.stroke
-        if stroke is None or not covers(stroke, at, self._spacing):
+        mark = self.mark if self._is_turning else None
+        if mark is None or not covers(mark, at, self._spacing):
             self.release()
-            self._begin_turning(at, settings)
-            stroke = self.stroke
-            assert stroke is not None
-        step = float(f"{stroke.radius * _NOTCH:.2g}")
-        amount = round(stroke.amount + notches * step, 9)
-        if stroke.lines == ((stroke.lines[0][0],),):  # a disc or a ball, which must not vanish
-            amount = max(amount, -_MOST_SHRINKAGE * stroke.radius)
-        self._replace(replace(stroke, amount=amount))
+            mark = self._begin_turning(at, settings)
+        step = float(f"{mark.radius * _NOTCH:.2g}")
+        amount = round(mark.amount + notches * step, 9)
+        if mark.lines == ((mark.lines[0][0],),):  # a disc or a ball, which must not vanish
+            amount = max(amount, -_MOST_SHRINKAGE * mark.radius)
+        self._replace(replace(mark, amount=amount))
         return True
 
-    def _begin_turning(self, at: Point, settings: ToolSettings) -> None:
+    def _begin_turning(self, at: Point, settings: ToolSettings) -> Mark:
         """Select the patch at an undeformed position, or add a patch that does not grow yet."""
         drawing = self._model.drawing
-        patches = (
-            number
-            for number, mark in enumerate(drawing.marks)
-            if isinstance(mark, Stroke) and self.makes(mark) and covers(mark, at, self._spacing)
-        )
-        number = max(patches, default=None)
+        number = patch_at(drawing, at, self._spacing)
+        try:
+            if number is None:
+                still: ToolSettings = {**settings, "amount": 0.0}
+                patch = Stroke(self.action, ((at,),), **still)
+                added = with_patch(drawing, patch, self._spacing, self._shape)
+                if added is None:
+                    raise ToolError(motion_messages.PULLED)
+                drawing, number = added
+            elif not rim_of(drawing.marks[number], self._spacing, self._shape)[0].any():
+                raise ToolError(motion_messages.TOO_SMALL)
+        except ProblemError as error:
+            raise ToolError(motion_messages.NO_INSIDE) from error
         self._model.begin_drawing("grew tissue with the wheel")
         self._is_turning = True
-        if number is None:
-            still: ToolSettings = {**settings, "amount": 0.0}
-            number = len(drawing.marks)
-            drawing = drawing.with_mark(Stroke(self.action, ((at,),), **still))
         self._show(drawing, number)
+        return drawing.marks[number]
 
     def cancel(self) -> bool:
         """Cancel the stroke or the growth; see `Tool.cancel`."""
@@ -265,7 +284,7 @@ class GrowTool(BrushTool):
         stroke, was_turning, self._is_turning = self.stroke, self._is_turning, False
         if stroke is not None and not was_turning:
             try:
-                refuse_open_line(stroke, self._spacing, self._shape)
+                rim_of(stroke, self._spacing, self._shape)
             except ProblemError as error:
                 self.cancel()
                 raise ToolError(motion_messages.NO_OUTSIDE) from error

@@ -39,13 +39,28 @@ NO_OUTSIDE = (
     "Nothing was painted: an open line has no inside, so it cannot grow. Close the line to form a "
     "ring, paint a patch, or use 'Push'."
 )
+PULLED = (
+    "This tissue did not grow, because the growth would undo a pull beside it. Turn the wheel over "
+    "the pulled tissue, or set a radius that leaves the pulled tissue out or well inside."
+)
+TOO_SMALL = (
+    "This tissue did not grow: its patch is too small. Select the patch with Shift+click, and set "
+    "a larger radius."
+)
+NO_INSIDE = (
+    "This tissue did not grow: it was pushed as an open line, which has no inside. Push a patch or "
+    "a closed ring to grow it."
+)
 
 
-def grown(amount: float, unit: str) -> str:
+def grown(amount: float, unit: str, is_pulled: bool = False) -> str:
     """Return a message about growth with the mouse wheel."""
+    if is_pulled and not amount:
+        return "This pulled tissue neither grows nor shrinks."
     way = "shrinks" if amount < 0 else "grows"
     still = "" if amount else ": its outline is held in place"
-    return f"This tissue {way} by {abs(amount):.3g} {unit}{still}."
+    noun = "pulled tissue" if is_pulled else "tissue"
+    return f"This {noun} {way} by {abs(amount):.3g} {unit}{still}."
 
 
 def covered(other: str) -> str:

@@ -20,6 +20,7 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.study.without_effect import lacks_motion
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.drawing import ends_of
+from napari_hmrf.tissue.drawing.growth import is_pull
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.messages import in_short
@@ -352,12 +353,18 @@ class Pointer:
             self.action_started.emit()
         if (other := self.display.covering) is not None:
             self.message.emit(motion_messages.covered(other.name))
-        elif self.tool.turn_wheel(point, notches, self._fields.settings, moved.origin_of):
+            return
+        try:
+            has_grown = self.tool.turn_wheel(point, notches, self._fields.settings, moved.origin_of)
+        except ToolError as error:
+            self.refusal.emit(str(error))
+            return
+        if has_grown and (mark := self.tool.mark) is not None:
             self._wheel_timer.start()
             self._show_settings()
             self._show_cursor()
-            amount = self.tool.mark_settings["amount"] if self.tool.mark_settings else 0.0
-            self.message.emit(motion_messages.grown(amount, self._fields.unit))
+            unit, is_pulled = self._fields.unit, is_pull(mark)
+            self.message.emit(motion_messages.grown(mark.amount, unit, is_pulled))
 
     def release(self) -> None:
         """End the drag of the tool."""

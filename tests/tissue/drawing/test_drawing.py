@@ -20,6 +20,7 @@ from napari_hmrf.tissue.drawing import (
     Rendering,
     Stroke,
 )
+from napari_hmrf.tissue.drawing.marks import grows
 
 SHAPE = (24, 30)
 SPACING = (1.0, 2.0)
@@ -32,8 +33,9 @@ lengths = st.tuples(st.integers(-6, 6), st.integers(-6, 6))
 radii = st.sampled_from([0.1, 1.0, 2.5, 6.0])
 sure = st.sampled_from([0.25, 0.5, 1.0])
 components = st.sampled_from(["both", "row", "col"])
-arrows = st.builds(Arrow, places, lengths, radii, sure, components)
-landmarks = st.builds(Landmark, places, places, radii, sure)
+growth = st.sampled_from([0.0, 0.0, 1.0, -0.5])
+arrows = st.builds(Arrow, places, lengths, radii, sure, components, growth)
+landmarks = st.builds(Landmark, places, places, radii, sure, growth)
 strokes = st.builds(
     Stroke,
     st.sampled_from(["pin", "free", "move", "confidence", "tissue"]),
@@ -47,9 +49,10 @@ strokes = st.builds(
 )
 dabs = st.builds(
     Stroke,
-    st.just("expand"),
+    st.sampled_from(["expand", "move"]),
     places.map(lambda place: ((place,),)),
     radii,
+    by=lengths,
     amount=st.integers(-2, 2),
 )
 marks = arrows | landmarks | strokes | dabs
@@ -86,7 +89,7 @@ def edited(drawing, edit):
     if what == "remove":
         return drawing.without(number)
     there = drawing.marks[number]
-    if what == "onward" and isinstance(there, Stroke) and there.action != "expand":
+    if what == "onward" and isinstance(there, Stroke) and not grows(there):
         return drawing.replaced(number, there.onward(place))
     return drawing.replaced(number, mark)
 
@@ -361,6 +364,24 @@ def test_history_drops_the_oldest_steps():
     assert model.drawing.marks[0].at == (2, 0)
 
 
+@pytest.mark.parametrize("by", [(0.0, 0.0), (0.0, 3.0)])
+@pytest.mark.parametrize("kind", ["arrow", "landmark", "push"])
+def test_a_pulled_patch_that_grows_moves_its_rim_and_keeps_its_centre(kind, by):
+    place = 20.0, 20.0
+    mark = {
+        "arrow": Arrow(place, by, 8.0, 0.5, amount=2.0),
+        "landmark": Landmark(place, tuple(map(sum, zip(place, by, strict=True))), 8.0, 0.5, 2.0),
+        "push": Stroke("move", ((place,),), 8.0, by=by, confidence=0.5, amount=2.0),
+    }[kind]
+    image = Drawing((mark,)).render(Canvas.blank((41, 41)))
+    across = image.observed[20, [12, 28], 1]
+    assert across == pytest.approx((by[1] - 2, by[1] + 2), abs=0.01)
+    assert not image.confidence[20, [11, 17, 23, 29]].any(), "the interior is not free"
+    is_observed = kind != "push"
+    assert image.confidence[20, 20, 1] == 0.5 * is_observed
+    assert image.observed[20, 20, 1] == by[1] * is_observed
+
+
 # Storage
 
 
@@ -368,6 +389,11 @@ def test_history_drops_the_oldest_steps():
 def test_a_drawing_survives_storage_as_json(made):
     drawing = Drawing(tuple(made))
     assert Drawing.from_dict(json.loads(json.dumps(drawing.as_dict()))) == drawing
+
+
+def test_earlier_versions_can_read_a_stored_pull_without_growth():
+    pulls = Arrow((1, 1), (2, 2), 3.0), Landmark((1, 1), (2, 2), 3.0)
+    assert not any("amount" in mark for mark in Drawing(pulls).as_dict()["marks"])
 
 
 @pytest.mark.parametrize(

@@ -799,6 +799,78 @@ def test_the_wheel_grows_and_shrinks_tissue_in_one_undo_step(pulling_beside, set
     assert not widget.drawing.marks
 
 
+@pytest.mark.parametrize("key", [Qt.Key.Key_G, Qt.Key.Key_L])
+def test_the_wheel_over_pulled_tissue_keeps_the_pull_and_adds_growth(pulling_beside, settle, key):
+    person, widget = pulling_beside
+    person.key(key)
+    widget.fields.radius.value = 8.0
+    person.drag((32, 32), (32, 36))
+    settle(widget)
+    pulled = widget.drawing
+    person.key(EXPAND)
+    for _ in range(4):
+        person.turn_wheel(33, 38)
+    settle(widget)
+    moves = widget.solution.displacement
+    assert widget.status.startswith("This pulled tissue grows by 1.6 px.")
+    assert moves[32, 32] == pytest.approx((0, 4), abs=0.1), "the pull is lost"
+    assert moves[32, [24, 40], 1] == pytest.approx((2.4, 5.6), abs=0.2), "the patch does not grow"
+    assert widget.fields.amount.value == 1.6
+    widget.fields.amount.value = 0.8
+    assert only(widget) == replace(pulled.marks[0], amount=0.8)
+    widget.undo()
+    widget.undo()
+    assert widget.drawing == pulled
+
+
+def test_a_pushed_patch_grows_with_the_wheel_and_is_pushed_farther(pulling_beside, settle):
+    person, widget = pulling_beside
+    widget.drawing = Drawing((Stroke("move", (((32, 32),),), 8.0, by=(0.0, 4.0)),))
+    settle(widget)
+    person.key(EXPAND)
+    person.turn_wheel(32, 36, 4)
+    person.pick(32, 38)
+    person.drag((32, 36), (34, 36))
+    settle(widget)
+    assert (only(widget).by, only(widget).amount) == ((2.0, 4.0), 1.6)
+    moves = widget.solution.displacement
+    assert moves[[24, 40], 32, 0] == pytest.approx((0.4, 3.6), abs=0.2)
+
+
+def test_a_wide_patch_grows_around_pulled_tissue(pulling_beside, settle):
+    person, widget = pulling_beside
+    pull = Arrow((32, 32), (0, 2), 3.0)
+    widget.drawing = Drawing((pull,))
+    settle(widget)
+    person.key(EXPAND)
+    widget.fields.radius.value = 14.0
+    person.turn_wheel(32, 42)
+    settle(widget)
+    assert widget.drawing.marks[1:] == (pull,)
+    assert widget.solution.displacement[32, 32] == pytest.approx((0, 2), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("pull", "reason"),
+    [
+        (Arrow((32, 40), (0, 2), 6.0), "would undo a pull beside it"),
+        (Arrow((32, 32), (0, 0), 0.5), "its patch is too small"),
+        (Stroke("move", (((20, 32), (44, 32)),), 1.0, by=(0, 1)), "an open line"),
+    ],
+)
+def test_the_wheel_changes_nothing_where_a_pull_would_be_lost(pulling_beside, settle, pull, reason):
+    person, widget = pulling_beside
+    widget.drawing = before = Drawing((pull,))
+    settle(widget)
+    step = widget.study_model.next_undo
+    person.key(EXPAND)
+    widget.fields.radius.value = 6.0
+    for _ in range(2):
+        person.turn_wheel(32, 32)
+    assert reason in widget.status
+    assert (widget.drawing, widget.study_model.next_undo) == (before, step)
+
+
 def test_the_wheel_zooms_unless_grow_is_active_over_tissue(open_beside, settle):
     person, widget = open_beside(disc())
     settle(widget)
