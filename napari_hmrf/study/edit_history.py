@@ -162,8 +162,13 @@ class EditHistory:
             raise RuntimeError("no edit is in progress; call begin() first, or use do()")
         self._show(self._begun.part, value)
 
-    def end(self) -> Step | None:
+    def end(self, word: str = "") -> Step | None:
         """End the edit in progress, if any.
+
+        Parameters
+        ----------
+        word : str
+            Name of the step; by default, the name that the edit began with.
 
         Returns
         -------
@@ -173,8 +178,9 @@ class EditHistory:
         begun, self._begun = self._begun, None
         if begun is None or begun.value == self._now[begun.part]:
             return None
-        self._keep(begun)
-        return begun
+        step = begun._replace(word=word or begun.word)
+        self._keep(step)
+        return step
 
     def cancel(self) -> None:
         """Cancel the edit in progress and restore the previous value, without adding a step."""

@@ -359,9 +359,12 @@ class StudyModel(EditHistory):
             raise RuntimeError("no edit is in progress; call begin_drawing() first, or use draw()")
         self.update(drawing)
 
-    def end_drawing(self) -> str:
-        """End the drag, if any; return the name of its step, or "" if there is no step."""
-        step = self.end() if self.drawing_in_progress else None
+    def end_drawing(self, word: str = "") -> str:
+        """End the drag, if any; return the name of its step, or "" if there is no step.
+
+        `word` names the step; by default, the step has the name that the drag began with.
+        """
+        step = self.end(word) if self.drawing_in_progress else None
         return "" if step is None else step.word
 
     def cancel_drawing(self) -> None:

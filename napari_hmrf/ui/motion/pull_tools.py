@@ -32,6 +32,10 @@ class PullTool(Tool):
     #: Position of the mouse, and offset of the mouse from the dragged end.
     _at: Point = (0.0, 0.0)
     _offset: Point = (0.0, 0.0)
+    #: Mark that was selected just after the button press.
+    _pressed: Arrow | Landmark | None = None
+    #: Name of the undo step for a click, which draws a mark without dragging it.
+    _click_step: ClassVar[str] = "held tissue"
 
     @classmethod
     def makes(cls, mark: Mark) -> bool:
@@ -69,6 +73,7 @@ class PullTool(Tool):
         self._part, self._at = hit.part, point
         self._model.begin_drawing(word)
         self._show(drawing, hit.number)
+        self._pressed = self.mark
         return ""
 
     def move(self, point: Point) -> None:
@@ -81,6 +86,16 @@ class PullTool(Tool):
             head, base = ends_of(mark, self._spacing)
             ends = (base, to) if self._part == "head" else (to, head)
             self._replace(self._with_ends(mark, *ends))
+
+    def release(self) -> str | None:
+        """End the drag as one undo step, which has another name after a click."""
+        self._end()
+        return None
+
+    def _end(self) -> bool:
+        """End the drag, and return whether a click has drawn a mark that holds tissue in place."""
+        is_click = self.is_dragging and self.mark == self._pressed
+        return bool(self._model.end_drawing(self._click_step if is_click else "")) and is_click
 
     def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
         """Return a mark that moves tissue from one position to another."""
@@ -117,27 +132,16 @@ class LandmarkTool(PullTool):
     fields = ("radius", "confidence")
     hint = "Drag from a point of the tissue to its target, or click a point that must stay."
 
-    #: Mark that was selected just after the button press.
-    _pressed: Arrow | Landmark | None = None
+    _click_step = "drew a landmark"
 
     @classmethod
     def makes(cls, mark: Mark) -> bool:
         """Return whether a mark is a landmark."""
         return isinstance(mark, Landmark)
 
-    def press(
-        self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
-    ) -> str:
-        """Begin dragging an end of a mark, or tissue; see `PullTool.press`."""
-        message = super().press(point, reach, settings, origin)
-        self._pressed = self.mark
-        return message
-
     def release(self) -> str | None:
         """End the drag; after a click, explain that the landmark holds tissue in place."""
-        is_click = self.is_dragging and self.mark == self._pressed
-        is_new = bool(self._model.end_drawing())
-        return motion_messages.NO_WAY if is_click and is_new else None
+        return motion_messages.NO_WAY if self._end() else None
 
     def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
         return Landmark(at, to, settings["radius"], settings["confidence"])

@@ -66,7 +66,7 @@ def test_a_drag_on_moved_tissue_pulls_the_displayed_tissue(pulling_beside, settl
     held = widget.drawing.marks[1]
     assert held.at[0] < 39.5, "the arrow does not start at the origin of the tissue, further up"
     assert np.add(held.at, held.by) == pytest.approx((40, 44), abs=0.6)
-    assert widget.study_model.next_undo.word == "drew an arrow"
+    assert widget.study_model.next_undo.word == "held tissue"
 
 
 @bare

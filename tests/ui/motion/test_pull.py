@@ -63,7 +63,7 @@ def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(drag, model):
 
 def test_a_click_pins_tissue_at_its_displayed_position(drag, model):
     settings = {**GRIP, "confidence": 0.5}
-    assert drag((10, 10), settings=settings, origin=lambda _: (8.0, 11.0)) == "drew an arrow"
+    assert drag((10, 10), settings=settings, origin=lambda _: (8.0, 11.0)) == "held tissue"
     assert model.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
 
 
