@@ -80,6 +80,8 @@ class Result:
         Name of the slice, as in the metadata of the layers.
     paint_hidden : callable
         Called with the painted layers that were hidden for the deformed image.
+    before_changed : callable
+        Called after `is_before` has changed.
 
     Attributes
     ----------
@@ -100,8 +102,10 @@ class Result:
         anchor: Any,
         where: str,
         paint_hidden: Callable[[list[Any]], object] = lambda _: None,
+        before_changed: Callable[[], object] = lambda: None,
     ) -> None:
         self._viewer, self._paint_hidden = viewer, paint_hidden
+        self._before_changed = before_changed
         #: Weak reference to the deformed layer.
         self.anchor: Callable[[], Any] = weakref.ref(anchor)
         self.where = where
@@ -275,6 +279,7 @@ class Result:
         if before != self.is_before:
             self.is_before = before
             self._update_visibility()
+            self._before_changed()
 
     def update_extent(self, place: Frame) -> None:
         """Show the result if the user is working on its extent of the image; otherwise hide it."""
@@ -446,10 +451,13 @@ class ResultLayers:
         Emitted when the displayed result of an image and slice changes.
     paint_hidden : Signal(list)
         Emitted with the painted layers that were hidden for a deformed image.
+    before_changed : Signal
+        Emitted when the undeformed image is shown instead of a result, and when it no longer is.
     """
 
     changed = Signal(object)
     paint_hidden = Signal(object)
+    before_changed = Signal()
 
     def __init__(self, viewer: Any) -> None:
         self._viewer = weakref.proxy(viewer)
@@ -465,7 +473,8 @@ class ResultLayers:
         for result in self._results:
             if result.anchor() is source and result.where == where:
                 return result
-        self._results.append(Result(self._viewer, source, where, self.paint_hidden.emit))
+        callbacks = self.paint_hidden.emit, self.before_changed.emit
+        self._results.append(Result(self._viewer, source, where, *callbacks))
         return self._results[-1]
 
     def pictures_of(self, source: Any) -> list[Any]:

@@ -81,6 +81,8 @@ def test_a_sample_opens_with_the_dock_undeformed_and_invites_to_drag(
     assert visible(viewer) == {"Brain", "Motion"}
     assert widget.status.startswith(HERE)
     assert ("press Play" in widget.status) == (sample == "growth")
+    distance = "Shown undeformed; at 100 %, tissue moves up to" in Screen(widget).words
+    assert distance == (sample == "growth")
     assert text_of(viewer).text == "Pull: drag tissue here"
     Person(viewer, qtbot).drag((150, 100), (155, 105))
     settle(widget)

@@ -80,7 +80,8 @@ class UnderCursor:
                 strain = float(overlay.picture[probe.site])
                 is_fold = strain == -np.inf
                 more.insert(0, f"{title}: folded" if is_fold else f"{title} {rounded(strain):g} %")
-        return at_point(answer.unit, probe, ways, more, shown.percent)
+        percent = 0 if shown.layers.is_before else shown.percent
+        return at_point(answer.unit, probe, ways, more, percent)
 
     def append_to_status(self, *_: Any) -> None:
         """Append the values under the cursor to napari's latest status text."""

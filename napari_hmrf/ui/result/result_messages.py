@@ -88,12 +88,23 @@ def overlay_choices(
 
 
 def how_far(
-    result: PlacedSolution, longest: float, percent: int, compared: Comparison | None = None
+    result: PlacedSolution,
+    longest: float,
+    percent: int,
+    compared: Comparison | None = None,
+    *,
+    is_before: bool = False,
 ) -> str:
-    """Describe the displayed deformation, its slice, and its difference from a reference."""
+    """Describe the displayed deformation, its slice, and its difference from a reference.
+
+    `is_before` is True while the undeformed image is shown instead of the deformation.
+    """
     far = as_seen(longest * percent / FULL, result.solution.spacing)
     where = f" in {result.frame.slice_seen}" if result.frame.slice_seen else ""
-    moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}{where}"
+    distance = f"up to {far:.3g} {result.unit}{where}"
+    moved = f"{percent} %: tissue moved {distance}"
+    if is_before:
+        moved = f"Shown undeformed; at {percent} %, tissue moves {distance}"
     if compared is None:
         return moved
     return f"{moved}. {compared.in_words(result.solution, result.unit)}"

@@ -76,6 +76,7 @@ class ResultView:
             (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.selection.events.active, self._on_active),
             (results.changed, self._on_changed),
+            (results.before_changed, self._show_distance),
         )
         with suppress(ValueError):  # another plugin has bound the key
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
@@ -340,10 +341,13 @@ class ResultView:
             if self.comparison is not None:
                 answer = shown.answer
                 difference = self.comparison.in_words(answer.solution, answer.unit)
-            percent = self._form.slider.value
-            text = words.how_far(shown.answer, shown.longest, percent, self.comparison)
-            text = ". ".join(filter(None, (text, words.arrow_scale(shown.times_as_long))))
-            if shown.overlay is not None and percent == words.FULL:
+            percent, is_before = self._form.slider.value, shown.layers.is_before
+            text = words.how_far(
+                shown.answer, shown.longest, percent, self.comparison, is_before=is_before
+            )
+            if not is_before:
+                text = ". ".join(filter(None, (text, words.arrow_scale(shown.times_as_long))))
+            if shown.overlay is not None and percent == words.FULL and not is_before:
                 text = ". ".join(filter(None, (text.rstrip("."), shown.overlay.beyond)))
         self._form.how_far.show_text(text)
         self._form.differences.show_text(difference)

@@ -265,6 +265,16 @@ def test_overlays_are_hidden_while_the_undeformed_image_is_shown(look, set_to):
     assert not look.before
 
 
+def test_texts_say_that_the_undeformed_image_is_shown(look):
+    look.before = True
+    distance = look._form.result.how_far
+    assert distance.value.startswith("Shown undeformed; at 100 %, tissue moves up to 3 px")
+    assert look._view.cursor.line_at((10, 6)).startswith("at 100 %: moves")
+    look.before = False
+    assert distance.value.startswith("100 %: tissue moved up to 3 px")
+    assert look._view.cursor.line_at((10, 6)).startswith("moves")
+
+
 def test_a_pending_frame_is_not_drawn_over_a_newer_overlay(look, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="grid", percent=50)
