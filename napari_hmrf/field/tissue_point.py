@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -87,6 +87,26 @@ class Points:
         field = (solution.displacement, solution.spacing, solution.tissue)
         return inverse_point(place, *field, self.farthest, fraction)
 
+    def first(
+        self, places: npt.NDArray[np.float64], fraction: float = 1.0
+    ) -> tuple[float, ...] | None:
+        """Return the first of several moved positions that has tissue, or None.
+
+        Parameters
+        ----------
+        places : ndarray, shape (N, n)
+            Positions after the motion, in pixels.
+        fraction : float
+            Fraction of the displacement that is applied, from 0 to 1.
+        """
+        reach = 1 + fraction * self.farthest / np.array(self._solution.spacing)
+        return first_tissue(
+            places,
+            self._solution.tissue,
+            reach,
+            lambda place: self._site_at(place, fraction) is not None,
+        )
+
     def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the moved positions, shape (N, n), of tissue points (N, n), in pixels."""
         return moved_points(places, self._solution.displacement, spacing=self._solution.spacing)
@@ -106,9 +126,8 @@ class Points:
         Probe or None
             Values for the full displacement; None if no tissue is there.
         """
-        solution, origin = self._solution, self.before(place, fraction)
-        site = () if origin is None else tuple(int(np.floor(along + 0.5)) for along in origin)
-        if not (site and holds(solution.tissue, site)):
+        solution, site = self._solution, self._site_at(place, fraction)
+        if site is None:
             return None
         step = solution.displacement[site]
         # The values at a site depend only on neighbouring sites; computing all sites would be slow.
@@ -128,6 +147,42 @@ class Points:
             float(area_change(near)[middle]),
             float(values_of(near, "equivalent")[middle]),
         )
+
+    def _site_at(self, place: tuple[float, ...], fraction: float) -> tuple[int, ...] | None:
+        """Return the undeformed pixel of the tissue at a displayed position, or None."""
+        origin = self.before(place, fraction)
+        if origin is None:
+            return None
+        site = tuple(int(np.floor(along + 0.5)) for along in origin)
+        return site if holds(self._solution.tissue, site) else None
+
+
+def first_tissue(
+    places: npt.NDArray[np.float64],
+    tissue: npt.NDArray[np.bool_],
+    reach: npt.NDArray[np.floating],
+    has_tissue: Callable[[tuple[float, ...]], bool],
+) -> tuple[float, ...] | None:
+    """Return the first of several positions that has tissue, or None.
+
+    Parameters
+    ----------
+    places : ndarray, shape (N, n)
+        Positions in pixels.
+    tissue : ndarray of bool
+        Mask of the undeformed tissue.
+    reach : ndarray, shape (n,)
+        Largest distance along each axis from a position to the origin of its tissue, in pixels.
+    has_tissue : callable
+        Returns whether there is tissue at a position. It is only called near the mask.
+    """
+    low = np.maximum(np.floor(places - reach), 0).astype(np.intp)
+    high = np.maximum(np.ceil(places + reach).astype(np.intp) + 1, 0)
+    for place, first, past in zip(places.tolist(), low, high, strict=True):
+        # Inverting the motion is slow, so positions far from all tissue are skipped first.
+        if tissue[tuple(map(slice, first, past))].any() and has_tissue(tuple(place)):
+            return tuple(place)
+    return None
 
 
 def at_point(

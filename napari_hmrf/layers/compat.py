@@ -30,6 +30,22 @@ def camera_of(viewer: Any) -> Any:
     return getattr(viewer, "scene", viewer).camera
 
 
+def sight_of(viewer: Any) -> Any:
+    """Return the direction from the camera to the cursor in a 3-D view; None in a 2-D view.
+
+    The direction is a vector in world coordinates.
+    """
+    dims = viewer.dims
+    if dims.ndisplay == 2:
+        return None
+    # Private attribute: the public direction of the camera does not include the perspective.
+    direction = getattr(viewer.cursor, "_view_direction", None)
+    if direction is None:  # the mouse has not been on the canvas
+        camera = camera_of(viewer)
+        direction = camera.calculate_nd_view_direction(dims.ndim, tuple(dims.displayed))
+    return direction
+
+
 def text_of(viewer: Any) -> Any:
     """Return the text overlay of a viewer (in napari 0.9 or later, of its canvas)."""
     overlay = _overlay(viewer, "text")

@@ -57,9 +57,26 @@ class LineOfSight:
         view : View
         """
         direction = getattr(event, "view_direction", None)
+        return cls.through(event.position, direction, layer, frame, view)
+
+    @classmethod
+    def through(
+        cls, position: Any, direction: Any, layer: Any, frame: Frame, view: View
+    ) -> LineOfSight | None:
+        """Return the line through a point, or None if the view does not show the volume.
+
+        Parameters
+        ----------
+        position : sequence of float
+            World coordinates of a point on the line.
+        direction : sequence of float, optional
+            Direction away from the camera in world coordinates; None in a 2-D view.
+        layer, frame, view
+            As for `of`.
+        """
         if direction is None or not shows_volume(frame, view):
             return None
-        plane, position = list(frame.plane), np.asarray(event.position, dtype=float)
+        plane, position = list(frame.plane), np.asarray(position, dtype=float)
         start = view.pixel(layer, position)[plane]
         end = view.pixel(layer, position + np.asarray(direction))[plane]
         spacing = np.array(frame.spacing)
@@ -96,6 +113,25 @@ class LineOfSight:
         count = math.ceil((last - first) * float(np.linalg.norm(self.step)) / _STEP)
         along = np.linspace(first, last, count + 1)
         return self.start + along[:, np.newaxis] * self.step
+
+    def visible_points(self, layer: Any, cut: CutPlane | None, shape: Sequence[int]) -> Array:
+        """Return the points, (N, 3), at which a visible volume can be seen, from the camera on.
+
+        Parameters
+        ----------
+        layer : napari.layers.Image
+            Visible layer on the grid of the volume.
+        cut : CutPlane, optional
+            Plane that the layer is cut by; see `cut_of`.
+        shape : sequence of int
+            Shape of the volume.
+        """
+        if cut is None:
+            points = self.points_in(shape)
+            return points[_is_drawn(layer, points, shape)]
+        met = cut.meets(self.start, self.step)
+        points = np.empty((0, 3)) if met is None else np.asarray(met)[np.newaxis]
+        return points[((points >= -0.5) & (points <= np.array(shape) - 0.5)).all(axis=1)]
 
     def _distance(self, point: Point) -> float:
         away = (np.asarray(point) - self.start) * self.spacing
@@ -161,6 +197,16 @@ def cut_of(layer: Any, frame: Frame, view: View) -> CutPlane | None:
         tuple(float(each[at]) for at in order) for each in (plane.position, plane.normal)
     )
     return CutPlane(position, normal, float(plane.thickness))
+
+
+def _is_drawn(layer: Any, points: Array, shape: Sequence[int]) -> npt.NDArray[np.bool_]:
+    """Return which points, (N, 3), napari draws; others are below the threshold of a surface."""
+    data = layer.data
+    if str(layer.rendering) != "iso" or np.shape(data) != tuple(shape):
+        return np.ones(len(points), bool)
+    voxels = np.clip(np.rint(points).astype(np.intp), 0, np.array(shape) - 1)
+    drawn: npt.NDArray[np.bool_] = np.asarray(data)[tuple(voxels.T)] >= layer.iso_threshold
+    return drawn
 
 
 def _as_point(values: Array) -> Point:

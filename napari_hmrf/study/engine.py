@@ -21,7 +21,7 @@ from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.field.resample import on_finer_grid
-from napari_hmrf.field.tissue_point import Points, holds
+from napari_hmrf.field.tissue_point import Points, first_tissue, holds
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver, Update
 from napari_hmrf.solver.optimizers import Monitor
@@ -352,14 +352,7 @@ class Deformation:
         reach: npt.NDArray[np.floating] = np.ones(points.shape[-1])
         if self.solution is not None:
             reach = 1 + self._points.farthest / self.study.grid.spacing
-        low = np.maximum(np.floor(points - reach), 0).astype(np.intp)
-        high = np.ceil(points + reach).astype(np.intp) + 1
-        for point, first, past in zip(points.tolist(), low, high, strict=True):
-            # Inverting the motion is slow, so points far from all tissue are skipped first.
-            box = tuple(map(slice, first, past))
-            if body[box].any() and self.origin_of(tuple(point)) is not None:
-                return tuple(point)
-        return None
+        return first_tissue(points, body, reach, lambda point: self.origin_of(point) is not None)
 
     def moved_positions(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the moved positions of tissue points, both of shape (N, n) in pixels."""

@@ -109,6 +109,7 @@ class Touch:
             delta=delta,
             handled=False,
         )
+        self.viewer.cursor._view_direction = event.view_direction
         self.viewer.cursor.position = event.position
         for told in (self.viewer, self.viewer.layers.selection.active):
             if told is not None:

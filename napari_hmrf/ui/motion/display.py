@@ -144,15 +144,7 @@ class Display:
         moved, layer, cut = self.moved, self.visible_image, self.cut
         if moved is None or layer is None:
             return None
-        shape = moved.study.grid.shape
-        if cut is None:
-            points = line.points_in(shape)
-            points = points[_is_shown(layer, points, shape)]
-        else:
-            met = cut.meets(line.start, line.step)
-            points = np.empty((0, 3)) if met is None else met[np.newaxis]
-            points = points[((points >= -0.5) & (points <= np.array(shape) - 0.5)).all(axis=1)]
-        return moved.first_tissue(points)
+        return moved.first_tissue(line.visible_points(layer, cut, moved.study.grid.shape))
 
     def show(self, state: ShownDeformation, stroke: Stroke | None) -> None:
         """Show a new state of the tissue, with the stroke that is being painted."""
@@ -335,15 +327,3 @@ def _spread(made: LayerData, moved: Deformation) -> LayerData:
     scale, plane = np.array(made.attributes["scale"]), moved.study.grid.known_place.plane
     scale[list(plane)] *= moved.grid.step
     return made._replace(attributes={**made.attributes, "scale": scale})
-
-
-def _is_shown(
-    layer: Any, points: npt.NDArray[np.float64], shape: tuple[int, ...]
-) -> npt.NDArray[np.bool_]:
-    """Return which points, (N, 3), napari draws; others are below the threshold of a surface."""
-    data = layer.data
-    if str(layer.rendering) != "iso" or np.shape(data) != shape:
-        return np.ones(len(points), bool)
-    voxels = np.clip(np.rint(points).astype(np.intp), 0, np.array(shape) - 1)
-    shown: npt.NDArray[np.bool_] = np.asarray(data)[tuple(voxels.T)] >= layer.iso_threshold
-    return shown

@@ -9,7 +9,9 @@ import numpy as np
 
 from napari_hmrf.field.quantities import QUANTITIES, title_and_unit
 from napari_hmrf.field.tissue_point import Probe, at_point, rounded
+from napari_hmrf.layers.compat import sight_of
 from napari_hmrf.layers.field_layer import place_at
+from napari_hmrf.layers.line_of_sight import LineOfSight, cut_of
 from napari_hmrf.layers.metadata import tissue_recorded
 from napari_hmrf.layers.result_layers import stiffness_unit
 from napari_hmrf.layers.screen_directions import directions_of
@@ -51,6 +53,8 @@ class UnderCursor:
     def at(self, position: Any) -> Probe | None:
         """Return the deformation of the visible tissue at a point in world coordinates.
 
+        In a 3-D view, this is the tissue on the visible surface or cut plane at the cursor.
+
         Returns None outside tissue, and while the tissue moves, because the result is then out of
         date.
 
@@ -63,8 +67,31 @@ class UnderCursor:
         arrows = None if shown is None else shown.layers.layer("arrows")
         if shown is None or arrows is None or shown.layers.moving:
             return None
-        place = place_at(arrows, shown.answer, position, View.of(self._viewer.dims))
-        return None if place is None else shown.points.at(place, shown.layers.percent / FULL)
+        view, fraction = View.of(self._viewer.dims), shown.layers.percent / FULL
+        if self._viewer.dims.ndisplay == 2:
+            place = place_at(arrows, shown.answer, position, view)
+        else:
+            place = self._place_in_sight(shown, arrows, position, view)
+        return None if place is None else shown.points.at(place, fraction)
+
+    def _place_in_sight(
+        self, shown: MovingLayers, arrows: Any, position: Any, view: View
+    ) -> tuple[float, ...] | None:
+        """Return the visible point of a volume on the line of sight, in voxels, or None."""
+        answer, layer = shown.answer, shown.visible_image
+        if layer is None or len(position) < arrows.ndim:
+            return None
+        line = LineOfSight.through(position, sight_of(self._viewer), arrows, answer.frame, view)
+        if line is None:
+            return None
+        cut = cut_of(layer, answer.frame, view)
+        points = line.visible_points(layer, cut, answer.shape)
+        point = shown.points.first(points, shown.layers.percent / FULL)
+        if point is None:
+            return None
+        at = view.pixel(arrows, position)
+        at[list(answer.frame.plane)] = point
+        return answer.frame.place_of(at, answer.shape)  # None at another time of a time series
 
     def line_at(self, position: Any) -> str:
         """Describe the deformation at a point in world coordinates; "" outside tissue."""

@@ -77,6 +77,12 @@ class MovingLayers:
         # Length of the arrows at 100 %, and percentage for which they are drawn.
         self._length, self._arrows_percent = arrows.length, FULL
 
+    @property
+    def visible_image(self) -> Any:
+        """Layer of the deformed image if it is visible, else of the undeformed image, or None."""
+        image = self.layers.layer("image")
+        return image if image is not None and image.visible else self.source
+
     def copy_image(self) -> None:
         """Copy the current pixels of the image to deform.
 

@@ -214,6 +214,30 @@ def test_the_image_is_visible_again_after_the_dock_was_closed_in_the_3d_view(bes
     assert layer.visible
 
 
+def test_the_status_bar_describes_the_visible_surface_in_the_3d_view(beside, settle):
+    person, widget = beside
+    viewer, cursor = person.viewer, widget._view.cursor
+    person.drag(MIDDLE, (MIDDLE[0], 13.5, 13.5))
+    settle(widget)
+    viewer.mouse_over_canvas = True
+    for ahead, plane in ((1.0, TOP), (-1.0, BOTTOM)):
+        person.ahead = ahead, 0.0, 0.0
+        person.move(*MIDDLE)
+        assert cursor.at(viewer.cursor.position).site[0] == plane
+    person.ahead = 1.0, 0.0, 0.0
+    person.move(MIDDLE[0], 13.5, 13.5)
+    assert "moves 2 px" in str(viewer.status), "the status bar describes hidden tissue"
+    person.move(MIDDLE[0], 1.0, 1.0)
+    assert "moves" not in str(viewer.status)
+    layer = viewer.layers["MR deformed, elastic"]
+    layer.depiction, layer.plane.position, layer.plane.normal = "plane", (9, 12, 14), (1, 0.5, 0)
+    person.move(MIDDLE[0], 16.0, 13.5)
+    assert cursor.at(viewer.cursor.position).site == (7, 16, 14)
+    Screen(widget).choose("this slice")
+    settle(widget)
+    assert cursor.at(viewer.cursor.position) is None, "a hidden slice is described"
+
+
 def test_tools_are_disabled_with_a_reason_if_a_slice_is_deformed_in_the_3d_view(beside, settle):
     person, widget = beside
     (button,) = tools(widget)
