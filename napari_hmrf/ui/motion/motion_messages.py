@@ -39,18 +39,9 @@ NO_OUTSIDE = (
     "Nothing was painted: an open line has no inside, so it cannot grow. Close the line to form a "
     "ring, paint a patch, or use 'Push'."
 )
-PULLED = (
-    "This tissue did not grow, because the growth would undo a pull beside it. Turn the wheel over "
-    "the pulled tissue, or set a radius that leaves the pulled tissue out or well inside."
-)
-TOO_SMALL = (
-    "This tissue did not grow: its patch is too small. Select the patch with Shift+click, and set "
-    "a larger radius."
-)
-NO_INSIDE = (
-    "This tissue did not grow: it was pushed as an open line, which has no inside. Push a patch or "
-    "a closed ring to grow it."
-)
+PULLED = "Not grown: this would undo a pull. Turn the wheel over the pull, or set another radius."
+TOO_SMALL = "Not grown: the patch is too small. Shift+click the patch, and set a larger radius."
+NO_INSIDE = "Not grown: an open line has no inside. Push a patch or a closed ring instead."
 
 
 def grown(amount: float, unit: str, is_pulled: bool = False) -> str:

@@ -853,9 +853,9 @@ def test_a_wide_patch_grows_around_pulled_tissue(pulling_beside, settle):
 @pytest.mark.parametrize(
     ("pull", "reason"),
     [
-        (Arrow((32, 40), (0, 2), 6.0), "would undo a pull beside it"),
-        (Arrow((32, 32), (0, 0), 0.5), "its patch is too small"),
-        (Stroke("move", (((20, 32), (44, 32)),), 1.0, by=(0, 1)), "an open line"),
+        (Arrow((32, 40), (0, 2), 6.0), "would undo a pull"),
+        (Arrow((32, 32), (0, 0), 0.5), "the patch is too small"),
+        (Stroke("move", (((20, 32), (44, 32)),), 1.0, by=(0, 1)), "an open line has no inside"),
     ],
 )
 def test_the_wheel_changes_nothing_where_a_pull_would_be_lost(pulling_beside, settle, pull, reason):
