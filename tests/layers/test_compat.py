@@ -54,6 +54,17 @@ def test_the_camera_and_the_overlays_are_found_in_any_napari_version():
         assert compat.scale_bar_of(viewer) is viewer.canvas.overlays.scale_bar
 
 
+def test_the_direction_at_the_cursor_is_private_and_defaults_to_that_of_the_camera():
+    viewer = ViewerModel()
+    viewer.add_image(np.zeros((3, 4, 5)))
+    assert compat.sight_of(viewer) is None
+    viewer.dims.ndisplay = 3
+    assert tuple(compat.sight_of(viewer)) == compat.camera_of(viewer).view_direction
+    viewer.cursor._view_direction = np.array([0.6, 0.8, 0.0])
+    assert compat.sight_of(viewer) is viewer.cursor._view_direction
+    assert not hasattr(viewer.cursor, "view_direction"), "napari has made the direction public"
+
+
 def test_the_brush_circle_has_no_public_overlay():
     viewer = ViewerModel()
     compat.clear_middle(viewer)
