@@ -348,14 +348,14 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/motion/pull_tools.py",
-        "NO_WAY if is_click and is_new else",
-        "NO_WAY if is_click else",
+        "return is_click and is_new",
+        "return is_click",
         "ui/motion/test_brush.py",
     ),
     Mutation(
         "ui/motion/brush_tools.py",
-        "return self.mark if self.is_dragging else None",
-        "return self.mark",
+        "return self._selected_stroke if self.is_dragging else None",
+        "return self._selected_stroke",
         "ui/motion/test_brush.py",
     ),
     Mutation(

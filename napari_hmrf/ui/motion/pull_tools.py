@@ -95,7 +95,8 @@ class PullTool(Tool):
     def _end(self) -> bool:
         """End the drag, and return whether a click has drawn a mark that holds tissue in place."""
         is_click = self.is_dragging and self.mark == self._pressed
-        return bool(self._model.end_drawing(self._click_step if is_click else "")) and is_click
+        is_new = bool(self._model.end_drawing(self._click_step if is_click else ""))
+        return is_click and is_new
 
     def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
         """Return a mark that moves tissue from one position to another."""

@@ -7,6 +7,7 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QToolButton
 
+from napari_hmrf.field.tissue_point import rounded
 from napari_hmrf.layers.compat import camera_of
 from tests.support.person import only
 from tests.support.screen import Screen
@@ -216,26 +217,27 @@ def test_the_image_is_visible_again_after_the_dock_was_closed_in_the_3d_view(bes
 
 def test_the_status_bar_describes_the_visible_surface_in_the_3d_view(beside, settle):
     person, widget = beside
-    viewer, cursor = person.viewer, widget._view.cursor
+    viewer = person.viewer
     person.drag(MIDDLE, (MIDDLE[0], 13.5, 13.5))
     settle(widget)
     viewer.mouse_over_canvas = True
-    for ahead, plane in ((1.0, TOP), (-1.0, BOTTOM)):
-        person.ahead = ahead, 0.0, 0.0
-        person.move(*MIDDLE)
-        assert cursor.at(viewer.cursor.position).site[0] == plane
-    person.ahead = 1.0, 0.0, 0.0
-    person.move(MIDDLE[0], 13.5, 13.5)
-    assert "moves 2 px" in str(viewer.status), "the status bar describes hidden tissue"
-    person.move(MIDDLE[0], 1.0, 1.0)
-    assert "moves" not in str(viewer.status)
+    moves = np.linalg.norm(widget.solution.displacement, axis=-1)
+
+    def status_at(row, col):
+        person.move(MIDDLE[0], row, col)
+        return str(viewer.status)
+
+    assert f"moves {rounded(moves[TOP, 8, 20]):g} px" in status_at(8, 20)
+    assert "moves 2 px" in status_at(13.5, 13.5), "the status bar describes hidden tissue"
+    assert "moves" not in status_at(1, 1)
+    person.ahead = -1.0, 0.0, 0.0
+    assert f"moves {rounded(moves[BOTTOM, 8, 20]):g} px" in status_at(8, 20)
     layer = viewer.layers["MR deformed, elastic"]
     layer.depiction, layer.plane.position, layer.plane.normal = "plane", (9, 12, 14), (1, 0.5, 0)
-    person.move(MIDDLE[0], 16.0, 13.5)
-    assert cursor.at(viewer.cursor.position).site == (7, 16, 14)
+    assert f"moves {rounded(moves[7, 16, 20]):g} px" in status_at(16, 20)
     Screen(widget).choose("this slice")
     settle(widget)
-    assert cursor.at(viewer.cursor.position) is None, "a hidden slice is described"
+    assert "moves" not in status_at(16, 20), "a hidden slice is described"
 
 
 def test_tools_are_disabled_with_a_reason_if_a_slice_is_deformed_in_the_3d_view(beside, settle):
