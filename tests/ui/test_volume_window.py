@@ -339,7 +339,7 @@ def test_the_warning_button_shows_the_slice_with_the_most_folds(volume_beside, s
     settle(widget)
     solution = widget.solution
     number = count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
-    Screen(widget).button(f"⚠  Folds at {number} voxels: show").click()
+    Screen(widget).button(f"⚠  {number} folds: show").click()
     settle(widget)
     marked = by_name(person.viewer, "MR folds, elastic").data
     across = order[0]
