@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from magicgui.widgets import Container, Label, PushButton
+from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
 from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox, QSizePolicy, QWidget
@@ -34,7 +34,7 @@ from napari_hmrf.tissue.drawing.drawing import Drawing, ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections, single_shot
-from napari_hmrf.ui.forms import row
+from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
 
 Answer = Literal["save", "discard", "cancel"]
@@ -45,6 +45,8 @@ _log = logging.getLogger("napari_hmrf")
 _NO_FILE_NAME = re.compile(r'[\\/:*?"<>|]')
 #: Time without an edit after which a recovery file is written, in milliseconds.
 _REST = 1000
+#: Number of characters above which the name of an image may be wrapped between any two characters.
+_WRAPPED = 20
 #: `Unsaved` instances of all open docks.
 _all: weakref.WeakSet[Unsaved] = weakref.WeakSet()
 
@@ -310,9 +312,7 @@ class Unsaved(QObject):
 
 
 class RecoveryNotice(Container):
-    """Notice of one line about work that was not saved when napari ended, with two buttons.
-
-    The tooltip has the whole text, because the line may be cut.
+    """Notice about work that was not saved when napari ended, with two buttons beside it.
 
     Parameters
     ----------
@@ -322,8 +322,7 @@ class RecoveryNotice(Container):
 
     def __init__(self, open_recovered: Callable[[Path], None]) -> None:
         self._file = Path()
-        self._text = Label()
-        self._text.native.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._text = Prose()
         opened = PushButton(text="Open it", tooltip="Open the work that was not saved")
         discarded = PushButton(text="Discard", tooltip="Move the file of this work to the trash")
         line = row(self._text, opened, discarded)
@@ -344,10 +343,12 @@ class RecoveryNotice(Container):
             when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
             more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
             of = f" on '{name}'" if (name := image_named_in(files[0])) else ""
+            shown = of if len(name) <= _WRAPPED else "\u200b".join(of)
             about = f"Work from {when}{of} was not saved when napari ended{more}."
-            text = f"Unsaved work{of}, {when}{more}"
-        self._text.value, self._text.tooltip = text, about
+            text = f"Unsaved work{shown}, {when}{more}"
         self.visible = bool(files)
+        self._text.show_text(text)
+        self._text.tooltip = about
 
     def _on_pressed(self, answer: Callable[[Path], None], _: bool) -> None:
         answer(self._file)
