@@ -20,7 +20,13 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox, QSizePolicy, 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.io import recovery
-from napari_hmrf.io.study_file import SUFFIX, image_named_in, read_study, write_study
+from napari_hmrf.io.study_file import (
+    SUFFIX,
+    image_named_in,
+    overlay_named_in,
+    read_study,
+    write_study,
+)
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
@@ -133,11 +139,17 @@ class Unsaved(QObject):
     def save(self, path: str | Path) -> Path:
         """Save the current study, with its field if the field is up to date."""
         solution, study = self._dock.solution if self._controller.fresh else None, self._dock.study
-        written = write_study(path, study, solution)
+        written = write_study(path, study, solution, overlay=self._overlay)
         apart = self._landmarks_apart(study)
         self._dock.show_message(messages.saved_study(written.name, solution is not None, apart))
         self._drop_recovery(self._model.slice, written)
         return written
+
+    @property
+    def _overlay(self) -> str:
+        """Overlay of the window, or "" if it needs a layer that is not in the file."""
+        chosen: str = self._controller.form.result.overlay.value
+        return "" if chosen == "difference" else chosen
 
     def _landmarks_apart(self, study: Study) -> str:
         """Return the name of the landmark layer if any of its pairs was not added, else ""."""
@@ -189,6 +201,9 @@ class Unsaved(QObject):
             dock.drawing = study.motion.drawing
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
             brightness.visible = False  # would tint the deformed image
+        overlay = self._controller.form.result.overlay
+        if (name := overlay_named_in(path)) in overlay.choices:
+            overlay.value = name
 
     def _on_edited(self, part: Part, _: object, before: object) -> None:
         model = self._model
@@ -294,7 +309,9 @@ class Unsaved(QObject):
             except (HmrfError, ValueError, OSError):
                 return  # the current state cannot be saved: keep the earlier file
             self._work.saved_files[slice_part] = file
-            self._writer = threading.Thread(target=_write, args=(file, study), daemon=True)
+            self._writer = threading.Thread(
+                target=_write, args=(file, study, self._overlay), daemon=True
+            )
             self._writer.start()
 
     def _open_recovered(self, file: Path) -> None:
@@ -371,8 +388,8 @@ def _name(part: Part) -> str:
     return f"{part.layer.name} {'' if part.place is None else part.place.name}".strip()
 
 
-def _write(file: Path, study: Study) -> None:
+def _write(file: Path, study: Study, overlay: str) -> None:
     try:
-        write_study(file, study)
+        write_study(file, study, overlay=overlay)
     except (OSError, TypeError, ValueError):
         _log.exception("the recovery file of unsaved work could not be written")
