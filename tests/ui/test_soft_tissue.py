@@ -787,7 +787,9 @@ def test_progress_is_shown_in_per_cent_with_details_in_the_tool_tip(widget, smal
     wait_for(
         lambda: (
             bool(percent.fullmatch(widget.status))
-            and any(sweep.match(label.toolTip()) for label in labels)
+            and any(
+                sweep.match(label.toolTip().splitlines()[-1]) for label in labels if label.toolTip()
+            )
         )
     )
     widget.cancel()
