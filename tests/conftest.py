@@ -25,7 +25,7 @@ from tests.support.napari_caches import (
     draw_letters_once,
     read_manifests_once,
 )
-from tests.support.screen import Screen
+from tests.support.pulling import pull
 from tests.support.timeouts import LONG, LONG_MS
 
 # A slow machine must not fail a test.
@@ -322,15 +322,6 @@ def pulling_beside(open_beside, settle):
     """Return a simulated user and the dock, with the *Pull* tool active, without a window."""
     touch, widget = open_beside()
     return touch, pull(widget, settle)
-
-
-def pull(widget, settle):
-    """Activate the *Pull* tool and wait until it is ready."""
-    if not widget.active:
-        Screen(widget).press("Pull")
-    assert widget.active
-    settle(widget)
-    return widget
 
 
 @pytest.fixture

@@ -12,8 +12,9 @@ import numpy.typing as npt
 DIVERGING = "PuOr_r"
 #: Colour map of non-negative values; its lightness increases monotonically.
 RISING = "magma"
-#: Colour of folds, which contrasts with the dark purple of tissue that is almost folded.
-FOLDED = "#ffee00"
+#: Colour of folds (blue). It differs from all colours of both maps, drawn over any grey, also for
+#: colour-blind users: yellow resembles the pale end of `RISING` and, for tritanopia, white.
+FOLDED = "#0050ff"
 #: Largest opacity of a colour overlay on the image.
 OPACITY = 0.8
 # Fraction of the colour range above which colours have full opacity.

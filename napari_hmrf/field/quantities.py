@@ -69,7 +69,7 @@ class Coloured(NamedTuple):
     @property
     def unit_note(self) -> str:
         """Explanation of the colour of folds, for the legend; "" without folds."""
-        return "; yellow: folded" if self.folded else ""
+        return "; blue: folded" if self.folded else ""
 
     def is_fold(self, values: FloatArray) -> npt.NDArray[np.bool_]:
         """Return a mask of the folds in `values`, or in a slice of `values`."""

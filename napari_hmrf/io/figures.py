@@ -236,7 +236,7 @@ def magnitude_picture(
 
 
 def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
-    """Draw the Jacobian determinant, the area ratio of the tissue; folds (<= 0) are yellow."""
+    """Draw the Jacobian determinant, the area ratio of the tissue; folds (<= 0) are blue."""
     return _quantity_picture(solution, "jacobian", "area ratio (Jacobian)", image)
 
 

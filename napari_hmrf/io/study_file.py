@@ -76,6 +76,7 @@ def write_study(
     solution: Solution | None = None,
     *,
     image: bool = True,
+    overlay: str = "",
 ) -> Path:
     """Write a study to a file atomically, optionally with its solution.
 
@@ -92,6 +93,9 @@ def write_study(
     image : bool
         True to save the image of the study. Otherwise, only the name and a digest of the image are
         saved, and the image must be passed to `read_study`.
+    overlay : str, optional
+        Name of the overlay that the window shows when it opens the file, such as "equivalent" (see
+        `SoftTissue.overlay`). By default, the window keeps its own choice.
 
     Returns
     -------
@@ -116,7 +120,7 @@ def write_study(
     target = Path(path)
     if not target.suffix:
         target = target.with_name(target.name + SUFFIX)
-    return array_file.write(target, STUDY_FORMAT, _Content(study, solution, image))
+    return array_file.write(target, STUDY_FORMAT, _Content(study, solution, image, overlay=overlay))
 
 
 def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:
@@ -207,6 +211,12 @@ def image_named_in(path: str | os.PathLike[str]) -> str:
     return str(pictures.get("name", "")) if isinstance(pictures, dict) else ""
 
 
+def overlay_named_in(path: str | os.PathLike[str]) -> str:
+    """Return the name of the overlay in the header of a study file, or "" if there is none."""
+    view = array_file.header_of(path).get("view")
+    return str(view.get("overlay", "")) if isinstance(view, dict) else ""
+
+
 def replay(
     path: str | os.PathLike[str],
     *,
@@ -278,12 +288,16 @@ def _refuse_other_grid(grid: Grid, solution: Solution) -> None:
 
 
 class _Content(NamedTuple):
-    """Content of a file: study, solution, whether the image is included, and the image's digest."""
+    """Content of a file: study, solution, and name of the overlay in the window.
+
+    `image` is True if the image is included; `digest` is the digest of the image.
+    """
 
     study: Study
     solution: Solution | None = None
     image: bool = True
     digest: str = ""
+    overlay: str = ""
 
 
 def _is_of_image(tissue: Tissue) -> bool:
@@ -331,6 +345,8 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "notes": list(study.notes),
         "solution": None,
     }
+    if content.overlay:  # earlier versions, and Python by default, write no view
+        header["view"] = {"overlay": content.overlay}
     poisson = study.prior.poisson if isinstance(study.prior, Elastic) else 0.0
     arrays: dict[str, Any] = {
         "tissue_labels": tissue.labels,

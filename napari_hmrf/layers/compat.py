@@ -81,6 +81,14 @@ def clear_middle(viewer: Any) -> None:
         circle.box = False
 
 
+def hide_circle_in_corner(viewer: Any) -> None:
+    """Move the brush circle out of the canvas until the mouse moves on the canvas."""
+    # Private: without a move of the mouse, napari draws the circle at its default position.
+    circle = _overlay(viewer, "_brush_circle")
+    if circle is not None and tuple(circle.position) == (0, 0):
+        circle.position = (-1000, -1000)
+
+
 def paint_steps(layer: Any, name: str) -> Collection[Any] | None:
     """Return the strokes that a Labels layer can undo or redo, or None if not accessible.
 
@@ -140,7 +148,10 @@ def fade(viewer: Any, layer: Any, share: float) -> None:
 
 
 def outline_arrows(viewer: Any, layer: Any) -> None:
-    """Draw the arrows of a Vectors layer with a dark outline and a minimum size of the head."""
+    """Draw the arrows or lines of a Vectors layer with a dark outline, and heads of a minimum size.
+
+    Layers of triangles, and layers in a 3-D view, are drawn as napari draws them.
+    """
     # Private: napari has no public setting for the outline and the heads of arrows, so the
     # triangles are replaced on their way from napari to vispy.
     node = drawn_node(viewer, layer)

@@ -358,7 +358,7 @@ def overlay_of(
     begin at the original positions of the tissue.
 
     Signed quantities have colours from purple (lower) to orange (higher), and other quantities from
-    dark to light. The overlay is transparent at the neutral value. Folds are yellow.
+    dark to light. The overlay is transparent at the neutral value. Folds are blue.
 
     Parameters
     ----------

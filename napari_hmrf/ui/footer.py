@@ -143,8 +143,8 @@ class Footer(QWidget):
         self.deform.text = PRECISELY if self.live.value else DEFORM
 
     def explain(self, technical: str) -> None:
-        """Show technical details in the tooltip of the status."""
-        self._status.tooltip = technical
+        """Show technical details below the status in its tooltip."""
+        self._status.tooltip = f"{self._status.value}\n{technical}"
 
     def warn(self, sentences: str, short: str = "") -> None:
         """Show a warning about the visible tissue with a short label; "" hides it."""

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from qtpy.QtCore import QEvent, QObject, QRect, Qt
+from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtGui import QKeySequence, QPainter, QTextLayout
 from qtpy.QtWidgets import (
     QAbstractSpinBox,
@@ -25,6 +25,9 @@ from qtpy.QtWidgets import (
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.ui.messages import in_short
+
+#: Word at the end of a text that does not fit.
+_MORE = "more"
 
 
 def narrow(menu: Any) -> None:
@@ -141,7 +144,7 @@ class _FitHeight(QObject):
 
 
 class FixedText(Label):
-    """Label of a fixed height; a text that does not fit ends in dots, and a click shows all of it.
+    """Label of a fixed height; a text that does not fit ends in "more", which shows all of it.
 
     Parameters
     ----------
@@ -173,7 +176,8 @@ class FixedText(Label):
 class _ElideLines(QObject):
     """Event filter that paints the first lines of a label's text, and shows all of it on a click.
 
-    The text of the label remains complete.
+    An underlined word at the end of the last line shows that there is more text. The text of the
+    label remains complete.
     """
 
     def __init__(self, words: Any) -> None:
@@ -197,13 +201,14 @@ class _ElideLines(QObject):
 
     @property
     def is_elided(self) -> bool:
-        return bool(self._lines()) and self._lines()[-1].endswith("…")
+        return self._lines()[1]
 
-    def _lines(self) -> list[str]:
-        """Return the visible lines; the last line ends in dots if more text follows."""
+    def _lines(self) -> tuple[list[str], bool]:
+        """Return the visible lines, and whether the last line ends in dots before more text."""
         words, text = self._words, self._words.text().replace("\n", "\u2028")
         width, metrics = words.contentsRect().width(), words.fontMetrics()
         lines: list[str] = []
+        is_elided = False
         layout = QTextLayout(text, words.font())
         layout.beginLayout()
         while (line := layout.createLine()).isValid():
@@ -211,11 +216,36 @@ class _ElideLines(QObject):
             begin = line.textStart()
             if len(lines) + 1 == self._count:
                 rest = text[begin:].replace("\u2028", " ").rstrip()
+                is_elided = metrics.horizontalAdvance(rest) > width
+                if is_elided:
+                    width -= metrics.horizontalAdvance(f" {_MORE}")
                 lines.append(metrics.elidedText(rest, Qt.TextElideMode.ElideRight, width))
                 break
             lines.append(text[begin : begin + line.textLength()].strip("\u2028 "))
         layout.endLayout()
-        return lines
+        return lines, is_elided
+
+    def _paint(self) -> None:
+        words, (lines, is_elided) = self._words, self._lines()
+        painter, area, metrics = QPainter(words), words.contentsRect(), words.fontMetrics()
+
+        def draw(text: str, left: int, number: int) -> None:
+            place = area.adjusted(left, number * metrics.lineSpacing(), 0, 0)
+            words.style().drawItemText(
+                painter, place, 0, words.palette(), True, text, words.foregroundRole()
+            )
+
+        for number, line in enumerate(lines):
+            draw(line, 0, number)
+        if is_elided:
+            font = words.font()
+            font.setUnderline(True)
+            painter.setFont(font)
+            draw(_MORE, area.width() - metrics.horizontalAdvance(_MORE), len(lines) - 1)
+        painter.end()
+        hand, arrow = Qt.CursorShape.PointingHandCursor, Qt.CursorShape.ArrowCursor
+        if words.cursor().shape() != (cursor := hand if is_elided else arrow):
+            words.setCursor(cursor)
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
         kind, words = event.type(), self._words
@@ -224,14 +254,7 @@ class _ElideLines(QObject):
         elif kind == QEvent.Type.MouseButtonRelease and words.toolTip():
             QWhatsThis.showText(event.globalPosition().toPoint(), words.toolTip(), words)
         elif kind == QEvent.Type.Paint:
-            painter, area, step = QPainter(words), words.contentsRect(), 0
-            for line in self._lines():
-                row = QRect(area.left(), area.top() + step, area.width(), area.height() - step)
-                words.style().drawItemText(
-                    painter, row, 0, words.palette(), True, line, words.foregroundRole()
-                )
-                step += words.fontMetrics().lineSpacing()
-            painter.end()
+            self._paint()
             return True
         return False
 

@@ -110,7 +110,7 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
     parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in counts.items()]
     parts += map(_sentence, done.notes)
     if (mark := next_mark(done.outputs, overlay)) is not None:
-        return " ".join(parts), f"{mark.capitalize()} at {counts[mark]} {sites}: show"
+        return " ".join(parts), f"{counts[mark]} {mark}: show"
     if overlay in counts:
         return " ".join(parts), f"Hide the {overlay}"
     return " ".join(parts), _issue(done.notes[0]) if done.notes else ""

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from magicgui.widgets import Container, Label, PushButton
+from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
 from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox, QSizePolicy, QWidget
@@ -20,7 +20,13 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox, QSizePolicy, 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.io import recovery
-from napari_hmrf.io.study_file import SUFFIX, image_named_in, read_study, write_study
+from napari_hmrf.io.study_file import (
+    SUFFIX,
+    image_named_in,
+    overlay_named_in,
+    read_study,
+    write_study,
+)
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
@@ -34,7 +40,7 @@ from napari_hmrf.tissue.drawing.drawing import Drawing, ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections, single_shot
-from napari_hmrf.ui.forms import row
+from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
 
 Answer = Literal["save", "discard", "cancel"]
@@ -45,6 +51,8 @@ _log = logging.getLogger("napari_hmrf")
 _NO_FILE_NAME = re.compile(r'[\\/:*?"<>|]')
 #: Time without an edit after which a recovery file is written, in milliseconds.
 _REST = 1000
+#: Number of characters above which the name of an image may be wrapped between any two characters.
+_WRAPPED = 20
 #: `Unsaved` instances of all open docks.
 _all: weakref.WeakSet[Unsaved] = weakref.WeakSet()
 
@@ -131,11 +139,17 @@ class Unsaved(QObject):
     def save(self, path: str | Path) -> Path:
         """Save the current study, with its field if the field is up to date."""
         solution, study = self._dock.solution if self._controller.fresh else None, self._dock.study
-        written = write_study(path, study, solution)
+        written = write_study(path, study, solution, overlay=self._overlay)
         apart = self._landmarks_apart(study)
         self._dock.show_message(messages.saved_study(written.name, solution is not None, apart))
         self._drop_recovery(self._model.slice, written)
         return written
+
+    @property
+    def _overlay(self) -> str:
+        """Overlay of the window, or "" if it needs a layer that is not in the file."""
+        chosen: str = self._controller.form.result.overlay.value
+        return "" if chosen == "difference" else chosen
 
     def _landmarks_apart(self, study: Study) -> str:
         """Return the name of the landmark layer if any of its pairs was not added, else ""."""
@@ -187,6 +201,9 @@ class Unsaved(QObject):
             dock.drawing = study.motion.drawing
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
             brightness.visible = False  # would tint the deformed image
+        overlay = self._controller.form.result.overlay
+        if (name := overlay_named_in(path)) in overlay.choices:
+            overlay.value = name
 
     def _on_edited(self, part: Part, _: object, before: object) -> None:
         model = self._model
@@ -292,7 +309,9 @@ class Unsaved(QObject):
             except (HmrfError, ValueError, OSError):
                 return  # the current state cannot be saved: keep the earlier file
             self._work.saved_files[slice_part] = file
-            self._writer = threading.Thread(target=_write, args=(file, study), daemon=True)
+            self._writer = threading.Thread(
+                target=_write, args=(file, study, self._overlay), daemon=True
+            )
             self._writer.start()
 
     def _open_recovered(self, file: Path) -> None:
@@ -310,9 +329,7 @@ class Unsaved(QObject):
 
 
 class RecoveryNotice(Container):
-    """Notice of one line about work that was not saved when napari ended, with two buttons.
-
-    The tooltip has the whole text, because the line may be cut.
+    """Notice about work that was not saved when napari ended, with two buttons beside it.
 
     Parameters
     ----------
@@ -322,8 +339,7 @@ class RecoveryNotice(Container):
 
     def __init__(self, open_recovered: Callable[[Path], None]) -> None:
         self._file = Path()
-        self._text = Label()
-        self._text.native.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._text = Prose()
         opened = PushButton(text="Open it", tooltip="Open the work that was not saved")
         discarded = PushButton(text="Discard", tooltip="Move the file of this work to the trash")
         line = row(self._text, opened, discarded)
@@ -344,10 +360,12 @@ class RecoveryNotice(Container):
             when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
             more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
             of = f" on '{name}'" if (name := image_named_in(files[0])) else ""
+            shown = of if len(name) <= _WRAPPED else "\u200b".join(of)
             about = f"Work from {when}{of} was not saved when napari ended{more}."
-            text = f"Unsaved work{of}, {when}{more}"
-        self._text.value, self._text.tooltip = text, about
+            text = f"Unsaved work{shown}, {when}{more}"
         self.visible = bool(files)
+        self._text.show_text(text)
+        self._text.tooltip = about
 
     def _on_pressed(self, answer: Callable[[Path], None], _: bool) -> None:
         answer(self._file)
@@ -370,8 +388,8 @@ def _name(part: Part) -> str:
     return f"{part.layer.name} {'' if part.place is None else part.place.name}".strip()
 
 
-def _write(file: Path, study: Study) -> None:
+def _write(file: Path, study: Study, overlay: str) -> None:
     try:
-        write_study(file, study)
+        write_study(file, study, overlay=overlay)
     except (OSError, TypeError, ValueError):
         _log.exception("the recovery file of unsaved work could not be written")

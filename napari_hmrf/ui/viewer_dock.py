@@ -10,7 +10,13 @@ from magicgui.widgets import Container
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QMainWindow
 
-from napari_hmrf.layers.compat import CanvasContext, camera_of, clear_middle, unwrapped
+from napari_hmrf.layers.compat import (
+    CanvasContext,
+    camera_of,
+    clear_middle,
+    hide_circle_in_corner,
+    unwrapped,
+)
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.ui.events import single_shot
 
@@ -41,6 +47,7 @@ class Dock(Container):
         self._fit_timer = single_shot(self.native, _LAYOUT_TIME, self._viewer.reset_view)
         self._arrival_timer = single_shot(self.native, 0, self._on_arrived)
         clear_middle(self._viewer)
+        hide_circle_in_corner(self._viewer)
         shared(self._viewer, CanvasContext)
 
     @property

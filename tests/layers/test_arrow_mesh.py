@@ -1,4 +1,4 @@
-"""Tests of the outline and the heads of result arrows."""
+"""Tests of the outline and the heads of arrows and lines."""
 
 import numpy as np
 import pytest
@@ -55,6 +55,19 @@ def test_an_arrow_of_length_zero_covers_nothing():
     outline, fill, _ = drawn(0.0)
     assert np.ptp(outline, axis=1).max() == 0
     assert np.ptp(fill, axis=1).max() == 0
+
+
+def test_a_line_in_any_direction_has_a_dark_outline_of_the_same_width_on_all_sides():
+    line = np.array([[0, 0.5], [0, -0.5], [8, 0.5], [8, -0.5]], np.float32)
+    vertices = np.concatenate([line, line[:, ::-1]])
+    faces = np.array([[0, 1, 2], [1, 2, 3], [4, 5, 6], [5, 6, 7]])
+    vertices, faces, colours = outlined(vertices, faces, np.tile(ORANGE, (4, 1)))
+    outline, fill = vertices.reshape(2, 2, 4, 2)
+    np.testing.assert_allclose(np.ptp(fill, axis=1), [(8, 1), (1, 8)])
+    np.testing.assert_allclose(np.ptp(outline, axis=1), [(9, 2), (2, 9)], rtol=1e-5)
+    np.testing.assert_allclose(outline.mean(axis=1), fill.mean(axis=1), atol=1e-6)
+    assert (colours[:4, :3] < 0.1).all()
+    assert (faces[:4] < 8).all(), "an outline is drawn over a line"
 
 
 def test_other_shapes_are_left_to_napari():

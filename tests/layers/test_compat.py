@@ -78,6 +78,29 @@ def test_the_brush_circle_has_no_public_overlay():
     assert not [name for name in viewer.canvas.overlays if name in ("brush_circle", "brush")]
 
 
+def corner_with_circle(viewer):
+    """Return a picture of the corner of the canvas with napari's circle, before a mouse move."""
+    viewer.mouse_over_canvas = True
+    viewer.cursor.size = 20
+    viewer.cursor.style = "circle"
+    return viewer.screenshot(canvas_only=True, flash=False)[:30, :30, :3]
+
+
+def test_the_brush_circle_is_hidden_until_the_mouse_moves(make_napari_viewer):
+    viewer = make_napari_viewer(show=True)
+    if not hasattr(viewer, "canvas"):
+        return
+    assert np.ptp(corner_with_circle(viewer)) > 100, (
+        "napari hides the circle, so hide_circle_in_corner can be removed"
+    )
+    compat.hide_circle_in_corner(viewer)
+    assert np.ptp(corner_with_circle(viewer)) < 10
+    circle = viewer.canvas.overlays._brush_circle
+    circle.position = (12, 20)
+    compat.hide_circle_in_corner(viewer)
+    assert tuple(circle.position) == (12, 20), "the circle was moved away from the mouse"
+
+
 def test_napari_has_no_public_list_of_undoable_paint():
     layer = Labels(np.zeros((8, 8), np.uint8))
     for name in ("undo", "redo"):
@@ -139,7 +162,7 @@ def test_the_window_has_no_public_access_to_the_node_of_a_layer(make_napari_view
     assert not compat.compile_once(object())
 
 
-def test_arrows_have_an_outline_in_the_window(make_napari_viewer):
+def test_arrows_and_lines_have_an_outline_in_the_window(make_napari_viewer):
     viewer = make_napari_viewer()
     data = np.array([[[0.0, 0.0], [4.0, 4.0]]])
     layer = viewer.add_vectors(data, vector_style="arrow")
@@ -152,7 +175,9 @@ def test_arrows_have_an_outline_in_the_window(make_napari_viewer):
     compat.outline_arrows(viewer, layer)
     assert corners() == 14
     layer.vector_style = "line"
-    assert corners() == 4
+    assert corners() == 8
+    layer.vector_style = "triangle"
+    assert corners() == 3
     compat.outline_arrows(ViewerModel(), layer)  # without a window, nothing is drawn
 
 

@@ -219,7 +219,7 @@ def test_a_scale_of_strain_is_capped_and_folds_are_named():
     assert "folded" not in overlay.layer.attributes["name"]
     stretched.displacement[:, 2, 1] -= 5
     folded = overlay_of(answer, "stretch")
-    assert "(%; yellow: folded)" in folded.layer.attributes["name"]
+    assert "(%; blue: folded)" in folded.layer.attributes["name"]
     assert (folded.layer.data == -np.inf).any()
     assert "inf" not in folded.beyond
 

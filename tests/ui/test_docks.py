@@ -100,17 +100,24 @@ def test_a_long_status_moves_nothing_and_a_click_shows_all_of_it(styled_window, 
     at_rest(thread=False)
     before, status = places(), footer._status
     assert not status.is_elided
+    assert status.native.cursor().shape() == Qt.CursorShape.ArrowCursor
     words = "So much has to be said that it takes many lines. " * 20
     found.show_message(words)
-    footer.warn("It folds.", "Folds at 300 pixels")
+    footer.warn("It folds.", "300 folds: show")
     footer.offer("Use large motion")
     found._form.result.show_landmarks("Landmarks: 9.27 px apart before, 0.1 now")
     at_rest(thread=False)
     assert (places(), status.is_elided) == (before, True)
+    assert status.native.cursor().shape() == Qt.CursorShape.PointingHandCursor
+    underline = status.native.grab().toImage().copy(status.native.width() - 30, 20, 22, 20)
+    rows = [[underline.pixel(x, y) for x in range(22)] for y in range(20)]
+    assert any(len(set(row)) == 1 and row != rows[0] for row in rows), "no word is underlined"
     QTest.mouseClick(status.native, Qt.MouseButton.LeftButton)
     shown = [each for each in QApplication.topLevelWidgets() if each.inherits("QWhatsThat")]
     assert [each.isVisible() for each in shown] == [True]
     assert status.native.toolTip() == words
+    footer.explain("sweep 3 of 70")
+    assert status.native.toolTip() == f"{words}\nsweep 3 of 70"
     QTest.keyClick(shown[0], Qt.Key.Key_Escape)
 
 

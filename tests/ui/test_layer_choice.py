@@ -223,7 +223,7 @@ def test_overlapping_tissue_is_reported_and_marked(widget, small_sample, run, se
         outputs.overlaps == 16 * 4
     )  # Sites from column 13 move to column 6.5, and cover sites up to column 10.
     assert "at 64 pixels one part of the tissue has moved onto another" in widget.warning
-    Screen(widget).press("⚠  Overlaps at 64 pixels: show")
+    Screen(widget).press("⚠  64 overlaps: show")
     settle(widget)
     (rows, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps, paper"].data)
     assert len(rows) == 64
@@ -254,8 +254,8 @@ def test_the_warning_button_shows_folds_then_overlaps_then_neither(
     widget.rules = (widget.rules[0], *rules)
     outputs = run(widget)
     words = (
-        f"Folds at {outputs.folds} pixels: show",
-        f"Overlaps at {outputs.overlaps} pixels: show",
+        f"{outputs.folds} folds: show",
+        f"{outputs.overlaps} overlaps: show",
         "Hide the overlaps",
     )
     for said, shown in zip(words * 2, ("folds", "overlaps", "nothing") * 2, strict=True):

@@ -105,6 +105,29 @@ def test_a_study_is_opened_as_it_was_saved(make_dock, wait_for, tmp_path):
     np.testing.assert_allclose(second.solution.displacement, first.solution.displacement, atol=2e-3)
 
 
+def test_the_overlay_is_saved_with_a_study_and_shown_again(make_dock, wait_for, tmp_path):
+    first = make_dock(stack())
+    first.drawing, first.model, first.overlay = DRAWING, "elastic", "equivalent"
+    wait_for(lambda: not first.busy)
+    path = first.save_study(tmp_path / "case")
+    other = ViewerModel()
+    second = make_dock(other)
+    second.open_study(path)
+    wait_for(lambda: not second.busy)
+    assert second.overlay == "equivalent"
+    (shown,) = (layer for layer in other.layers if "equivalent" in layer.name)
+    assert shown.visible
+
+
+@pytest.mark.parametrize("saved", ["", "of a later version"])
+def test_a_study_without_a_known_overlay_leaves_the_chosen_overlay(make_dock, tmp_path, saved):
+    study = Study(Grid(SHAPE, (1.0, 1.0)), pictures=Pictures(np.ones(SHAPE), name="t1"))
+    dock = make_dock(ViewerModel())
+    dock.overlay = "magnitude"
+    dock.open_study(write_study(tmp_path / "case", study, overlay=saved))
+    assert dock.overlay == "magnitude"
+
+
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2)])
 def test_studies_of_several_slices_are_opened_at_their_places(make_dock, wait_for, tmp_path, order):
     viewer, paths, drawings = ViewerModel(), {}, {}

@@ -9,6 +9,7 @@ from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View, frame_of, plane_shown
 from tests.support.person import only
+from tests.support.pulling import pull_volume
 from tests.support.screen import Screen
 
 SHAPE, SIZE = (8, 24, 24), (2.0, 0.8, 0.8)
@@ -39,13 +40,8 @@ def drawn_at(pixel):
 @pytest.fixture
 def tilted(open_beside, settle):
     """Return a simulated user with *Pull* at a slice of a tilted volume, and the dock."""
-    person, widget = open_beside(numbered_slices(), contrast_limits=(0, 8), **PLACE)
-    Screen(widget).choose("the whole volume")
-    person.viewer.dims.set_point(0, 4)
-    settle(widget)
-    Screen(widget).press("Pull")
-    settle(widget)
-    return person, widget
+    opened = open_beside(numbered_slices(), contrast_limits=(0, 8), **PLACE)
+    return pull_volume(*opened, settle, depth=4)
 
 
 def displayed_number(viewer):

@@ -13,12 +13,15 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.messages import MEANWHILE
 from tests.support.person import CTRL, by_name, only
+from tests.support.pulling import pull_volume
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG, LONG_MS
 
 #: Kinds of result layers that are shown in the tests of extents.
 EVERYTHING = {"image", "arrows", "magnitude"}
 SHAPE, SCALE = (24, 32, 32), (1.5, 1.0, 1.0)
+#: World coordinate of the middle slice.
+MIDDLE = 12 * SCALE[0]
 
 pytestmark = pytest.mark.usefixtures("without_controls")
 
@@ -30,31 +33,15 @@ def blocks():
 
 
 @pytest.fixture
-def show_middle_slice(settle):
-    """Return a function that shows the middle slice of a volume with the *Pull* tool active."""
-
-    def show(person, widget):
-        person.viewer.dims.set_point(0, 12 * SCALE[0])
-        Screen(widget).choose("the whole volume")
-        settle(widget)
-        if not widget.active:
-            Screen(widget).press("Pull")
-        settle(widget)
-        return person, widget
-
-    return show
-
-
-@pytest.fixture
-def volume(open_window, show_middle_slice):
+def volume(open_window, settle):
     """Return a simulated user before a window with a slice of a volume, and the dock."""
-    return show_middle_slice(*open_window(blocks(), scale=SCALE))
+    return pull_volume(*open_window(blocks(), scale=SCALE), settle, depth=MIDDLE)
 
 
 @pytest.fixture
-def volume_beside(open_beside, show_middle_slice):
+def volume_beside(open_beside, settle):
     """Return a simulated user at a slice of a volume without a window, and the dock."""
-    return show_middle_slice(*open_beside(blocks(), scale=SCALE))
+    return pull_volume(*open_beside(blocks(), scale=SCALE), settle, depth=MIDDLE)
 
 
 def go_to(person, number):
@@ -339,7 +326,7 @@ def test_the_warning_button_shows_the_slice_with_the_most_folds(volume_beside, s
     settle(widget)
     solution = widget.solution
     number = count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
-    Screen(widget).button(f"⚠  Folds at {number} voxels: show").click()
+    Screen(widget).button(f"⚠  {number} folds: show").click()
     settle(widget)
     marked = by_name(person.viewer, "MR folds, elastic").data
     across = order[0]

@@ -13,7 +13,7 @@ from napari.layers import Layer
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.motion_lines import Lines
 from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
-from napari_hmrf.layers.compat import compile_once, drawn_node, thin_thumbnail
+from napari_hmrf.layers.compat import compile_once, drawn_node, outline_arrows, thin_thumbnail
 from napari_hmrf.layers.line_of_sight import DepthDrag, LineOfSight, shows_volume
 from napari_hmrf.layers.metadata import add_metadata
 from napari_hmrf.layers.slice_view import View, plane_shown
@@ -226,6 +226,7 @@ class ArrowsLayer:
         self._viewer.add_layer(layer)
         # Otherwise vispy builds a shader program in each update, which takes longer than drawing.
         compile_once(drawn_node(self._viewer, layer))
+        outline_arrows(self._viewer, layer)
 
     def _equip(self, layer: Any) -> None:
         """Configure the mouse and the cursor for drawing.

@@ -66,7 +66,7 @@ LACKING: dict[Name, str] = {
 }
 OVERLAY_TIP = (
     "Overlay on the image that moves with the tissue; its values belong to the visible tissue.\n"
-    "Area change, volume change: ratio of sizes. Purple: shrinks, orange: grows, yellow: folds.\n"
+    "Area change, volume change: ratio of sizes. Purple: shrinks, orange: grows, blue: folds.\n"
     "Strain: elastic strain without growth, in %; negative: compression. Equivalent: von Mises\n"
     "strain in all three directions. For the paper's model: total strain within the image.\n"
     "Input motion: lines start at the undeformed tissue; a dot marks tissue that is held."

@@ -10,6 +10,7 @@ from qtpy.QtWidgets import QToolButton
 from napari_hmrf.field.tissue_point import rounded
 from napari_hmrf.layers.compat import camera_of
 from tests.support.person import only
+from tests.support.pulling import pull_volume
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
 
@@ -29,25 +30,9 @@ def head():
 
 
 @pytest.fixture
-def show_volume(settle):
-    """Return a function that shows the whole volume in a 3-D view, with the tool *Pull*."""
-
-    def show(person, widget):
-        Screen(widget).choose("the whole volume")
-        person.viewer.dims.ndisplay = 3
-        settle(widget)
-        if not widget.active:
-            Screen(widget).press("Pull")
-        settle(widget)
-        return person, widget
-
-    return show
-
-
-@pytest.fixture
-def beside(open_beside, show_volume):
+def beside(open_beside, settle):
     """Return a simulated pointer at a volume in a 3-D view without a window, and the dock."""
-    return show_volume(*open_beside(head(), scale=SCALE))
+    return pull_volume(*open_beside(head(), scale=SCALE), settle, ndisplay=3)
 
 
 def tools(widget):
@@ -90,9 +75,9 @@ def test_a_drag_moves_tissue_parallel_to_the_screen(beside, settle):
 
 @pytest.mark.filterwarnings("ignore:Non-orthogonal slicing:UserWarning")  # in the 2-D view
 @pytest.mark.parametrize("turn", [30.0, -70.0])
-def test_the_line_of_sight_includes_the_rotation_of_the_layer(open_beside, show_volume, turn):
+def test_the_line_of_sight_includes_the_rotation_of_the_layer(open_beside, settle, turn):
     person, widget = open_beside(head(), scale=SCALE, rotate=(turn, 10, 0))
-    show_volume(person, widget)
+    pull_volume(person, widget, settle, ndisplay=3)
     layer = person.viewer.layers["MR"]
     target, ahead = np.array([TOP - 0.5, 10, 12]), np.array([1.0, 0.0, 0.0])
     world = np.array([layer.data_to_world(each) for each in (target, target + ahead)])
@@ -286,10 +271,8 @@ def test_play_explains_that_a_slice_is_hidden_inside_the_volume(open_beside, set
     assert "hidden inside the volume" in widget.status
 
 
-def test_the_mouse_turns_the_camera_beside_the_tissue_in_a_window(
-    open_window, show_volume, settle, wait_for
-):
-    person, widget = show_volume(*open_window(head(), scale=SCALE))
+def test_the_mouse_turns_the_camera_beside_the_tissue_in_a_window(open_window, settle, wait_for):
+    person, widget = pull_volume(*open_window(head(), scale=SCALE), settle, ndisplay=3)
     camera = camera_of(person.viewer)
     person.viewer.reset_view()
     before, places = camera.angles, ((MIDDLE[0], 1.0, col) for col in count(2.0, 0.5))

@@ -7,10 +7,12 @@ import pytest
 from napari.layers import Image
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
+from scipy import ndimage
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
 from napari_hmrf.layers.compat import drawn_node
+from napari_hmrf.layers.label_colours import DRAWN
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
@@ -899,6 +901,20 @@ def disc():
     return np.where(inside, 120 + 60 * ((rows // 8 + cols // 8) % 2), 0).astype(np.uint8)
 
 
+def test_no_circle_is_drawn_in_the_corner_before_the_mouse_moves(
+    make_napari_viewer, unstyled, chequered, settle
+):
+    viewer = make_napari_viewer(show=True)
+    viewer.mouse_over_canvas = True
+    viewer.add_image(chequered)
+    widget = dock_in(viewer)
+    Screen(widget).press("Pull")
+    settle(widget)
+    assert by_name(viewer, "Motion").cursor == "circle"
+    corner = viewer.screenshot(canvas_only=True, flash=False)[:30, :30, :3]
+    assert np.ptp(corner) < 10
+
+
 def test_keys_change_the_radius_of_the_brush(pulling_beside):
     person, widget = pulling_beside
     person.key(PIN)
@@ -932,6 +948,18 @@ def test_a_registered_tool_receives_mouse_and_keys_and_shows_its_fields(
     assert (widget.drawing, widget.study_model.next_undo) == (before, None)
     person.key(Qt.Key.Key_G)
     assert layer.cursor == "circle"
+
+
+def test_a_drawn_arrow_has_a_dark_outline(open_window, settle):
+    person, widget = open_window(np.full((64, 64), 255, np.uint8))
+    widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
+    settle(widget)
+    for layer in person.viewer.layers:
+        layer.visible = layer.name in ("MR", "Motion")
+    shot = person.viewer.screenshot(canvas_only=True, flash=False)[..., :3].astype(int)
+    blue = np.abs(shot - 255 * np.array(DRAWN[:3])).max(axis=-1) < 30
+    near = ndimage.binary_dilation(blue, iterations=3) & ~blue
+    assert (shot[near].max(axis=-1) < 100).mean() > 0.2, "bright tissue touches the arrow"
 
 
 def test_the_cursor_of_a_tool_is_not_set_in_other_modes_of_napari(pulling_beside):

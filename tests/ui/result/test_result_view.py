@@ -552,7 +552,7 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     set_to(widget, overlay="jacobian")
     assert f"at {outputs.folds} pixels" in widget.warning
     assert "the tissue folds" in widget.warning
-    layer = viewer_of(widget).layers["MR area change (ratio; yellow: folded), paper"]
+    layer = viewer_of(widget).layers["MR area change (ratio; blue: folded), paper"]
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
     assert folded.sum() == outputs.folds
@@ -566,7 +566,7 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     assert said in widget._form.result.how_far.value
     set_to(widget, overlay="nothing")
     assert "Colours end" not in widget._form.result.how_far.value
-    np.testing.assert_allclose(layer.colormap.low_color, (1, 0.933, 0, 1), atol=0.01)
+    np.testing.assert_allclose(layer.colormap.low_color, (0, 0.314, 1, 1), atol=0.01)
     assert layer.colormap.map(np.array([1.0]))[0, :3] == pytest.approx((0.5, 0.23, 0.03), abs=0.05)
 
 
@@ -577,7 +577,7 @@ def test_folds_are_drawn_and_named_as_folds_instead_of_strain(widget, small_samp
     solution = run(widget).solution
     for overlay in ("squeeze", "equivalent"):
         set_to(widget, overlay=overlay)
-        (layer,) = [each for each in viewer_of(widget).layers if "; yellow: folded" in each.name]
+        (layer,) = [each for each in viewer_of(widget).layers if "; blue: folded" in each.name]
         folds = layer.data == -np.inf
         field = solution.displacement, solution.spacing, solution.tissue
         folded = fold_mask(field[0], spacing=field[1], tissue=field[2])
