@@ -83,6 +83,7 @@ class Footer(QWidget):
         )
         self.help = PushButton(text="?", tooltip=_HELP + tools)
         self.help.native.setFixedWidth(28)
+        self.help.native.setAccessibleName("Help")
         self.chip = ElidedButton()
         self.other = QPushButton()
         self.warning = ""

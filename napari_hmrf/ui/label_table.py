@@ -97,11 +97,13 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._layer: Any = None
         self._connections = EventConnections()
         self._timer = single_shot(self, _PAUSE, self.refresh)
+        self.setAccessibleName(f"{self.role} table")
         self._fill()
         self.verticalHeader().hide()
         self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
         self.verticalHeader().setDefaultSectionSize(_ROW_HEIGHT)
         self.setWordWrap(False)
+        self.setTabKeyNavigation(False)  # the Tab key leaves the table; arrow keys select a cell
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setSizeAdjustPolicy(self.SizeAdjustPolicy.AdjustToContents)
         self.setMaximumHeight(_HIGHEST)
@@ -275,6 +277,7 @@ class LabelTable(QTableWidget, Generic[Row]):
                 item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
             if about.choices:
                 self.setCellWidget(row, column, self._box(item, about.choices))
+                self._order_tabs(row, column)
         item.setText(text)
         item.setToolTip(text)  # the narrow dock may elide the text
         typing = Qt.ItemFlag.ItemIsEditable
@@ -285,7 +288,16 @@ class LabelTable(QTableWidget, Generic[Row]):
         if column == LABEL:
             item.setIcon(self._swatch(int(value.label)))
         if about.choices:
-            self.cellWidget(row, column).setCurrentText(text)
+            box = self.cellWidget(row, column)
+            box.setCurrentText(text)
+            box.setAccessibleName(f"{about.title} of {value.name or f'label {value.label}'}")
+
+    def _order_tabs(self, row: int, column: int) -> None:
+        """Make the Tab key visit a new box after the table and the boxes before it."""
+        columns = self.columnCount()
+        cells = (divmod(number, columns) for number in range(row * columns + column))
+        boxes = [box for cell in cells if (box := self.cellWidget(*cell)) is not None]
+        self.setTabOrder([self, *boxes][-1], self.cellWidget(row, column))
 
     def _box(self, item: QTableWidgetItem, choices: Sequence[str]) -> QComboBox:
         """Create the menu for a cell with a fixed set of values."""
