@@ -25,6 +25,7 @@ from superqt import QCollapsible
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
+from napari_hmrf.ui.font_size import FontFollower, WidthFitter
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import CalmField, row
 from napari_hmrf.ui.keyboard_access import name_fields
@@ -192,6 +193,7 @@ class DockForm:
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         scroll.setWidget(body.native)
         scroll.setMinimumWidth(_WIDTH)
+        WidthFitter(scroll, _WIDTH)
         scroll.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
         self._body = body, tissue  # magicgui deletes an unreferenced container
@@ -207,6 +209,7 @@ class DockForm:
         for choice in (self.result.reference, self.result.second):
             choice.listed.connect(self._show_comparison)
         self._show_comparison()
+        FontFollower(self.motion.fields.radius.native, [*self.motion.tools.values(), *self.tables])
         # Nested widgets, which magicgui does not list, follow the forms that contain them.
         inner = (self.tissue, self.tissue.editor, self.motion.boundary.landmarks)
         for form in (body, *parts.values(), *inner, self.result):

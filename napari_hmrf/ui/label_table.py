@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, Generic, NamedTuple
 
 from napari.layers import Labels
-from qtpy.QtCore import QModelIndex, QSignalBlocker, Qt, Signal
+from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, Qt, Signal
 from qtpy.QtGui import QColor, QIcon, QPixmap
 from qtpy.QtWidgets import QComboBox, QHeaderView, QSizePolicy, QTableWidget, QTableWidgetItem
 
@@ -27,8 +27,10 @@ LABEL, NAME = range(2)
 _PAUSE = 150
 #: Layer events that can change the labels or their colours.
 _EVENTS = (*CHANGES, "colormap")
-#: Height of a row and largest height of a table, in pixels; about five rows fit without scrolling.
-_ROW_HEIGHT, _HIGHEST = 26, 172
+#: Minimum height of a row, and space above and below its text, in pixels.
+_ROW_HEIGHT, _ROW_SPACE = 26, 10
+#: Largest height of a table, in rows; about five rows fit without scrolling.
+_HIGHEST = 6.6
 _COMPACT = "QComboBox { padding: 1px 0px 1px 3px; } QComboBox::drop-down { width: 14px; }"
 
 
@@ -101,12 +103,11 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._fill()
         self.verticalHeader().hide()
         self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
-        self.verticalHeader().setDefaultSectionSize(_ROW_HEIGHT)
         self.setWordWrap(False)
         self.setTabKeyNavigation(False)  # the Tab key leaves the table; arrow keys select a cell
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setSizeAdjustPolicy(self.SizeAdjustPolicy.AdjustToContents)
-        self.setMaximumHeight(_HIGHEST)
+        self._fit_rows()
         self.setSelectionBehavior(self.SelectionBehavior.SelectRows)
         self.setSelectionMode(self.SelectionMode.SingleSelection)
         header = self.horizontalHeader()
@@ -247,6 +248,17 @@ class LabelTable(QTableWidget, Generic[Row]):
         if self._layer is not None:
             store_table(self._contents, self._layer, self.role)
             self.changed.emit(automatic)
+
+    def changeEvent(self, event: Any) -> None:
+        """Fit the rows to a new font."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.FontChange:
+            self._fit_rows()
+
+    def _fit_rows(self) -> None:
+        height = max(_ROW_HEIGHT, self.fontMetrics().height() + _ROW_SPACE)
+        self.verticalHeader().setDefaultSectionSize(height)
+        self.setMaximumHeight(round(_HIGHEST * height))
 
     # Cells
 
