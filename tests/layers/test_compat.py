@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from napari.components import ViewerModel
-from napari.layers import Labels, Vectors
+from napari.layers import Image, Labels, Vectors
 from napari.utils._proxies import PublicOnlyProxy
 
 from napari_hmrf.layers import compat
@@ -40,6 +40,7 @@ def test_napari_versions_before_the_move_of_camera_and_overlays_are_allowed():
     (lowest,) = [each.partition(">=")[2] for each in listed if each.startswith("napari>=")]
     major, minor, *_ = map(int, lowest.split("."))
     assert (major, minor) < (0, 9), "camera_of, text_of and scale_bar_of can be removed"
+    assert lowest == "0.7.0", "try whether slice_hidden can be removed"
 
 
 def test_the_camera_and_the_overlays_are_found_in_any_napari_version():
@@ -52,6 +53,18 @@ def test_the_camera_and_the_overlays_are_found_in_any_napari_version():
         assert compat.camera_of(viewer) is viewer.scene.camera
         assert compat.text_of(viewer) is viewer.canvas.overlays.text
         assert compat.scale_bar_of(viewer) is viewer.canvas.overlays.scale_bar
+
+
+@pytest.mark.parametrize("kind", [Image, Labels])
+def test_a_hidden_volume_can_be_added_to_a_3d_view(unstyled, make_napari_viewer, kind):
+    viewer = make_napari_viewer()
+    viewer.dims.ndisplay = 3
+    layer = kind(np.ones((3, 4, 5), np.uint8), visible=False)
+    compat.slice_hidden(viewer, layer)
+    viewer.add_layer(layer)
+    assert not layer.visible
+    assert viewer.dims.ndisplay == 3
+    layer.visible = True
 
 
 def test_the_brush_circle_has_no_public_overlay():
