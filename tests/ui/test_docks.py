@@ -20,6 +20,7 @@ from qtpy.QtWidgets import (
 
 from napari_hmrf.contributions import dock
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -220,7 +221,7 @@ def test_an_image_shown_as_a_whole_remains_so_beside_a_dock(unstyled, make_napar
 
 def test_a_view_chosen_by_the_user_is_not_changed_by_a_dock(window, at_rest):
     viewer = window._qt_viewer.viewer
-    camera = viewer.scene.camera
+    camera = camera_of(viewer)
     camera.zoom *= 3
     camera.center = (0, 10, 12)
     chosen = (camera.zoom, camera.center)
