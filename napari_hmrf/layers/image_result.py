@@ -13,7 +13,7 @@ from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.compat import hide_in_list, outline_arrows, show_name
+from napari_hmrf.layers.compat import hide_in_list, outline_arrows, show_name, slice_hidden
 from napari_hmrf.layers.label_colours import opaque_gaps
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
@@ -348,6 +348,7 @@ class Result:
                 layer = Layer.create(*made)
                 # Register the layer first, so that callbacks of the insertion can find it.
                 state = self._states[part] = _PartState(weakref.ref(layer), name, wanted)
+                slice_hidden(self._viewer, layer)
                 layers.insert(self._index(part, made, source), layer)
                 state.name = layer.name
                 if part in (PAINTED, CONFIDENCE):  # parts of the drawing, which the tools edit

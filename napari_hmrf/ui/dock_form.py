@@ -25,8 +25,10 @@ from superqt import QCollapsible
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
+from napari_hmrf.ui.font_size import FontFollower, WidthFitter
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import CalmField, row
+from napari_hmrf.ui.keyboard_access import name_fields
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.carry_over import CarryOverForm
@@ -172,6 +174,7 @@ class DockForm:
             title, about = _SECTIONS[name]
             self.sections[name] = step = QCollapsible(title, expandedIcon="▾", collapsedIcon="▸")
             step.toggleButton().setToolTip(about)
+            step.toggleButton().setAutoDefault(True)  # the Enter key opens the section, too
             for inner in (step.layout(), step.content().layout()):
                 inner.setSpacing(2)
                 inner.setContentsMargins(0, 0, 0, 0)
@@ -185,10 +188,12 @@ class DockForm:
         # The form scrolls vertically only, so the dock must not be narrower than the form.
         self._scroll = scroll = QScrollArea()
         scroll.setWidgetResizable(True)
+        scroll.setFocusPolicy(Qt.FocusPolicy.ClickFocus)  # it scrolls to the field with the focus
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         scroll.setWidget(body.native)
         scroll.setMinimumWidth(_WIDTH)
+        WidthFitter(scroll, _WIDTH)
         scroll.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
         self._body = body, tissue  # magicgui deletes an unreferenced container
@@ -204,6 +209,11 @@ class DockForm:
         for choice in (self.result.reference, self.result.second):
             choice.listed.connect(self._show_comparison)
         self._show_comparison()
+        FontFollower(self.motion.fields.radius.native, [*self.motion.tools.values(), *self.tables])
+        # Nested widgets, which magicgui does not list, follow the forms that contain them.
+        inner = (self.tissue, self.tissue.editor, self.motion.boundary.landmarks)
+        for form in (body, *parts.values(), *inner, self.result):
+            name_fields(form)
 
     def _show_comparison(self) -> None:
         """Show the section for comparisons only if there is a layer to compare with."""

@@ -12,9 +12,7 @@ from napari_hmrf.ui.forms import ElidedButton, FixedText, row
 #: Number of lines of the status.
 _LINES = 2
 #: Dark text on amber: legible on napari's dark and light themes.
-_CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 4px;"
-#: Height of the row of the warning and the offer, in pixels.
-_CHIP_HEIGHT = 26
+_CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 4px;"
 _HELP = (
     "Drag: pull tissue. Click: hold tissue in place. Drag an end of an arrow: change the arrow.\n"
     "Shift+click: select a mark. Delete: remove the selected mark. Esc: cancel.\n"
@@ -83,6 +81,7 @@ class Footer(QWidget):
         )
         self.help = PushButton(text="?", tooltip=_HELP + tools)
         self.help.native.setFixedWidth(28)
+        self.help.native.setAccessibleName("Help")
         self.chip = ElidedButton()
         self.other = QPushButton()
         self.warning = ""
@@ -114,10 +113,12 @@ class Footer(QWidget):
     def _warnings(self) -> QWidget:
         """Return the row of the warning and the offer, which keeps its height without them."""
         place = QWidget()
-        place.setFixedHeight(_CHIP_HEIGHT)
         beside = QHBoxLayout(place)
         beside.setContentsMargins(4, 0, 4, 0)
         beside.setSpacing(2)
+        policy = self.chip.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)
+        self.chip.setSizePolicy(policy)
         beside.addWidget(self.chip, 1)
         beside.addWidget(self.other)
         beside.setAlignment(self.other, Qt.AlignmentFlag.AlignRight)

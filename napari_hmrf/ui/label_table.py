@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, Generic, NamedTuple
 
 from napari.layers import Labels
-from qtpy.QtCore import QModelIndex, QSignalBlocker, Qt, Signal
+from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, Qt, Signal
 from qtpy.QtGui import QColor, QIcon, QPixmap
 from qtpy.QtWidgets import QComboBox, QHeaderView, QSizePolicy, QTableWidget, QTableWidgetItem
 
@@ -27,8 +27,10 @@ LABEL, NAME = range(2)
 _PAUSE = 150
 #: Layer events that can change the labels or their colours.
 _EVENTS = (*CHANGES, "colormap")
-#: Height of a row and largest height of a table, in pixels; about five rows fit without scrolling.
-_ROW_HEIGHT, _HIGHEST = 26, 172
+#: Minimum height of a row, and space above and below its text, in pixels.
+_ROW_HEIGHT, _ROW_SPACE = 26, 10
+#: Largest height of a table, in rows; about five rows fit without scrolling.
+_HIGHEST = 6.6
 _COMPACT = "QComboBox { padding: 1px 0px 1px 3px; } QComboBox::drop-down { width: 14px; }"
 
 
@@ -97,14 +99,15 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._layer: Any = None
         self._connections = EventConnections()
         self._timer = single_shot(self, _PAUSE, self.refresh)
+        self.setAccessibleName(f"{self.role} table")
         self._fill()
         self.verticalHeader().hide()
         self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
-        self.verticalHeader().setDefaultSectionSize(_ROW_HEIGHT)
         self.setWordWrap(False)
+        self.setTabKeyNavigation(False)  # the Tab key leaves the table; arrow keys select a cell
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setSizeAdjustPolicy(self.SizeAdjustPolicy.AdjustToContents)
-        self.setMaximumHeight(_HIGHEST)
+        self._fit_rows()
         self.setSelectionBehavior(self.SelectionBehavior.SelectRows)
         self.setSelectionMode(self.SelectionMode.SingleSelection)
         header = self.horizontalHeader()
@@ -246,6 +249,17 @@ class LabelTable(QTableWidget, Generic[Row]):
             store_table(self._contents, self._layer, self.role)
             self.changed.emit(automatic)
 
+    def changeEvent(self, event: Any) -> None:
+        """Fit the rows to a new font."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.FontChange:
+            self._fit_rows()
+
+    def _fit_rows(self) -> None:
+        height = max(_ROW_HEIGHT, self.fontMetrics().height() + _ROW_SPACE)
+        self.verticalHeader().setDefaultSectionSize(height)
+        self.setMaximumHeight(round(_HIGHEST * height))
+
     # Cells
 
     def _fill(self) -> None:
@@ -275,6 +289,7 @@ class LabelTable(QTableWidget, Generic[Row]):
                 item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
             if about.choices:
                 self.setCellWidget(row, column, self._box(item, about.choices))
+                self._order_tabs(row, column)
         item.setText(text)
         item.setToolTip(text)  # the narrow dock may elide the text
         typing = Qt.ItemFlag.ItemIsEditable
@@ -285,7 +300,16 @@ class LabelTable(QTableWidget, Generic[Row]):
         if column == LABEL:
             item.setIcon(self._swatch(int(value.label)))
         if about.choices:
-            self.cellWidget(row, column).setCurrentText(text)
+            box = self.cellWidget(row, column)
+            box.setCurrentText(text)
+            box.setAccessibleName(f"{about.title} of {value.name or f'label {value.label}'}")
+
+    def _order_tabs(self, row: int, column: int) -> None:
+        """Make the Tab key visit a new box after the table and the boxes before it."""
+        columns = self.columnCount()
+        cells = (divmod(number, columns) for number in range(row * columns + column))
+        boxes = [box for cell in cells if (box := self.cellWidget(*cell)) is not None]
+        self.setTabOrder([self, *boxes][-1], self.cellWidget(row, column))
 
     def _box(self, item: QTableWidgetItem, choices: Sequence[str]) -> QComboBox:
         """Create the menu for a cell with a fixed set of values."""

@@ -27,7 +27,7 @@ from napari_hmrf.io.study_file import (
     read_study,
     write_study,
 )
-from napari_hmrf.layers.compat import is_quitting, stop_quitting
+from napari_hmrf.layers.compat import is_quitting, slice_hidden, stop_quitting
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
 from napari_hmrf.layers.unsaved_work import UnsavedWork
@@ -188,6 +188,7 @@ class Unsaved(QObject):
         layers = study_layers(study)
         with self._binding.automatically():
             for layer in layers.values():
+                slice_hidden(self._viewer, layer)
                 self._viewer.add_layer(layer)
             if (frame := study.grid.place) is not None:
                 first = next(iter(layers.values()))

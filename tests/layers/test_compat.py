@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from napari.components import ViewerModel
-from napari.layers import Labels, Vectors
+from napari.layers import Image, Labels, Vectors
 from napari.utils._proxies import PublicOnlyProxy
 
 from napari_hmrf.layers import compat
@@ -40,6 +40,7 @@ def test_napari_versions_before_the_move_of_camera_and_overlays_are_allowed():
     (lowest,) = [each.partition(">=")[2] for each in listed if each.startswith("napari>=")]
     major, minor, *_ = map(int, lowest.split("."))
     assert (major, minor) < (0, 9), "camera_of, text_of and scale_bar_of can be removed"
+    assert lowest == "0.7.0", "try whether slice_hidden can be removed"
 
 
 def test_the_camera_and_the_overlays_are_found_in_any_napari_version():
@@ -63,6 +64,18 @@ def test_the_direction_at_the_cursor_is_private_and_defaults_to_that_of_the_came
     viewer.cursor._view_direction = np.array([0.6, 0.8, 0.0])
     assert compat.sight_of(viewer) is viewer.cursor._view_direction
     assert not hasattr(viewer.cursor, "view_direction"), "napari has made the direction public"
+
+
+@pytest.mark.parametrize("kind", [Image, Labels])
+def test_a_hidden_volume_can_be_added_to_a_3d_view(unstyled, make_napari_viewer, kind):
+    viewer = make_napari_viewer()
+    viewer.dims.ndisplay = 3
+    layer = kind(np.ones((3, 4, 5), np.uint8), visible=False)
+    compat.slice_hidden(viewer, layer)
+    viewer.add_layer(layer)
+    assert not layer.visible
+    assert viewer.dims.ndisplay == 3
+    layer.visible = True
 
 
 def test_the_brush_circle_has_no_public_overlay():

@@ -16,6 +16,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, write_image
+from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.screen_directions import Sides, directions_of
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
@@ -68,7 +69,7 @@ def turned_views(viewer):
     ways_round = (("down", "right"), ("up", "left"), ("up", "right"))
     for order, ways in product(orders, ways_round):
         viewer.dims.order = order
-        viewer.scene.camera.orientation2d = ways
+        camera_of(viewer).orientation2d = ways
         yield order
 
 
@@ -76,7 +77,7 @@ def edge_of_mark(viewer, image):
     """Return the vertical and the horizontal canvas edge nearest to the bright mark."""
     (pixel,) = np.argwhere(np.asarray(image.data) == 200)
     world = np.asarray(image.data_to_world(pixel))[list(viewer.dims.displayed)]
-    down, right = viewer.scene.camera.orientation2d
+    down, right = camera_of(viewer).orientation2d
     low = (world > 0) == (str(down) == "down")
     late = (world > 0) == (str(right) == "right")
     return ("bottom" if low[0] else "top"), ("right" if late[1] else "left")

@@ -65,6 +65,7 @@ class ResultForm(Container):
             value=100,
             max=100,
             readout=False,
+            label="displayed percentage",  # not visible; the accessible name
             tooltip="Displayed fraction of the displacement: 0 % is the undeformed image, 100 % is "
             "the result",
         )

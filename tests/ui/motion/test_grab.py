@@ -5,6 +5,7 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
+from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -406,7 +407,7 @@ def test_a_sample_selects_its_tissue_and_hides_its_paint(open_beside, settle):
 
 def test_each_tool_has_a_button_a_key_and_a_name_on_the_canvas(pulling_beside, settle):
     person, widget = pulling_beside
-    screen, badge = Screen(widget), person.viewer.canvas.overlays.text
+    screen, badge = Screen(widget), text_of(person.viewer)
     assert (widget.tool, badge.text, badge.visible) == ("pull", "Pull: drag tissue here", True)
     screen.press("Hold")
     assert (widget.tool, badge.text) == ("pin", "Hold")

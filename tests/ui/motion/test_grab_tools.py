@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
-from napari_hmrf.layers.compat import drawn_node
+from napari_hmrf.layers.compat import camera_of, drawn_node, text_of
 from napari_hmrf.layers.label_colours import DRAWN
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.layers.paint_layer import number_of
@@ -400,7 +400,7 @@ def test_a_mark_of_one_component_is_labelled_on_the_canvas_and_drawn_with_double
     pulling_beside, settle
 ):
     person, widget = pulling_beside
-    text, fields = person.viewer.canvas.overlays.text, widget.fields
+    text, fields = text_of(person.viewer), widget.fields
     fields.components.value = "row"
     assert text.text == "Pull, up and down only"
     person.key(MOVE)
@@ -580,7 +580,7 @@ def test_tissue_is_painted_with_the_table_of_its_layer(open_beside, settle):
     material = widget.fields.material
     assert tuple(material.choices) == (1, 7)
     material.value = 7
-    assert person.viewer.canvas.overlays.text.text == "Tissue"
+    assert text_of(person.viewer).text == "Tissue"
     widget.fields.radius.value = 6.0
     person.paint((32, 20), (32, 32), (32, 44))
     widget.drawing = Drawing((*widget.drawing.marks, Arrow((32, 20), (0, 4), 3.0)))
@@ -876,7 +876,7 @@ def test_the_wheel_changes_nothing_where_a_pull_would_be_lost(pulling_beside, se
 def test_the_wheel_zooms_unless_grow_is_active_over_tissue(open_beside, settle):
     person, widget = open_beside(disc())
     settle(widget)
-    camera = person.viewer.scene.camera
+    camera = camera_of(person.viewer)
     for row, col in ((32, 32), (1, 1)):
         person.turn_wheel(row, col)
         assert camera.mouse_zoom
@@ -1048,7 +1048,7 @@ def test_removing_the_motion_layer_or_the_image_ends_a_stroke(brushing_beside, a
     at_rest()
     assert not widget.study_model.drawing_in_progress
     assert widget.status.startswith(said)
-    assert not person.viewer.canvas.overlays.text.visible
+    assert not text_of(person.viewer).visible
 
 
 def test_two_viewers_have_separate_tools(open_beside, settle):
@@ -1082,7 +1082,7 @@ def test_closing_the_dock_removes_its_paint_and_its_text(unstyled, make_napari_v
     window = person.viewer.window
     window.remove_dock_widget(widget.native)
     assert "Motion, painted" not in person.viewer.layers
-    assert not person.viewer.canvas.overlays.text.visible
+    assert not text_of(person.viewer).visible
     again = SoftTissue(person.viewer)
     window.add_dock_widget(again.native, name="Soft tissue")
     settle(again)
@@ -1091,7 +1091,7 @@ def test_closing_the_dock_removes_its_paint_and_its_text(unstyled, make_napari_v
 
 def test_text_of_another_plugin_on_the_canvas_is_not_changed(open_beside):
     person, widget = open_beside()
-    text = person.viewer.canvas.overlays.text
+    text = text_of(person.viewer)
     text.text, text.visible = "patient 7", True
     widget.start()
     assert text.text == "patient 7"
@@ -1125,9 +1125,7 @@ def test_presets_offer_their_tissues_and_unpainted_tissue_is_the_first(brushing_
     settle(widget)
     before = displacement(widget)
     names = [row.name for row in fields.preset.value.materials]
-    assert names[0] in person.viewer.canvas.overlays.text.text + str(
-        fields.material.native.itemText(1)
-    )
+    assert names[0] in text_of(person.viewer).text + str(fields.material.native.itemText(1))
     fields.material.value = fields.preset.value.materials[0].label
     person.paint((20, 20), (30, 20))
     settle(widget)

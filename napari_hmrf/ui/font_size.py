@@ -1,0 +1,67 @@
+"""Font size of the dock: controls that napari does not scale, and the width of the forms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from qtpy.QtCore import QEvent, QObject
+from qtpy.QtWidgets import QScrollArea, QWidget
+
+_FONT_EVENTS = (QEvent.Type.FontChange, QEvent.Type.StyleChange, QEvent.Type.Show)
+
+
+class FontFollower(QObject):
+    """Event filter that gives controls the font size of a field.
+
+    The font size in the settings of napari does not change tables and tool buttons.
+
+    Parameters
+    ----------
+    field : QWidget
+    controls : sequence of QWidget
+    """
+
+    def __init__(self, field: QWidget, controls: Sequence[QWidget]) -> None:
+        super().__init__(field)
+        self._controls = controls
+        field.installEventFilter(self)
+
+    def eventFilter(self, field: Any, event: Any) -> bool:
+        """Copy the font size after each change."""
+        size = field.font().pointSizeF()
+        if event.type() in _FONT_EVENTS and size > 0:  # a font can have a size in pixels instead
+            for control in self._controls:
+                font = control.font()
+                if font.pointSizeF() != size:
+                    font.setPointSizeF(size)
+                    control.setFont(font)
+        return False
+
+
+class WidthFitter(QObject):
+    """Event filter that makes a scroll area as wide as its contents, because it scrolls vertically.
+
+    Parameters
+    ----------
+    area : QScrollArea
+    least : int
+        Minimum width of the area, in pixels.
+    """
+
+    def __init__(self, area: QScrollArea, least: int) -> None:
+        super().__init__(area)
+        self._area, self._least = area, least
+        area.widget().installEventFilter(self)
+
+    def eventFilter(self, contents: Any, event: Any) -> bool:
+        """Fit the width after each change of the layout."""
+        if event.type() == QEvent.Type.LayoutRequest:
+            area, bar = self._area, self._area.verticalScrollBar()
+            beside = bar.sizeHint().width()
+            if bar.isVisible():  # a style sheet may add a frame
+                beside = area.width() - area.viewport().width()
+            width = max(self._least, contents.minimumSizeHint().width() + beside)
+            if width != area.minimumWidth():
+                area.setMinimumWidth(width)
+        return False

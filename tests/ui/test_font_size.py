@@ -1,0 +1,76 @@
+"""Tests of the dock with a large font: no text is cut, and all texts grow."""
+
+import pytest
+from napari._qt.qt_resources import get_stylesheet
+from qtpy.QtCore import QPoint
+from qtpy.QtWidgets import QAbstractButton, QComboBox, QLabel, QScrollArea, QTableView, QToolButton
+
+from tests.support.docks import quick
+from tests.support.screen import Screen
+
+#: Height of a window on a small screen, in pixels.
+_HEIGHT = 700
+
+
+@pytest.fixture
+def dock(frame, small_sample, at_rest):
+    """Return a dock with all sections open, as narrow as possible, on a small screen."""
+    small_sample(frame.viewer)
+    made = quick(frame.open())
+    frame.show()
+    for section in made._form.sections.values():
+        section.expand(animate=False)
+    at_rest.until(lambda: not made.busy)
+    return made
+
+
+def enlarge(dock, at_rest, by):
+    """Make the font 1.5 times as large, as the application or the settings of napari do."""
+    window = dock.native.window()
+    if by == "application":
+        font = window.font()
+        font.setPointSizeF(1.5 * font.pointSizeF())
+        window.setFont(font)
+    else:
+        size = {"font_size": "14pt"}
+        window.setStyleSheet(get_stylesheet("dark", extra_variables=size))
+    at_rest()
+    window.resize(window.minimumSizeHint().width(), _HEIGHT)
+    at_rest()
+
+
+def is_cut(part):
+    needed = part.minimumSizeHint() if isinstance(part, QComboBox) else part.sizeHint()
+    wraps = isinstance(part, QLabel) and (part.wordWrap() or part.toolTip() == part.text())
+    too_narrow = part.width() < needed.width() and not wraps
+    return too_narrow or (part.height() < needed.height() and not wraps)
+
+
+@pytest.mark.parametrize("by", ["application", "napari"])
+def test_no_text_is_cut_with_a_large_font(dock, at_rest, by):
+    dock._form.footer.warn("Tissue folds.", "folds")
+    dock._form.footer.offer("Take large motion", "Solve without folds")
+    enlarge(dock, at_rest, by)
+    kinds = (QAbstractButton, QComboBox, QLabel)
+    parts = [each for kind in kinds for each in dock.native.findChildren(kind)]
+    parts.remove(Screen(dock).button("?"))  # narrow on purpose
+    assert len(parts) > 50
+    assert not [each.toolTip() for each in parts if each.isVisible() and is_cut(each)]
+    area = dock.native.findChild(QScrollArea)
+    assert area.widget().width() <= area.viewport().width(), "the form is wider than the dock"
+    save = Screen(dock).button("Save study")
+    window = dock.native.window()
+    assert window.rect().contains(save.mapTo(window, QPoint(0, save.height() - 1)))
+
+
+@pytest.mark.parametrize("by", ["application", "napari"])
+def test_tools_and_tables_have_the_font_size_of_the_fields(dock, at_rest, by):
+    tables = dock.native.findChildren(QTableView)
+    rows = [table.rowHeight(0) for table in tables]
+    enlarge(dock, at_rest, by)
+    size = dock.fields.radius.native.font().pointSizeF()
+    for each in (*dock.native.findChildren(QToolButton), *tables):
+        if each.isVisible():
+            assert each.font().pointSizeF() == size, each
+    for table, before in zip(tables, rows, strict=True):
+        assert table.rowHeight(0) > before
