@@ -18,6 +18,8 @@ _SAMPLED_SHARE = 0.32
 # The fraction is not checked for up to this many levels, because images of up to 32 pixels have few
 # coarse levels.
 _SMALLEST_TREE = 6
+# Number of regions short of their targets that a clause names, besides the farthest.
+_NAMED_REGIONS = 3
 #: Clause for tissue without sufficient constraints.
 LOOSE = "nothing holds the tissue"
 
@@ -60,7 +62,7 @@ def shortfall(reach: Reach | None, unit: str) -> str:
         )
         clauses.append(
             f"{cause}: {reach.sites} pixels stay short of their targets, the pixel at "
-            f"{reach.where} by {reach.missing:.3g} {unit}"
+            f"{reach.where} by {reach.missing:.3g} {unit}{_other_regions(reach)}"
         )
     if reach is not None and reach.unbalanced_at is not None:
         cause = "tissue had no time to settle" if reach.stopped else "crushed tissue did not settle"
@@ -69,6 +71,17 @@ def shortfall(reach: Reach | None, unit: str) -> str:
             f"{reach.unbalanced_at}"
         )
     return "; ".join(clauses)
+
+
+def _other_regions(reach: Reach) -> str:
+    """Return the positions of the other regions that stay short of their targets, or ""."""
+    others = [str(at) for at in reach.regions[1:]]
+    if len(others) > _NAMED_REGIONS:
+        others[_NAMED_REGIONS:] = [f"in {len(others) - _NAMED_REGIONS} more regions"]
+    if not others:
+        return ""
+    *first, last = others
+    return f", and others at {', '.join(first)} and {last}" if first else f", and others at {last}"
 
 
 def missing_constraint(problem: Problem) -> str:

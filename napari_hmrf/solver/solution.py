@@ -528,6 +528,7 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
         float(given.get("unbalanced", 0.0)),
         None if furthest is None else tuple(int(index) for index in furthest),
         bool(given.get("stopped", False)),
+        tuple(tuple(int(index) for index in at) for at in given.get("regions", ())),
     )
 
 

@@ -75,7 +75,9 @@ def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
             difference -= np.einsum("a,an->n", weights, np.stack(others) - first)
         deviation = max(deviation, float(np.abs(difference).max(initial=0.0)))
     shares = (1.0 - float(weights.sum()), *map(float, weights))
-    return WarmStart(displacements, shares, problem.unit, deviation / problem.unit)
+    latest = solutions[0].reach
+    unfinished = latest is not None and latest.stopped
+    return WarmStart(displacements, shares, problem.unit, deviation / problem.unit, unfinished)
 
 
 class _Blocks:

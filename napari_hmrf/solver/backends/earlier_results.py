@@ -96,12 +96,15 @@ class WarmStart:
     missing : float
         Largest deviation of the weighted sum from the observations, in pixels, or from the loads,
         which are scaled to the largest displacement.
+    is_unfinished : bool
+        True if a budget ended the solve of the latest displacement.
     """
 
     displacements: tuple[FloatArray, ...]
     shares: tuple[float, ...]
     unit: float
     missing: float
+    is_unfinished: bool = False
 
     @property
     def weighted(self) -> list[tuple[FloatArray, float]]:

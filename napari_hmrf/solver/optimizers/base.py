@@ -100,6 +100,9 @@ class Reach:
         Index of that site; None if the field converged to the tolerance.
     stopped : bool
         True if the budget of the optimizer ended the solve; a larger budget leads further.
+    regions : tuple of tuple of int
+        Index of the farthest site of each connected region of sites that are not at their observed
+        positions, such as the region of one arrow; farthest first.
     """
 
     least_jacobian: float
@@ -111,6 +114,7 @@ class Reach:
     unbalanced: float = 0.0
     unbalanced_at: tuple[int, ...] | None = None
     stopped: bool = False
+    regions: tuple[tuple[int, ...], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
@@ -34,7 +35,7 @@ from napari_hmrf.solver.optimizers.cycle import smoothing_of
 from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
 from napari_hmrf.solver.optimizers.large_slip import LargeSlip
 from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, load_forces
-from napari_hmrf.solver.optimizers.newton import LEAST_JACOBIAN, Newton, Strategy, norm
+from napari_hmrf.solver.optimizers.newton import LEAST_JACOBIAN, Newton, Obstructed, Strategy, norm
 from napari_hmrf.solver.optimizers.work import Work
 from napari_hmrf.solver.priors import NeoHookeanPrior
 from napari_hmrf.solver.priors.elements import contrast
@@ -121,20 +122,27 @@ def converge(
     outside, strategy = None if load is None else DeadLoads(load), _strategy(problem, material)
     strategy = strategy._replace(approximate=is_coarse)
     progress = _Progress(report)
-    newton = Newton(model, smoothing_of(material), progress, strategy, poses, outside, work)
+    make_newton = partial(
+        Newton, model, smoothing_of(material), progress, strategy, poses, outside, work
+    )
+    newton = make_newton()
     d = _start_field(problem, model, poses, start, observed, held)
     if problem.loads is None and limit is None:
         gaps = [norm(np.where(held, observed - field, 0.0)) for field in (d, 0.0)]
         if gaps[0] >= _USEFUL_GAP * gaps[1]:
             d, start = np.zeros_like(d), None  # the warm start belongs to another motion
-    if start is None and limit is None and takes_coarse_start(problem):
+    restart = None
+    if limit is None and takes_coarse_start(problem):
         restart = partial(_coarse_start, problem, prior, backend, progress.message, work, model)
+    if start is None and restart is not None:
         coarse = restart() if is_coarse else None
         if coarse is not None:
             d = coarse
         elif not is_coarse:
             newton.restart = restart
     if limit is None:
+        # A solve that ran out of work is continued, even if it is obstructed.
+        newton.is_warm = start is not None and not start.is_unfinished
         settle = partial(newton.run, d, observed, held)
     else:
         most = np.where(held, host.planes(limit), 0.0)
@@ -143,7 +151,16 @@ def converge(
         check_balanced(problem, at, most.ravel()[at], load, host.field(fixed))
         settle = partial(LargeSlip(newton, observed, most, load).run, d, warm=start is not None)
     try:
-        grown = _grow(settle, model, material, d, tolerance, progress)
+        try:
+            grown = _grow(settle, model, material, d, tolerance, progress)
+        except Obstructed:
+            # The motion up to an obstruction depends on the start, so begin again from rest.
+            d[:] = 0
+            work.begin_again()
+            newton = make_newton()
+            newton.restart = restart
+            settle = partial(newton.run, d, observed, held)
+            grown = _grow(settle, model, material, d, tolerance, progress)
     except ConvergenceError:
         if load is not None:
             check_reach(d, problem)
@@ -349,7 +366,20 @@ def _reach(
     sites = far > _MET * tolerance
     if not sites.any():
         return Reach(least, grown=grown)
+    labels, count = scipy.ndimage.label(sites, structure=np.ones((3,) * sites.ndim))
     where = tuple(int(index) for index in np.unravel_index(int(np.argmax(far)), far.shape))
     most = float(far[where])
+    others = [number for number in range(1, count + 1) if number != labels[where]]
+    farthest = scipy.ndimage.maximum_position(far, labels, others) if others else []
+    farthest = sorted(farthest, key=lambda at: -far[at])
+    regions = (where, *(tuple(int(index) for index in at) for at in farthest))
     whole = max(float(np.linalg.norm(observed[where])), most)
-    return Reach(least, 1.0 - most / whole, most * problem.unit, where, int(sites.sum()), grown)
+    return Reach(
+        least,
+        1.0 - most / whole,
+        most * problem.unit,
+        where,
+        int(sites.sum()),
+        grown,
+        regions=regions,
+    )

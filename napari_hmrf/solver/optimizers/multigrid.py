@@ -78,7 +78,8 @@ class Multigrid:
         None for no limit. A small image may take more, up to half a second. If the budget is used
         up, the result is the best field without folds so far, and `Solution.reach` contains how far
         it is from the observations and from equilibrium. A warm start from this result continues
-        the solve.
+        the solve. Any other warm start from which observations are out of reach is given up within
+        half of the budget; the solve then begins again from rest, with the whole budget.
     """
 
     tolerance: float = 1e-3

@@ -4,8 +4,9 @@ Each step solves the tangent system at the current displacement by conjugate gra
 preconditioned with a V-cycle. The same step also moves the prescribed components towards their
 prescribed values. The step length is limited at the element corners: along a step, the Jacobian of
 a corner is a quadratic polynomial, and no Jacobian may lose more than three quarters of its value.
-If this limit shortens a pull, the tissue is relaxed before the next pull. Components that cannot be
-pulled any further stay where they are.
+If this limit shortens a pull, the tissue is relaxed before the next pull. Regions that cannot be
+pulled any further stay where they are: those whose motion folds the elements that limit the pull.
+All other regions are pulled further.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ConvergenceError
@@ -29,6 +31,7 @@ from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
+from napari_hmrf.solver.optimizers.obstruction import folding
 from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.optimizers.work import Work
 
@@ -103,6 +106,19 @@ _STUCK_DISTANCE = 0.1
 _STUCK_LIMIT = 2
 #: An element obstructs a pull if the element limits the pull to less than this fraction.
 _OBSTRUCTION = 0.3
+#: The elements that limit a pull most make the pull stuck, or their limit is at most this multiple
+#: of the smallest limit.
+_CLOSEST = 2.0
+#: A region obstructs a pull if its motion folds these elements by at least this part of the motion
+#: of the region that folds them most.
+_CAUSE = 0.1
+#: Largest number of regions whose effect on these elements is computed; the nearest are chosen.
+_MOST_PIECES = 20
+#: Largest component of the load that finds these regions; large, so that cycles end at a relative
+#: error.
+_ADJOINT_LOAD = 1e3
+#: Fraction of the work up to which a warm start is given up if it obstructs a pull.
+_START_WORK = 0.5
 #: Sites are pulled as one piece if their relative deviation from the mean motion is at most this.
 _PIECE_SPREAD = 0.2
 
@@ -165,6 +181,10 @@ class Distance(NamedTuple):
     residual: float = math.inf
 
 
+class Obstructed(Exception):
+    """Signal that prescribed positions are out of reach from a warm start."""
+
+
 class _Linear(NamedTuple):
     """Solution of a tangent system: displacement, error per residual, and largest motion."""
 
@@ -208,6 +228,8 @@ class Newton:
         #: used once; the run continues with the field that is closer to the observations.
         self.restart: Callable[[], Planes | None] | None = None
         self._strategy, self._poses = strategy, poses
+        #: True if the run begins with a warm start, which is given up if it obstructs a pull.
+        self.is_warm = False
         #: Loads on the tissue, or None.
         self.external_forces = external_forces
         self._tolerance = math.inf
@@ -277,6 +299,8 @@ class Newton:
                 # is left is not sufficient to find out.
                 lacks_work = not self._work.allows_factorization
                 self.ran_out = self.ran_out or lacks_work
+                if left > 0:
+                    self._give_up_start()
                 settled = left == 0 and not lacks_work
                 self._is_converged = self._is_converged and (
                     settled or math.isinf(self.distance.estimate)
@@ -294,11 +318,13 @@ class Newton:
                     relaxations = _BALANCE_LIMIT if stays else _RELAXATION_LIMIT
                     if stuck == patience:
                         stuck, patience = 0, 1
-                        self._release(d, y, held, step.way)
+                        self._release(d, y, held, step)
             else:
                 step, taken = self._relax(d, before, held, step)
                 relaxations = max(relaxations - 1, 0)
             if not self._judge(d, step):
+                if left > 0:
+                    self._give_up_start()
                 # Return to the last valid field and end the run.
                 np.copyto(d, before)
                 self.distance = distance_before
@@ -612,31 +638,83 @@ class Newton:
             taken /= 2
         return 0.0
 
-    def _release(self, d: Planes, y: Planes, held: HeldPlanes, way: Planes) -> None:
+    def _release(self, d: Planes, y: Planes, held: HeldPlanes, step: _Linear) -> None:
         """Stop pulling the prescribed components that obstruct the pull of others."""
-        self._is_converged = False
-        _, lengths = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR, each=True)
-        sites = around_sites(lengths < _OBSTRUCTION, np.logical_or)
+        self._give_up_start()
+        self._is_converged, self.restart = False, None
+        _, lengths = self._model.length(d, step.way, _JACOBIAN_PART, _PULL_FLOOR, each=True)
+        elements = lengths < _OBSTRUCTION
         pulled = host.inside(held & (y != d)).any(axis=0)
-        stops = sites & pulled
-        if not stops.any():
-            # Only free tissue obstructs the pull, so the remaining gaps cannot be closed.
-            np.copyto(y, d)
-            return
-        # Components that move as one piece must stop together; otherwise the piece is crushed.
-        pieces, _ = scipy.ndimage.label(pulled, structure=np.ones((3,) * pulled.ndim))
+        pieces, count = scipy.ndimage.label(pulled, structure=np.ones((3,) * pulled.ndim))
+        touching = around_sites(elements, np.logical_or) & pulled
+        causes = list(range(1, count + 1))
+        if count > 1 and elements.any():
+            stuck = min(_STUCK_PART, _STUCK_DISTANCE / _largest(y - d, held)) / _PULL_PART
+            closest = lengths <= max(_CLOSEST * float(lengths.min()), stuck)
+            causes = self._causes(d, y, held, step, pieces, elements & closest)
+        stops = np.zeros_like(pulled)
         gap = host.inside(y - d)
-        for number in np.unique(pieces[stops]):
+        for number in causes:
             piece = pieces == number
             ways = gap[:, piece]
             mean = ways.mean(axis=1, keepdims=True)
-            if norm(ways - mean) <= _PIECE_SPREAD * norm(ways):
-                stops |= piece
+            # Components that move as one piece must stop together; otherwise the piece is crushed.
+            together = norm(ways - mean) <= _PIECE_SPREAD * norm(ways)
+            touches = piece & touching
+            stops |= touches if touches.any() and not together else piece
         for body in self._model.bodies:
             stops[body] |= stops[body].any()
         stay = np.zeros_like(held)
         host.inside(stay)[...] = stops
         np.copyto(y, d, where=stay)
+
+    def _causes(
+        self,
+        d: Planes,
+        y: Planes,
+        held: HeldPlanes,
+        step: _Linear,
+        pieces: npt.NDArray[np.int32],
+        elements: npt.NDArray[np.bool_],
+    ) -> list[int]:
+        """Return the numbers of the pieces whose motion folds the elements that limit a pull."""
+        weights = folding(d, step.way, self._poses.sides, elements)
+        load = np.where(self._model.moves, weights, 0.0)
+        self._model.project(load)
+        # An element also folds if a piece moves the free tissue around it: one solve with the
+        # weights as the load yields the effect of every piece.
+        if step.factors is not None:
+            effect: Planes | None = step.factors.solve(load)
+        else:
+            size = float(np.abs(load).max())
+            scale = _ADJOINT_LOAD / size if size > 0 else 1.0
+            linear = self._iterate(scale * load)
+            effect = None if linear is None else linear.way / scale
+        if effect is None:
+            effect = np.zeros_like(d)
+        self._model.project(effect)
+        self._work.add_step()
+        count = int(pieces.max())
+        numbers = np.arange(1, count + 1)
+        if count > _MOST_PIECES:
+            far = scipy.ndimage.distance_transform_edt(~around_sites(elements, np.logical_or))
+            nearest = np.argsort(scipy.ndimage.minimum(far, pieces, numbers), kind="stable")
+            numbers = np.sort(numbers[nearest[:_MOST_PIECES]])
+        shares = []
+        for number in numbers:
+            gap = np.zeros_like(d)
+            host.inside(gap)[...] = np.where(pieces == number, host.inside(y - d), 0.0)
+            gap = self._poses.extend(np.where(held, gap, 0.0))
+            shares.append(float((weights * gap - effect * self._model.image(gap)).sum()))
+        limit = _CAUSE * max(shares)
+        if not limit > 0:
+            return list(range(1, count + 1))
+        return [int(at) for at, share in zip(numbers, shares, strict=True) if share >= limit]
+
+    def _give_up_start(self) -> None:
+        """Raise `Obstructed` if the run began with a warm start and enough work is left."""
+        if self.is_warm and not self._is_late(_START_WORK):
+            raise Obstructed
 
     def _report_step(self, number: int, left: float) -> None:
         done = part_done(max(self._first, 1e-3), max(left, 1e-3), 1e-3) if self._first else 1.0

@@ -81,6 +81,10 @@ class Work:
         """True if a factorization does not exceed the limit."""
         return self.spent + self._factorization <= self.limit
 
+    def begin_again(self) -> None:
+        """Allow the whole budget once more, for a solve that begins again."""
+        self.spent = 0.0
+
     def add_cycle(self) -> None:
         """Add one cycle."""
         self._add(self._cycle)

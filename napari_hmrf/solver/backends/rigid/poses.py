@@ -51,6 +51,8 @@ class Poses:
     def __init__(
         self, bodies: Sequence[BodySites], sides: tuple[float, ...], held: HeldPlanes
     ) -> None:
+        #: Size of a pixel or voxel along each axis, in the solver's unit of length.
+        self.sides = sides
         self._bodies = []
         for sites in bodies:
             places = np.stack(sites) * np.array(sides)[:, None]
