@@ -20,14 +20,13 @@ from qtpy.QtWidgets import (
     QScrollArea,
     QSizePolicy,
 )
-from superqt import QCollapsible
 
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.font_size import FontFollower, WidthFitter
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import CalmField, row
+from napari_hmrf.ui.forms import CalmField, Section, row
 from napari_hmrf.ui.keyboard_access import name_fields
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
@@ -81,7 +80,7 @@ class DockForm:
         Question about the drawing after a change of the extent.
     make, intensity : PushButton
         Button that adds layers for painting, and button that derives stiffness from brightness.
-    sections : dict of str to QCollapsible
+    sections : dict of str to Section
         Sections by the name under which their state is stored.
     tissue : TissueSection
     motion : MotionForm
@@ -169,12 +168,11 @@ class DockForm:
             "model": self.model,
             "advanced": self.model.in_detail,
         }
-        self.sections: dict[str, QCollapsible] = {}
+        self.sections: dict[str, Section] = {}
         for name, part in parts.items():
             title, about = _SECTIONS[name]
-            self.sections[name] = step = QCollapsible(title, expandedIcon="▾", collapsedIcon="▸")
+            self.sections[name] = step = Section(title)
             step.toggleButton().setToolTip(about)
-            step.toggleButton().setAutoDefault(True)  # the Enter key opens the section, too
             for inner in (step.layout(), step.content().layout()):
                 inner.setSpacing(2)
                 inner.setContentsMargins(0, 0, 0, 0)
@@ -220,7 +218,7 @@ class DockForm:
         choices = (self.result.reference, self.result.second)
         self.sections["comparison"].setVisible(any(choice.offered for choice in choices))
 
-    def _scroll_to(self, step: QCollapsible) -> None:
+    def _scroll_to(self, step: Section) -> None:
         """Scroll until all of an opened section is visible, or at least its top."""
         bar = self._scroll.verticalScrollBar()
         least = step.geometry().bottom() + 1 - bar.pageStep()

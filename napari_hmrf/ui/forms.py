@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtCore import QEvent, QObject, QPropertyAnimation, Qt
 from qtpy.QtGui import QKeySequence, QPainter, QTextLayout
 from qtpy.QtWidgets import (
     QAbstractSpinBox,
@@ -22,6 +22,7 @@ from qtpy.QtWidgets import (
     QWhatsThis,
     QWidget,
 )
+from superqt import QCollapsible
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.ui.messages import in_short
@@ -274,6 +275,38 @@ class ElidedButton(QPushButton):
         elided = Qt.TextElideMode.ElideRight
         look.text = self.fontMetrics().elidedText(look.text, elided, area.width())
         QStylePainter(self).drawControl(QStyle.ControlElement.CE_PushButton, look)
+
+
+class Section(QCollapsible):
+    """Section of a form; while it is closed, the Tab key does not visit its controls.
+
+    Parameters
+    ----------
+    title : str
+    """
+
+    def __init__(self, title: str) -> None:
+        super().__init__(title, expandedIcon="▾", collapsedIcon="▸")
+        content = self.content()
+        policy = content.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)  # the form is wide enough for closed sections, too
+        content.setSizePolicy(policy)
+        content.hide()
+        self.findChild(QPropertyAnimation).finished.connect(self._hide_closed)
+
+    def expand(self, animate: bool = True) -> None:
+        """Open the section."""
+        self.content().show()
+        super().expand(animate)
+
+    def collapse(self, animate: bool = True) -> None:
+        """Close the section."""
+        super().collapse(animate)
+        if not animate:
+            self._hide_closed()
+
+    def _hide_closed(self) -> None:
+        self.content().setVisible(self.isExpanded())
 
 
 class CalmField(QObject):

@@ -10,7 +10,15 @@ from typing import Any
 from magicgui.widgets import Container
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtGui import QPainter, QPen
-from qtpy.QtWidgets import QAbstractButton, QApplication, QLayout, QScrollArea, QWidget
+from qtpy.QtWidgets import (
+    QAbstractButton,
+    QApplication,
+    QLayout,
+    QPushButton,
+    QScrollArea,
+    QToolButton,
+    QWidget,
+)
 
 #: Width of the line around the field with the keyboard focus, in pixels.
 _LINE = 2
@@ -50,6 +58,29 @@ def _tab_stops(part: QWidget | QLayout) -> Iterator[QWidget]:
     for each in inner:
         if each is not None:
             yield from _tab_stops(each)
+
+
+class EnterKey(QObject):
+    """Event filter that lets the Enter key press the buttons of a dock, as the space bar does.
+
+    Parameters
+    ----------
+    dock : QWidget
+    """
+
+    def __init__(self, dock: QWidget) -> None:
+        super().__init__(dock)
+        for kind in (QPushButton, QToolButton):
+            for button in dock.findChildren(kind):
+                button.installEventFilter(self)
+
+    def eventFilter(self, button: Any, event: Any) -> bool:
+        """Press the button."""
+        keys = Qt.Key.Key_Return, Qt.Key.Key_Enter
+        is_enter = event.type() == QEvent.Type.KeyPress and event.key() in keys
+        if is_enter and not event.isAutoRepeat():
+            button.click()
+        return is_enter
 
 
 class FocusRings(QObject):

@@ -29,7 +29,7 @@ from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.introduction import Introduction
-from napari_hmrf.ui.keyboard_access import FocusRings, order_tabs
+from napari_hmrf.ui.keyboard_access import EnterKey, FocusRings, order_tabs
 from napari_hmrf.ui.motion.carry_over import CarryOver
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.new_layers import add_missing
@@ -150,6 +150,7 @@ class SoftTissue(DockValues):
         self._connect()
         order_tabs(self.native)
         FocusRings(self.native)
+        EnterKey(self.native)
         self._binding.choose_first()
 
     # State

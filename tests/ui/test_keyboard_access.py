@@ -115,6 +115,17 @@ def test_the_tab_key_visits_every_control_in_reading_order(dock):
         )
 
 
+def test_the_tab_key_skips_the_controls_of_closed_sections(dock):
+    sections = dock._form.sections.values()
+    for section in sections:
+        section.collapse(animate=False)
+    stops = walk(dock)
+    headers = [section.toggleButton() for section in sections if section.isVisible()]
+    assert [each for each in stops if each in headers] == headers
+    unseen = [each.toolTip() for each in stops if each.visibleRegion().isEmpty()]
+    assert not unseen, "the Tab key reaches these hidden controls"
+
+
 def test_every_control_has_a_name_for_screen_readers(dock):
     nameless = [
         each.toolTip()
@@ -135,6 +146,14 @@ def test_a_key_opens_and_closes_a_section(dock, key):
     for is_open in (False, True):
         QTest.keyClick(header, key)
         assert header.isChecked() == is_open
+
+
+@pytest.mark.parametrize("key", [Qt.Key.Key_Space, Qt.Key.Key_Return, Qt.Key.Key_Enter])
+def test_a_key_presses_the_button_of_a_tool(dock, key):
+    button = Screen(dock).button("Hold")
+    QTest.keyClick(button, key)
+    assert button.isChecked()
+    assert dock.tool == "pin"
 
 
 def test_the_keyboard_focus_is_visible_in_the_themes_of_napari(
