@@ -18,6 +18,8 @@ from napari_hmrf.ui.motion.tool import Origin, Tool, ToolError, ToolSettings, id
 _STEP = 0.1
 #: Growth by one notch of the mouse wheel, and largest shrinkage, as fractions of the radius.
 _NOTCH, _MOST_SHRINKAGE = 0.05, 0.8
+#: Displacement up to which tissue counts as undisplaced, as a fraction of the smallest pixel side.
+_NOTHING = 0.05
 
 
 class BrushTool(Tool):
@@ -83,12 +85,20 @@ class BrushTool(Tool):
     def _begin(self, point: Point, settings: ToolSettings) -> None:
         """Begin a drag at a visible point inside the image."""
         at, drawing = self._place(point), self._model.drawing
-        new, stroke = Stroke(self.action, ((at,),), **settings), self._stroke_at(at)
+        new, stroke = self._new_stroke(at, point, settings), self._stroke_at(at)
         self._model.begin_drawing(self.step)
-        if stroke is not None and replace(new, lines=stroke.lines) == stroke:
+        if stroke is not None and self._continues(new, stroke):
             self._replace(stroke.again(at))
         else:
             self._show(drawing.with_mark(new), len(drawing.marks))
+
+    def _new_stroke(self, at: Point, point: Point, settings: ToolSettings) -> Stroke:
+        """Return a spot at an undeformed position, which is visible at a point."""
+        return Stroke(self.action, ((at,),), **settings)
+
+    def _continues(self, new: Stroke, stroke: Stroke) -> bool:
+        """Return whether a new stroke differs from the selected stroke only in its place."""
+        return replace(new, lines=stroke.lines) == stroke
 
     def move(self, point: Point) -> None:
         """Continue the stroke to a point; do nothing if no drag is in progress."""
@@ -195,7 +205,7 @@ class PushTool(BrushTool):
 class GrowTool(BrushTool):
     """Brush for a patch or a closed ring of tissue that grows or shrinks.
 
-    The mouse wheel also grows tissue that is pulled, which then moves and grows.
+    Displaced tissue keeps its displacement: the new patch moves by it, and grows from there.
     """
 
     name = "expand"
@@ -210,11 +220,44 @@ class GrowTool(BrushTool):
 
     #: True while the wheel, rather than a drag, changes the growth.
     _is_turning = False
+    #: Present displacements along the stroke that is being painted.
+    _steps: tuple[Point, ...] = ()
 
     @property
     def error_message(self) -> str:
         """Advice to close the ring while a stroke is being painted, else ""."""
         return "" if self.stroke is None else motion_messages.OPEN
+
+    def _begin(self, point: Point, settings: ToolSettings) -> None:
+        """Begin a stroke that moves by the present displacement of the tissue."""
+        self._steps = ()
+        super()._begin(point, settings)
+        if (stroke := self.stroke) is not None and len(stroke.lines) == 1:
+            self._steps = (between(self._place(point), point, self._spacing),)
+
+    def move(self, point: Point) -> None:
+        """Continue the stroke, which moves by the mean displacement along its path."""
+        before = self.stroke
+        super().move(point)
+        stroke = self.stroke
+        if stroke is None or stroke == before or not self._steps:
+            return
+        self._steps += (between(self._place(point), point, self._spacing),)
+        mean = tuple(sum(along) / len(along) for along in zip(*self._steps, strict=True))
+        self._replace(self._moved(stroke, mean))
+
+    def _new_stroke(self, at: Point, point: Point, settings: ToolSettings) -> Stroke:
+        stroke = super()._new_stroke(at, point, settings)
+        return self._moved(stroke, between(at, point, self._spacing))
+
+    def _continues(self, new: Stroke, stroke: Stroke) -> bool:
+        return super()._continues(replace(new, action=stroke.action, by=stroke.by), stroke)
+
+    def _moved(self, stroke: Stroke, by: Point) -> Stroke:
+        """Return a growing stroke that also moves, or only grows if the tissue is not displaced."""
+        if math.hypot(*by) <= _NOTHING * min(self._spacing):
+            return replace(stroke, action=self.action, by=(0.0,) * len(by))
+        return replace(stroke, action="move", by=by)
 
     def _changed(self, settings: ToolSettings) -> Mark | None:
         mark = self.mark
@@ -239,7 +282,7 @@ class GrowTool(BrushTool):
         mark = self.mark if self._is_turning else None
         if mark is None or not covers(mark, at, self._spacing):
             self.release()
-            mark = self._begin_turning(at, settings)
+            mark = self._begin_turning(at, point, settings)
         step = float(f"{mark.radius * _NOTCH:.2g}")
         amount = round(mark.amount + notches * step, 9)
         if mark.lines == ((mark.lines[0][0],),):  # a disc or a ball, which must not vanish
@@ -247,14 +290,17 @@ class GrowTool(BrushTool):
         self._replace(replace(mark, amount=amount))
         return True
 
-    def _begin_turning(self, at: Point, settings: ToolSettings) -> Mark:
-        """Select the patch at an undeformed position, or add a patch that does not grow yet."""
+    def _begin_turning(self, at: Point, point: Point, settings: ToolSettings) -> Mark:
+        """Select the patch at an undeformed position, or add a patch that does not grow yet.
+
+        A new patch keeps the tissue where it is: at the point where it is visible.
+        """
         drawing = self._model.drawing
         number = patch_at(drawing, at, self._spacing)
         try:
             if number is None:
                 still: ToolSettings = {**settings, "amount": 0.0}
-                patch = Stroke(self.action, ((at,),), **still)
+                patch = self._new_stroke(at, point, still)
                 added = with_patch(drawing, patch, self._spacing, self._shape)
                 if added is None:
                     raise ToolError(motion_messages.PULLED)

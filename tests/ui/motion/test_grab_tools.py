@@ -825,6 +825,32 @@ def test_the_wheel_over_pulled_tissue_keeps_the_pull_and_adds_growth(pulling_bes
     assert widget.drawing == pulled
 
 
+@pytest.mark.parametrize("way", ["wheel", "drag"])
+def test_displaced_tissue_grows_from_where_it_is(pulling_beside, settle, way):
+    person, widget = pulling_beside
+    widget.drawing = before = Drawing((Arrow((32, 22), (0, 8), 4.0),))
+    settle(widget)
+    row, col = by = widget.solution.displacement[32, 38]
+    assert col > 1, "the tissue is not displaced"
+    place = 32 + row, 38 + col
+    person.key(EXPAND)
+    widget.fields.radius.value = 4.0
+    widget.fields.amount.value = 0.8
+    if way == "wheel":
+        person.turn_wheel(*place, 4)
+    else:
+        person.drag(place, place)
+    settle(widget)
+    moves, mark = widget.solution.displacement, widget.drawing.marks[-1]
+    assert moves[32, 38] == pytest.approx(by, abs=0.2), "the growth undoes the pull"
+    assert moves[32, [34, 42], 1] - col == pytest.approx((-0.8, 0.8), abs=0.2)
+    widget.undo()
+    assert widget.drawing == before
+    widget.redo()
+    person.turn_wheel(*place, -8)
+    assert widget.drawing.marks[1:] == (replace(mark, amount=-0.8),)
+
+
 def test_a_pushed_patch_grows_with_the_wheel_and_is_pushed_farther(pulling_beside, settle):
     person, widget = pulling_beside
     widget.drawing = Drawing((Stroke("move", (((32, 32),),), 8.0, by=(0.0, 4.0)),))
