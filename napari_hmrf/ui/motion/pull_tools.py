@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark
+from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.drawing import Hit, ends_of
-from napari_hmrf.tissue.drawing.marks import COMPONENTS, Point, between
+from napari_hmrf.tissue.drawing.growth import patch_at
+from napari_hmrf.tissue.drawing.marks import COMPONENTS, Point, between, grows
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.tool import Origin, Tool, ToolSettings, identity, name_of
 
@@ -60,6 +62,10 @@ class PullTool(Tool):
         hit = drawing.at(point, reach, self._spacing)
         if hit is not None:
             word = f"moved {name_of(drawing.marks[hit.number])}"
+        elif at is not None and (number := self._grown_patch(at, settings)) is not None:
+            hit = Hit(number, "head")
+            drawing = drawing.replaced(number, self._pulled(drawing.marks[number], settings))
+            word = "pulled a growing patch"
         elif at is not None:
             hit = Hit(len(drawing.marks), "head")
             drawing = drawing.with_mark(self._new_mark(at, point, settings))
@@ -97,6 +103,32 @@ class PullTool(Tool):
         is_click = self.is_dragging and self.mark == self._pressed
         is_new = bool(self._model.end_drawing(self._click_step if is_click else ""))
         return is_click and is_new
+
+    def _grown_patch(self, at: Point, settings: ToolSettings) -> int | None:
+        """Find the round patch whose growth a new mark at an undeformed position would hide."""
+        drawing = self._model.drawing
+        number = patch_at(drawing, at, self._spacing)
+        mark = None if number is None else drawing.marks[number]
+        if not isinstance(mark, Stroke) or not grows(mark) or mark.lines != ((mark.lines[0][0],),):
+            return None
+        apart = math.hypot(*between(at, mark.lines[0][0], self._spacing))
+        is_within = apart + settings["radius"] < mark.radius - max(self._spacing)
+        return None if is_within else number
+
+    def _pulled(self, patch: Mark, settings: ToolSettings) -> Arrow | Landmark:
+        """Return a mark that grows and moves as a round patch does."""
+        assert isinstance(patch, Stroke)
+        at = patch.lines[0][0]
+        steps = zip(at, patch.by, self._spacing, strict=True)
+        to = tuple(x + by / size for x, by, size in steps)
+        settings = {
+            **settings,
+            "radius": patch.radius,
+            "confidence": patch.confidence,
+            "components": patch.components,
+        }
+        mark = self._new_mark(at, to, settings)
+        return replace(mark, amount=patch.amount)
 
     def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
         """Return a mark that moves tissue from one position to another."""

@@ -851,6 +851,22 @@ def test_displaced_tissue_grows_from_where_it_is(pulling_beside, settle, way):
     assert widget.drawing.marks[1:] == (replace(mark, amount=-0.8),)
 
 
+@pytest.mark.parametrize("key", [Qt.Key.Key_G, Qt.Key.Key_L])
+def test_a_pull_of_a_grown_patch_keeps_the_growth(pulling_beside, settle, key):
+    person, widget = pulling_beside
+    widget.drawing = grown = Drawing((Stroke("expand", (((32, 32),),), 6.0, amount=1.0),))
+    settle(widget)
+    person.key(key)
+    widget.fields.radius.value = 7.0
+    person.drag((34, 33), (34, 37))
+    settle(widget)
+    moves = widget.solution.displacement
+    assert (only(widget).radius, only(widget).amount) == (6.0, 1.0)
+    assert moves[32, [26, 32, 38], 1] == pytest.approx((3, 4, 5), abs=0.2)
+    widget.undo()
+    assert widget.drawing == grown
+
+
 def test_a_pushed_patch_grows_with_the_wheel_and_is_pushed_farther(pulling_beside, settle):
     person, widget = pulling_beside
     widget.drawing = Drawing((Stroke("move", (((32, 32),),), 8.0, by=(0.0, 4.0)),))
