@@ -39,6 +39,8 @@ class SolveJob:
         True if growth of tissue or external forces are given.
     has_rigid_tissue : bool
         True if some stiffness is infinite.
+    has_data : bool
+        True if there is a quadratic data term.
     """
 
     shape: tuple[int, ...]
@@ -47,6 +49,7 @@ class SolveJob:
     optimizer: Schedule
     has_loads: bool = False
     has_rigid_tissue: bool = False
+    has_data: bool = False
 
     @classmethod
     def of(cls, problem: Problem, prior: Prior, optimizer: Schedule) -> SolveJob:
@@ -58,6 +61,7 @@ class SolveJob:
             optimizer,
             has_loads=problem.loads is not None,
             has_rigid_tissue=math.isinf(float(problem.stiffness.max())),
+            has_data=problem.has_data,
         )
 
     @property

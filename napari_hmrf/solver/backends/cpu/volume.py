@@ -69,8 +69,27 @@ def _smooth_line(force, d, load, inverse, weight, springs, out, pace):
         out[x] = d[x] + (step - back * out[x])
 
 
+@shared
+def _smooth_block(forces, d, load, inverse, weight, mixed, out, pace):
+    """Compute a step with a block of the smoother for each site; see `data_weights`."""
+    scale, ahead, back = pace
+    for x in range(d.shape[1]):
+        d0, d1, d2 = d[0, x], d[1, x], d[2, x]
+        w01, w02, w12 = mixed[0, x], mixed[1, x], mixed[2, x]
+        r0 = load[0, x] - (forces[0][x] + weight[0, x] * d0 + w01 * d1 + w02 * d2)
+        r1 = load[1, x] - (forces[1][x] + w01 * d0 + weight[1, x] * d1 + w12 * d2)
+        r2 = load[2, x] - (forces[2][x] + w02 * d0 + w12 * d1 + weight[2, x] * d2)
+        i01, i02, i12 = mixed[3, x], mixed[4, x], mixed[5, x]
+        step = scale * (inverse[0, x] * r0 + i01 * r1 + i02 * r2) + ahead * d0
+        out[0, x] = d0 + (step - back * out[0, x])
+        step = scale * (i01 * r0 + inverse[1, x] * r1 + i12 * r2) + ahead * d1
+        out[1, x] = d1 + (step - back * out[1, x])
+        step = scale * (i02 * r0 + i12 * r1 + inverse[2, x] * r2) + ahead * d2
+        out[2, x] = d2 + (step - back * out[2, x])
+
+
 @callee
-def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, last):
+def _smooth_part(d, tissue, weights, mixed, load, inverse, spans, out, pace, first, last):
     lame, share, shape = tissue
     weight, springs = weights
     lines, rows, planes = scratch(d)
@@ -81,7 +100,18 @@ def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, las
             for x in range(begin, past, BLOCK):
                 end = min(x + BLOCK, past)
                 block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
-                if z >= first + 2:
+                if z >= first + 2 and mixed is not None:
+                    _smooth_block(
+                        (force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)),
+                        d[:, z, y, x:end],
+                        load[:, z, y, x:end],
+                        inverse[:, z, y, x:end],
+                        weight[:, z, y, x:end],
+                        mixed[:, z, y, x:end],
+                        out[:, z, y, x:end],
+                        pace,
+                    )
+                elif z >= first + 2:
                     for k in range(3):
                         _smooth_line(
                             force_of(lines, k),
@@ -96,12 +126,15 @@ def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, las
 
 
 @parallel
-def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, paces, count):
+def smooth(
+    d, other, load, lame, share, inverse, weight, springs, mixed, shape, spans, paces, count
+):
     """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`.
 
     A step is ``other = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * other``. On entry,
     `other` contains the displacement before the previous step. The two arrays swap roles after each
-    step.
+    step. With a data term (`data_weights`), W also has the components `mixed`; otherwise `mixed` is
+    None.
     """
     for step in range(len(paces)):
         source, target = (d, other) if step % 2 == 0 else (other, d)
@@ -109,16 +142,27 @@ def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, 
         tissue, weights = (lame, share, shape), (weight, springs)
         for number in prange(count):
             first, last = part(number, count, d.shape[1] - 4)
-            _smooth_part(source, tissue, weights, load, inverse, spans, target, pace, first, last)
+            _smooth_part(
+                source, tissue, weights, mixed, load, inverse, spans, target, pace, first, last
+            )
 
 
 @parallel
-def start(load, inverse, d, scale):
-    """Compute the first step from zero, ``d = scale * D^-1 load``, for arrays from `level.rows`."""
+def start(load, inverse, mixed, d, scale):
+    """Compute the first step from zero, ``d = scale * D^-1 load``, for arrays from `level.rows`.
+
+    `mixed` is None without a data term.
+    """
     for i in prange(d.shape[1]):
         for k in range(len(d)):
             for j in range(d.shape[2]):
                 d[k, i, j] = scale * inverse[k, i, j] * load[k, i, j]
+        if mixed is not None:
+            for j in range(d.shape[2]):
+                x, y, z = load[0, i, j], load[1, i, j], load[2, i, j]
+                d[0, i, j] += scale * (mixed[3, i, j] * y + mixed[4, i, j] * z)
+                d[1, i, j] += scale * (mixed[3, i, j] * x + mixed[5, i, j] * z)
+                d[2, i, j] += scale * (mixed[4, i, j] * x + mixed[5, i, j] * y)
 
 
 @shared
@@ -129,8 +173,18 @@ def _rest_line(force, d, load, given, inverse, weight, springs, scale, out):
         out[x] = rest if inverse[x] > float32(0) else rest - rest
 
 
+@shared
+def _mixed_forces(forces, d, mixed):
+    """Add the forces of the components `mixed` of W, in place."""
+    for x in range(d.shape[1]):
+        d0, d1, d2 = d[0, x], d[1, x], d[2, x]
+        forces[0][x] += mixed[0, x] * d1 + mixed[1, x] * d2
+        forces[1][x] += mixed[0, x] * d0 + mixed[2, x] * d2
+        forces[2][x] += mixed[1, x] * d0 + mixed[2, x] * d1
+
+
 @callee
-def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
+def _rest_part(d, tissue, weights, mixed, loads, inverse, spans, out, first, last):
     lame, share, shape = tissue
     (weight, springs), (load, given, scale) = weights, loads
     lines, rows, planes = scratch(d)
@@ -142,6 +196,9 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
                 end = min(x + BLOCK, past)
                 block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
                 if z >= first + 2:
+                    if mixed is not None:
+                        three = force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
+                        _mixed_forces(three, d[:, z, y, x:end], mixed[:, z, y, x:end])
                     for k in range(3):
                         _rest_line(
                             force_of(lines, k),
@@ -157,12 +214,14 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
 
 
 @parallel
-def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
+def rest(
+    d, load, given, lame, share, inverse, weight, springs, mixed, shape, spans, scale, out, count
+):
     """Write ``scale * (given * load - (A + W) d)`` to `out`, or 0 at fixed components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
-        _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last)
+        _rest_part(d, tissue, weights, mixed, loads, inverse, spans, out, first, last)
 
 
 @callee
