@@ -251,12 +251,14 @@ class DataTerm(NamedTuple):
         float
             Half the work of these forces over the observations.
         """
-        forces = np.zeros(y.shape)
-        for weight, (i, j) in zip(self.weights, packed_axes(self.axes), strict=True):
-            forces[i] += weight * y[j]
-            if i != j:
-                forces[j] += weight * y[i]
-        energy = float((forces * y).sum()) / 2
+        pairs = dict(zip(packed_axes(self.axes), self.weights, strict=True))
+        forces, product = np.empty(y.shape), np.empty(y.shape[1:])
+        for i, force in enumerate(forces):
+            np.multiply(pairs[i, i], y[i], out=force)
+            for j in range(self.axes):
+                if i != j:
+                    force += np.multiply(pairs[min(i, j), max(i, j)], y[j], out=product)
+        energy = float(np.einsum("i,i->", forces.ravel(), y.ravel())) / 2
         if self.points is not None:
             of_points = self.points.weights * self.points.observed
             self.points.add_forces(of_points, forces)

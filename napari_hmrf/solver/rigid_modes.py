@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -68,6 +69,10 @@ class HeldTissue(NamedTuple):
 
 # Result of the last check.
 _firm: list[HeldTissue] = []
+# Results for problems with a data term.
+_strengths: WeakKeyDictionary[Problem, float] = WeakKeyDictionary()
+# Number of data that are checked first. If they hold the tissue, so do all data.
+_FEW_DATA = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,16 +126,23 @@ def holding_strength(problem: Problem) -> float:
     for firm in _firm:  # checked first, because every frame of a drag needs the result
         if firm.covers(problem.tissue, held):
             return firm.strength
+    if problem in _strengths:
+        return _strengths[problem]
     if held[problem.tissue].all():
         return 1.0  # no site is free to move
     pieces, count = _some_pieces(problem)
-    ways = list(_modes(pieces, count, held, problem))
+    ways = list(_modes(pieces, count, held, problem, _FEW_DATA))
     free = _first_motion(problem, pieces, count, ways)
+    if free is not None and problem.precision is not None:
+        ways = list(_modes(pieces, count, held, problem))
+        free = _first_motion(problem, pieces, count, ways)
     if free is not None:
         raise refusal(free)
     sizes, share = np.bincount(pieces.ravel(), minlength=count + 1)[1:], 1 - 1 / pieces.ndim
     value = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
-    if not problem.has_data:
+    if problem.has_data:
+        _strengths[problem] = value
+    else:
         _firm[:] = [HeldTissue(problem.tissue, held, value)]
     return value
 
@@ -276,6 +288,7 @@ def _modes(
     count: int,
     held: npt.NDArray[np.bool_],
     problem: Problem | None = None,
+    most: int | None = None,
 ) -> Iterator[_Ways]:
     """Compute the motions of each cluster and their costs, in ascending order of cost."""
     # The cost of a motion is the sum of its squared displacements at all constraints. A site of the
@@ -293,7 +306,7 @@ def _modes(
         holds.append(np.nonzero(held[..., along] & (of_sites > 0)))
     held_of = [of_sites[sites] - 1 for sites in holds]
     hinged = _hinges(pieces) if count > 1 else np.zeros((0, axes + 2), dtype=int)
-    data = None if problem is None else _data_costs(problem, pieces, count, freedom)
+    data = None if problem is None else _data_costs(problem, pieces, count, freedom, most)
     for cluster in _clusters(hinged, count):
         place = np.full(count, -1)
         place[cluster] = np.arange(len(cluster))
@@ -312,16 +325,22 @@ def _modes(
         yield cluster, strength, *np.linalg.eigh(strength)
 
 
-def _data_costs(problem: Problem, pieces: Labels, count: int, freedom: int) -> Motions:
+def _data_costs(
+    problem: Problem, pieces: Labels, count: int, freedom: int, most: int | None
+) -> Motions:
     """Return the costs of the motions of each piece due to the data term, without its strength.
 
-    The result has shape (pieces, motions, motions).
+    If `most` is given, only about this number of tensors is included. The result has shape (pieces,
+    motions, motions).
     """
     costs = np.zeros((count, freedom, freedom))
     precision, landmarks = problem.precision, problem.landmarks
     if precision is not None:
         of_sites = _sites(pieces)
-        sites = np.nonzero(precision.any(axis=(-2, -1)) & (of_sites > 0))
+        there = np.flatnonzero((precision.reshape(*of_sites.shape, -1) != 0).any(axis=-1))
+        there = there[of_sites.ravel()[there] > 0]
+        there = there if most is None else there[:: max(1, len(there) // most)]
+        sites = np.unravel_index(there, of_sites.shape)
         tensors = precision[sites]
         tensors /= np.trace(tensors, axis1=-2, axis2=-1)[:, None, None]
         _add_data(costs, tensors, sites, of_sites[sites] - 1, problem.shape)

@@ -69,23 +69,39 @@ def _smooth_line(force, d, load, inverse, weight, springs, out, pace):
         out[x] = d[x] + (step - back * out[x])
 
 
+@inline
+def _three(values, first, z, y, begin, past):
+    """Return three lines of planes, from plane `first`; the loops over single lines vectorize."""
+    return (
+        values[first, z, y, begin:past],
+        values[first + 1, z, y, begin:past],
+        values[first + 2, z, y, begin:past],
+    )
+
+
 @shared
-def _smooth_block(forces, d, load, inverse, weight, mixed, out, pace):
+def _smooth_block(forces, d, load, inverse, weight, mixed, block, out, pace):
     """Compute a step with a block of the smoother for each site; see `data_weights`."""
     scale, ahead, back = pace
-    for x in range(d.shape[1]):
-        d0, d1, d2 = d[0, x], d[1, x], d[2, x]
-        w01, w02, w12 = mixed[0, x], mixed[1, x], mixed[2, x]
-        r0 = load[0, x] - (forces[0][x] + weight[0, x] * d0 + w01 * d1 + w02 * d2)
-        r1 = load[1, x] - (forces[1][x] + w01 * d0 + weight[1, x] * d1 + w12 * d2)
-        r2 = load[2, x] - (forces[2][x] + w02 * d0 + w12 * d1 + weight[2, x] * d2)
-        i01, i02, i12 = mixed[3, x], mixed[4, x], mixed[5, x]
-        step = scale * (inverse[0, x] * r0 + i01 * r1 + i02 * r2) + ahead * d0
-        out[0, x] = d0 + (step - back * out[0, x])
-        step = scale * (i01 * r0 + inverse[1, x] * r1 + i12 * r2) + ahead * d1
-        out[1, x] = d1 + (step - back * out[1, x])
-        step = scale * (i02 * r0 + i12 * r1 + inverse[2, x] * r2) + ahead * d2
-        out[2, x] = d2 + (step - back * out[2, x])
+    force_0, force_1, force_2 = forces
+    d_0, d_1, d_2 = d
+    load_0, load_1, load_2 = load
+    inverse_0, inverse_1, inverse_2 = inverse
+    weight_0, weight_1, weight_2 = weight
+    mixed_01, mixed_02, mixed_12 = mixed
+    block_01, block_02, block_12 = block
+    out_0, out_1, out_2 = out
+    for x in range(len(d_0)):
+        i, j, k = d_0[x], d_1[x], d_2[x]
+        row = load_0[x] - (force_0[x] + weight_0[x] * i + mixed_01[x] * j + mixed_02[x] * k)
+        col = load_1[x] - (force_1[x] + mixed_01[x] * i + weight_1[x] * j + mixed_12[x] * k)
+        end = load_2[x] - (force_2[x] + mixed_02[x] * i + mixed_12[x] * j + weight_2[x] * k)
+        step = inverse_0[x] * row + block_01[x] * col + block_02[x] * end
+        out_0[x] = i + (scale * step + ahead * i - back * out_0[x])
+        step = block_01[x] * row + inverse_1[x] * col + block_12[x] * end
+        out_1[x] = j + (scale * step + ahead * j - back * out_1[x])
+        step = block_02[x] * row + block_12[x] * col + inverse_2[x] * end
+        out_2[x] = k + (scale * step + ahead * k - back * out_2[x])
 
 
 @callee
@@ -103,12 +119,13 @@ def _smooth_part(d, tissue, weights, mixed, load, inverse, spans, out, pace, fir
                 if z >= first + 2 and mixed is not None:
                     _smooth_block(
                         (force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)),
-                        d[:, z, y, x:end],
-                        load[:, z, y, x:end],
-                        inverse[:, z, y, x:end],
-                        weight[:, z, y, x:end],
-                        mixed[:, z, y, x:end],
-                        out[:, z, y, x:end],
+                        _three(d, 0, z, y, x, end),
+                        _three(load, 0, z, y, x, end),
+                        _three(inverse, 0, z, y, x, end),
+                        _three(weight, 0, z, y, x, end),
+                        _three(mixed, 0, z, y, x, end),
+                        _three(mixed, 3, z, y, x, end),
+                        _three(out, 0, z, y, x, end),
                         pace,
                     )
                 elif z >= first + 2:
@@ -176,11 +193,13 @@ def _rest_line(force, d, load, given, inverse, weight, springs, scale, out):
 @shared
 def _mixed_forces(forces, d, mixed):
     """Add the forces of the components `mixed` of W, in place."""
-    for x in range(d.shape[1]):
-        d0, d1, d2 = d[0, x], d[1, x], d[2, x]
-        forces[0][x] += mixed[0, x] * d1 + mixed[1, x] * d2
-        forces[1][x] += mixed[0, x] * d0 + mixed[2, x] * d2
-        forces[2][x] += mixed[1, x] * d0 + mixed[2, x] * d1
+    force_0, force_1, force_2 = forces
+    d_0, d_1, d_2 = d
+    mixed_01, mixed_02, mixed_12 = mixed
+    for x in range(len(d_0)):
+        force_0[x] += mixed_01[x] * d_1[x] + mixed_02[x] * d_2[x]
+        force_1[x] += mixed_01[x] * d_0[x] + mixed_12[x] * d_2[x]
+        force_2[x] += mixed_02[x] * d_0[x] + mixed_12[x] * d_1[x]
 
 
 @callee
@@ -198,7 +217,8 @@ def _rest_part(d, tissue, weights, mixed, loads, inverse, spans, out, first, las
                 if z >= first + 2:
                     if mixed is not None:
                         three = force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
-                        _mixed_forces(three, d[:, z, y, x:end], mixed[:, z, y, x:end])
+                        along = _three(d, 0, z, y, x, end)
+                        _mixed_forces(three, along, _three(mixed, 0, z, y, x, end))
                     for k in range(3):
                         _rest_line(
                             force_of(lines, k),
