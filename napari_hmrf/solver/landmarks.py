@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,7 @@ class StrainScale:
     """
 
     strain: float = 0.1
+    _: KW_ONLY
     extent: float | None = None
 
     def __post_init__(self) -> None:

@@ -203,6 +203,31 @@ class Problem:
             arrays["landmarks"] = np.stack(values)
         return _Digests(arrays)
 
+    def with_rest(self, at_rest: npt.NDArray[np.bool_]) -> Problem:
+        """Return the problem without some tissue, which then stays at rest.
+
+        Parameters
+        ----------
+        at_rest : ndarray of bool, shape (H, W) or (D, H, W)
+        """
+        return Problem(
+            self.observed,
+            self.confidence,
+            np.where(at_rest, np.float32(0), self.stiffness),
+            spacing=self.spacing,
+            loads=self.loads,
+            precision=self.precision,
+            landmarks=self.landmarks,
+        )
+
+    @property
+    def observed_components(self) -> npt.NDArray[np.bool_]:
+        """Mask of components of tissue with a confidence or a precision, shape (H, W, 2)."""
+        if self.precision is None:
+            return self.known
+        mask: npt.NDArray[np.bool_] = self.known | self.precision.any(axis=-1)
+        return mask
+
     @property
     def has_data(self) -> bool:
         """True if there is a quadratic data term: a precision or landmarks."""

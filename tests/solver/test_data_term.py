@@ -176,7 +176,7 @@ def test_landmarks_give_the_posterior_mean_of_the_same_prior(grid, spacing, sd):
 def test_landmarks_do_not_depend_on_the_unit_of_stiffness():
     points = np.array([(5.3, 6.1), (14.8, 12.2), (9.5, 3.25)])
     marks = Landmarks(
-        points, points + np.array([1, 0.5]), sd=[0.2, 0.5, 1.0], scale=StrainScale(0.1, 5.0)
+        points, points + np.array([1, 0.5]), sd=[0.2, 0.5, 1.0], scale=StrainScale(0.1, extent=5.0)
     )
     y, c = np.zeros((20, 20, 2)), np.zeros((20, 20, 2))
     c[0] = 1
@@ -260,3 +260,30 @@ def test_a_bone_follows_the_data_as_one_body():
     stretch = np.diff(field[..., 0], axis=0), np.diff(field[..., 1], axis=1)
     assert max(np.abs(each).max() for each in stretch) < 1e-5
     assert field[..., 0].mean() == pytest.approx(y[8:14, 8:14, 0].mean(), abs=0.05)
+
+
+def test_loose_specks_stay_at_rest_on_request_in_images_and_volumes():
+    for axes in (2, 3):
+        grid = (16,) * axes
+        m = np.zeros(grid)
+        m[(slice(0, 10),) * axes] = 1
+        m[(slice(13, 15),) * axes] = 1
+        y, c = np.zeros((*grid, axes)), np.zeros((*grid, axes))
+        c[0], y[9], c[9] = 1, 0.5, 1
+        problem = Problem(y, c, m)
+        with pytest.raises(ProblemError, match="not held anywhere"):
+            solve(problem, backend="cpu")
+        solution = solve(problem, backend="cpu", rest_loose=True)
+        assert not solution.displacement[(slice(13, 15),) * axes].any()
+        assert "stays at rest" in solution.notes[-1]
+
+
+def test_points_beside_tissue_follow_the_nearest_tissue_on_request():
+    y = np.zeros((12, 12, 2))
+    y[..., 0] = 2
+    m = np.zeros((12, 12))
+    m[2:8, 2:8] = 1
+    solution = solve(Problem(y, 0 * y, m, precision=1.0), backend="cpu")
+    points = [(7.5, 4.0), (10.0, 10.0), (4.25, 5.5)]
+    assert solution.at(points, extend=True) == pytest.approx(np.array([(2, 0)] * 3), abs=1e-4)
+    assert solution.at(points)[0, 0] == pytest.approx(1, abs=1e-4)
