@@ -18,6 +18,6 @@ follows each point according to its standard deviation, and the strain scale of 
 """
 
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points, write_points
-from napari_hmrf.solver.landmarks import Landmarks, StrainScale
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, StrainScale
 
 __all__ = ["LandmarkFile", "Landmarks", "StrainScale", "read_points", "write_points"]

@@ -15,13 +15,13 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.data_term import MAX_PRECISION, checked_precision
-from napari_hmrf.solver.landmarks import Landmarks
 from napari_hmrf.solver.loads import Loads
+from napari_hmrf.solver.precision import MAX_PRECISION, checked_precision
 from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
 from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
+from napari_hmrf.solver.uncertain_landmarks import Landmarks
 
 #: Largest ratio between two stiffnesses for which single precision is sufficient.
 MAX_STIFFNESS_RATIO = 1e7

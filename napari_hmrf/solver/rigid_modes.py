@@ -20,9 +20,9 @@ import scipy
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.landmarks import corners_of
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.uncertain_landmarks import corners_of
 
 # Largest strength of a constraint, relative to the strongest one, that counts as rounding error.
 _ROUNDING = 1e-9

@@ -106,7 +106,7 @@ def solve(
         `initial`.
     rest_loose : bool
         True to leave small pieces of elastic tissue at rest if nothing holds them, as a study does;
-        `Solution.notes` tells how many. By default, they are an error.
+        their number is in `Solution.notes`. By default, they are an error.
 
     Returns
     -------
