@@ -171,6 +171,18 @@ def test_landmarks_give_the_posterior_mean_of_the_same_prior(grid, spacing, sd):
     assert largest_error(solution, problem, prior) <= 1e-3
 
 
+def test_many_certain_landmarks_in_a_volume_need_few_cycles():
+    rng = np.random.default_rng(2)
+    y, c = np.zeros((24, 24, 24, 3)), np.zeros((24, 24, 24, 3))
+    c[0] = 1
+    points = rng.random((100, 3)) * 23
+    marks = Landmarks(points, points + rng.normal(size=points.shape), sd=0.02)
+    problem = Problem(y, c, np.ones((24, 24, 24)), landmarks=marks)
+    solution = solve(problem, ElasticPrior(0.3), backend="cpu")
+    assert solution.convergence.way == "cycles"
+    assert len(solution.energy) <= 12
+
+
 def test_landmarks_do_not_depend_on_the_unit_of_stiffness():
     points = np.array([(5.3, 6.1), (14.8, 12.2), (9.5, 3.25)])
     marks = Landmarks(

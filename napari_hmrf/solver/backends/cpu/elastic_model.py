@@ -126,6 +126,9 @@ class CpuElasticLevel(SmallLevel):
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
+        if self.point_smoother is not None:
+            self._relax_with_points(steps, from_zero)
+            return
         paces = paces_of(steps, from_zero)
         about = self._about
         if from_zero:
@@ -137,7 +140,13 @@ class CpuElasticLevel(SmallLevel):
             elastic.smooth(self.correction, *about, self._other, *pace, self.parts)
             self.correction, self._other = self._other, self.correction
 
+    def _step_simply(self, pace: Vector) -> None:
+        elastic.smooth(self.correction, *self._about, self._other, *pace, self.parts)
+
     def _restrict_residual(self, coarse: CpuElasticLevel) -> None:
+        if self.point_smoother is not None:
+            self._restrict_with_points(coarse)
+            return
         elastic.leave(self.correction, *self._about, coarse.load, self.parts)
 
     @property
@@ -158,7 +167,7 @@ class CpuElasticLevel(SmallLevel):
     def coarsen_data(self, coarse: CpuElasticLevel) -> None:
         """Compute the tensors of the data term on the next coarser level."""
         assembly.diagonal(self.lame, self.shape, self.inverse)
-        data_weights.coarsen_image(self.data, self.inverse, coarse.data)
+        data_weights.coarsen_image(self._coarsened_data(), self.inverse, coarse.data)
 
 
 def _cycle(shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: Vector) -> None:

@@ -137,22 +137,36 @@ class CpuVolumeLevel(VolumeLevel):
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
+        if self.point_smoother is not None:
+            self._relax_with_points(steps, from_zero)
+            return
         paces = paces_of(steps, from_zero)
         if from_zero:
             load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
             mixed = None if self.mixed is None else rows(self.mixed)
             volume.start(load, inverse, mixed, correction, paces[0, 0])
             paces = paces[1:]
-        weights = self.inverse, *self._springs, self.mixed
-        about = self.load, self.lame, self.share, *weights, self.shape
+        about = self._about
         for begin in range(0, len(paces), self._at_once):
             some = paces[begin : begin + self._at_once]
-            volume.smooth(self.correction, self._other, *about, self.reach, some, self.parts)
+            volume.smooth(self.correction, self._other, *about, some, self.parts)
             if len(some) % 2 == 1:
                 self.correction, self._other = self._other, self.correction
             self.checkpoint()
 
+    @property
+    def _about(self) -> tuple[Any, ...]:
+        """Arguments of the smoothing loop."""
+        weights = self.inverse, *self._springs, self.mixed
+        return self.load, self.lame, self.share, *weights, self.shape, self.reach
+
+    def _step_simply(self, pace: Vector) -> None:
+        volume.smooth(self.correction, self._other, *self._about, pace[None], self.parts)
+
     def _restrict_residual(self, coarse: CpuVolumeLevel) -> None:
+        if self.point_smoother is not None:
+            self._restrict_with_points(coarse)
+            return
         # `_other` can store the residual: the next step has no momentum and does not read `_other`.
         self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
         if self.mixed is not None:
@@ -164,6 +178,7 @@ class CpuVolumeLevel(VolumeLevel):
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
         self._rest_of(direction, direction, np.float32(0), np.float32(-1), image)
+        self.add_points(direction, self.inverse, image)  # the loop has added the precision
         return self.product(direction, image)
 
     def _rest_of(
@@ -176,7 +191,7 @@ class CpuVolumeLevel(VolumeLevel):
     def coarsen_data(self, coarse: CpuVolumeLevel) -> None:
         """Compute the tensors of the data term on the next coarser level."""
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
-        data_weights.coarsen_volume(self.data, self.inverse, coarse.data)
+        data_weights.coarsen_volume(self._coarsened_data(), self.inverse, coarse.data)
 
 
 class CpuVolumeModel(HostModel):
