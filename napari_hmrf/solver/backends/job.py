@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from napari_hmrf.solver.backends.compile_cache.sets import LARGE_VOLUMES
+from napari_hmrf.solver.backends.compile_cache.sets import DATA, LARGE_VOLUMES, VOLUME_DATA
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 
 if TYPE_CHECKING:
@@ -84,6 +84,8 @@ class SolveJob:
         """Name of the set of compiled loops that contains most of the required loops."""
         if self.has_large_motion:
             return LARGE_VOLUMES if self.is_volume else "large-motion"
+        if self.has_data:
+            return VOLUME_DATA if self.is_volume else DATA
         if isinstance(self.prior, ElasticPrior):
             if self.is_volume:
                 return "volume"
