@@ -84,6 +84,8 @@ def jobs() -> list[Job]:
         Job(sets.LARGE_VOLUMES, lambda: _volume(NeoHookeanPrior(0.3), Multigrid())),
         Job("volume-schedule", lambda: _volume(SeilerPrior(), schedule)),
         Job("volume-converged", lambda: _volume(SeilerPrior(), Multigrid())),
+        Job(sets.DATA, lambda: _data((_SIZE, _SIZE))),
+        Job(sets.VOLUME_DATA, lambda: _data((_SLICES, _SLICES, _SLICES))),
     ]
 
 
@@ -95,6 +97,12 @@ def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool 
         m[18:23, 12:17] = np.inf
     problem = Problem(c, c, m, spacing=spacing)
     solve(problem, prior, optimizer=optimizer, backend="cpu")
+
+
+def _data(grid: tuple[int, ...]) -> None:
+    y = np.ones((*grid, len(grid)))
+    problem = Problem(y, np.zeros_like(y), np.ones(grid), precision=1.0)
+    solve(problem, ElasticPrior(0.3), backend="cpu")
 
 
 def _volume(prior: Any, optimizer: Any) -> None:

@@ -1,4 +1,4 @@
-"""Landmark files of BigWarp and 3D Slicer.
+"""Landmarks with standard deviations, and landmark files of BigWarp and 3D Slicer.
 
 `Drawing.from_landmarks` creates a drawing that moves tissue from points to target positions, and
 `Grid.to_pixels` converts points from mm to pixels::
@@ -8,8 +8,16 @@
 
     pairs = read_points("landmarks.csv")
     drawing = Drawing.from_landmarks(pairs.points, pairs.targets, radius=3)
+
+`Landmarks` are points between pixels whose positions are uncertain, for a `Problem`. The tissue
+follows each point according to its standard deviation, and the strain scale of the tissue::
+
+    landmarks = Landmarks(pairs.points, pairs.targets, sd=0.5, scale=StrainScale(strain=0.1))
+    none = np.zeros((*stiffness.shape, 2))
+    solution = solve(Problem(none, none, stiffness, landmarks=landmarks))
 """
 
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points, write_points
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, StrainScale
 
-__all__ = ["LandmarkFile", "read_points", "write_points"]
+__all__ = ["LandmarkFile", "Landmarks", "StrainScale", "read_points", "write_points"]

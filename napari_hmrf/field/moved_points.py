@@ -101,6 +101,51 @@ def interpolate_linearly(
     return np.stack(parts, axis=-1)
 
 
+def interpolate_in_tissue(
+    field: npt.NDArray[np.floating],
+    tissue: npt.NDArray[np.bool_],
+    points: npt.NDArray[np.float64],
+    *,
+    spacing: Sequence[float],
+) -> npt.NDArray[np.float64]:
+    """Interpolate a field linearly at points, and continue it beyond the tissue.
+
+    Sites without tissue have the value of the nearest tissue.
+
+    Parameters
+    ----------
+    field : ndarray, shape ([D,] H, W, k)
+        Values, of which those of tissue are used.
+    tissue : ndarray of bool, shape ([D,] H, W)
+    points : ndarray, shape (N, n)
+        Positions in pixels. Beyond the border, the extended field is constant.
+    spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis, for the distance to tissue.
+
+    Returns
+    -------
+    ndarray, shape (N, k), float64
+        Interpolated values.
+    """
+    size = np.asarray(spacing, np.float64)
+    inner = scipy.ndimage.binary_erosion(tissue, border_value=1)
+    surface = np.argwhere(tissue & ~inner if (tissue & ~inner).any() else tissue)
+    tree = scipy.spatial.cKDTree(surface * size)
+    last = np.array(tissue.shape) - 1
+    at = np.clip(points, 0, last)
+    low = np.minimum(at.astype(np.intp), np.maximum(last - 1, 0))
+    total = np.zeros((len(points), field.shape[-1]))
+    for corner in np.ndindex(*(2,) * tissue.ndim):
+        site = np.minimum(low + corner, last)
+        share = np.where(corner, at - low, 1 - (at - low)).prod(axis=1)
+        void = ~tissue[tuple(site.T)]
+        if void.any():
+            _, nearest = tree.query(site[void] * size)
+            site[void] = surface[nearest]
+        total += share[:, None] * field[tuple(site.T)]
+    return total
+
+
 def interpolate_with_slopes(
     field: npt.NDArray[np.floating], points: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +16,12 @@ import numpy.typing as npt
 from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.loads import Loads
+from napari_hmrf.solver.precision import MAX_PRECISION, checked_precision
 from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
 from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
+from napari_hmrf.solver.uncertain_landmarks import Landmarks
 
 #: Largest ratio between two stiffnesses for which single precision is sufficient.
 MAX_STIFFNESS_RATIO = 1e7
@@ -34,15 +37,15 @@ MAX_REACH = 2.0
 class Problem:
     """Boundary displacement, confidence and stiffness on one pixel grid; validated and immutable.
 
-    The arrays are copied, converted to float32 and made read-only.
+    The arrays are copied, converted to float32 (`precision` to float64) and made read-only.
 
     Parameters
     ----------
     observed : array_like, shape (H, W, 2) or (D, H, W, 3)
         Observed (boundary) displacement, y in the equations, in the unit of `spacing`, with
         components in (row, col) order, or (plane, row, col) in a volume. Material displacement:
-        tissue at X was observed to move to X + y(X). Where `confidence` is zero, values are ignored
-        and stored as zero.
+        tissue at X was observed to move to X + y(X). Where `confidence` and `precision` are zero,
+        values are ignored and stored as zero.
     confidence : array_like, shape (H, W, 2) or (D, H, W, 3)
         Confidence in each component of `observed`, c in the equations. At 1 the observation is
         certain and exactly prescribed; at 0 it is unknown. In between, the force of the observation
@@ -60,6 +63,16 @@ class Problem:
         Growth and forces, for `ElasticPrior` and `NeoHookeanPrior`. In an image, forces per
         thickness are in the unit of stiffness times length; in a volume, forces are in the unit of
         stiffness times length squared. The unit of length is that of `spacing`.
+    precision : array_like, optional
+        Precision of `observed`, W in the equations, for `ElasticPrior`: adds the energy
+        ``1/2 (d - y)^T W (d - y)`` of each site, in addition to `confidence`. A symmetric positive
+        semidefinite tensor at each site, shape (H, W, 2, 2) or (D, H, W, 3, 3); its diagonal, shape
+        (H, W, 2) or (D, H, W, 3); or one number for each site or for all sites. In an image, the
+        unit is that of stiffness; in a volume, stiffness times length. Values in void are ignored.
+        ``k n n^T`` observes the component along n only.
+    landmarks : Landmarks, optional
+        Observed displacements of points between pixels, with standard deviations, for
+        `ElasticPrior`.
 
     Raises
     ------
@@ -72,6 +85,8 @@ class Problem:
     stiffness: FloatArray
     spacing: tuple[float, ...]
     loads: Loads | None
+    precision: npt.NDArray[np.float64] | None
+    landmarks: Landmarks | None
 
     def __init__(
         self,
@@ -81,6 +96,8 @@ class Problem:
         *,
         spacing: Sequence[float] = _EVEN,
         loads: Loads | None = None,
+        precision: npt.ArrayLike | None = None,
+        landmarks: Landmarks | None = None,
     ) -> None:
         # If `observed` has one value per pixel, do not interpret the stiffness as a volume.
         image = isinstance(observed, np.ndarray) and observed.ndim == 2
@@ -99,15 +116,27 @@ class Problem:
                 )
         _check_stiffness_unit(stiffness, m)
         _check_stiffness(m)
-        _check_confidence(c)
-        np.copyto(y, np.float32(0), where=c <= 0)  # a copy already
-        _check_finite("observed", y, "where confidence is above 0")
+        weight = None if precision is None else checked_precision(precision, m > 0)
+        has_data = weight is not None or landmarks is not None
+        _check_confidence(c, required=not has_data)
+        unused = c <= 0
+        if weight is not None:
+            unused &= ~weight.any(axis=-1)
+            _check_precision(weight, m, pixel)
+        np.copyto(y, np.float32(0), where=unused)  # a copy already
+        _check_finite(
+            "observed", y, f"where confidence{' or precision' * (weight is not None)} is above 0"
+        )
         check_reach(y, pixel)
         for field, array in (("observed", y), ("confidence", c), ("stiffness", m)):
             array.setflags(write=False)
             object.__setattr__(self, field, array)
         object.__setattr__(self, "spacing", pixel)
-        _check_known(self.known)
+        object.__setattr__(self, "precision", weight)
+        object.__setattr__(self, "landmarks", landmarks)
+        if not has_data:
+            _check_known(self.known)
+        _check_landmarks(landmarks, m, pixel)
         object.__setattr__(self, "loads", loads)
         _check_loads(loads, m, pixel)
 
@@ -117,6 +146,11 @@ class Problem:
         void = "" if tissue == self.tissue.size else f", {tissue:,} of tissue"
         observed = int(np.count_nonzero(self.known.any(axis=-1)))
         loads = "" if self.loads is None else f", {self.loads}"
+        if self.landmarks is not None:
+            loads = f", {self.landmarks}{loads}"
+        if self.precision is not None:
+            data = int(np.count_nonzero(self.precision.any(axis=(-2, -1))))
+            loads = f", precision at {data:,}{loads}"
         return (
             f"Problem({size} sites of {pixel}{void}, {observed:,} observed, "
             f"stiffness {_range_in_words(self.stiffness)}{loads})"
@@ -157,11 +191,47 @@ class Problem:
     def digests(self) -> Mapping[str, str]:
         """SHA-256 digests of the bytes of each array, computed on first access."""
         names = ("observed", "confidence", "stiffness")
-        arrays = {name: getattr(self, name) for name in names}
+        arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in names}
         if self.loads is not None:
             loads = {"growth": self.loads.growth, "force": self.loads.force}
             arrays |= {name: array for name, array in loads.items() if array is not None}
+        if self.precision is not None:
+            arrays["precision"] = self.precision
+        if self.landmarks is not None:
+            own = self.landmarks
+            values = own.points, own.targets, own.precision(self.stiffness, self.spacing)
+            arrays["landmarks"] = np.stack(values)
         return _Digests(arrays)
+
+    def with_rest(self, at_rest: npt.NDArray[np.bool_]) -> Problem:
+        """Return the problem without some tissue, which then stays at rest.
+
+        Parameters
+        ----------
+        at_rest : ndarray of bool, shape (H, W) or (D, H, W)
+        """
+        return Problem(
+            self.observed,
+            self.confidence,
+            np.where(at_rest, np.float32(0), self.stiffness),
+            spacing=self.spacing,
+            loads=self.loads,
+            precision=self.precision,
+            landmarks=self.landmarks,
+        )
+
+    @property
+    def observed_components(self) -> npt.NDArray[np.bool_]:
+        """Mask of components of tissue with a confidence or a precision, shape (H, W, 2)."""
+        if self.precision is None:
+            return self.known
+        mask: npt.NDArray[np.bool_] = self.known | self.precision.any(axis=-1)
+        return mask
+
+    @property
+    def has_data(self) -> bool:
+        """True if there is a quadratic data term: a precision or landmarks."""
+        return self.precision is not None or self.landmarks is not None
 
     @property
     def unit(self) -> float:
@@ -175,7 +245,7 @@ class _Digests(Mapping[str, str]):
     A digest takes milliseconds, so no digest is computed before it is needed.
     """
 
-    def __init__(self, arrays: dict[str, FloatArray]) -> None:
+    def __init__(self, arrays: dict[str, npt.NDArray[Any]]) -> None:
         self._arrays = arrays
         self._digests: dict[str, str] = {}
 
@@ -340,7 +410,23 @@ def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
         )
 
 
-def _check_confidence(c: FloatArray) -> None:
+def _check_precision(
+    weight: npt.NDArray[np.float64], m: FloatArray, pixel: tuple[float, ...]
+) -> None:
+    """Raise an error for a precision so large that the observation should be prescribed."""
+    stiffest = float(m.max(where=np.isfinite(m), initial=0.0)) or 1.0
+    unit = stiffest * math.prod(pixel) ** ((m.ndim - 2) / m.ndim)
+    largest = float(np.abs(weight).max())
+    if largest > MAX_PRECISION * unit:
+        raise ProblemError(
+            "precision",
+            f"reaches {largest:.3g}, which is more than {MAX_PRECISION * unit:.3g}, a million "
+            "times the stiffness of the stiffest tissue. Prescribe such observations with a "
+            "confidence of 1 instead.",
+        )
+
+
+def _check_confidence(c: FloatArray, *, required: bool) -> None:
     _check_finite("confidence", c)
     if c.min() < 0 or c.max() > 1:
         outside = np.asarray(((c < 0) | (c > 1)).any(axis=-1))
@@ -349,7 +435,7 @@ def _check_confidence(c: FloatArray) -> None:
             f"has {how_many(outside)} outside 0 to 1, the first at {first_index(outside)}. Scale "
             "the confidence to the range from 0 (none) to 1 (complete).",
         )
-    if not c.any():
+    if required and not c.any():
         raise ProblemError(
             "confidence",
             "is 0 everywhere: nothing determines how tissue moves. Mark at least one place as "
@@ -375,6 +461,18 @@ def _check_loads(loads: object, m: FloatArray, pixel: tuple[float, ...]) -> None
             "loads", f"is {shown(loads)}, of type {kind}. Pass Loads, such as growth(strain)."
         )
     loads.check(m, pixel)
+
+
+def _check_landmarks(landmarks: object, m: FloatArray, pixel: tuple[float, ...]) -> None:
+    if landmarks is None:
+        return
+    if not isinstance(landmarks, Landmarks):
+        kind = type(landmarks).__name__
+        raise ProblemError(
+            "landmarks",
+            f"is {shown(landmarks)}, of type {kind}. Pass Landmarks(points, targets, sd=1.0).",
+        )
+    landmarks.check(m, pixel)
 
 
 def _check_known(known: npt.NDArray[np.bool_]) -> None:

@@ -68,7 +68,7 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
     return array.astype(np.int32)
 
 
-def check_finite(field: str, array: FloatArray) -> None:
+def check_finite(field: str, array: npt.NDArray[np.floating]) -> None:
     """Raise an error if an array has NaN or infinite values."""
     if not np.isfinite(array).all():
         raise ProblemError(

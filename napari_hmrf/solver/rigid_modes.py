@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.uncertain_landmarks import corners_of
 
 # Largest strength of a constraint, relative to the strongest one, that counts as rounding error.
 _ROUNDING = 1e-9
@@ -67,6 +69,10 @@ class HeldTissue(NamedTuple):
 
 # Result of the last check.
 _firm: list[HeldTissue] = []
+# Results for problems with a data term.
+_strengths: WeakKeyDictionary[Problem, float] = WeakKeyDictionary()
+# Number of data that are checked first. If they hold the tissue, so do all data.
+_FEW_DATA = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,16 +126,24 @@ def holding_strength(problem: Problem) -> float:
     for firm in _firm:  # checked first, because every frame of a drag needs the result
         if firm.covers(problem.tissue, held):
             return firm.strength
+    if problem in _strengths:
+        return _strengths[problem]
     if held[problem.tissue].all():
         return 1.0  # no site is free to move
     pieces, count = _some_pieces(problem)
-    ways = list(_modes(pieces, count, held))
+    ways = list(_modes(pieces, count, held, problem, _FEW_DATA))
     free = _first_motion(problem, pieces, count, ways)
+    if free is not None and problem.precision is not None:
+        ways = list(_modes(pieces, count, held, problem))
+        free = _first_motion(problem, pieces, count, ways)
     if free is not None:
         raise refusal(free)
     sizes, share = np.bincount(pieces.ravel(), minlength=count + 1)[1:], 1 - 1 / pieces.ndim
     value = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
-    _firm[:] = [HeldTissue(problem.tissue, held, value)]
+    if problem.has_data:
+        _strengths[problem] = value
+    else:
+        _firm[:] = [HeldTissue(problem.tissue, held, value)]
     return value
 
 
@@ -152,7 +166,8 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
         Mask of the constrained components.
     """
     pieces, count = _pieces(problem.stiffness)
-    return _first_motion(problem, pieces, count, _modes(pieces, count, held))
+    ways = _modes(pieces, count, held, problem)
+    return _first_motion(problem, pieces, count, ways)
 
 
 def _some_pieces(problem: Problem) -> tuple[Labels, int]:
@@ -206,7 +221,7 @@ def free_motions(
         sites.
     """
     pieces, count = _pieces(problem.stiffness)
-    for cluster, _, modes in _free(_modes(pieces, count, held)):
+    for cluster, _, modes in _free(_modes(pieces, count, held, problem)):
         piece_modes = np.zeros((count + 1, modes.shape[2]))
         ways = []
         for mode in modes:
@@ -268,9 +283,16 @@ def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motion
             yield cluster, strength, modes[:, free].T.reshape(int(free.sum()), len(cluster), -1)
 
 
-def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[_Ways]:
+def _modes(
+    pieces: Labels,
+    count: int,
+    held: npt.NDArray[np.bool_],
+    problem: Problem | None = None,
+    most: int | None = None,
+) -> Iterator[_Ways]:
     """Compute the motions of each cluster and their costs, in ascending order of cost."""
-    # The cost of a motion is the sum of its squared displacements at all constraints.
+    # The cost of a motion is the sum of its squared displacements at all constraints. A site of the
+    # data term counts like a constraint in the directions of its tensor, however weak it is.
     if count == 0:
         return
     shape = held.shape[:-1]
@@ -284,6 +306,7 @@ def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[
         holds.append(np.nonzero(held[..., along] & (of_sites > 0)))
     held_of = [of_sites[sites] - 1 for sites in holds]
     hinged = _hinges(pieces) if count > 1 else np.zeros((0, axes + 2), dtype=int)
+    data = None if problem is None else _data_costs(problem, pieces, count, freedom, most)
     for cluster in _clusters(hinged, count):
         place = np.full(count, -1)
         place[cluster] = np.arange(len(cluster))
@@ -295,8 +318,53 @@ def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[
             _tie(costs, place[of[inside]], ways)
             ways = _motions(tuple(own.T[:axes]), along, shape)
             _tie(costs, place[own[:, -2]], ways, place[own[:, -1]])
+        if data is not None:
+            within = np.arange(len(cluster))
+            costs[within, :, within] += data[cluster]
         strength = costs.reshape(freedom * len(cluster), -1)
         yield cluster, strength, *np.linalg.eigh(strength)
+
+
+def _data_costs(
+    problem: Problem, pieces: Labels, count: int, freedom: int, most: int | None
+) -> Motions:
+    """Return the costs of the motions of each piece due to the data term, without its strength.
+
+    If `most` is given, only about this number of tensors is included. The result has shape (pieces,
+    motions, motions).
+    """
+    costs = np.zeros((count, freedom, freedom))
+    precision, landmarks = problem.precision, problem.landmarks
+    if precision is not None:
+        of_sites = _sites(pieces)
+        there = np.flatnonzero((precision.reshape(*of_sites.shape, -1) != 0).any(axis=-1))
+        there = there[of_sites.ravel()[there] > 0]
+        there = there if most is None else there[:: max(1, len(there) // most)]
+        sites = np.unravel_index(there, of_sites.shape)
+        tensors = precision[sites]
+        tensors /= np.trace(tensors, axis1=-2, axis2=-1)[:, None, None]
+        _add_data(costs, tensors, sites, of_sites[sites] - 1, problem.shape)
+    if landmarks is not None:
+        elements, _ = corners_of(landmarks.points, problem.shape)
+        points = tuple(landmarks.points.T)
+        tensors = np.broadcast_to(np.eye(len(points)), (len(landmarks), len(points), len(points)))
+        _add_data(costs, tensors, points, pieces[tuple(elements.T)] - 1, problem.shape)
+    return costs
+
+
+def _add_data(
+    costs: Motions,
+    tensors: Motions,
+    sites: tuple[npt.NDArray[Any], ...],
+    piece: npt.NDArray[Any],
+    shape: tuple[int, ...],
+) -> None:
+    """Add the costs of data with given tensors, at sites or points of given pieces, in place."""
+    ways = [_motions(sites, along, shape) for along in range(len(shape))]
+    for (i, of_i), (j, of_j) in product(enumerate(ways), repeat=2):
+        for (row, one), (col, two) in product(of_i.items(), of_j.items()):
+            work = tensors[:, i, j] * one * two
+            costs[:, row, col] += np.bincount(piece, work, minlength=len(costs))
 
 
 def _sites(pieces: Labels) -> Labels:

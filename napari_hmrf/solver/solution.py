@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
-from napari_hmrf.arguments import is_one_of, refuse_unless, shown
+from napari_hmrf.arguments import is_one_of, refuse_unless, require_flag, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.elasticity import Elasticity, read_elasticity
 from napari_hmrf.solver.loads import Loads
@@ -256,7 +256,7 @@ class Solution:
         of_field = green_lagrange_strain if kind == "total" else small_strain
         return of_field(self.displacement, **self._on_grid)
 
-    def at(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def at(self, points: npt.ArrayLike, *, extend: bool = False) -> npt.NDArray[np.float64]:
         """Return the displacement at points of the tissue, interpolated linearly.
 
         Parameters
@@ -264,6 +264,9 @@ class Solution:
         points : array_like, shape (N, n)
             Positions before the motion, in pixels, in the order of the axes; `Grid.to_pixels`
             converts points in mm. Points outside the grid move like the nearest point on its edge.
+        extend : bool
+            True to move points without tissue, or beside it, like the nearest tissue. By default,
+            the displacement is zero where there is no tissue, and linear between pixels.
 
         Returns
         -------
@@ -276,11 +279,11 @@ class Solution:
             If the points and the field have different numbers of axes or all points are outside the
             grid.
         """
-        moved = self.move(points) - np.asarray(points)
+        moved = self.move(points, extend=extend) - np.asarray(points)
         step: npt.NDArray[np.float64] = moved * np.array(self.spacing)
         return step
 
-    def move(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def move(self, points: npt.ArrayLike, *, extend: bool = False) -> npt.NDArray[np.float64]:
         """Return the positions of points of the tissue after the motion.
 
         Parameters
@@ -288,6 +291,8 @@ class Solution:
         points : array_like, shape (N, n)
             Positions before the motion, in pixels, in the order of the axes; `Grid.to_pixels`
             converts points in mm. Points outside the grid move like the nearest point on its edge.
+        extend : bool
+            As for `at`.
 
         Returns
         -------
@@ -300,10 +305,18 @@ class Solution:
             If the points and the field have different numbers of axes or all points are outside the
             grid.
         """
-        from napari_hmrf.field.moved_points import moved_points, refuse_outside  # above: field
+        from napari_hmrf.field import moved_points as motion  # above: field
 
-        refuse_outside(points, self.tissue.shape)
-        return moved_points(points, self.displacement, spacing=self.spacing)
+        require_flag("extend", extend)
+        motion.refuse_outside(points, self.tissue.shape)
+        moved = motion.moved_points(points, self.displacement, spacing=self.spacing)
+        if not extend:
+            return moved
+        at = np.asarray(points, np.float64)
+        step = motion.interpolate_in_tissue(
+            self.displacement, self.tissue, at, spacing=self.spacing
+        )
+        return np.asarray(at + step / np.array(self.spacing))
 
     def measure(
         self, labels: npt.ArrayLike, *, names: Mapping[int, str] | None = None

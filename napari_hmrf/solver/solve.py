@@ -10,13 +10,14 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Protocol
 
 import numpy as np
 
-from napari_hmrf.arguments import shown
+from napari_hmrf.arguments import require_flag, shown
 from napari_hmrf.errors import ArgumentError, BackendError, Cancelled
 from napari_hmrf.solver.backends import (
     BACKEND_NAMES,
@@ -32,9 +33,10 @@ from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.preparation import loop_watch, prepare, provide_loops
-from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
+from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.solver.volume_memory import check_memory
 from napari_hmrf.solver.warm_start import Initial, combine_solutions
 
@@ -67,6 +69,7 @@ def solve(
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
     initial: Initial | None = None,
+    rest_loose: bool = False,
 ) -> Solution:
     """Compute the displacement of the tissue.
 
@@ -101,6 +104,9 @@ def solve(
         errors of the solutions add up to less than the tolerance. The result is the same within the
         tolerance. The paper's schedule starts from zero on its coarsest level and does not accept
         `initial`.
+    rest_loose : bool
+        True to leave small pieces of elastic tissue at rest if nothing holds them, as a study does;
+        their number is in `Solution.notes`. By default, they are an error.
 
     Returns
     -------
@@ -113,7 +119,7 @@ def solve(
     BackendError
         If the backend is not available or returns values that are not finite.
     ProblemError
-        If the solution is not unique, because some tissue can move freely.
+        If the solution is not unique, because some tissue can move freely (see `rest_loose`).
     ConvergenceError
         If an iteration does not converge.
     Cancelled
@@ -136,6 +142,9 @@ def solve(
         cancel=cancel,
         initial=initial,
     )
+    require_flag("rest_loose", rest_loose)
+    if rest_loose:
+        return _with_loose_at_rest(problem, prior, optimizer, backend, progress, cancel, initial)
     stop = cancel or threading.Event()
     if compute_thread.is_current():
         return run_here(problem, prior, optimizer, backend, progress, stop, initial)
@@ -161,6 +170,33 @@ def solve(
             job.cancel()
         raise
     return job.result()
+
+
+def _with_loose_at_rest(
+    problem: Problem,
+    prior: Prior | None,
+    optimizer: Optimizer | None,
+    backend: str,
+    progress: Progress | None,
+    cancel: CancelFlag | None,
+    initial: Initial | None,
+) -> Solution:
+    """Solve without the loose pieces of elastic tissue, and note how many stay at rest."""
+    notes: tuple[str, ...] = ()
+    if isinstance(prior, Elastic | None):
+        loose = scraps(problem.tissue, problem.observed_components)
+        if loose.any():
+            problem, notes = problem.with_rest(loose), (left_at_rest(loose),)
+    solution = solve(
+        problem,
+        prior,
+        optimizer=optimizer,
+        backend=backend,
+        progress=progress,
+        cancel=cancel,
+        initial=initial,
+    )
+    return replace(solution, notes=(*solution.notes, *notes))
 
 
 def _next(reports: queue.SimpleQueue[Monitor | None], cancel: CancelFlag | None) -> Monitor | None:

@@ -96,7 +96,7 @@ def _scraps(
 
 def left_at_rest(scrap: npt.NDArray[np.bool_]) -> str:
     """Describe the excluded pieces as a clause for the user; "" if there are none."""
-    _, count = scipy.ndimage.label(scrap, structure=np.ones((3, 3)))
+    _, count = scipy.ndimage.label(scrap, structure=np.ones((3,) * scrap.ndim))
     if not count:
         return ""
     pixels = int(scrap.sum())

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from napari_hmrf.solver.backends.compile_cache.sets import LARGE_VOLUMES
+from napari_hmrf.solver.backends.compile_cache.sets import DATA, LARGE_VOLUMES, VOLUME_DATA
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ class SolveJob:
         True if growth of tissue or external forces are given.
     has_rigid_tissue : bool
         True if some stiffness is infinite.
+    has_data : bool
+        True if there is a quadratic data term.
     """
 
     shape: tuple[int, ...]
@@ -47,6 +49,7 @@ class SolveJob:
     optimizer: Schedule
     has_loads: bool = False
     has_rigid_tissue: bool = False
+    has_data: bool = False
 
     @classmethod
     def of(cls, problem: Problem, prior: Prior, optimizer: Schedule) -> SolveJob:
@@ -58,6 +61,7 @@ class SolveJob:
             optimizer,
             has_loads=problem.loads is not None,
             has_rigid_tissue=math.isinf(float(problem.stiffness.max())),
+            has_data=problem.has_data,
         )
 
     @property
@@ -80,6 +84,8 @@ class SolveJob:
         """Name of the set of compiled loops that contains most of the required loops."""
         if self.has_large_motion:
             return LARGE_VOLUMES if self.is_volume else "large-motion"
+        if self.has_data:
+            return VOLUME_DATA if self.is_volume else DATA
         if isinstance(self.prior, ElasticPrior):
             if self.is_volume:
                 return "volume"

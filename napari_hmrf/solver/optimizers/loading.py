@@ -12,6 +12,7 @@ import scipy
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.loads import are_same
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import MAX_REACH, Problem
@@ -71,6 +72,26 @@ def load_forces(problem: Problem, prior: Prior) -> LoadForces:
     loads = LoadForces(host.planes(load.forces), load.energy)
     _last[:] = [] if problem.is_volume else [_LastLoads(problem, prior, loads)]
     return loads
+
+
+def with_data(
+    data: DataTerm | None, problem: Problem, pulls: Planes | None, energy: float
+) -> LoadForces:
+    """Add the forces and the energy of the data term at zero displacement to those of the loads.
+
+    Parameters
+    ----------
+    data : DataTerm or None
+    problem : Problem
+    pulls : ndarray, planes, or None
+        Forces of the loads; not changed.
+    energy : float
+        Energy of the loads.
+    """
+    if data is None:
+        return LoadForces(pulls, energy)
+    forces, own = data.load(host.planes(problem.observed) / problem.unit)
+    return LoadForces(forces if pulls is None else forces + pulls, energy + own)
 
 
 def work_of(load: Planes | None, d: Planes) -> float:

@@ -29,7 +29,13 @@ from napari_hmrf.solver.bending_modes import check_bending
 from napari_hmrf.solver.optimizers import centred, large_motion
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
 from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
-from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, load_forces, work_of
+from napari_hmrf.solver.optimizers.loading import (
+    check_balanced,
+    check_reach,
+    load_forces,
+    with_data,
+    work_of,
+)
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
@@ -136,6 +142,7 @@ class Multigrid:
         d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
             material = prior.material(problem)
+            pulls, stored = with_data(material.data, problem, pulls, stored)
             model, smoothing = backend.elastic_model(material), smoothing_of(material)
         else:
             check_bending(problem)

@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, real, refuse_unless
 from napari_hmrf.errors import ArgumentError, ProblemError
+from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.priors.elements import (
     ElasticMaterial,
     ElementShape,
@@ -179,7 +180,8 @@ class ElasticPrior:
     def material(self, problem: Problem) -> ElasticMaterial:
         """Return the properties of a problem's tissue that the kernels require."""
         shape = self.shape(problem.spacing)
-        return ElasticMaterial(problem.stiffness, self.poisson, self._strain(problem), shape)
+        data = DataTerm.of(problem, self.force_unit(problem) / problem.unit)
+        return ElasticMaterial(problem.stiffness, self.poisson, self._strain(problem), shape, data)
 
     def _strain(self, problem: Problem) -> bool:
         """Return True in plane strain and in volumes, where tissue cannot bulge out of the grid."""

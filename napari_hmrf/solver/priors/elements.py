@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.neighbours import in_elements, of_corners
+from napari_hmrf.solver.data_term import DataTerm, are_same
+from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -62,12 +63,15 @@ class ElasticMaterial:
         True for plane strain and for volumes, False for plane stress.
     shape : ElementShape or BrickShape
         Constants of an element for the size of a pixel or voxel.
+    data : DataTerm, optional
+        Quadratic data term, which adds to the matrix of the tissue.
     """
 
     m: npt.NDArray[np.float32]
     poisson: float | npt.NDArray[np.float32]
     strain: bool
     shape: Any
+    data: DataTerm | None = None
 
     def __eq__(self, other: object) -> bool:
         return (
@@ -75,6 +79,7 @@ class ElasticMaterial:
             and (self.strain, self.shape) == (other.strain, other.shape)
             and np.array_equal(self.poisson, other.poisson)
             and np.array_equal(self.m, other.m)
+            and are_same(self.data, other.data)
         )
 
     __hash__ = None  # type: ignore[assignment]
@@ -138,7 +143,15 @@ class ElasticMaterial:
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
         lame = lame_parameters(self.relative(FACTOR_STAND_IN, sites), nu, self.strain)
         of_first, of_shear = (each[..., None, None] for each in lame)
-        return np.asarray(of_first * first + of_shear * shear)
+        matrices = np.asarray(of_first * first + of_shear * shear)
+        if self.data is not None:
+            self.data.add_to_elements(matrices, elements, self._elements_around)
+        return matrices
+
+    @cached_property
+    def _elements_around(self) -> npt.NDArray[np.intp]:
+        """Number of tissue elements of which each site is a corner."""
+        return around_sites(in_elements(self.m).astype(np.intp), np.add)
 
     @property
     def largest_poisson(self) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.data_term import refuse_data
 from napari_hmrf.solver.priors.elastic import ElasticPrior, Plane, prior_in_words
 from napari_hmrf.solver.priors.elements import Float64Array
 from napari_hmrf.solver.priors.finite_bricks import FiniteBricks, brick_moduli
@@ -84,8 +85,10 @@ class NeoHookeanPrior:
         Raises
         ------
         ProblemError
-            If growth turns tissue inside out, or in the cases of `ElasticPrior.resolved`.
+            If growth turns tissue inside out, if there is a precision or a landmark, or in the
+            cases of `ElasticPrior.resolved`.
         """
+        refuse_data(problem, "large motion")
         _check_growth(problem)
         self.at_rest.resolved(problem)
         return self.in_force(problem)
@@ -102,7 +105,7 @@ class NeoHookeanPrior:
         """Return the properties of a problem's tissue that the kernels require."""
         same = self.at_rest.material(problem)
         growth = None if problem.loads is None else problem.loads.growth
-        return FiniteMaterial(same.m, same.poisson, same.strain, same.shape, growth)
+        return FiniteMaterial(same.m, same.poisson, same.strain, same.shape, growth=growth)
 
     def limit(self, problem: Problem) -> Float64Array | None:
         """Return the force limits; see `ElasticPrior.limit`."""

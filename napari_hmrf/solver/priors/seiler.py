@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, real, refuse_unless
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.data_term import refuse_data
 from napari_hmrf.solver.priors.cliques import (
     Cliques,
     SeilerMaterial,
@@ -134,8 +135,9 @@ class SeilerPrior:
         ------
         ProblemError
             If there is rigid tissue, if the blanket reading is used for a volume, or if there are
-            loads.
+            loads, a precision or landmarks.
         """
+        refuse_data(problem, "the paper's prior")
         if problem.loads is not None:
             raise ProblemError(
                 "loads",

@@ -10,11 +10,22 @@ PICTURES = "pictures"
 VOLUMES = "volume"
 #: Loops that solve volumes in large motion.
 LARGE_VOLUMES = "volume-large-motion"
+#: Loops for a quadratic data term in an image.
+DATA = "data"
+#: Same in a volume.
+VOLUME_DATA = "volume-data"
 #: Loops for tissue on which cycles converge slowly. No job compiles this set, so a solve compiles
 #: the loops when it requires them.
 HARDER = "harder"
 #: Sets that are compiled only when a solve requests them.
-ON_REQUEST = (VOLUMES, LARGE_VOLUMES, "volume-schedule", "volume-converged")
+ON_REQUEST = (
+    VOLUMES,
+    LARGE_VOLUMES,
+    "volume-schedule",
+    "volume-converged",
+    DATA,
+    VOLUME_DATA,
+)
 #: Approximate number of loops in each set, used to report compilation progress.
 COUNTS = {
     "elastic": 22,
@@ -33,6 +44,8 @@ COUNTS = {
     LARGE_VOLUMES: 24,
     "volume-schedule": 2,
     "volume-converged": 15,
+    DATA: 25,
+    VOLUME_DATA: 25,
     HARDER: 8,
 }
 #: Approximate number of distinct loops in `EVERYTHING`, and in all sets.

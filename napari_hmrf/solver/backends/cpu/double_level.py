@@ -56,6 +56,8 @@ class DoubleLevel(CpuLevel):
 
     def apply(self, direction: Any, image: Any) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
-        about = *self._tissue, self.inverse, self.inverse, *self._about
+        springs, shape, reach = self._about
+        about = *self._tissue, self.inverse, self.inverse, springs, None, shape, reach
         volume.rest(direction, direction, 0.0, *about, -1.0, image, self._level.parts)
+        self._level.add_data(direction, self.inverse, image)
         return self.product(direction, image)

@@ -10,10 +10,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
+from napari_hmrf.solver.backends.cpu import (
+    assembly,
+    data_weights,
+    elastic,
+    elastic_exact,
+    forces,
+    small,
+    vectors,
+)
 from napari_hmrf.solver.backends.cpu.deflation_setup import build_deflation
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
+from napari_hmrf.solver.backends.cpu.transfer import padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, can_deflate
@@ -49,6 +58,7 @@ class CpuElasticLevel(SmallLevel):
         finest: bool,
         spans: npt.NDArray[np.int64],
         memory: Iterator[Vector] | None = None,
+        has_data: bool = False,
     ) -> None:
         super().__init__(grid, memory)
         self.shape, self.spans = shape, spans
@@ -57,8 +67,14 @@ class CpuElasticLevel(SmallLevel):
         if memory is not None:
             next(memory)  # skip the array for the residual, which is used only by the cycle
         self.lame = self.vector()
+        if memory is not None and has_data:
+            self.lame, self.mixed = self.lame[:2], self.lame[2:]
         self.moving, self.reach = self.inverse, spans
         self._memory = None
+        if has_data:
+            self.data = padded(3, grid)
+            self.weight = self.vector() if self.weight is None else self.weight
+            self.mixed = self.vector() if self.mixed is None else self.mixed
         #: Number of threads among which the rows are divided.
         self.parts = forces.parts(grid[0])
 
@@ -73,6 +89,10 @@ class CpuElasticLevel(SmallLevel):
             held = self.bodies.hold(held)
         assembly.diagonal(self.lame, self.shape, self.inverse)
         vectors.hold(self.inverse, held, self.pins, self.spans)
+        if self.data is not None:
+            assert self.weight is not None
+            self.weight.fill(0)
+            self._couple()
         # Deflation also changes the correction at bodies, so the next cycle must reset it there.
         self.spans[:] = self.reach
         self._clear_vectors(before)
@@ -106,6 +126,9 @@ class CpuElasticLevel(SmallLevel):
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
+        if self.point_smoother is not None:
+            self._relax_with_points(steps, from_zero)
+            return
         paces = paces_of(steps, from_zero)
         about = self._about
         if from_zero:
@@ -117,13 +140,20 @@ class CpuElasticLevel(SmallLevel):
             elastic.smooth(self.correction, *about, self._other, *pace, self.parts)
             self.correction, self._other = self._other, self.correction
 
+    def _step_simply(self, pace: Vector) -> None:
+        elastic.smooth(self.correction, *self._about, self._other, *pace, self.parts)
+
     def _restrict_residual(self, coarse: CpuElasticLevel) -> None:
+        if self.point_smoother is not None:
+            self._restrict_with_points(coarse)
+            return
         elastic.leave(self.correction, *self._about, coarse.load, self.parts)
 
     @property
     def _about(self) -> tuple[Any, ...]:
         """Arguments of the smoothing loops."""
-        return self.load, self.lame, self.inverse, *self._springs, self.shape, self.spans
+        weights = self.inverse, *self._springs, self.mixed
+        return self.load, self.lame, *weights, self.shape, self.spans
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
@@ -132,11 +162,22 @@ class CpuElasticLevel(SmallLevel):
             elastic.apply(*about, self.parts)
         else:  # on a small level, waking other threads takes longer than the loop
             elastic.apply_part(*about, 0, len(self.reach))
-        return float(self._rows.sum())
+        return float(self._rows.sum()) + self.add_data(direction, self.moving, image)
+
+    def coarsen_data(self, coarse: CpuElasticLevel) -> None:
+        """Compute the tensors of the data term on the next coarser level."""
+        assembly.diagonal(self.lame, self.shape, self.inverse)
+        data_weights.coarsen_image(self._coarsened_data(), self.inverse, coarse.data)
 
 
 def _cycle(shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: Vector) -> None:
     small.cycle(values, table, shape, *paces)
+
+
+def _data_cycle(
+    shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: Vector
+) -> None:
+    small.data_cycle(values, table, shape, *paces)
 
 
 class CpuElasticModel(HostModel):
@@ -151,28 +192,36 @@ class CpuElasticModel(HostModel):
     def __init__(self, material: ElasticMaterial) -> None:
         self._shape = np.array(material.shape, dtype=np.float32)
         large, little = divided(grids(material.m.shape))
+        has_data = material.data is not None
         self.levels = [
-            CpuElasticLevel(grid, self._shape, number == 0, np.zeros((grid[0], 2), dtype=np.int64))
+            CpuElasticLevel(
+                grid,
+                self._shape,
+                number == 0,
+                np.zeros((grid[0], 2), dtype=np.int64),
+                has_data=has_data,
+            )
             for number, grid in enumerate(large)
         ]
         if little:
-            self.levels += self._small(little)
+            self.levels += self._small(little, has_data)
         self._rest = self.levels[0].vector()
         self._exact_lame: Planes = np.zeros(self._rest.shape)
         self._deflation = np.zeros((0, *self._rest.shape), dtype=np.float32)
         self._rows: npt.NDArray[np.float64] = np.zeros((2, self.levels[0].grid[0]))
         self.assemble(material)
 
-    def _small(self, grids: Sequence[tuple[int, ...]]) -> list[CpuElasticLevel]:
+    def _small(self, grids: Sequence[tuple[int, ...]], has_data: bool) -> list[CpuElasticLevel]:
         """Return the small levels, which share memory and a single-call V-cycle."""
         shape = self._shape
 
         def level(grid: tuple[int, ...], memory: Iterator[Vector]) -> CpuElasticLevel:
-            return CpuElasticLevel(
-                grid, shape, False, np.zeros((grid[0], 2), dtype=np.int64), memory
-            )
+            spans = np.zeros((grid[0], 2), dtype=np.int64)
+            return CpuElasticLevel(grid, shape, False, spans, memory, has_data)
 
-        return SmallLevels(grids, int(small.PLANES), level, partial(_cycle, shape)).levels
+        planes = small.DATA_PLANES if has_data else small.PLANES
+        cycle = partial(_data_cycle if has_data else _cycle, shape)
+        return SmallLevels(grids, int(planes), level, cycle).levels
 
     def assemble(self, material: ElasticMaterial) -> None:
         """Replace the material with another material on the same grid."""
@@ -201,6 +250,11 @@ class CpuElasticModel(HostModel):
         self.levels[0].lame[...] = self._exact_lame
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             assembly.coarsen(fine.lame, coarse.lame)
+        if material.data is not None:
+            assembly.diagonal(self.levels[0].lame, self._shape, self.levels[0].inverse)
+            self.levels[0].set_data(material.data)
+            for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+                fine.coarsen_data(coarse)
 
     def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components on all levels."""
@@ -233,6 +287,9 @@ class CpuElasticModel(HostModel):
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (most, squares) = self.levels[0], self._rows
+        if finest.data is not None:
+            load = np.zeros(d.shape) if load is None else load.copy()
+            finest.add_data(d, None, load, -1.0)
         given = (d, 0.0) if load is None else (load, 1.0)
         elastic_exact.balance(
             d,
@@ -252,6 +309,7 @@ class CpuElasticModel(HostModel):
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """Return -A d at all components, in double precision; valid until the next call."""
         elastic_exact.pull(d, self._exact_lame, self._exact_shape, self._pull, self.levels[0].parts)
+        self.levels[0].add_data(d, None, self._pull, -1.0)
         return self._pull if low is None else self._pull.copy() + self.pull(low)
 
     @cached_property
@@ -263,6 +321,9 @@ class CpuElasticModel(HostModel):
         """Return the elastic energy and the norm of the forces."""
         finest, (products, squares) = self.levels[0], self._rows
         elastic_exact.work(d, self._exact_lame, self._exact_shape, products, squares, finest.parts)
+        if finest.data is not None:
+            forces = self.pull(d)
+            return -float((forces * d).sum()) / 2, float(np.linalg.norm(forces))
         return float(products.sum()) / 2, math.sqrt(squares.sum())
 
     @property
@@ -270,6 +331,8 @@ class CpuElasticModel(HostModel):
         """Diagonal of the stiffness matrix, as planes."""
         out = np.zeros(self._rest.shape)
         assembly.diagonal(self._exact_lame, self._exact_shape, out)
+        if self.material.data is not None:
+            self.material.data.add_diagonal(out)
         return out
 
     def clear_cache(self) -> None:
@@ -281,13 +344,18 @@ _last: list[CpuElasticModel] = []
 in_child_of_fork(_last.clear)  # the fork may have interrupted a solve that uses the model
 
 
+def _layout(material: ElasticMaterial) -> tuple[tuple[int, ...], bool]:
+    """Return the properties of a material that determine the arrays of its model."""
+    return material.m.shape, material.data is not None
+
+
 def the_model(material: ElasticMaterial) -> CpuElasticModel:
     """Return the model of a material, reusing the cached model if possible.
 
     Building a model takes as long as a few cycles, and users edit observations more often than
     tissue. Call this function only on the compute thread, because all solves share the model.
     """
-    if not _last or _last[0].material.m.shape != material.m.shape:
+    if not _last or _layout(_last[0].material) != _layout(material):
         _last[:] = ()  # free the old model before the new one is allocated
         _last.append(CpuElasticModel(material))
     elif _last[0].material != material:

@@ -88,8 +88,8 @@ class BrickLevel(VolumeLevel):
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
         paces = paces_of(steps, from_zero)
         if from_zero:
-            arrays = map(rows, (self.load, self.inverse, self.correction))
-            volume.start(*arrays, paces[0, 0])
+            load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
+            volume.start(load, inverse, None, correction, paces[0, 0])
             paces = paces[1:]
         weight, springs = self._springs
         for pace in paces:

@@ -12,13 +12,18 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.cpu import vectors
+from napari_hmrf.solver.backends.cpu import data_weights, vectors
+from napari_hmrf.solver.backends.cpu.point_smoother import PointSmoother
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.linear import Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
+from napari_hmrf.solver.data_term import DataTerm, PointTerm
 
+_TINY = 1e-300
+# Coefficients (scale, ahead, back) of a step of size 1.
+_UNIT_STEP = np.array([1, 0, 0], dtype=np.float32)
 Vector = npt.NDArray[np.float32]
 Spans = npt.NDArray[np.int64]
 
@@ -42,6 +47,15 @@ class CpuLevel:
         Reciprocal of the diagonal; 0 where a component does not move.
     weight : ndarray, shape (2, H + 4, W + 4), or None
         Strength of the springs; None on the finest level.
+    mixed : ndarray, shape (2, H + 4, W + 4), or None
+        With a data term, the off-diagonal component of the springs, and that of the smoother's
+        blocks, whose diagonal is `inverse`; three of each in a volume. None without a data term.
+    data : ndarray, shape (3, H + 4, W + 4), or None
+        Tensors of the data term, packed (`data_weights`).
+    exact_data : ndarray of float64, or None
+        The same in double precision, without landmarks; only on the finest level.
+    points : PointTerm or None
+        Landmarks; only on the finest level. Cycles use a precision at the corners instead.
     pins : ndarray, shape (2, H + 4, W + 4)
         Prescribed components: 1 or 0 on the finest level, and a restricted count on coarser
         levels.
@@ -50,6 +64,14 @@ class CpuLevel:
     """
 
     weight: Vector | None
+    mixed: Vector | None = None
+    data: Vector | None = None
+    exact_data: npt.NDArray[np.float64] | None = None
+    points: PointTerm | None = None
+    #: Correction of smoothing steps for landmarks.
+    point_smoother: PointSmoother | None = None
+    #: Diagonal of the tissue's matrix, if there are landmarks.
+    diagonal: Vector | None = None
     pins: Vector
     spans: Spans
     #: True if `finish` also visits all coarser levels.
@@ -79,6 +101,40 @@ class CpuLevel:
         most, strength = np.float32(MOST_PINS), np.float32(SPRING)
         inverse, pins, weight = map(rows, (self.inverse, self.pins, self.weight))
         vectors.spring(inverse, pins, most, strength, weight, self.spans)
+        self._couple()
+
+    def set_data(self, data: DataTerm) -> None:
+        """Set the data term of the finest level; `inverse` is the diagonal of the tissue."""
+        assert self.data is not None
+        self.exact_data, self.points = data.weights, data.points
+        np.copyto(self.data, data.weights, casting="same_kind")
+        self.diagonal = None if data.points is None else self.inverse.copy()
+
+    def _coarsened_data(self) -> Vector:
+        """Return the tensors for the next coarser level, with those of landmarks at the corners."""
+        assert self.data is not None
+        if self.points is None:
+            return self.data
+        # A landmark is a precision of at most D at each corner. A larger one would move the corners
+        # together.
+        data, diagonal = self.data.copy(), self.inverse
+        at, sums = self.points.lumped()
+        flat = data.reshape(len(data), -1)
+        mean = diagonal.reshape(len(diagonal), -1)[:, at].mean(axis=0)
+        flat[: len(sums), at] += (sums * mean / np.maximum(sums + mean, _TINY)).astype(np.float32)
+        return data
+
+    def _couple(self) -> None:
+        """Add the data term to the springs and to the smoother, if there is one."""
+        if self.data is not None:
+            assert self.weight is not None
+            assert self.mixed is not None
+            arrays = self.inverse, self.data, self.weight, self.mixed
+            data_weights.couple(*map(rows, arrays))
+        self.point_smoother = None
+        if self.points is not None:
+            assert self.mixed is not None
+            self.point_smoother = PointSmoother(self.points, self.inverse, self.mixed)
 
     @property
     def _springs(self) -> tuple[Vector, np.float32]:
@@ -87,6 +143,32 @@ class CpuLevel:
         if self.weight is None:
             return self.inverse, np.float32(0)
         return self.weight, np.float32(1)
+
+    def add_data(self, d: Any, inverse: Vector | None, out: Any, scale: float = 1.0) -> float:
+        """Add ``scale * W d`` of the data term to `out`; return d . W d.
+
+        Components that are fixed according to `inverse` are left out. Without a data term, nothing
+        is added.
+        """
+        data = self.exact_data
+        if data is None:
+            return 0.0
+        free = None if inverse is None else rows(inverse)
+        data_weights.add(rows(d), rows(data), scale, free, rows(out), self._rows)
+        return float(self._rows.sum()) + self.add_points(d, inverse, out, scale)
+
+    def add_points(self, d: Any, inverse: Vector | None, out: Any, scale: float = 1.0) -> float:
+        """Add ``scale * H^T w H d`` of the landmarks to `out`; return d . H^T w H d."""
+        if self.points is None:
+            return 0.0
+        moved = self.points.at_points(d)
+        forces = self.points.weights * moved
+        self.points.add_forces(forces, out, scale)
+        if inverse is not None:
+            at = np.unique(self.points.corners)
+            flat, fixed = out.reshape(len(out), -1), inverse.reshape(len(out), -1) == 0
+            flat[:, at] = np.where(fixed[:, at], 0, flat[:, at])
+        return float((forces * moved).sum())
 
     @cached_property
     def _rest(self) -> Vector:
@@ -116,9 +198,57 @@ class CpuLevel:
         """Restrict forces to the next coarser level."""
         vectors.restrict(fine, coarse)
 
+    @staticmethod
+    def _interpolate(coarse: Vector, fine: Vector, inverse: Vector) -> None:
+        """Add the interpolated correction of the next coarser level to the free components."""
+        vectors.interpolate(coarse, fine, inverse)
+
     def _add_coarse(self, coarse: Vector) -> None:
-        """Add the interpolated correction of the next coarser level."""
-        vectors.interpolate(coarse, self.correction, self.inverse)
+        """Add the interpolated correction of the next coarser level, filtered if there are data."""
+        if self.mixed is None:
+            self._interpolate(coarse, self.correction, self.inverse)
+            return
+        # `_other` can store it: the next step has no momentum and does not read `_other`.
+        self._other.fill(0)
+        self._interpolate(coarse, self._other, self.inverse)
+        assert self.weight is not None
+        smoother = self.point_smoother
+        out = self.correction if smoother is None else np.zeros_like(self.correction)
+        arrays = self._other, self.inverse, self.weight, self.mixed, out
+        data_weights.add_relaxed(*map(rows, arrays))
+        if smoother is not None:
+            smoother.subtract(smoother.moved(out), out)
+            self.correction += out
+
+    def _step_simply(self, pace: Vector) -> None:
+        """Compute one Chebyshev step (scale, ahead, back) from `correction` to `_other`."""
+        raise NotImplementedError
+
+    def _step_with_points(self, pace: Vector) -> None:
+        """Compute one Chebyshev step with the landmarks, from `correction` to `_other`."""
+        smoother, (scale, ahead, back) = self.point_smoother, map(float, pace)
+        assert smoother is not None
+        now, before = smoother.moved(self.correction), smoother.moved(self._other)
+        self._step_simply(pace)
+        step = smoother.moved(self._other) - (1 + ahead) * now + back * before
+        smoother.subtract(step + scale * now, self._other)
+
+    def _relax_with_points(self, steps: Steps, from_zero: bool) -> None:
+        if from_zero:
+            self.correction.fill(0)
+            self._other.fill(0)
+        for pace in paces_of(steps, from_zero=False):
+            self._step_with_points(pace)
+            self.correction, self._other = self._other, self.correction
+            compute_thread.check_cancelled()
+
+    def _restrict_with_points(self, coarse: Self) -> None:
+        """Restrict the filtered residual, which is D times a step of size 1."""
+        self._step_with_points(_UNIT_STEP)
+        assert self.diagonal is not None
+        self._other -= self.correction
+        self._other *= self.diagonal
+        self._restrict(self._other, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""

@@ -14,9 +14,12 @@ from numba import float32
 
 from napari_hmrf.solver.backends.cpu import forces, small_cycle
 from napari_hmrf.solver.backends.cpu.compiled import callee, strict
+from napari_hmrf.solver.backends.cpu.data_weights import filtered, relaxed
 
 #: Number of model planes per level: the two Lame parameters.
 PLANES = np.int64(2)
+#: Same with a data term.
+DATA_PLANES = np.int64(4)
 # Index of the first site of a row in padded arrays, and of the first row.
 _FIRST = 2
 
@@ -51,10 +54,80 @@ def _residual(d, load, lame, inverse, weight, shape, out):
         out[1, _FIRST, j] = col if inverse[1, _FIRST, j] > float32(0) else col - col
 
 
-_cycle = small_cycle.cycle_of(PLANES, _smooth, _residual)
+_cycle = small_cycle.cycle_of(PLANES, small_cycle.start, _smooth, _residual, small_cycle.add_coarse)
 
 
 @strict
 def cycle(values, table, shape, down, up, coarsest):
     """Run a V-cycle over small levels; see `small_cycle.cycle_of`."""
     _cycle(values, table, shape, down, up, coarsest)
+
+
+# With a data term, the planes of a level are also those of `data_weights.couple`: the mixed
+# component of W, and that of the block of the smoother.
+
+
+@callee
+def _start_data(load, own, inverse, d, scale):
+    """Compute the first step from zero, ``d = scale * (D + W)^-1 load``."""
+    for k in range(_length(d)):
+        j = _FIRST + k
+        row, col, mixed = load[0, _FIRST, j], load[1, _FIRST, j], own[3, _FIRST, j]
+        d[0, _FIRST, j] = scale * (inverse[0, _FIRST, j] * row + mixed * col)
+        d[1, _FIRST, j] = scale * (mixed * row + inverse[1, _FIRST, j] * col)
+
+
+@callee
+def _smooth_data(d, load, own, inverse, weight, shape, out, scale, ahead, back):
+    """Compute a Chebyshev step; see `elastic.smooth`."""
+    for k in range(_length(d)):
+        j = _FIRST + k
+        row, col = forces.rest(d, load, own, weight, shape, _FIRST, j)
+        row -= own[2, _FIRST, j] * d[1, _FIRST, j]
+        col -= own[2, _FIRST, j] * d[0, _FIRST, j]
+        mixed = own[3, _FIRST, j]
+        row, col = (
+            inverse[0, _FIRST, j] * row + mixed * col,
+            mixed * row + inverse[1, _FIRST, j] * col,
+        )
+        row = scale * row + ahead * d[0, _FIRST, j] - back * out[0, _FIRST, j]
+        col = scale * col + ahead * d[1, _FIRST, j] - back * out[1, _FIRST, j]
+        out[0, _FIRST, j] = d[0, _FIRST, j] + row
+        out[1, _FIRST, j] = d[1, _FIRST, j] + col
+
+
+@callee
+def _residual_data(d, load, own, inverse, weight, shape, out):
+    """Write the filtered residual to `out`, or 0 at components that do not move."""
+    for k in range(_length(d)):
+        j = _FIRST + k
+        row, col = forces.rest(d, load, own, weight, shape, _FIRST, j)
+        row -= own[2, _FIRST, j] * d[1, _FIRST, j]
+        col -= own[2, _FIRST, j] * d[0, _FIRST, j]
+        row, col = filtered(row, col, inverse, weight, own[2:], _FIRST, j)
+        out[0, _FIRST, j] = row if inverse[0, _FIRST, j] > float32(0) else row - row
+        out[1, _FIRST, j] = col if inverse[1, _FIRST, j] > float32(0) else col - col
+
+
+@callee
+def _add_coarse_data(coarse, d, spare, own, inverse, weight):
+    """Add the interpolated coarse correction, filtered (`data_weights`)."""
+    spare[:] = 0
+    small_cycle.interpolate(coarse, spare, inverse)
+    for k in range(_length(d)):
+        j = _FIRST + k
+        row, col = spare[0, _FIRST, j], spare[1, _FIRST, j]
+        row, col = relaxed(row, col, inverse, weight, own[2:], _FIRST, j)
+        d[0, _FIRST, j] += row
+        d[1, _FIRST, j] += col
+
+
+_data_cycle = small_cycle.cycle_of(
+    DATA_PLANES, _start_data, _smooth_data, _residual_data, _add_coarse_data
+)
+
+
+@strict
+def data_cycle(values, table, shape, down, up, coarsest):
+    """Run a V-cycle over small levels of a model with a data term."""
+    _data_cycle(values, table, shape, down, up, coarsest)

@@ -18,7 +18,7 @@ from napari_hmrf.solver.backends.cpu.compiled import callee
 INVERSE, LOAD, CORRECTION, OTHER, PINS, WEIGHT, REST, MODEL = np.arange(8)
 
 _restrict = callee(vectors.restrict.py_func)
-_interpolate = callee(vectors.interpolate.py_func)
+interpolate = callee(vectors.interpolate.py_func)
 
 
 @callee
@@ -37,7 +37,7 @@ def _plane(values, table, k, number):
 
 
 @callee
-def _start(load, inverse, d, scale):
+def start(load, own, inverse, d, scale):
     """Compute the first step from zero, ``d = scale * D^-1 load``, on the level as one long row."""
     for k in range((d.shape[1] - 5) * d.shape[2] + d.shape[2] - 4):
         j = 2 + k
@@ -45,19 +45,30 @@ def _start(load, inverse, d, scale):
         d[1, 2, j] = scale * inverse[1, 2, j] * load[1, 2, j]
 
 
-def cycle_of(planes: Any, smooth: Any, rest: Any) -> Any:
+@callee
+def add_coarse(coarse, d, spare, own, inverse, weight):
+    """Add the interpolated coarse correction to `d`."""
+    interpolate(coarse, d, inverse)
+
+
+def cycle_of(planes: Any, begin: Any, smooth: Any, rest: Any, add_coarse: Any) -> Any:
     """Compile the V-cycle of a model.
 
     Parameters
     ----------
     planes : int
         Number of model planes per level.
+    begin : callable
+        First step from zero, such as `start`: ``begin(load, own, inverse, d, scale)``.
     smooth : callable
         Chebyshev step: ``smooth(d, load, own, inverse, weight, about, out, scale, ahead, back)``.
         `own` contains the model planes of the level, and `about` the parameters common to all
         levels.
     rest : callable
         Residual: ``rest(d, load, own, inverse, weight, about, out)``.
+    add_coarse : callable
+        Interpolation, such as `add_coarse`: ``add_coarse(coarse, d, spare, own, inverse, weight)``.
+        `spare` is overwritten.
 
     Returns
     -------
@@ -96,11 +107,11 @@ def cycle_of(planes: Any, smooth: Any, rest: Any) -> Any:
         for k in range(last + 1):
             steps = coarsest if k == last else down
             load, inverse = _plane(values, table, k, LOAD), _plane(values, table, k, INVERSE)
-            _start(load, inverse, _plane(values, table, k, CORRECTION), steps[0, 0])
+            own = _planes(values, table, k, MODEL, planes)
+            begin(load, own, inverse, _plane(values, table, k, CORRECTION), steps[0, 0])
             turned = relax(values, table, about, k, steps, 1, False)
             if k < last:
                 d = _plane(values, table, k, OTHER if turned else CORRECTION)
-                own = _planes(values, table, k, MODEL, planes)
                 weight, left = _plane(values, table, k, WEIGHT), _plane(values, table, k, REST)
                 rest(d, load, own, inverse, weight, about, left)
                 _restrict(left, _plane(values, table, k + 1, LOAD))
@@ -110,7 +121,10 @@ def cycle_of(planes: Any, smooth: Any, rest: Any) -> Any:
             coarse = _plane(values, table, k + 1, CORRECTION if below else OTHER)
             turned = len(down) % 2 == 0
             d = _plane(values, table, k, OTHER if turned else CORRECTION)
-            _interpolate(coarse, d, _plane(values, table, k, INVERSE))
+            spare = _plane(values, table, k, CORRECTION if turned else OTHER)
+            inverse, weight = _plane(values, table, k, INVERSE), _plane(values, table, k, WEIGHT)
+            own = _planes(values, table, k, MODEL, planes)
+            add_coarse(coarse, d, spare, own, inverse, weight)
             relax(values, table, about, k, up, 0, turned)
 
     return cycle

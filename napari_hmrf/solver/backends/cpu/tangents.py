@@ -238,7 +238,7 @@ def _rest(d, load, tangent, inverse, weight, springs, out):
     _rest_part(d, load, tangent, inverse, weight, springs, out, 0, d.shape[1] - 4)
 
 
-_cycle = small_cycle.cycle_of(PLANES, _smooth, _rest)
+_cycle = small_cycle.cycle_of(PLANES, small_cycle.start, _smooth, _rest, small_cycle.add_coarse)
 
 
 @strict

@@ -69,8 +69,43 @@ def _smooth_line(force, d, load, inverse, weight, springs, out, pace):
         out[x] = d[x] + (step - back * out[x])
 
 
+@inline
+def _three(values, first, z, y, begin, past):
+    """Return three lines of planes, from plane `first`; the loops over single lines vectorize."""
+    return (
+        values[first, z, y, begin:past],
+        values[first + 1, z, y, begin:past],
+        values[first + 2, z, y, begin:past],
+    )
+
+
+@shared
+def _smooth_block(forces, d, load, inverse, weight, mixed, block, out, pace):
+    """Compute a step with a block of the smoother for each site; see `data_weights`."""
+    scale, ahead, back = pace
+    force_0, force_1, force_2 = forces
+    d_0, d_1, d_2 = d
+    load_0, load_1, load_2 = load
+    inverse_0, inverse_1, inverse_2 = inverse
+    weight_0, weight_1, weight_2 = weight
+    mixed_01, mixed_02, mixed_12 = mixed
+    block_01, block_02, block_12 = block
+    out_0, out_1, out_2 = out
+    for x in range(len(d_0)):
+        i, j, k = d_0[x], d_1[x], d_2[x]
+        row = load_0[x] - (force_0[x] + weight_0[x] * i + mixed_01[x] * j + mixed_02[x] * k)
+        col = load_1[x] - (force_1[x] + mixed_01[x] * i + weight_1[x] * j + mixed_12[x] * k)
+        end = load_2[x] - (force_2[x] + mixed_02[x] * i + mixed_12[x] * j + weight_2[x] * k)
+        step = inverse_0[x] * row + block_01[x] * col + block_02[x] * end
+        out_0[x] = i + (scale * step + ahead * i - back * out_0[x])
+        step = block_01[x] * row + inverse_1[x] * col + block_12[x] * end
+        out_1[x] = j + (scale * step + ahead * j - back * out_1[x])
+        step = block_02[x] * row + block_12[x] * col + inverse_2[x] * end
+        out_2[x] = k + (scale * step + ahead * k - back * out_2[x])
+
+
 @callee
-def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, last):
+def _smooth_part(d, tissue, weights, mixed, load, inverse, spans, out, pace, first, last):
     lame, share, shape = tissue
     weight, springs = weights
     lines, rows, planes = scratch(d)
@@ -81,7 +116,19 @@ def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, las
             for x in range(begin, past, BLOCK):
                 end = min(x + BLOCK, past)
                 block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
-                if z >= first + 2:
+                if z >= first + 2 and mixed is not None:
+                    _smooth_block(
+                        (force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)),
+                        _three(d, 0, z, y, x, end),
+                        _three(load, 0, z, y, x, end),
+                        _three(inverse, 0, z, y, x, end),
+                        _three(weight, 0, z, y, x, end),
+                        _three(mixed, 0, z, y, x, end),
+                        _three(mixed, 3, z, y, x, end),
+                        _three(out, 0, z, y, x, end),
+                        pace,
+                    )
+                elif z >= first + 2:
                     for k in range(3):
                         _smooth_line(
                             force_of(lines, k),
@@ -96,12 +143,15 @@ def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, las
 
 
 @parallel
-def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, paces, count):
+def smooth(
+    d, other, load, lame, share, inverse, weight, springs, mixed, shape, spans, paces, count
+):
     """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`.
 
     A step is ``other = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * other``. On entry,
     `other` contains the displacement before the previous step. The two arrays swap roles after each
-    step.
+    step. With a data term (`data_weights`), W also has the components `mixed`; otherwise `mixed` is
+    None.
     """
     for step in range(len(paces)):
         source, target = (d, other) if step % 2 == 0 else (other, d)
@@ -109,16 +159,27 @@ def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, 
         tissue, weights = (lame, share, shape), (weight, springs)
         for number in prange(count):
             first, last = part(number, count, d.shape[1] - 4)
-            _smooth_part(source, tissue, weights, load, inverse, spans, target, pace, first, last)
+            _smooth_part(
+                source, tissue, weights, mixed, load, inverse, spans, target, pace, first, last
+            )
 
 
 @parallel
-def start(load, inverse, d, scale):
-    """Compute the first step from zero, ``d = scale * D^-1 load``, for arrays from `level.rows`."""
+def start(load, inverse, mixed, d, scale):
+    """Compute the first step from zero, ``d = scale * D^-1 load``, for arrays from `level.rows`.
+
+    `mixed` is None without a data term.
+    """
     for i in prange(d.shape[1]):
         for k in range(len(d)):
             for j in range(d.shape[2]):
                 d[k, i, j] = scale * inverse[k, i, j] * load[k, i, j]
+        if mixed is not None:
+            for j in range(d.shape[2]):
+                x, y, z = load[0, i, j], load[1, i, j], load[2, i, j]
+                d[0, i, j] += scale * (mixed[3, i, j] * y + mixed[4, i, j] * z)
+                d[1, i, j] += scale * (mixed[3, i, j] * x + mixed[5, i, j] * z)
+                d[2, i, j] += scale * (mixed[4, i, j] * x + mixed[5, i, j] * y)
 
 
 @shared
@@ -129,8 +190,20 @@ def _rest_line(force, d, load, given, inverse, weight, springs, scale, out):
         out[x] = rest if inverse[x] > float32(0) else rest - rest
 
 
+@shared
+def _mixed_forces(forces, d, mixed):
+    """Add the forces of the components `mixed` of W, in place."""
+    force_0, force_1, force_2 = forces
+    d_0, d_1, d_2 = d
+    mixed_01, mixed_02, mixed_12 = mixed
+    for x in range(len(d_0)):
+        force_0[x] += mixed_01[x] * d_1[x] + mixed_02[x] * d_2[x]
+        force_1[x] += mixed_01[x] * d_0[x] + mixed_12[x] * d_2[x]
+        force_2[x] += mixed_02[x] * d_0[x] + mixed_12[x] * d_1[x]
+
+
 @callee
-def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
+def _rest_part(d, tissue, weights, mixed, loads, inverse, spans, out, first, last):
     lame, share, shape = tissue
     (weight, springs), (load, given, scale) = weights, loads
     lines, rows, planes = scratch(d)
@@ -142,6 +215,10 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
                 end = min(x + BLOCK, past)
                 block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
                 if z >= first + 2:
+                    if mixed is not None:
+                        three = force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
+                        along = _three(d, 0, z, y, x, end)
+                        _mixed_forces(three, along, _three(mixed, 0, z, y, x, end))
                     for k in range(3):
                         _rest_line(
                             force_of(lines, k),
@@ -157,12 +234,14 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
 
 
 @parallel
-def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
+def rest(
+    d, load, given, lame, share, inverse, weight, springs, mixed, shape, spans, scale, out, count
+):
     """Write ``scale * (given * load - (A + W) d)`` to `out`, or 0 at fixed components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
-        _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last)
+        _rest_part(d, tissue, weights, mixed, loads, inverse, spans, out, first, last)
 
 
 @callee

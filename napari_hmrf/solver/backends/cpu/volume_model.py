@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
-from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
+from napari_hmrf.solver.backends.cpu import data_weights, hexahedra, vectors, volume
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
@@ -81,8 +81,9 @@ class VolumeLevel(CpuLevel):
     def _restrict(fine: Vector, coarse: Vector) -> None:
         volume.restrict(fine, coarse)
 
-    def _add_coarse(self, coarse: Vector) -> None:
-        volume.interpolate(coarse, self.correction, self.inverse)
+    @staticmethod
+    def _interpolate(coarse: Vector, fine: Vector, inverse: Vector) -> None:
+        volume.interpolate(coarse, fine, inverse)
 
 
 class CpuVolumeLevel(VolumeLevel):
@@ -98,9 +99,14 @@ class CpuVolumeLevel(VolumeLevel):
         Function called several times a second; it raises an exception to cancel the work.
     """
 
-    def __init__(self, grid: tuple[int, ...], parameters: int, finest: bool) -> None:
+    def __init__(
+        self, grid: tuple[int, ...], parameters: int, finest: bool, has_data: bool
+    ) -> None:
         super().__init__(grid, finest)
         self.lame = padded(parameters, grid)
+        if has_data:
+            self.data, self.mixed = padded(6, grid), padded(6, grid)
+            self.weight = self.vector() if self.weight is None else self.weight
         #: Number of threads among which the planes are divided.
         self.parts = volume.parts(grid[0])
         #: Number of smoothing steps between two checks for cancellation.
@@ -119,6 +125,10 @@ class CpuVolumeLevel(VolumeLevel):
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         self.checkpoint()
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
+        if self.data is not None:
+            assert self.weight is not None
+            self.weight.fill(0)
+            self._couple()
 
     def hold_as(self, finer: CpuVolumeLevel) -> None:
         """Set the springs of sites near prescribed sites of the next finer level."""
@@ -127,34 +137,61 @@ class CpuVolumeLevel(VolumeLevel):
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
+        if self.point_smoother is not None:
+            self._relax_with_points(steps, from_zero)
+            return
         paces = paces_of(steps, from_zero)
         if from_zero:
-            arrays = map(rows, (self.load, self.inverse, self.correction))
-            volume.start(*arrays, paces[0, 0])
+            load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
+            mixed = None if self.mixed is None else rows(self.mixed)
+            volume.start(load, inverse, mixed, correction, paces[0, 0])
             paces = paces[1:]
-        about = self.load, self.lame, self.share, self.inverse, *self._springs, self.shape
+        about = self._about
         for begin in range(0, len(paces), self._at_once):
             some = paces[begin : begin + self._at_once]
-            volume.smooth(self.correction, self._other, *about, self.reach, some, self.parts)
+            volume.smooth(self.correction, self._other, *about, some, self.parts)
             if len(some) % 2 == 1:
                 self.correction, self._other = self._other, self.correction
             self.checkpoint()
 
+    @property
+    def _about(self) -> tuple[Any, ...]:
+        """Arguments of the smoothing loop."""
+        weights = self.inverse, *self._springs, self.mixed
+        return self.load, self.lame, self.share, *weights, self.shape, self.reach
+
+    def _step_simply(self, pace: Vector) -> None:
+        volume.smooth(self.correction, self._other, *self._about, pace[None], self.parts)
+
     def _restrict_residual(self, coarse: CpuVolumeLevel) -> None:
+        if self.point_smoother is not None:
+            self._restrict_with_points(coarse)
+            return
         # `_other` can store the residual: the next step has no momentum and does not read `_other`.
         self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
+        if self.mixed is not None:
+            assert self.weight is not None
+            arrays = self.inverse, self.weight, self.mixed, self._other
+            data_weights.filter_rest(*map(rows, arrays))
         self._restrict(self._other, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
         self._rest_of(direction, direction, np.float32(0), np.float32(-1), image)
+        self.add_points(direction, self.inverse, image)  # the loop has added the precision
         return self.product(direction, image)
 
     def _rest_of(
         self, d: Vector, load: Vector, given: np.float32, scale: np.float32, out: Vector
     ) -> None:
-        about = self.lame, self.share, self.inverse, *self._springs, self.shape, self.reach
+        weights = self.inverse, *self._springs, self.mixed
+        about = self.lame, self.share, *weights, self.shape, self.reach
         volume.rest(d, load, given, *about, scale, out, self.parts)
+
+    def coarsen_data(self, coarse: CpuVolumeLevel) -> None:
+        """Compute the tensors of the data term on the next coarser level."""
+        volume.diagonal(self.lame, self.share, self.shape, self.inverse)
+        data_weights.coarsen_volume(self._coarsened_data(), self.inverse, coarse.data)
 
 
 class CpuVolumeModel(HostModel):
@@ -171,7 +208,7 @@ class CpuVolumeModel(HostModel):
     def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> None:
         count = 1 if isinstance(material.poisson, float) else 2
         self.levels = [
-            CpuVolumeLevel(grid, count, number == 0)
+            CpuVolumeLevel(grid, count, number == 0, material.data is not None)
             for number, grid in enumerate(grids(material.m.shape))
         ]
         self._rest = self.levels[0].vector()
@@ -205,6 +242,13 @@ class CpuVolumeModel(HostModel):
             level.shape, level.share = constants.astype(np.float32), np.float32(share)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             volume.coarsen(fine.lame, coarse.lame)
+        if material.data is not None:
+            finest = self.levels[0]
+            volume.diagonal(lame, finest.share, finest.shape, finest.inverse)
+            finest.set_data(material.data)
+            for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+                self.levels[0].checkpoint()
+                fine.coarsen_data(coarse)
         self._exact: tuple[Any, ...] = np.float64(share), constants
 
     def hold(self, held: HeldPlanes) -> None:
@@ -220,8 +264,11 @@ class CpuVolumeModel(HostModel):
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (share, shape) = self.levels[0], self._exact
+        if finest.data is not None:
+            load = np.zeros(d.shape) if load is None else load.copy()
+            finest.add_data(d, None, load, -1.0)
         given = (d, 0.0) if load is None else (load, 1.0)
-        about = finest.lame, share, finest.inverse, finest.inverse, 0.0, shape, finest.reach
+        about = finest.lame, share, finest.inverse, finest.inverse, 0.0, None, shape, finest.reach
         volume.rest(d, *given, *about, 1 / unit, self._rest, finest.parts)
         most, square = finest.weigh(self._rest, self._rest)
         return most, math.sqrt(square)
@@ -236,6 +283,7 @@ class CpuVolumeModel(HostModel):
         finest, out = self.levels[0], np.zeros(d.shape)
         exactly = d if low is None else d + low
         volume.pull(exactly, finest.lame, *self._exact, out, finest.parts)
+        finest.add_data(exactly, None, out, -1.0)
         return out
 
     def work(self, d: Planes) -> tuple[float, float]:
@@ -243,6 +291,9 @@ class CpuVolumeModel(HostModel):
         finest, (share, shape) = self.levels[0], self._exact
         products, squares = np.zeros((2, self.shape[0]))
         volume.work(d, finest.lame, share, shape, products, squares, finest.parts)
+        if finest.data is not None:
+            forces = self.pull(d)
+            return -float((forces * d).sum()) / 2, float(np.linalg.norm(forces))
         return float(products.sum()) / 2, math.sqrt(squares.sum())
 
     @property
@@ -251,7 +302,10 @@ class CpuVolumeModel(HostModel):
         finest = self.levels[0]
         out = finest.vector()
         volume.diagonal(finest.lame, finest.share, finest.shape, out)
-        return np.asarray(out, dtype=np.float64)
+        steepness = np.asarray(out, dtype=np.float64)
+        if self.material.data is not None:
+            self.material.data.add_diagonal(steepness)
+        return steepness
 
     def clear_cache(self) -> None:
         """Clear the model cache, because vectors of the model may contain non-finite values."""
@@ -270,7 +324,7 @@ def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel)
     """
 
     def layout(each: ElasticMaterial) -> tuple[Any, ...]:
-        return each.m.shape, isinstance(each.poisson, float)
+        return each.m.shape, isinstance(each.poisson, float), each.data is not None
 
     if not _last or layout(_last[0].material) != layout(material):
         _last[:] = ()  # free the old model before the new one is allocated

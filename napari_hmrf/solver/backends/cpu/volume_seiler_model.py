@@ -67,7 +67,8 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
         paces = paces_of(steps, from_zero)
         if from_zero:
-            volume.start(*map(rows, (self.load, self.inverse, self.correction)), paces[0, 0])
+            load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
+            volume.start(load, inverse, None, correction, paces[0, 0])
             paces = paces[1:]
         weight, springs = self._springs
         volume_seiler.smooth(

@@ -1,0 +1,276 @@
+"""Quadratic data term of a problem: uncertain observations, in addition to constraints.
+
+The energy of the data is
+
+    U_data = 1/2 sum over sites of (d - y)^T W (d - y)
+
+where y is the observed displacement and W the *precision*, a symmetric positive semidefinite tensor
+at each site. W is the inverse covariance of the observation, times a unit of energy. A multiple of
+the identity is an observation that is equally certain in all directions; ``k n n^T`` observes the
+component along the normal n only, so that tissue slides freely along a surface.
+
+The term is linear in the forces that the solver balances: it adds W to the matrix and W y to the
+load.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.uncertain_landmarks import corners_of
+
+Float64Array = npt.NDArray[np.float64]
+Planes = npt.NDArray[np.float64]
+
+
+def packed_axes(axes: int) -> tuple[tuple[int, int], ...]:
+    """Return the indices of the components of a packed tensor: the diagonal, then the others."""
+    diagonal = tuple((axis, axis) for axis in range(axes))
+    return diagonal + tuple((i, j) for i in range(axes) for j in range(i + 1, axes))
+
+
+class PointTerm(NamedTuple):
+    """Landmarks in the units of the model: each observes an interpolated displacement.
+
+    Attributes
+    ----------
+    elements : ndarray of int, shape (n, axes)
+        First corner of the element around each point.
+    corners : ndarray of int, shape (n, 2^axes)
+        Indices of the corners in a flattened plane, whose border is two sites wide.
+    shares : ndarray, shape (n, 2^axes)
+        Share of each corner in the interpolated displacement, H in the equations.
+    weights : ndarray, shape (axes, n)
+        Precision of each component, relative to the stiffest tissue.
+    observed : ndarray, shape (axes, n)
+        Observed displacement, in pixels.
+    """
+
+    elements: npt.NDArray[np.intp]
+    corners: npt.NDArray[np.intp]
+    shares: Float64Array
+    weights: Float64Array
+    observed: Float64Array
+
+    @classmethod
+    def of(cls, problem: Problem, unit: float) -> PointTerm | None:
+        """Return the term for the landmarks of a problem, or None if there are none."""
+        landmarks = problem.landmarks
+        if landmarks is None:
+            return None
+        grid = problem.shape
+        elements, within = corners_of(landmarks.points, grid)
+        padded = tuple(size + 4 for size in grid)
+        corners, shares = [], []
+        for corner in np.ndindex(*(2,) * len(grid)):
+            at = tuple((elements + np.array(corner) + 2).T)
+            corners.append(np.ravel_multi_index(at, padded))
+            shares.append(np.where(corner, within, 1 - within).prod(axis=1))
+        return cls(
+            elements,
+            np.stack(corners, axis=1),
+            np.stack(shares, axis=1),
+            landmarks.precision(problem.stiffness, problem.spacing).T / unit,
+            landmarks.displacement(problem.spacing).T / problem.unit,
+        )
+
+    def at_points(self, d: npt.NDArray[np.floating]) -> Float64Array:
+        """Return H d, the displacement at the points, shape (axes, n)."""
+        values = d.reshape(len(d), -1)[:, self.corners]
+        return np.asarray((self.shares * values).sum(axis=-1), np.float64)
+
+    def add_forces(
+        self, of_points: Float64Array, out: npt.NDArray[np.floating], scale: float = 1.0
+    ) -> None:
+        """Add H^T f to `out`, in place, for forces f at the points, shape (axes, n)."""
+        flat = out.reshape(len(out), -1)
+        for plane, forces in zip(flat, of_points, strict=True):
+            np.add.at(
+                plane, self.corners, (scale * forces[:, None] * self.shares).astype(out.dtype)
+            )
+
+    def lumped(self) -> tuple[npt.NDArray[np.intp], Float64Array]:
+        """Return the corners of all points and their share of the precision, (axes, corners)."""
+        at, place = np.unique(self.corners, return_inverse=True)
+        place = place.reshape(self.corners.shape)
+        sums = np.zeros((len(self.weights), len(at)))
+        for total, weights in zip(sums, self.weights, strict=True):
+            np.add.at(total, place, weights[:, None] * self.shares)
+        return at, sums
+
+
+class DataTerm(NamedTuple):
+    """Data term in the units of the model, in which a pixel has length 1.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (3, H + 4, W + 4) or (6, D + 4, H + 4, W + 4)
+        Packed precision (`packed_axes`) relative to the stiffest tissue, as planes.
+    points : PointTerm or None
+        Landmarks.
+    """
+
+    weights: Planes
+    points: PointTerm | None = None
+
+    @classmethod
+    def of(cls, problem: Problem, unit: float) -> DataTerm | None:
+        """Return the data term of a problem, or None if there is none.
+
+        Parameters
+        ----------
+        problem : Problem
+        unit : float
+            Precision of 1 in the units of the model.
+        """
+        precision = problem.precision
+        points = PointTerm.of(problem, unit)
+        if precision is None and points is None:
+            return None
+        axes, grid = len(problem.shape), problem.shape
+        pairs = packed_axes(axes)
+        weights = np.zeros((len(pairs), *(size + 4 for size in grid)))
+        inside = (slice(2, -2),) * axes
+        if precision is not None:
+            for plane, (i, j) in zip(weights, pairs, strict=True):
+                np.divide(precision[..., i, j], unit, out=plane[inside])
+        return cls(weights, points)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes of the grid."""
+        return self.weights.ndim - 1
+
+    def load(self, y: Planes) -> tuple[Planes, float]:
+        """Return the forces and the energy of the observations at zero displacement.
+
+        Parameters
+        ----------
+        y : ndarray, planes
+            Observed displacement, in pixels.
+
+        Returns
+        -------
+        ndarray, planes
+            ``W y + H^T w y_p``, where w and y_p belong to the landmarks.
+        float
+            Half the work of these forces over the observations.
+        """
+        pairs = dict(zip(packed_axes(self.axes), self.weights, strict=True))
+        forces, product = np.empty(y.shape), np.empty(y.shape[1:])
+        for i, force in enumerate(forces):
+            np.multiply(pairs[i, i], y[i], out=force)
+            for j in range(self.axes):
+                if i != j:
+                    force += np.multiply(pairs[min(i, j), max(i, j)], y[j], out=product)
+        energy = float(np.einsum("i,i->", forces.ravel(), y.ravel())) / 2
+        if self.points is not None:
+            of_points = self.points.weights * self.points.observed
+            self.points.add_forces(of_points, forces)
+            energy += float((of_points * self.points.observed).sum()) / 2
+        return forces, energy
+
+    def add_diagonal(self, out: Planes) -> None:
+        """Add the diagonal of the term to the diagonal of the tissue, in place.
+
+        Sites without elements have no diagonal, and stay fixed.
+        """
+        weights = self.weights[: len(out)].copy()
+        if self.points is not None:
+            flat = weights.reshape(len(weights), -1)
+            for plane, own in zip(flat, self.points.weights, strict=True):
+                np.add.at(plane, self.points.corners, own[:, None] * self.points.shares**2)
+        out += np.where(out > 0, weights, 0.0)
+
+    def add_to_elements(
+        self,
+        matrices: Float64Array,
+        elements: tuple[slice, ...],
+        elements_around: npt.NDArray[np.intp],
+    ) -> None:
+        """Add W to the matrices of elements, in place; the elements around a site share its W.
+
+        Parameters
+        ----------
+        matrices : ndarray, shape (h, w, 8, 8) or (d, h, w, 24, 24)
+            Matrices of the elements in the given ranges; zero for elements with void.
+        elements : tuple of slice
+            Range of elements along each axis.
+        elements_around : ndarray of int, shape (H, W) or (D, H, W)
+            Number of tissue elements around each site.
+        """
+        axes = self.axes
+        real = np.diagonal(matrices, axis1=-2, axis2=-1).any(axis=-1)
+        for number, corner in enumerate(np.ndindex(*(2,) * axes)):
+            sites = tuple(
+                slice(each.start + step, each.stop + step)
+                for each, step in zip(elements, corner, strict=True)
+            )
+            planes = tuple(slice(each.start + 2, each.stop + 2) for each in sites)
+            share = real / np.maximum(elements_around[sites], 1)
+            for weight, (i, j) in zip(self.weights, packed_axes(axes), strict=True):
+                row, col = axes * number + i, axes * number + j
+                matrices[..., row, col] += share * weight[planes]
+                if i != j:
+                    matrices[..., col, row] += share * weight[planes]
+        if self.points is not None:
+            self._add_points(matrices, elements)
+
+    def _add_points(self, matrices: Float64Array, elements: tuple[slice, ...]) -> None:
+        """Add H^T w H of the landmarks to the matrices of elements in the given ranges."""
+        points, axes = self.points, self.axes
+        assert points is not None
+        first, past = (
+            np.array([getattr(each, end) for each in elements]) for end in ("start", "stop")
+        )
+        here = ((points.elements >= first) & (points.elements < past)).all(axis=1)
+        at = tuple((points.elements[here] - first).T)
+        share = points.shares[here]
+        both = share[:, :, None] * share[:, None, :]
+        corners = np.arange(share.shape[1])
+        for axis in range(axes):
+            rows = axes * corners + axis
+            block = points.weights[axis, here][:, None, None] * both
+            where = (*(index[:, None, None] for index in at), rows[:, None], rows)
+            np.add.at(matrices, where, block)
+
+
+def are_same(one: DataTerm | None, other: DataTerm | None) -> bool:
+    """Return whether two data terms have the same matrix; their observations may differ."""
+    if one is None or other is None:
+        return one is other
+    same = one.weights is other.weights or np.array_equal(one.weights, other.weights)
+    if one.points is None or other.points is None:
+        return same and one.points is other.points
+    return (
+        same
+        and np.array_equal(one.points.corners, other.points.corners)
+        and np.array_equal(one.points.shares, other.points.shares)
+        and np.array_equal(one.points.weights, other.points.weights)
+    )
+
+
+def refuse_data(problem: Problem, model: str) -> None:
+    """Raise an error if a problem has a data term, which a model does not support.
+
+    Parameters
+    ----------
+    problem : Problem
+    model : str
+        Name of the model, for the message.
+
+    Raises
+    ------
+    ProblemError
+        If there is a precision or a landmark.
+    """
+    for field, data in (("precision", problem.precision), ("landmarks", problem.landmarks)):
+        if data is not None:
+            raise ProblemError(
+                field, f"cannot be used with {model}. Use ElasticPrior, or confidence instead."
+            )

@@ -1,0 +1,229 @@
+"""Landmarks: observed displacements of points between pixels, each with its standard deviation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.arguments import real, refuse_unless
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.neighbours import in_elements
+from napari_hmrf.solver.real_arrays import as_numbers, first_index
+
+Float64Array = npt.NDArray[np.float64]
+
+#: Range of standard deviations, in pixels. A smaller one should be prescribed.
+SD_RANGE = (1e-3, 1e6)
+# Default extent of a patch, as a fraction of the longest side of the image.
+_PATCH = 0.1
+
+
+@dataclass(frozen=True)
+class StrainScale:
+    """Typical strain of tissue before any observation: the scale of the prior.
+
+    The elastic energy has the unit of stiffness times volume. To compare it with the precision of
+    a measurement, the energy of a typical deformation must be known. A patch of the given extent
+    has strains with a standard deviation of about `strain`; the unit of energy is therefore
+
+        E strain^2 extent^n
+
+    where E is the median stiffness of the tissue and n the number of axes. Results do not depend on
+    the unit of stiffness.
+
+    Parameters
+    ----------
+    strain : float
+        Standard deviation of the strain of a patch; 0.1 is 10 %.
+    extent : float, optional
+        Side of a patch, in the unit of `spacing`; by default, a tenth of the longest side of the
+        image.
+    """
+
+    strain: float = 0.1
+    _: KW_ONLY
+    extent: float | None = None
+
+    def __post_init__(self) -> None:
+        positive = 0 < real(self.strain) < math.inf
+        refuse_unless(positive, "strain", self.strain, "a positive number, such as 0.1")
+        positive = self.extent is None or 0 < real(self.extent) < math.inf
+        refuse_unless(positive, "extent", self.extent, "a positive length, or None")
+
+    def energy(self, stiffness: npt.NDArray[Any], spacing: Sequence[float]) -> float:
+        """Return the unit of energy: stiffness times length^n.
+
+        Parameters
+        ----------
+        stiffness : ndarray, shape (H, W) or (D, H, W)
+        spacing : sequence of float
+        """
+        soft = stiffness[(stiffness > 0) & np.isfinite(stiffness)]
+        typical = float(np.median(soft)) if soft.size else 1.0
+        longest = max(n * size for n, size in zip(stiffness.shape, spacing, strict=True))
+        extent = _PATCH * longest if self.extent is None else self.extent
+        return typical * self.strain**2 * float(extent) ** stiffness.ndim
+
+
+class Landmarks:
+    """Observed displacements of points, with standard deviations; immutable.
+
+    The displacement at a point is interpolated linearly between the sites around it. A landmark
+    adds the energy ``T |H d - y|^2 / (2 sd^2)``, where H interpolates, y is the observed
+    displacement, sd the standard deviation and T the unit of energy of `scale`.
+
+    Parameters
+    ----------
+    points, targets : array_like, shape (n, 2) or (n, 3)
+        Positions before and after the motion, in pixels, with coordinates in the order of the axes.
+        Positions may lie between pixels.
+    sd : float or array_like, shape (n,) or (n, 2) or (n, 3)
+        Standard deviation of the difference between target and point, in the unit of `spacing`, for
+        all landmarks, for each one, or for each of its components.
+    scale : StrainScale, optional
+        Scale of the prior.
+
+    Raises
+    ------
+    ProblemError
+        If an input is invalid; the message names the input and a remedy.
+    """
+
+    points: Float64Array
+    targets: Float64Array
+    sd: Float64Array
+    scale: StrainScale
+
+    def __init__(
+        self,
+        points: npt.ArrayLike,
+        targets: npt.ArrayLike,
+        *,
+        sd: npt.ArrayLike,
+        scale: StrainScale | None = None,
+    ) -> None:
+        before, after = _positions("points", points), _positions("targets", targets)
+        if before.shape != after.shape:
+            raise ProblemError(
+                "targets",
+                f"have shape {after.shape}, but points have shape {before.shape}. Pass one target "
+                "for each point.",
+            )
+        spread = np.array(as_numbers("sd", sd), dtype=np.float64)
+        if spread.shape not in ((), before.shape[:1], before.shape):
+            raise ProblemError(
+                "sd",
+                f"has shape {spread.shape}, but points have shape {before.shape}. Pass one number, "
+                f"or an array of shape {before.shape[:1]} or {before.shape}.",
+            )
+        if not (np.isfinite(spread) & (spread > 0)).all():
+            raise ProblemError(
+                "sd", "has values that are not positive, finite numbers. Pass lengths above 0."
+            )
+        if spread.ndim == 1:
+            spread = spread[:, None]
+        values = {
+            "points": before,
+            "targets": after,
+            "sd": np.broadcast_to(spread, before.shape).copy(),
+            "scale": StrainScale() if scale is None else scale,
+        }
+        for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError("Landmarks are immutable. Create new Landmarks")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        low, high = self.sd.min(), self.sd.max()
+        spread = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        return f"Landmarks({len(self)} points, sd {spread}, {self.scale})"
+
+    def displacement(self, spacing: Sequence[float]) -> Float64Array:
+        """Return the observed displacements, shape (n, 2) or (n, 3), in the unit of `spacing`."""
+        return np.asarray((self.targets - self.points) * np.asarray(spacing))
+
+    def precision(self, stiffness: npt.NDArray[Any], spacing: Sequence[float]) -> Float64Array:
+        """Return the precision of each component, as for `Problem`, shape (n, 2) or (n, 3)."""
+        return self.scale.energy(stiffness, spacing) / self.sd**2
+
+    def check(self, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]) -> None:
+        """Raise an error if the landmarks do not match the tissue of a problem.
+
+        Raises
+        ------
+        ProblemError
+            If a point is outside the image or beside tissue, or a standard deviation is so small
+            that the motion should be prescribed.
+        """
+        axes = stiffness.ndim
+        if self.points.shape[1] != axes:
+            raise ProblemError(
+                "landmarks",
+                f"have {self.points.shape[1]} coordinates, but the image has {axes} axes. Pass "
+                "points of the image.",
+            )
+        low, high = np.zeros(axes), np.array(stiffness.shape) - 1
+        outside = np.asarray(((self.points < low) | (self.points > high)).any(axis=1))
+        if outside.any():
+            raise ProblemError(
+                "landmarks",
+                f"have {int(outside.sum())} points outside the image, the first with number "
+                f"{first_index(outside)[0]}. Pass positions in pixels, or remove these landmarks.",
+            )
+        corner, _ = corners_of(self.points, stiffness.shape)
+        beside = ~in_elements(stiffness)[tuple(corner.T)]
+        if beside.any():
+            raise ProblemError(
+                "landmarks",
+                f"have {int(beside.sum())} points that are not between pixels of tissue, the first "
+                f"with number {first_index(beside)[0]}. Move or remove these landmarks.",
+            )
+        pixels = self.sd / np.asarray(spacing)
+        if pixels.min() < SD_RANGE[0] or pixels.max() > SD_RANGE[1]:
+            raise ProblemError(
+                "landmarks",
+                f"have standard deviations from {self.sd.min():.3g} to {self.sd.max():.3g}. Use "
+                f"{SD_RANGE[0]:g} to {SD_RANGE[1]:g} pixels; prescribe what is more certain.",
+            )
+
+
+def corners_of(points: Float64Array, grid: tuple[int, ...]) -> tuple[Any, Float64Array]:
+    """Return the element of each point, and the position within it, from 0 to 1 along each axis.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, axes)
+        Positions inside the grid, in pixels.
+    grid : tuple of int
+
+    Returns
+    -------
+    ndarray of int, shape (n, axes)
+        Indices of the element, which is its first corner.
+    ndarray, shape (n, axes)
+    """
+    last = np.array(grid) - 2
+    first = np.clip(np.floor(points).astype(np.intp), 0, last)
+    return first, points - first
+
+
+def _positions(field: str, values: npt.ArrayLike) -> Float64Array:
+    array = np.array(as_numbers(field, values), dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] not in (2, 3) or not len(array):
+        raise ProblemError(
+            field, f"have shape {array.shape}. Pass an array of shape (n, 2) or (n, 3)."
+        )
+    if not np.isfinite(array).all():
+        raise ProblemError(field, "have values that are NaN or infinite. Pass finite positions.")
+    return array
