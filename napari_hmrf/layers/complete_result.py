@@ -51,7 +51,9 @@ def complete_result(
         forces = partial(held_forces, stated.problem, solved, stated.prior)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces)
     caveats = shortcomings(solved, study.grid.unit, folds=0)  # the warning chip reports folds
-    return CompleteResult(moved, outputs, tuple(filter(None, (*caveats, *ground.notes_on(stated)))))
+    # A ground may be older than the drawing.
+    notes = (*caveats, *replace(ground, study=study).notes_on(stated))
+    return CompleteResult(moved, outputs, tuple(filter(None, notes)))
 
 
 def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:

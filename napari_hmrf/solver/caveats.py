@@ -91,7 +91,8 @@ def missing_constraint(problem: Problem) -> str:
     ----------
     problem : Problem
     """
-    if problem.loads is not None:  # another check raises an error for unconstrained tissue
+    if problem.loads is not None or problem.has_data:
+        # Another check raises an error for unconstrained tissue.
         return ""
     observed = problem.known.any(axis=-1)
     displacements = problem.observed[observed]

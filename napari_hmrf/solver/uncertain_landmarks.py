@@ -33,8 +33,8 @@ class StrainScale:
 
         E strain^2 extent^n
 
-    where E is the median stiffness of the tissue and n the number of axes. Results do not depend on
-    the unit of stiffness.
+    where E is a typical stiffness and n the number of axes. Results do not depend on the unit of
+    stiffness.
 
     Parameters
     ----------
@@ -43,17 +43,22 @@ class StrainScale:
     extent : float, optional
         Side of a patch, in the unit of `spacing`; by default, a tenth of the longest side of the
         image.
+    stiffness : float, optional
+        Typical stiffness; by default the median stiffness of all tissue that is not rigid.
     """
 
     strain: float = 0.1
     _: KW_ONLY
     extent: float | None = None
+    stiffness: float | None = None
 
     def __post_init__(self) -> None:
         positive = 0 < real(self.strain) < math.inf
         refuse_unless(positive, "strain", self.strain, "a positive number, such as 0.1")
         positive = self.extent is None or 0 < real(self.extent) < math.inf
         refuse_unless(positive, "extent", self.extent, "a positive length, or None")
+        positive = self.stiffness is None or 0 < real(self.stiffness) < math.inf
+        refuse_unless(positive, "stiffness", self.stiffness, "a positive stiffness, or None")
 
     def energy(self, stiffness: npt.NDArray[Any], spacing: Sequence[float]) -> float:
         """Return the unit of energy: stiffness times length^n.
@@ -63,11 +68,16 @@ class StrainScale:
         stiffness : ndarray, shape (H, W) or (D, H, W)
         spacing : sequence of float
         """
-        soft = stiffness[(stiffness > 0) & np.isfinite(stiffness)]
-        typical = float(np.median(soft)) if soft.size else 1.0
+        typical = typical_stiffness(stiffness) if self.stiffness is None else self.stiffness
         longest = max(n * size for n, size in zip(stiffness.shape, spacing, strict=True))
         extent = _PATCH * longest if self.extent is None else self.extent
         return typical * self.strain**2 * float(extent) ** stiffness.ndim
+
+
+def typical_stiffness(stiffness: npt.NDArray[Any]) -> float:
+    """Return the median stiffness of tissue that is not rigid, or 1 if there is none."""
+    soft = stiffness[(stiffness > 0) & np.isfinite(stiffness)]
+    return float(np.median(soft)) if soft.size else 1.0
 
 
 class Landmarks:

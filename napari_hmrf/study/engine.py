@@ -195,7 +195,7 @@ class Engine:
         moves = drawing.marks or study.bears_loads or canvas.observed.any()
         if not (cold_start or moves):
             raise _StillError
-        stated = replace(ground.statement(canvas), optimizer=study.optimizer)
+        stated = replace(ground.statement(canvas, drawing), optimizer=study.optimizer)
         self._request = replace(self._request, stated=stated)
         return stated.problem, stated.prior
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import compress
 from operator import add
 from typing import Any
 
@@ -19,12 +20,18 @@ from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, missing_constraint
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
-from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
 from napari_hmrf.solver.real_arrays import first_index, how_many
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
+from napari_hmrf.study.landmark_data import (
+    landmark_data,
+    points_in_tissue,
+    sites_of,
+    uncertain_landmarks,
+)
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.without_effect import (
@@ -40,7 +47,7 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_image,
     unlisted,
 )
-from napari_hmrf.tissue.drawing import Canvas
+from napari_hmrf.tissue.drawing import Canvas, Drawing
 from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
@@ -170,7 +177,7 @@ class Ground:
                 base.observed[rim], base.confidence[rim] = 0, 1
         return replace(ground, notes=tuple(notes))
 
-    def statement(self, drawn: Canvas | None = None) -> Statement:
+    def statement(self, drawn: Canvas | None = None, drawing: Drawing | None = None) -> Statement:
         """Return the problem that consists of this ground and a drawing.
 
         Insufficiently constrained tissue is excluded from the problem and does not move.
@@ -178,7 +185,10 @@ class Ground:
         Parameters
         ----------
         drawn : Canvas, optional
-            `base` with a drawing; by default the drawing of the study.
+            `base` with a drawing; by default with `drawing`.
+        drawing : Drawing, optional
+            Source of landmarks with a standard deviation, which are not painted; by default the
+            drawing of the study.
 
         Returns
         -------
@@ -189,18 +199,35 @@ class Ground:
         ProblemError
             If a part of the study is invalid; the error names the part and suggests a remedy.
         """
-        canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
+        drawing = self.study.motion.drawing if drawing is None else drawing
+        canvas = drawing.render(self.base) if drawn is None else drawn
         m, prior = self.palette.painted(canvas.labels, self.base.labels, self.stiffness, self.prior)
         painted = self.palette.is_table and m is not self.stiffness
         labels = canvas.labels.copy() if painted else None
         at_rest = np.zeros(m.shape, dtype=bool)
+        marks = uncertain_landmarks(drawing)
+        if marks and not isinstance(prior, ElasticPrior):
+            raise _no_landmark_data(self.study, len(marks))
+        points, near = points_in_tissue(marks, m > 0)
+        marks, points = tuple(compress(marks, near)), points[near]
         if isinstance(prior, Elastic):
-            at_rest = scraps(m > 0, canvas.confidence > 0)
+            held = canvas.confidence > 0
+            if marks:
+                held |= sites_of(points, m.shape)
+            at_rest = scraps(m > 0, held)
             if at_rest.any():
                 m = np.where(at_rest, np.float32(0), m)
         with self.study.naming():
             loads, spacing = self._loads(canvas.labels, m), self.study.grid.spacing
-            problem = Problem(canvas.observed, canvas.confidence, m, spacing=spacing, loads=loads)
+            landmarks = landmark_data(marks, points, m, self.body, spacing)
+            problem = Problem(
+                canvas.observed,
+                canvas.confidence,
+                m,
+                spacing=spacing,
+                loads=loads,
+                landmarks=landmarks,
+            )
         return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study)
 
     def _loads(self, labels: npt.NDArray[Any], m: FloatArray) -> Loads | None:
@@ -265,6 +292,16 @@ class Ground:
             notes.append(air_that_is_tissue(image, self.body))
         notes += caveats(problem, statement.prior, statement.optimizer)
         return tuple(filter(None, notes))
+
+
+def _no_landmark_data(study: Study, count: int) -> LayerError:
+    """Return an error for landmarks with a standard deviation in a model without a data term."""
+    pairs = "a landmark" if count == 1 else f"{count} landmarks"
+    return LayerError(
+        study.named("drawing"),
+        f"has {pairs} with a standard deviation (±), which requires the elastic model. Use this "
+        "model (`model='elastic'`), or set the standard deviation to 0 (`sd=0`).",
+    )
 
 
 def refuse_unknown(study: Study) -> None:

@@ -626,6 +626,7 @@ class Study:
             observed=boundary,
             drawing=boundary,
             confidence=names.get("confidence") or boundary,
+            landmarks=boundary,
             spacing=names.get("image") or tissue,
             growth=tissue,
             surface=names.get("boundary"),

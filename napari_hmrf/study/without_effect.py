@@ -10,19 +10,24 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.study.landmark_data import points_in_tissue
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered, is_empty
-from napari_hmrf.tissue.drawing.marks import Mark, Point
+from napari_hmrf.tissue.drawing.marks import Mark, Point, is_painted
 
+# Largest number of marks whose positions a clause lists.
+_LISTED = 4
 #: Actions of strokes that have no effect outside tissue; other strokes can change earlier marks.
 _HOLD_OR_MOVE = ("pin", "move", "expand")
 
 
 def asks_motion(problem: Problem) -> bool:
-    """Return whether a problem has a nonzero prescribed displacement, growth or force."""
-    loads = problem.loads
+    """Return whether a problem has a nonzero observed displacement, growth or force."""
+    loads, landmarks = problem.loads, problem.landmarks
+    if landmarks is not None and (landmarks.points != landmarks.targets).any():
+        return True
     given = () if loads is None else (loads.growth, loads.force)
     moved = problem.known & (problem.observed != 0)
     return bool(moved.any()) or any(part is not None and part.any() for part in given)
@@ -54,16 +59,22 @@ def marks_without_effect(
         box = box_of(mark, spacing, whole)
         if is_empty(box):
             idle[kind, "outside the image"].append(place)
+        elif isinstance(mark, Landmark) and not is_painted(mark):
+            if not points_in_tissue([mark], tissue)[1].any():
+                idle[kind, "outside tissue"].append(place)
         elif _needs_tissue(mark) and not (covered(mark, spacing, box) & tissue[box]).any():
             idle[kind, "outside tissue"].append(place)
         elif lacks_motion(drawing, number, base):
             idle[kind, "over tissue that is neither held nor moved"].append(place)
     for (kind, where), places in idle.items():
-        first = "(" + ", ".join(f"{at:.4g}" for at in places[0]) + ")"
-        if len(places) == 1:
-            yield f"the {kind} at {first} is {where} and has no effect"
-        else:
-            yield f"{len(places)} {kind}s are {where} and have no effect, the first at {first}"
+        *others, last = ("(" + ", ".join(f"{at:.4g}" for at in place) + ")" for place in places)
+        if not others:
+            yield f"the {kind} at {last} is {where} and has no effect"
+            continue
+        listed = f"at {', '.join(others)} and {last}"
+        if len(places) > _LISTED:
+            listed = f"the first at {others[0]}"
+        yield f"{len(places)} {kind}s are {where} and have no effect, {listed}"
 
 
 def lacks_motion(drawing: Drawing, number: int, base: Canvas) -> bool:
@@ -122,7 +133,10 @@ def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterat
 
 
 def _needs_tissue(mark: Mark) -> bool:
-    return not isinstance(mark, Stroke) or mark.action in _HOLD_OR_MOVE
+    """Return whether a mark is painted to hold or move tissue."""
+    if isinstance(mark, Stroke):
+        return mark.action in _HOLD_OR_MOVE
+    return is_painted(mark)
 
 
 def _absent(

@@ -77,7 +77,7 @@ def test_marks_with_an_effect_are_not_named():
 
 def test_marks_of_one_kind_share_a_note():
     away = [Landmark((40.0 + n, 5.0), (41.0 + n, 5.0), 1.0) for n in range(3)]
-    said = "3 landmarks are outside the image and have no effect, the first at (40, 5)"
+    said = "3 landmarks are outside the image and have no effect, at (40, 5), (41, 5) and (42, 5)"
     assert said in notes(a_study(*away, PULL))
 
 

@@ -24,6 +24,7 @@ from napari_hmrf.tissue.drawing.marks import (
     Point,
     Stroke,
     grows,
+    is_painted,
 )
 from napari_hmrf.tissue.normals import outward_normals
 
@@ -118,7 +119,8 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     """Draw a mark on the canvas in place, without changing pixels outside the window.
 
     Here a mark becomes a boundary condition: its displacement is written to `canvas.observed`, and
-    its confidence to `canvas.confidence`. `Ground.statement` passes both images to `Problem`.
+    its confidence to `canvas.confidence`. `Ground.statement` passes both images to `Problem`. A
+    landmark with a standard deviation is not painted.
 
     Parameters
     ----------
@@ -134,7 +136,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         If a mark that grows is an open line.
     """
     box = box_of(mark, canvas.spacing, window)
-    if is_empty(box):
+    if is_empty(box) or not is_painted(mark):
         return
     if isinstance(mark, Landmark):
         mark = mark.arrow(canvas.spacing)

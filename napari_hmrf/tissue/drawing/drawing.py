@@ -24,6 +24,7 @@ from napari_hmrf.tissue.drawing.marks import (
     Stroke,
     between,
     grows,
+    is_painted,
     mark_as_dict,
     mark_from_dict,
 )
@@ -73,6 +74,7 @@ class Drawing:
         radius: float,
         confidence: float = 1.0,
         shape: Sequence[int] | None = None,
+        sd: npt.ArrayLike | None = None,
     ) -> Drawing:
         """Create a drawing from pairs of landmarks.
 
@@ -88,6 +90,10 @@ class Drawing:
         shape : sequence of int, optional
             Shape of the image. If given, sources outside the image raise an error; otherwise
             `solve_study` reports them in a note.
+        sd : float or array_like, shape (N,), optional
+            Standard deviation of the difference between target and source, for all pairs or for
+            each pair, in the unit of the pixel spacing. At 0, the default, a pair is exact. Above
+            0, which requires the elastic model, `radius` and `confidence` have no effect.
 
         Returns
         -------
@@ -97,7 +103,8 @@ class Drawing:
         ------
         ProblemError
             If there are no pairs, if sources and targets differ in number, if a value is NaN or
-            infinite, if two sources are in the same pixel, or if a source is outside the image.
+            infinite, if a standard deviation is negative, if two sources of exact pairs are in the
+            same pixel, or if a source is outside the image.
         """
         sources, targets = _points("source", source), _points("target", target)
         if sources.shape != targets.shape:
@@ -106,8 +113,10 @@ class Drawing:
                 f"have sources of shape {sources.shape} and targets of shape {targets.shape}. Pass "
                 "a target for each source.",
             )
-        pixels, counts = np.unique(np.rint(sources), axis=0, return_counts=True)
-        if counts.max() > 1:
+        spreads = _spreads(sd, len(sources))
+        exact = np.rint(sources[spreads == 0])
+        pixels, counts = np.unique(exact, axis=0, return_counts=True)
+        if counts.max(initial=0) > 1:
             twice = tuple(pixels[counts.argmax()].astype(int).tolist())
             raise ProblemError(
                 "landmarks", f"have two sources in the pixel {twice}. Keep one for each pixel."
@@ -129,8 +138,13 @@ class Drawing:
                     f"first being number {first} at {tuple(sources[first].tolist())}. Pass pixel "
                     "positions, (row, col) or (plane, row, col), and remove the pairs outside.",
                 )
-        pairs = zip(sources.tolist(), targets.tolist(), strict=True)
-        return cls(tuple(Landmark(tuple(at), tuple(to), radius, confidence) for at, to in pairs))
+        pairs = zip(sources.tolist(), targets.tolist(), spreads.tolist(), strict=True)
+        return cls(
+            tuple(
+                Landmark(tuple(at), tuple(to), radius, confidence, sd=spread)
+                for at, to, spread in pairs
+            )
+        )
 
     def with_mark(self, mark: Mark) -> Drawing:
         """Return the drawing with a mark added at the end."""
@@ -322,6 +336,7 @@ class Rendering:
         """Return the box of all marks that differ between the current and another drawing."""
         canvas, pairs = self.canvas, zip_longest(self.drawing.marks, drawing.marks)
         marks = [mark for pair in pairs if pair[0] != pair[1] for mark in _differing(*pair)]
+        marks = [mark for mark in marks if is_painted(mark)]
         boxes = [box_of(mark, canvas.spacing, canvas.whole) for mark in marks]
         boxes = [box for box in boxes if not is_empty(box)]
         if not boxes:
@@ -343,6 +358,20 @@ def _points(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     if not np.isfinite(points).all():
         raise ProblemError("landmarks", f"have a {name} that is NaN or infinite. Remove that pair.")
     return points
+
+
+def _spreads(sd: npt.ArrayLike | None, count: int) -> npt.NDArray[np.float64]:
+    """Return the standard deviation of each pair; raise an error if they are invalid."""
+    spreads = as_numbers("sd", 0.0 if sd is None else sd).astype(np.float64)
+    if spreads.shape not in ((), (count,)):
+        raise ProblemError(
+            "sd", f"has shape {spreads.shape}. Pass one number, or one for each of {count} pairs."
+        )
+    if not (np.isfinite(spreads) & (spreads >= 0)).all():
+        raise ProblemError(
+            "sd", "has values that are negative, NaN or infinite. Pass lengths, or 0 for exact."
+        )
+    return np.broadcast_to(spreads, count)
 
 
 def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:

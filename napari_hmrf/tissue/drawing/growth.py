@@ -9,14 +9,14 @@ import numpy.typing as npt
 
 from napari_hmrf.tissue.drawing.canvas import Box, box_of, covered, covers, is_empty, rim_of
 from napari_hmrf.tissue.drawing.drawing import Drawing
-from napari_hmrf.tissue.drawing.marks import Mark, Stroke, grows
+from napari_hmrf.tissue.drawing.marks import Mark, Stroke, grows, is_painted
 
 Point = tuple[float, ...]
 
 
 def is_pull(mark: Mark) -> bool:
     """Return whether a mark moves its patch by one vector: an arrow, a landmark or a push."""
-    return not isinstance(mark, Stroke) or mark.action == "move"
+    return is_painted(mark) and (not isinstance(mark, Stroke) or mark.action == "move")
 
 
 def patch_at(drawing: Drawing, point: Point, spacing: Sequence[float]) -> int | None:
@@ -94,7 +94,9 @@ def with_patch(
 
 def _moves_tissue(mark: Mark) -> bool:
     """Return whether a mark prescribes or releases the motion of tissue."""
-    return not isinstance(mark, Stroke) or mark.action not in ("confidence", "tissue")
+    if isinstance(mark, Stroke):
+        return mark.action not in ("confidence", "tissue")
+    return is_painted(mark)
 
 
 def _visible(

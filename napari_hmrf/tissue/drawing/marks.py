@@ -57,6 +57,10 @@ def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
     return lambda value: value if is_one_of(value, words) else None, " or ".join(words)
 
 
+def _spread(value: Any) -> float | None:
+    return 0.0 if value is None else _number(0, _LARGEST)(value)
+
+
 _LARGEST = sys.float_info.max
 _SHARE = (_number(0, 1), "a value from 0 to 1")
 _PLACE = (_place, "finite numbers: (row, col), or (plane, row, col) in a volume")
@@ -70,6 +74,7 @@ _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "lines": (_lines, "the paths of a brush, as points (row, col) or (plane, row, col)"),
     "radius": (_number(sys.float_info.min, _LARGEST), "a length above 0"),
     "amount": (_number(-_LARGEST, _LARGEST), "a number"),
+    "sd": (_spread, "a length above 0, or 0 for an exact position"),
     "confidence": _SHARE,
     "softness": _SHARE,
     "label": (lambda value: int(value) if is_whole(value) else None, "a whole number"),
@@ -170,7 +175,13 @@ class Landmark(_Checked):
     source, target : tuple of float
         Position before and after the motion, (row, col) or (plane, row, col) in pixels.
     radius, confidence, amount
-        As for an `Arrow`.
+        As for an `Arrow`; without effect if `sd` is above 0.
+    sd : float
+        Standard deviation of the difference between target and source, in the unit of the pixel
+        spacing, for the elastic model only. At 0 (or None), the landmark is exact: the patch moves
+        with it. Above 0, there is no patch: the displacement of the point, which may be between
+        pixels, is weighed against the strain of the tissue. Values below a thousandth of a pixel
+        have the effect of a thousandth of a pixel.
 
     Raises
     ------
@@ -183,6 +194,7 @@ class Landmark(_Checked):
     radius: float
     confidence: float = 1.0
     amount: float = 0.0
+    sd: float = 0.0
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
@@ -280,6 +292,11 @@ Mark = Arrow | Landmark | Stroke
 _KINDS: dict[str, type[Mark]] = {"arrow": Arrow, "landmark": Landmark, "stroke": Stroke}
 
 
+def is_painted(mark: Mark) -> bool:
+    """Return whether a mark changes pixels; a landmark with a standard deviation does not."""
+    return not (isinstance(mark, Landmark) and mark.sd > 0)
+
+
 def grows(mark: Mark) -> bool:
     """Return whether the outline of a mark moves outward or inward."""
     if isinstance(mark, Stroke) and mark.action != "move":
@@ -292,6 +309,8 @@ def mark_as_dict(mark: Mark) -> dict[str, Any]:
     values = asdict(mark)
     if not isinstance(mark, Stroke) and not mark.amount:
         del values["amount"]  # earlier versions read arrows and landmarks without growth
+    if isinstance(mark, Landmark) and not mark.sd:
+        del values["sd"]  # earlier versions read exact landmarks
     return {"kind": type(mark).__name__.lower(), **values}
 
 

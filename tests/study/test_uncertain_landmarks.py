@@ -1,0 +1,153 @@
+"""Landmarks with standard deviations in studies: they are data, not paint."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    Drawing,
+    Grid,
+    Landmark,
+    Motion,
+    Pictures,
+    ProblemError,
+    Study,
+    Tissue,
+    build_problem,
+    solve,
+    solve_study,
+)
+from napari_hmrf.landmarks import Landmarks, StrainScale
+from napari_hmrf.study.engine import Engine
+from napari_hmrf.wording import in_words_of
+
+SHAPE = 30, 36
+MARK = Landmark((10.3, 15.2), (12.3, 14.2), 2.0, sd=0.5)
+
+
+def a_study(*marks, stiffness=None, size=(1.0, 1.0), model="", hold_edge=True, **parts):
+    if "tissue" not in parts:
+        parts["tissue"] = Tissue(stiffness=np.ones(SHAPE) if stiffness is None else stiffness)
+    motion = Motion(hold_edge=hold_edge, drawing=Drawing(marks))
+    return Study(Grid(SHAPE, size), motion=motion, model=model, **parts)
+
+
+def test_a_landmark_with_a_standard_deviation_is_data_of_the_problem():
+    size = (0.5, 2.0)
+    study = a_study(MARK, size=size)
+    stated = build_problem(study)
+    edge = build_problem(a_study(size=size)).problem
+    np.testing.assert_array_equal(stated.problem.confidence, edge.confidence)
+    # In the unit of the grid: 2 rows of 0.5 down, 1 column of 2 to the left.
+    assert stated.problem.landmarks.displacement(size).tolist() == [pytest.approx((1, -2))]
+    by_hand = Landmarks([MARK.source], [MARK.target], sd=0.5, scale=StrainScale(0.1))
+    same = replace_landmarks(edge, by_hand).digests["landmarks"]
+    assert stated.problem.digests["landmarks"] == same
+    field = solve_study(study, backend="cpu")
+    reached = field.at([MARK.source])[0]
+    assert 0.1 < reached[0] < 0.99, "the landmark is exact or without effect"
+
+
+def replace_landmarks(problem, landmarks):
+    arrays = problem.observed, problem.confidence, problem.stiffness
+    return type(problem)(*arrays, spacing=problem.spacing, landmarks=landmarks)
+
+
+def test_a_smaller_standard_deviation_brings_tissue_closer_to_the_target():
+    missed = []
+    for sd in (1.0, 0.3, 0.01):
+        field = solve_study(a_study(replace(MARK, sd=sd)), backend="cpu")
+        reached = np.add(MARK.source, field.at([MARK.source])[0])
+        missed.append(float(np.linalg.norm(reached - MARK.target)))
+    assert missed[0] > 2 * missed[1] > 4 * missed[2]
+    assert missed[2] < 0.01
+
+
+def test_a_standard_deviation_of_zero_or_none_is_an_exact_patch():
+    exact = Landmark((10.0, 15.0), (12.0, 15.0), 2.0)
+    assert Landmark((10.0, 15.0), (12.0, 15.0), 2.0, sd=None) == exact == replace(exact, sd=0)
+    problem = build_problem(a_study(exact)).problem
+    assert problem.landmarks is None
+    assert problem.observed[10, 15].tolist() == [2, 0]
+
+
+def test_landmarks_outside_tissue_are_named_in_one_note():
+    m = np.ones(SHAPE)
+    m[:, :6] = 0
+    away = [replace(MARK, source=(at, 2.5)) for at in (10.0, 20.5)]
+    beyond = replace(MARK, source=(90.0, 9.0))
+    notes = solve_study(a_study(MARK, *away, beyond, stiffness=m), backend="cpu").notes
+    of_tissue = "2 landmarks are outside tissue and have no effect, at (10, 2.5) and (20.5, 2.5)"
+    of_image = "the landmark at (90, 9) is outside the image and has no effect"
+    assert {of_tissue, of_image} <= {*notes}
+    with pytest.raises(ProblemError, match=r"nothing moves; the landmark at \(10, 2.5\)"):
+        solve_study(a_study(away[0], stiffness=m))
+
+
+def test_a_landmark_within_a_pixel_of_tissue_moves_the_nearest_tissue():
+    m = np.ones(SHAPE)
+    m[:, :6] = 0
+    for at, place in (((-0.4, 10.0), (0, 10)), ((10.5, 5.2), (10.5, 6))):
+        mark = Landmark(at, (at[0] + 1, at[1]), 1.0, sd=0.5)
+        (point,) = build_problem(a_study(mark, stiffness=m)).problem.landmarks.points
+        assert point.tolist() == pytest.approx(place)
+
+
+def test_landmarks_alone_hold_a_piece_of_tissue():
+    m = np.ones(SHAPE)
+    m[:, 10:13] = 0
+    marks = [Landmark(at, (at[0] + 1, at[1]), 1.0, sd=0.2) for at in ((5.5, 20.5), (25.5, 30.5))]
+    field = solve_study(a_study(*marks, stiffness=m, hold_edge=False), backend="cpu")
+    assert field.at([(15, 25)])[0] == pytest.approx((1, 0), abs=1e-2)
+    assert any("too few constraints stays at rest" in note for note in field.notes)
+    with pytest.raises(ProblemError, match=r"'Landmark' leaves a piece of tissue free: .* turn"):
+        solve_study(a_study(marks[0], stiffness=m, hold_edge=False), backend="cpu")
+
+
+def test_a_dark_border_does_not_weaken_landmarks():
+    image = np.zeros(SHAPE, np.uint8)
+    image[8:24, 8:28] = 200
+    dark = a_study(MARK, tissue=Tissue(), pictures=Pictures(image))
+    assert build_problem(dark).problem.landmarks.scale.stiffness == 1.0
+
+
+@pytest.mark.parametrize("model", ["large motion", "paper", "paper, converged"])
+def test_other_models_refuse_landmarks_with_a_standard_deviation(model):
+    exact = replace(MARK, sd=0)
+    with pytest.raises(ProblemError) as refusal:
+        build_problem(a_study(MARK, exact, model=model))
+    said = "'drawing' has a landmark with a standard deviation (±), which requires the elastic"
+    assert said in str(refusal.value)
+    shown = in_words_of("window", str(refusal.value))
+    assert shown.endswith("Use this model, or set the standard deviation to 0.")
+    build_problem(a_study(exact, model=model))
+
+
+def test_an_edited_landmark_is_solved_live_as_from_a_cold_start(qtbot):
+    found = []
+    engine = Engine(found.append, "a test")
+    try:
+        at, to = MARK.source, MARK.target
+        marks = [MARK, replace(MARK, target=(to[0] + 3, to[1] + 4))]
+        marks += [replace(marks[1], source=(at[0] + 4, at[1])), replace(marks[1], sd=3.0)]
+        for mark in (*marks, MARK):
+            engine.submit(a_study(mark), backend="cpu")
+            qtbot.waitUntil(lambda: not engine.busy, timeout=300_000)
+            live, study = found[-1].solution, a_study(mark)
+            alone = solve_study(study, backend="cpu")
+            far = np.abs(live.displacement - alone.displacement).max()
+            assert far <= live.convergence.error + alone.convergence.error
+    finally:
+        engine.close()
+
+
+def test_a_volume_takes_landmarks_between_its_voxels():
+    shape = (9, 10, 11)
+    mark = Landmark((4.5, 5.2, 5.7), (5.5, 5.2, 5.7), 1.0, sd=0.005)
+    motion = Motion(hold_edge=True, drawing=Drawing((mark,)))
+    study = Study(Grid(shape, (1.0, 1.0, 1.0)), Tissue(stiffness=np.ones(shape)), motion)
+    field = solve_study(study, backend="cpu")
+    assert field.at([mark.source])[0] == pytest.approx((1, 0, 0), abs=0.1)
+    stated = build_problem(study)
+    assert solve(stated.problem, stated.prior).provenance.backend == "cpu"
