@@ -198,7 +198,9 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
         place = {"units": (file.unit,) * n if file.unit else _units_of_images(n)}
         layers.append((file.points, {"name": name, **place}, "points"))
         if file.targets is not None:
-            layers.append((file.targets, {"name": f"{name}, should be", **place}, "points"))
+            spreads = {} if file.sd is None else {"features": {"sd": file.sd}}
+            name = f"{name}, should be"
+            layers.append((file.targets, {"name": name, **place, **spreads}, "points"))
     return layers
 
 

@@ -283,6 +283,10 @@ def test_pairs_of_bigwarp_become_two_layers_of_points_in_the_same_order(tmp_path
     where, should = (Layer.create(*made) for made in open_landmarks(path)(path))
     assert (where.name, should.name) == ("pairs", "pairs, should be")
     np.testing.assert_array_equal(should.data - where.data, [[0.5, 0], [0, 1]])
+    assert "sd" not in should.features
+    path = str(write_points(path, [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]], sd=[0.5, 2]))
+    _, should = (Layer.create(*made) for made in open_landmarks(path)(path))
+    assert should.features["sd"].tolist() == [0.5, 2]
     others = tmp_path / "others.csv"
     others.write_text("index,axis-0,axis-1\n0,1,2\n")
     assert open_landmarks(str(others)) is None, "napari reads this file itself"

@@ -359,7 +359,8 @@ def _move_landmarks(
         notes.append(
             f"{outside} of {len(at)} points are outside the image, so they were moved like its edge"
         )
-    written = write_points(target, place.to_space(at), file.targets, names=file.names)
+    moved = place.to_space(at)
+    written = write_points(target, moved, file.targets, names=file.names, sd=file.sd)
     return Applied(written, "; ".join(notes))
 
 

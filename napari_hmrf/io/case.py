@@ -432,8 +432,9 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         raise ProblemError(
             path.name, "contains no active landmarks. Give at least one active pair."
         )
-    pixels, counts = np.unique(np.rint(sources), axis=0, return_counts=True)
-    if counts.max() > 1:
+    exact = sources if file.sd is None else sources[file.sd == 0]
+    pixels, counts = np.unique(np.rint(exact), axis=0, return_counts=True)
+    if counts.max(initial=0) > 1:
         repeated = " ".join(f"{at:g}" for at in pixels[counts.argmax()])
         raise ProblemError(
             path.name, f"has two landmarks in one pixel ({repeated}). Remove one of them."
@@ -447,4 +448,5 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             "outside the image.",
         )
     radius = usual_radius(grid.shape, grid.spacing)
-    return Drawing.from_landmarks(*(each[:, -n:] for each in ends), radius=radius)
+    # Pairs are in the unit of the image, which is also the unit of the grid.
+    return Drawing.from_landmarks(*(each[:, -n:] for each in ends), radius=radius, sd=file.sd)

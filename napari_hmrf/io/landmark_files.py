@@ -1,10 +1,11 @@
 """Reading and writing of landmark files in the formats of other tools.
 
 ================  ==========================================================================
-BigWarp .csv      pairs: ``Pt-0,true,moving x,y[,z],target x,y[,z]``, in the unit of the image
+BigWarp .csv      pairs: ``Pt-0,true,moving x,y[,z],target x,y[,z]``, in the unit of the image;
+                  a further column with standard deviations is optional
 Slicer .mrk.json  one list of points, with its coordinate system, LPS or RAS
 Slicer .fcsv      one list of points, in the format of earlier Slicer versions
-napari .csv       one list of points: ``index,axis-0,axis-1[,axis-2]``, in pixels
+napari .csv       one list of points: ``index,axis-0,axis-1[,axis-2][,sd]``, in pixels
 ================  ==========================================================================
 
 All points in this module have coordinates in axis order, ([z,] y, x). Points from files with
@@ -35,6 +36,9 @@ Points = npt.NDArray[np.float64]
 
 #: Suffixes of landmark files.
 POINT_SUFFIXES = (".csv", ".mrk.json", ".fcsv")
+# Numbers of columns of BigWarp's format in two and three dimensions; one more is added to its
+# columns for standard deviations.
+_PAIR_COLUMNS = 6, 7, 8, 9
 #: Largest size of a file, in bytes; a larger file is not read.
 _LARGEST = 2**26
 #: Factors that convert the coordinates of each system to left, posterior, superior.
@@ -63,16 +67,21 @@ class LandmarkFile(NamedTuple):
         Names of the landmarks; empty if the file contains no names.
     unit : {"mm", "pixel", ""}
         Unit of the coordinates; "" if the file does not state the unit.
+    sd : ndarray, shape (N,), float64, or None
+        Standard deviations of the landmarks, in the unit of the coordinates; 0 for exact landmarks.
+        None if the file contains no standard deviations.
     """
 
     points: Points
     targets: Points | None = None
     names: tuple[str, ...] = ()
     unit: str = ""
+    sd: npt.NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         pairs = "" if self.targets is None else " with targets"
         unit = f", {self.unit}" if self.unit else ""
+        unit += "" if self.sd is None else ", sd"
         return f"LandmarkFile({len(self.points)} points{pairs}{unit})"
 
 
@@ -87,7 +96,7 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
     Returns
     -------
     LandmarkFile
-        Named tuple of points, targets, names and unit.
+        Named tuple of points, targets, names, unit and standard deviations.
 
     Raises
     ------
@@ -113,11 +122,17 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
             else "it is damaged, or has another format"
         )
         raise FileFormatError(f"{name}: not a landmark file: {reason}.") from None
-    for points in (landmarks.points, landmarks.targets):
+    for points in (landmarks.points, landmarks.targets, landmarks.sd):
         if points is not None and not np.isfinite(points).all():
             raise FileFormatError(
                 f"{name}: not a landmark file: it contains NaN or infinite values."
             )
+    if landmarks.sd is not None and (landmarks.sd < 0).any():
+        number = int(np.flatnonzero(landmarks.sd < 0)[0]) + 1
+        raise FileFormatError(
+            f"{name}: landmark {number} has a negative standard deviation. Use a length, or 0 if "
+            "the landmark is exact."
+        )
     return landmarks
 
 
@@ -134,7 +149,7 @@ def is_landmark_file(path: str | os.PathLike[str]) -> bool:
             first = next(csv.reader([file.readline(10_000)]), [])
     except (OSError, UnicodeDecodeError, csv.Error):
         return False
-    return len(first) in (6, 8) and first[1].strip().casefold() in ("true", "false")
+    return len(first) in _PAIR_COLUMNS and first[1].strip().casefold() in ("true", "false")
 
 
 def write_points(
@@ -143,6 +158,7 @@ def write_points(
     targets: npt.ArrayLike | None = None,
     *,
     names: Sequence[str] = (),
+    sd: npt.ArrayLike | None = None,
 ) -> Path:
     """Write landmarks atomically, in the format given by the suffix of the path.
 
@@ -159,6 +175,9 @@ def write_points(
         Target positions of the landmarks.
     names : sequence of str, optional
         Names of the landmarks; by default "Pt-0", "Pt-1", and so on.
+    sd : float or array_like, shape (N,), optional
+        Standard deviations of the landmarks, in the unit of the coordinates, as a last column of a
+        ``.csv`` file; 0 for exact landmarks.
 
     Returns
     -------
@@ -170,7 +189,7 @@ def write_points(
     ProblemError
         If an argument is invalid; the message names the argument.
     FileFormatError
-        If the suffix is unknown, or the format does not support targets.
+        If the suffix is unknown, or the format does not support targets or standard deviations.
     OSError
         If the file cannot be written.
     """
@@ -184,9 +203,14 @@ def write_points(
             f"have shape {ends.shape}, but the points have shape {starts.shape}. Pass one target "
             "for each point.",
         )
+    spreads = None if sd is None else _checked_spreads(sd, len(starts))
     labels = [*names, *(f"Pt-{number}" for number in range(len(names), len(starts)))]
     if suffix == ".csv":
-        text = _as_csv(starts, ends, labels)
+        text = _as_csv(starts, ends, labels, spreads)
+    elif spreads is not None:
+        raise FileFormatError(
+            f"{target.name}: this format stores no standard deviations. Save the landmarks as .csv."
+        )
     elif ends is not None:
         raise FileFormatError(
             f"{target.name}: this format stores only one list of points. Save the landmarks and "
@@ -221,6 +245,18 @@ def _checked(name: str, values: npt.ArrayLike) -> Points:
     return points
 
 
+def _checked_spreads(sd: npt.ArrayLike, count: int) -> npt.NDArray[np.float64]:
+    spreads = as_numbers("sd", sd).astype(np.float64)
+    fits = spreads.shape in ((), (count,))
+    if not fits or not (np.isfinite(spreads) & (spreads >= 0)).all():
+        raise ProblemError(
+            "sd",
+            f"has shape {spreads.shape}. Pass one length, or {count} lengths; 0 for exact "
+            "landmarks.",
+        )
+    return np.broadcast_to(spreads, count)
+
+
 def _in_space(points: Points) -> Points:
     """Return points in three dimensions; 2-D points get a first coordinate of 0."""
     return np.pad(points, ((0, 0), (3 - points.shape[1], 0)))
@@ -232,26 +268,31 @@ def _parse_csv(text: str) -> LandmarkFile:
         raise _InvalidContent("it is empty")
     if rows[0][0].strip().casefold() == "index":  # napari's format
         titles = [title.strip().casefold() for title in rows[0][1:]]
+        has_sd = titles[-1:] == ["sd"]
+        titles = titles[: len(titles) - has_sd]
         axes = [f"axis-{axis}" for axis in range(3)]
         unknown = next((title for title in titles if title not in axes), None)
         if unknown is not None:
             hint = did_you_mean(unknown, axes)
             raise _InvalidContent(
                 f"line 1: there is no column {unknown!r}.{hint} The columns are index, axis-0, "
-                "axis-1 and, in a volume, axis-2"
+                "axis-1 and, in a volume, axis-2; the last column may be sd"
             )
         if titles != axes[: len(titles)] or len(titles) < 2:
             raise _InvalidContent(
                 "line 1: the columns must be index, axis-0, axis-1 and, in a volume, axis-2"
             )
-        return LandmarkFile(
-            np.array([row[1:] for row in rows[1:]], float).reshape(len(rows) - 1, -1), unit="pixel"
-        )
-    n = (len(rows[0]) - 2) // 2
-    if n not in (2, 3) or any(len(row) != 2 * n + 2 for row in rows):
+        places = [row[1 : 1 + len(titles)] for row in rows[1:]]
+        points = np.array(places, float).reshape(len(rows) - 1, -1)
+        spreads = _spreads([row[1 + len(titles)] for row in rows[1:]]) if has_sd else None
+        return LandmarkFile(points, unit="pixel", sd=spreads)
+    columns = len(rows[0])
+    n = (columns - 2) // 2
+    if columns not in _PAIR_COLUMNS or any(len(row) != columns for row in rows):
         raise _InvalidContent(
             "it has neither the column titles of napari's format nor the columns of BigWarp's "
-            "format: name, active, and 2 x 2 or 2 x 3 numbers"
+            "format: name, active, and 2 x 2 or 2 x 3 numbers; a further column may contain "
+            "standard deviations"
         )
     for number, row in enumerate(rows, 1):
         if row[1].strip().casefold() not in ("true", "false"):
@@ -260,19 +301,36 @@ def _parse_csv(text: str) -> LandmarkFile:
                 "false. BigWarp's files have no column titles"
             )
     active = [row for row in rows if row[1].strip().casefold() == "true"]
-    numbers = np.array([row[2:] for row in active], float).reshape(len(active), 2, n)[..., ::-1]
-    return LandmarkFile(numbers[:, 0], numbers[:, 1], tuple(row[0] for row in active))
+    places = [row[2 : 2 + 2 * n] for row in active]
+    numbers = np.array(places, float).reshape(len(active), 2, n)[..., ::-1]
+    spreads = _spreads([row[-1] for row in active]) if columns % 2 else None
+    names = tuple(row[0] for row in active)
+    return LandmarkFile(numbers[:, 0], numbers[:, 1], names, sd=spreads)
 
 
-def _as_csv(points: Points, targets: Points | None, names: Sequence[str]) -> str:
+def _spreads(cells: Sequence[str]) -> npt.NDArray[np.float64]:
+    """Return a column of standard deviations, with 0 for empty cells."""
+    return np.array([cell.strip() or "0" for cell in cells], float)
+
+
+def _as_csv(
+    points: Points,
+    targets: Points | None,
+    names: Sequence[str],
+    sd: npt.NDArray[np.float64] | None,
+) -> str:
+    last = [[]] * len(points) if sd is None else [[spread] for spread in sd.tolist()]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     if targets is None:
-        writer.writerow(["index", *(f"axis-{axis}" for axis in range(points.shape[1]))])
-        writer.writerows([number, *point] for number, point in enumerate(points.tolist()))
+        titles = [f"axis-{axis}" for axis in range(points.shape[1])]
+        writer.writerow(["index", *titles, *["sd"] * (sd is not None)])
+        rows = zip(points.tolist(), last, strict=True)
+        writer.writerows([number, *point, *end] for number, (point, end) in enumerate(rows))
     else:
         pairs = np.concatenate([points[:, ::-1], targets[:, ::-1]], axis=1).tolist()
-        writer.writerows([name, "true", *pair] for name, pair in zip(names, pairs, strict=True))
+        lines = zip(names, pairs, last, strict=True)
+        writer.writerows([name, "true", *pair, *end] for name, pair, end in lines)
     return file.getvalue()
 
 

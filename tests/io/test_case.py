@@ -436,6 +436,14 @@ def test_landmarks_in_physical_units_move_the_tissue(files):
     assert mark == Drawing((Landmark(mark.source, mark.target, radius),)).marks[0]
 
 
+def test_a_column_of_standard_deviations_is_in_the_unit_of_the_image(files):
+    folder, *_ = files
+    places = np.array([[1.0, 10, 12], [1.0, 10.4, 12], [1.0, 5, 5]]) * PLACE.spacing
+    write_points(folder / "pairs.csv", places, places + 1e-3, sd=[0.5, 2, 0])
+    study = read_case(case(folder, boundary=folder / "pairs.csv", hold_edge=True))
+    assert [mark.sd for mark in study.motion.drawing.marks] == [0.5, 2, 0]
+
+
 def test_a_registration_field_is_observed_at_the_edges_of_the_image(files):
     folder, scan, *_ = files
     d = np.zeros((*SHAPE, 2))

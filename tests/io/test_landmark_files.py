@@ -38,6 +38,23 @@ def test_a_csv_file_of_landmarks_is_read_back_unchanged(tmp_path, n, pairs):
         assert path.read_text().startswith("index,axis-0,axis-1")
 
 
+@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize("pairs", [True, False])
+def test_a_column_of_standard_deviations_is_read_back_unchanged(tmp_path, n, pairs):
+    path = tmp_path / "landmarks.csv"
+    write_points(path, AT[:, -n:], TO[:, -n:] if pairs else None, sd=[0.5, 0])
+    found = read_points(path)
+    assert found.sd.tolist() == [0.5, 0]
+    np.testing.assert_array_equal(found.points, AT[:, -n:])
+    if pairs:
+        np.testing.assert_array_equal(found.targets, TO[:, -n:])
+        first = path.read_text().splitlines()[0].rpartition(",")
+        path.write_text(f"{first[0]},\n")
+        assert read_points(path).sd.tolist() == [0], "an empty cell is not exact"
+    else:
+        assert path.read_text().splitlines()[0].endswith(",sd")
+
+
 @pytest.mark.parametrize("suffix", [".mrk.json", ".fcsv"])
 def test_a_slicer_file_is_read_back_unchanged_and_names_its_coordinate_system(tmp_path, suffix):
     path = tmp_path / f"points{suffix}"
@@ -85,6 +102,11 @@ def test_slicer_coordinates_in_ras_are_converted(tmp_path):
         ),
         ("a.csv", "x,y\n1,2\n", r"neither the column titles of napari's format nor the columns of"),
         ("a.csv", "index,axis-0,axis-1\n0,one,2\n", r"it is damaged, or has another format"),
+        (
+            "a.csv",
+            "Pt-0,true,1,2,3,4,-1\n",
+            r"a\.csv: landmark 1 has a negative standard deviation",
+        ),
         ("a.csv", "Pt-0,true,1,2,nan,4\n", r"it contains NaN or infinite values"),
         ("a.mrk.json", "{", r"it is damaged, or has another format"),
         ("a.mrk.json", '{"markups": [{}, {}]}', r"it contains 2 lists of points"),
@@ -105,4 +127,8 @@ def test_landmarks_that_cannot_be_saved_are_refused_and_no_file_is_written(tmp_p
         write_points(tmp_path / "a.fcsv", AT, TO)
     with pytest.raises(ProblemError, match=r"have shape \(2, 1\)"):
         write_points(tmp_path / "a.csv", AT[:, :1])
+    with pytest.raises(ProblemError, match=r"sd: has shape \(3,\)\. Pass one length, or 2 lengths"):
+        write_points(tmp_path / "a.csv", AT, TO, sd=[1, 2, 3])
+    with pytest.raises(FileFormatError, match=r"this format stores no standard deviations"):
+        write_points(tmp_path / "a.fcsv", AT, sd=1.0)
     assert not list(tmp_path.iterdir())

@@ -15,8 +15,11 @@ from napari_hmrf import (
     Study,
     Tissue,
     build_problem,
+    read_study,
+    replay,
     solve,
     solve_study,
+    write_study,
 )
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.study.engine import Engine
@@ -151,3 +154,31 @@ def test_a_volume_takes_landmarks_between_its_voxels():
     assert field.at([mark.source])[0] == pytest.approx((1, 0, 0), abs=0.1)
     stated = build_problem(study)
     assert solve(stated.problem, stated.prior).provenance.backend == "cpu"
+
+
+def test_a_saved_study_keeps_standard_deviations_and_is_replayed_bit_by_bit(tmp_path):
+    study = a_study(MARK, replace(MARK, source=(20.0, 20.0), sd=0))
+    solution = solve_study(study, backend="cpu")
+    path = write_study(tmp_path / "a.study", study, solution)
+    assert read_study(path).study.motion.drawing == study.motion.drawing
+    np.testing.assert_array_equal(replay(path).displacement, solution.displacement)
+
+
+def test_drawings_of_earlier_versions_have_exact_landmarks():
+    drawing = Drawing((replace(MARK, sd=0), MARK))
+    exact, uncertain = drawing.as_dict()["marks"]
+    assert "sd" not in exact, "earlier versions cannot read this landmark"
+    assert uncertain["sd"] == 0.5
+    assert Drawing.from_dict(drawing.as_dict()) == drawing
+
+
+def test_pairs_have_a_common_or_their_own_standard_deviation():
+    at, to = [[5.2, 6], [5.4, 6], [9, 9]], [[6, 6], [6, 7], [9, 9]]
+    marks = Drawing.from_landmarks(at, to, radius=2.0, sd=[0.5, 1, 0]).marks
+    assert [mark.sd for mark in marks] == [0.5, 1, 0]
+    assert {mark.sd for mark in Drawing.from_landmarks(at, to, radius=2.0, sd=2).marks} == {2}
+    for sd, said in (([1, 2], "shape"), (-1, "negative"), (np.nan, "NaN")):
+        with pytest.raises(ProblemError, match=f"sd: has.*{said}"):
+            Drawing.from_landmarks(at, to, radius=2.0, sd=sd)
+    with pytest.raises(ProblemError, match="two sources in the pixel"):
+        Drawing.from_landmarks(at, to, radius=2.0)
