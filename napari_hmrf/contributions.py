@@ -17,6 +17,7 @@ from napari_hmrf.io.landmark_files import is_landmark_file, read_points
 from napari_hmrf.io.study_file import is_study_file
 from napari_hmrf.layers.field_layer import field_layer
 from napari_hmrf.layers.label_colours import boundary_colours
+from napari_hmrf.layers.landmarks import SD_FEATURE
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, layer_metadata
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
@@ -198,7 +199,7 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
         place = {"units": (file.unit,) * n if file.unit else _units_of_images(n)}
         layers.append((file.points, {"name": name, **place}, "points"))
         if file.targets is not None:
-            spreads = {} if file.sd is None else {"features": {"sd": file.sd}}
+            spreads = {} if file.sd is None else {"features": {SD_FEATURE: file.sd}}
             name = f"{name}, should be"
             layers.append((file.targets, {"name": name, **place, **spreads}, "points"))
     return layers

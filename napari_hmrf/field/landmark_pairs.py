@@ -22,18 +22,29 @@ class LandmarkPairs(NamedTuple):
         Index of each landmark in its layer.
     at, to : ndarray, shape (N, n)
         Positions before and after the motion, in pixels of the slice.
+    sd : ndarray, shape (N,), or None
+        Standard deviation of each landmark, in the unit of the image; 0 for exact landmarks. None
+        if all landmarks are exact.
     """
 
     numbers: npt.NDArray[np.intp]
     at: npt.NDArray[np.float64]
     to: npt.NDArray[np.float64]
+    sd: npt.NDArray[np.float64] | None = None
+
+    @property
+    def spreads(self) -> npt.NDArray[np.float64]:
+        """Standard deviation of each landmark, 0 if it is exact."""
+        return np.zeros(len(self.at)) if self.sd is None else self.sd
 
     @property
     def contradiction(self) -> tuple[int, int] | None:
-        """Indices of two landmarks in the same pixel with different displacements, or None."""
+        """Indices of two exact landmarks in a pixel with different displacements, or None."""
         first: dict[tuple[float, ...], int] = {}
         steps = self.to - self.at
-        for number, pixel in enumerate(np.rint(self.at).tolist()):
+        pixels, exact = np.rint(self.at).tolist(), self.spreads == 0
+        for number in np.flatnonzero(exact).tolist():
+            pixel = pixels[number]
             earlier = first.setdefault(tuple(pixel), number)
             if not np.allclose(steps[number], steps[earlier], atol=_SAME):
                 return int(self.numbers[earlier]), int(self.numbers[number])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +16,8 @@ from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
+#: Name of the feature with the standard deviations of landmarks, in the unit of the image.
+SD_FEATURE = "sd"
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -27,6 +30,7 @@ def read_landmarks(
     *,
     radius: float | None = None,
     confidence: float = 1.0,
+    sd: float | None = None,
 ) -> tuple[Landmark, ...]:
     """Read landmarks from two Points layers, paired by order, or from a Shapes layer of lines.
 
@@ -52,6 +56,10 @@ def read_landmarks(
         default `usual_radius`. It is reduced where patches would overlap.
     confidence : float
         Confidence of the landmarks, greater than 0 and at most 1 (certain).
+    sd : float, optional
+        Standard deviation of all landmarks, in the unit of the image; 0 if they are exact. By
+        default, the values of the feature "sd" of `should`, or of `where` if it has lines. Missing
+        values are 0.
 
     Returns
     -------
@@ -62,21 +70,30 @@ def read_landmarks(
     ------
     ProblemError
         If the layers have different numbers of points, or no points; if a shape is not a line; or
-        if a landmark has an invalid position, is outside the image, or contradicts another
-        landmark. The message names the layer.
+        if a landmark has an invalid position or standard deviation, is outside the image, or
+        contradicts another landmark. The message names the layer.
     """
-    pairs = landmark_pairs(where, should, frame, shape, view)
+    pairs = landmark_pairs(where, should, frame, shape, view, sd=sd)
     wanted = usual_radius(shape, frame.spacing) if radius is None else radius
     radii = pairs.radii(wanted, frame.spacing)
     with naming(observed=where, confidence=where, drawing=where):
+        places = zip(
+            pairs.at.tolist(), pairs.to.tolist(), radii, pairs.spreads.tolist(), strict=True
+        )
         return tuple(
-            Landmark(tuple(a), tuple(b), size, confidence)
-            for a, b, size in zip(pairs.at.tolist(), pairs.to.tolist(), radii, strict=True)
+            Landmark(tuple(a), tuple(b), size, confidence, sd=spread)
+            for a, b, size, spread in places
         )
 
 
 def landmark_pairs(
-    where: Any, should: Any, frame: Frame, shape: tuple[int, ...], view: View | None = None
+    where: Any,
+    should: Any,
+    frame: Frame,
+    shape: tuple[int, ...],
+    view: View | None = None,
+    *,
+    sd: float | None = None,
 ) -> LandmarkPairs:
     """Return the pairs of positions on a slice; for arguments and errors, see `read_landmarks`."""
     kind: Literal["point", "line"] = "line" if isinstance(where, Shapes) else "point"
@@ -100,7 +117,8 @@ def landmark_pairs(
         raise LayerError(
             where, f"has {kind} {numbers[outside][0]} outside the image. Move it, or remove it."
         )
-    pairs = LandmarkPairs(numbers, at, to)
+    spreads = _spreads(should, len(ends), kind) if sd is None else np.full(len(ends), float(sd))
+    pairs = LandmarkPairs(numbers, at, to, spreads[on_slice])
     if (contradiction := pairs.contradiction) is not None:
         one, other = contradiction
         raise LayerError(
@@ -109,6 +127,30 @@ def landmark_pairs(
             "Remove one of them.",
         )
     return pairs
+
+
+def _spreads(layer: Any, count: int, kind: str) -> FloatArray:
+    """Return the standard deviations in the features of a layer, with 0 for missing values."""
+    if SD_FEATURE not in layer.features:
+        return np.zeros(count)
+    column = layer.features[SD_FEATURE]
+    spreads = np.array([_number(value) for value in column.fillna(0)], dtype=np.float64)
+    invalid = np.flatnonzero(~(np.isfinite(spreads) & (spreads >= 0)))
+    if len(invalid):
+        raise LayerError(
+            layer,
+            f"has an invalid standard deviation in the feature '{SD_FEATURE}' of {kind} "
+            f"{invalid[0]}. Use a length in the unit of the image, or 0 if the landmark is exact.",
+        )
+    return spreads
+
+
+def _number(value: Any) -> float:
+    """Return a value as a number; NaN for any other value."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
 
 
 def _place_on_image(

@@ -85,11 +85,7 @@ def by_labels():
     return Study(
         GRID,
         Tissue(labels=labels(), materials=rows, unit="kPa", record={"layer": "Tissue"}),
-        Motion(
-            labels=painted(),
-            rules=rules,
-            drawing=PULL.with_mark(Landmark((15.25, 5.5), (15.5, 6), 1.5, sd=0.4)),
-        ),
+        Motion(labels=painted(), rules=rules, drawing=PULL),
         prior=ElasticPrior(plane="strain"),
         optimizer=Multigrid(1e-2),
         pictures=Pictures(picture(), labels(), "t1", "Tissue"),

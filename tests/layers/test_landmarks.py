@@ -64,6 +64,22 @@ def test_points_without_a_valid_pair_are_refused_by_name(where, should, words):
         landmarks(where, should)
 
 
+def test_a_feature_of_the_target_layer_contains_standard_deviations():
+    where = [[1, 2], [10, 20], [10.2, 20], [30, 40]]
+    targets = Points(np.add(where, [[1, 0], [2, 0], [0, 2], [1, 1]]), name="ought")
+    targets.features = {"sd": [0.5, 2, 1, np.nan]}
+    pair, image = (
+        (Points(where, name="is"), targets),
+        (frame_of(Image(np.zeros((40, 50)))), (40, 50)),
+    )
+    assert [mark.sd for mark in read_landmarks(*pair, *image)] == [0.5, 2, 1, 0]
+    assert {mark.sd for mark in read_landmarks(*pair, *image, sd=3)} == {3}
+    for value in (-1, "wide"):
+        targets.features = {"sd": [0.5, 2, 1, value]}
+        with pytest.raises(ProblemError, match=r"'ought' has an invalid .* of point 3\."):
+            read_landmarks(*pair, *image)
+
+
 def test_close_landmarks_have_patches_that_do_not_overlap():
     near, also, far = landmarks([[10, 10], [10, 14], [30, 40]], [[11, 10], [9, 14], [30, 40]])
     assert (near.radius, also.radius, far.radius) == (2.0, 2.0, 3.0)
