@@ -66,6 +66,7 @@ def patch_lines(
     across: int = 0,
     only: int | None = None,
     is_place: bool = False,
+    spread: float = 0.0,
 ) -> Float64Array:
     """Return lines that show the prescribed motion of a round patch of tissue.
 
@@ -89,6 +90,9 @@ def patch_lines(
         Axis of the prescribed component, if only one component is prescribed.
     is_place : bool
         If True, the start of the arrow is also marked with a cross, as for a landmark.
+    spread : float
+        Standard deviation of the moved position, in the unit of the spacing. Above 0, the outline
+        has this radius.
 
     Returns
     -------
@@ -101,7 +105,8 @@ def patch_lines(
     plane = axes[flat]
     base, step = np.array([at]) * size, np.array([by])
     head, barb, length = base + step, _BARB * radius, math.hypot(*by)
-    circles = [(0.0, radius)] if n == 2 else _cuts(head[0, across], radius, size[across])
+    outline = spread or radius
+    circles = [(0.0, outline)] if n == 2 else _cuts(head[0, across], outline, size[across])
     parts = [along(head + off * axes[across] + cut * CIRCLE @ plane) for off, cut in circles]
     if length > 0.1 * radius and step[:, flat].any():
         parts.append(barbed(base, step, min(barb, 0.5 * length), plane))

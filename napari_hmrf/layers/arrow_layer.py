@@ -1,6 +1,7 @@
 """Display of drawn arrows and landmarks as lines in a Vectors layer.
 
-The base of a landmark is marked with a cross, and the selected mark has a different colour.
+The base of a landmark is marked with a cross, and the selected mark has a different colour. The
+circle at the target of a landmark shows its standard deviation, or the patch of an exact landmark.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ def arrow_lines(
                 across=across,
                 only={"row": len(spacing) - 2, "col": len(spacing) - 1}.get(arrow.components),
                 is_place=isinstance(mark, Landmark),
+                spread=mark.sd if isinstance(mark, Landmark) else 0.0,
             )
             parts.append((lines, SELECTED if number == selected else DRAWN))
     return coloured(parts, len(spacing))

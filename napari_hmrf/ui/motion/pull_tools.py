@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 
@@ -13,7 +13,14 @@ from napari_hmrf.tissue.drawing.drawing import Hit, ends_of
 from napari_hmrf.tissue.drawing.growth import patch_at
 from napari_hmrf.tissue.drawing.marks import COMPONENTS, Point, between, grows
 from napari_hmrf.ui.motion import motion_messages
-from napari_hmrf.ui.motion.tool import Origin, Tool, ToolSettings, identity, name_of
+from napari_hmrf.ui.motion.tool import (
+    LandmarkSettings,
+    Origin,
+    Tool,
+    ToolSettings,
+    identity,
+    name_of,
+)
 
 #: Displacements below this value, in the unit of the spacing, are rounding errors and set to 0.
 _NOTHING = 1e-9
@@ -144,6 +151,8 @@ class PullTool(Tool):
         mark = replace(mark, radius=settings["radius"], confidence=settings["confidence"])
         if isinstance(mark, Arrow) and "components" in settings:
             mark = replace(mark, components=settings["components"])
+        if isinstance(mark, Landmark):
+            mark = replace(mark, sd=_spread(settings, mark.sd))
         return self._with_ends(mark, base, head)
 
     def _with_ends(self, mark: Arrow | Landmark, at: Point, to: Point) -> Arrow | Landmark:
@@ -162,7 +171,7 @@ class LandmarkTool(PullTool):
     name = "landmark"
     title = "Landmark"
     key = "L"
-    fields = ("radius", "confidence")
+    fields = ("radius", "confidence", "sd")
     hint = "Drag from a point of the tissue to its target, or click a point that must stay."
 
     _click_step = "drew a landmark"
@@ -177,4 +186,15 @@ class LandmarkTool(PullTool):
         return motion_messages.NO_WAY if self._end() else None
 
     def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
-        return Landmark(at, to, settings["radius"], settings["confidence"])
+        sd = _spread(settings)
+        return Landmark(at, to, settings["radius"], settings["confidence"], sd=sd)
+
+    def cursor(self, settings: ToolSettings) -> float | None:
+        """Return the uncertainty, or the radius of an exact landmark; see `Tool.cursor`."""
+        radius = super().cursor(settings)
+        return radius and (_spread(settings) or radius)
+
+
+def _spread(settings: ToolSettings, otherwise: float = 0.0) -> float:
+    """Return the uncertainty in the settings of a tool, or another value if there is none."""
+    return cast(LandmarkSettings, settings).get("sd", otherwise)

@@ -32,6 +32,12 @@ class ToolSettings(TypedDict, total=False):
     components: Components
 
 
+class LandmarkSettings(ToolSettings, total=False):
+    """Settings of a landmark."""
+
+    sd: float
+
+
 class ToolError(HmrfError):
     """Error raised if a tool action has no effect; the message is shown to the user."""
 
@@ -219,7 +225,7 @@ class Tool(ABC):
         mark = self.mark
         if mark is None:
             return None
-        names = ToolSettings.__annotations__
+        names = LandmarkSettings.__annotations__
         values = {name: value for name, value in vars(mark).items() if name in names}
         # A landmark has no choice of components: it prescribes both components.
         return cast(ToolSettings, {"components": "both", **values})

@@ -22,6 +22,12 @@ _SURE = (
     "Confidence in this motion: 1 holds tissue exactly; below 1, tissue slips if holding it would "
     "strain it by more than about this value"
 )
+_UNUSED = "Not used: the landmark has an uncertainty (±). At an uncertainty of 0, it is exact"
+_UNSURE = (
+    "Standard deviation of the landmark's displacement. 0: exact, so that tissue within the radius "
+    "moves to the target. Above 0: the tissue may miss the target by about this distance if this "
+    "reduces its strain; for the elastic model only"
+)
 #: Attributes of marks by the name of the field that sets them, if the names differ.
 _ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}
 #: Fields for the displacement along the row axis and the column axis.
@@ -33,7 +39,7 @@ class ToolFields(Container):
 
     Attributes
     ----------
-    radius, by_row, by_col, amount : FloatSpinBox
+    radius, by_row, by_col, amount, sd : FloatSpinBox
     confidence, stroke_confidence, softness : FloatSlider
     components, preset, material : ComboBox
         Widgets. `Tool.fields` lists the widgets that a tool uses; `preset` is shown with
@@ -56,6 +62,7 @@ class ToolFields(Container):
             "negative distance shrinks the patch",
         )
         self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
+        self.sd = length("uncertainty ±", _UNSURE, least=0.0)
         self.stroke_confidence = share(
             "confidence",
             "New confidence of held and moved tissue under the brush, from 0 (free) to 1 (held "
@@ -85,7 +92,8 @@ class ToolFields(Container):
         # Smallest and largest value of each length; and why the last typed length was replaced.
         self._ranges: dict[Any, tuple[float, float]] = {}
         self._unit, self._refusal = "px", ""
-        for each in (self.radius, self.by_row, self.by_col, self.amount):
+        lengths = (self.radius, self.by_row, self.by_col, self.amount, self.sd)
+        for each in lengths:
             # Connected before the container, so that tools never receive a length out of range.
             each.changed.connect(partial(self._on_length, each))
         # Tools refer to a field by its name, which is the name of the attribute.
@@ -93,13 +101,13 @@ class ToolFields(Container):
         for name, field in fields.items():
             field.name = name
         super().__init__(widgets=[*fields.values()])
-        lengths = (self.radius, self.by_row, self.by_col, self.amount)
         for field in lengths:  # emit no value while a number is being typed
             field.native.setKeyboardTracking(False)
         self.margins = (0, 0, 0, 0)
         self._tool = BY_NAME["pull"]
         self._labels = {field: str(field.label) for field in lengths}
         self._about = {field: str(field.tooltip) for field in lengths}
+        self.sd.changed.connect(lambda _: self._describe_patch())
         self.show_for(self._tool)
         self.show_place("px", self._ways)
 
@@ -151,6 +159,7 @@ class ToolFields(Container):
         if len(self._ways.order) == 3:  # a mark in a volume prescribes all components
             self.components.visible, self.components.value = False, "both"
         self.preset.visible = "material" in tool.fields and not self._own_table
+        self._describe_patch()
 
     def show_settings(self, settings: ToolSettings) -> None:
         """Show the settings of the selected mark, without changing the mark or other fields."""
@@ -165,6 +174,7 @@ class ToolFields(Container):
             if name != "material" or value in field.choices:
                 with field.changed.blocked():
                     field.value = value
+        self._describe_patch()
 
     @property
     def unit(self) -> str:
@@ -192,6 +202,7 @@ class ToolFields(Container):
             (self.by_row, -largest, 0.0, 0.5),
             (self.by_col, -largest, 0.0, 0.5),
             (self.amount, -largest, step, 0.5),
+            (self.sd, 0.0, 0.0, 0.5),
         ):
             self._ranges[field] = least, largest
             field.native.setDecimals(decimals)
@@ -207,6 +218,18 @@ class ToolFields(Container):
             if field in self._ranges:
                 least, largest = self._ranges[field]
                 field.tooltip = f"{about}. From {least:g} to {largest:g} {self._unit}."
+        self._describe_patch()
+
+    def _describe_patch(self) -> None:
+        """Disable the fields of the patch if the landmark has an uncertainty, with the reason."""
+        is_exact = "sd" not in self._tool.fields or self.sd.value == 0
+        if self.confidence.enabled != is_exact:
+            self.radius.enabled = self.confidence.enabled = is_exact
+            self.confidence.tooltip = _SURE if is_exact else _UNUSED
+            if is_exact:
+                self._describe_ranges()
+        if not is_exact:
+            self.radius.tooltip = _UNUSED
 
     def pop_refusal(self) -> str:
         """Return why the last typed length was replaced, once; "" if it was not."""

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from qtpy.QtTest import QTest
 
+from tests.support.screen import Screen
+
 
 def type_into(field, text):
     field.native.selectAll()
@@ -34,3 +36,64 @@ def test_a_radius_that_is_too_small_or_too_large_is_not_accepted(pulling_beside,
         touch.drag((20, 20), (22, 23))
         settle(dock)
         assert dock.drawing.marks[-1].radius == radius.value
+
+
+def test_a_landmark_with_an_uncertainty_gives_way_and_each_edit_is_one_step(pulling_beside, settle):
+    touch, dock = pulling_beside
+    Screen(dock).press("Landmark")
+    sd, radius = dock.fields.sd, dock.fields.radius
+    assert sd.label == "uncertainty ± (px)"
+    assert "for the elastic model only. From 0 to " in sd.tooltip
+    assert sd.native.isVisibleTo(dock.native)
+    assert radius.enabled
+    touch.drag((30, 30), (34, 30))
+    settle(dock)
+    assert dock.solution.displacement[30, 30] == pytest.approx((4, 0), abs=0.02)
+    sd.value = 2
+    settle(dock)
+    (mark,) = dock.drawing.marks
+    assert mark.sd == 2
+    assert not radius.enabled
+    assert "the landmark has an uncertainty" in radius.tooltip
+    assert 0.1 < dock.solution.displacement[30, 30, 0] < 3.9
+    before = dock.solution.displacement
+    touch.drag((34, 30), (36, 30))
+    settle(dock)
+    assert dock.drawing.marks[0].target == (36, 30)
+    assert dock.solution.displacement[30, 30, 0] > before[30, 30, 0]
+    for sd_before, target in ((2, (34, 30)), (0, (34, 30))):
+        dock.undo()
+        assert (dock.drawing.marks[0].sd, dock.drawing.marks[0].target) == (sd_before, target)
+    settle(dock)
+    assert dock.solution.displacement[30, 30] == pytest.approx((4, 0), abs=0.02)
+
+
+def test_a_new_landmark_has_the_uncertainty_in_the_field(pulling_beside, settle):
+    touch, dock = pulling_beside
+    Screen(dock).press("Landmark")
+    dock.fields.sd.value = 0.5
+    touch.drag((30, 30), (32, 30))
+    Screen(dock).press("Pull")
+    assert dock.fields.radius.enabled, "the radius of a pull depends on the uncertainty"
+    touch.drag((50, 50), (52, 50))
+    settle(dock)
+    assert [type(mark).__name__ for mark in dock.drawing.marks] == ["Landmark", "Arrow"]
+    assert dock.drawing.marks[0].sd == 0.5
+
+
+@pytest.mark.parametrize("model", ["large motion", "paper"])
+def test_other_models_refuse_an_uncertain_landmark_with_a_message(pulling_beside, settle, model):
+    touch, dock = pulling_beside
+    dock.model = model
+    Screen(dock).press("Landmark")
+    dock.fields.sd.value = 0.5
+    touch.drag((30, 30), (32, 30))
+    settle(dock)
+    assert (
+        "has a landmark with a standard deviation (±), which requires the elastic model. Use this "
+        "model, or set the standard deviation to 0."
+    ) in dock.status
+    dock.model = "elastic"
+    settle(dock)
+    assert dock.solution is not None
+    assert "standard deviation" not in dock.status
