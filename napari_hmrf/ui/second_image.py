@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,13 +18,18 @@ from napari_hmrf.layers.landmarks import landmark_pairs
 from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
+from napari_hmrf.ui.motion.tool import name_of
+from napari_hmrf.ui.result.landmark_table import LandmarkRow, LandmarkRows
 from napari_hmrf.ui.result.result_view import ResultView
 
 #: Layer settings of the deformed and the second image; two equal images add up to grey.
 _MOVED = {"colormap": "magenta"}
+# Number of decimals, in pixels, in which equal positions agree.
+_DECIMALS = 6
 _OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0, "visible": True}
 
 
@@ -38,10 +45,15 @@ class SecondImage:
         View of the selected result.
     controller : Controller
         Source of the landmarks: the chosen layers, or the drawing if no layers are chosen.
+    model : StudyModel
+        Model with the drawing, in which the table edits standard deviations.
     """
 
-    def __init__(self, viewer: Any, view: ResultView, controller: Controller) -> None:
+    def __init__(
+        self, viewer: Any, view: ResultView, controller: Controller, model: StudyModel
+    ) -> None:
         self._viewer, self._view, self._controller = viewer, view, controller
+        self._model = model
         self._results = shared(viewer, ResultLayers)
         self._image, self._form = controller.form.image, controller.form.result
         self._pair = controller.form.motion.boundary.landmarks
@@ -57,10 +69,8 @@ class SecondImage:
         self._points = EventConnections()
         # Layer with the residuals, and the name of their feature column.
         self._residuals: tuple[Any, str] | None = None
-        # Number of each landmark, its distance from its target before and after the motion, and
-        # the unit of the distances.
-        self._distances: tuple[Any, Any, Any, str] | None = None
-        view.more.landmarks = self.list_distances
+        self._distances: LandmarkRows | None = None
+        view.more.landmarks, view.more.set_sd = self.list_distances, self._set_sd
 
     def release(self) -> None:
         """Restore all layers, and disconnect from all events."""
@@ -78,24 +88,24 @@ class SecondImage:
         self._points = EventConnections(*((layer.events.data, self._on_points) for layer in pair))
         self._measure()
 
-    def list_distances(self) -> tuple[list[str], list[list[str]]] | None:
+    def list_distances(self) -> LandmarkRows | None:
         """List the distance of each landmark from its target, before and after the motion.
 
         Returns
         -------
-        titles : list of str
-            Titles of the columns.
-        cells : list of list of str
-            Cells of each row.
-        None
-            If there are no landmarks or no result.
+        LandmarkRows or None
+            None if there are no landmarks or no result.
         """
-        if self._distances is None:
-            return None
-        *columns, unit = self._distances
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        cells = [[str(number), f"{before:.3g}", f"{now:.3g}"] for number, before, now in rows]
-        return ["landmark", f"before ({unit})", f"now ({unit})"], cells
+        return self._distances
+
+    def _set_sd(self, mark: Landmark, sd: float) -> None:
+        """Set the standard deviation of a landmark of the drawing, as one undo step."""
+        drawing = self._model.drawing
+        if mark in drawing.marks and mark.sd != sd:
+            changed = replace(mark, sd=sd)
+            drawing = drawing.replaced(drawing.marks.index(mark), changed)
+            self._model.draw(drawing, f"changed {name_of(changed)}")
+        self._measure()
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
         """Restore the layers of the last comparison, and draw an image over the moved images."""
@@ -129,6 +139,7 @@ class SecondImage:
         if earlier is not None and earlier[1] in earlier[0].features:
             earlier[0].features = earlier[0].features.drop(columns=earlier[1])
         self._form.show_landmarks(self._describe_residuals())
+        self._view.more.refresh_landmarks()
 
     def _describe_residuals(self) -> str:
         """Describe the residuals, and store each as a feature of its landmark."""
@@ -147,10 +158,22 @@ class SecondImage:
             column[pairs.numbers] = left
             self._residuals = where, f"residual ({unit})"
             where.features = where.features.assign(**{self._residuals[1]: column})
-        self._distances = pairs.numbers, at_first, left, unit
+        marks = self._marks_of(pairs)
+        columns = zip(pairs.numbers.tolist(), at_first.tolist(), left.tolist(), marks, strict=True)
+        self._distances = LandmarkRows([LandmarkRow(*row) for row in columns], unit)
         both = (float(np.sqrt((lengths**2).mean())) for lengths in (at_first, left))
         before, after = (as_seen(length, spacing) for length in both)
         return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
+
+    def _marks_of(self, pairs: LandmarkPairs) -> list[Landmark | None]:
+        """Return the landmark of the drawing with the positions of each pair, or None."""
+        marks = {
+            _key((*mark.source, *mark.target)): mark
+            for mark in self._model.drawing.marks
+            if isinstance(mark, Landmark)
+        }
+        places = np.concatenate([pairs.at, pairs.to], axis=1).tolist()
+        return [marks.get(_key(place)) for place in places]
 
     def _pairs(self, answer: PlacedSolution) -> LandmarkPairs | None:
         """Return the landmarks of the chosen layers, or of the drawing if no layer is chosen."""
@@ -170,6 +193,11 @@ class SecondImage:
             return None
         at, to = np.array(both, dtype=float).swapaxes(0, 1)
         return LandmarkPairs(np.arange(len(at)), at, to)
+
+
+def _key(places: Iterable[float]) -> tuple[float, ...]:
+    """Return positions without rounding errors, to compare them."""
+    return tuple(round(place, _DECIMALS) + 0.0 for place in places)
 
 
 def _set(layer: Any, look: dict[str, Any]) -> None:

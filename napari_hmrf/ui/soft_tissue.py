@@ -123,7 +123,7 @@ class SoftTissue(DockValues):
         controller.slice_changed.connect(self._carry_over.refresh)
         self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
         self._introduction = Introduction(self.native, controller, self._guide, self._on_sample)
-        self._second = SecondImage(viewer, self._view, controller)
+        self._second = SecondImage(viewer, self._view, controller, undo.model)
         self._sides = PatientSides(viewer, form.image)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
         self.fields, self.more = form.motion.fields, self._view.more

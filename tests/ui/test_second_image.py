@@ -11,9 +11,10 @@ from napari_hmrf import Arrow, Drawing, Landmark
 from napari_hmrf.contributions import phantom_layers, volume_layers
 from napari_hmrf.data import head_phantom
 from napari_hmrf.samples.phantoms import phantom
+from napari_hmrf.ui.result.landmark_table import INVALID
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import open_sample
-from tests.support.screen import Screen
+from tests.support.screen import Cell, Screen, head
 
 SHAPE = (48, 56)
 SIZE = (0.5, 0.8)
@@ -168,6 +169,47 @@ def test_the_distance_of_each_landmark_is_listed_in_a_table(compared, wait_for):
     before = np.linalg.norm(BY * SIZE, axis=1)
     assert [row[:2] for row in cells] == [[str(at), f"{before[at]:.3g}"] for at in range(len(BY))]
     assert float(cells[0][2]) < 0.01 < float(cells[1][2])
+
+
+def test_a_standard_deviation_is_typed_into_the_table_of_landmarks(compared, wait_for):
+    _, dock, _, _ = compared
+    dock._form.motion.boundary.landmarks.sources.value = None
+    marks = [Landmark((20, at), (24.0, at), 2.0) for at in (20, 40)]
+    dock.drawing = Drawing(marks)
+    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
+    Screen(dock).entry("More", "Landmarks ...").trigger()
+    (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
+    assert [head(table, column) for column in range(4)] == [
+        "landmark", "before (mm)", "now (mm)", "± (mm)"
+    ]  # fmt: skip
+    sd, now = Cell(table, 1, 3), Cell(table, 1, 2)
+    assert (sd.text(), now.can_be_typed()) == ("0", False)
+    assert float(now.text()) < 0.01
+    sd.write("±1,5")
+    assert [mark.sd for mark in dock.drawing.marks] == [0, 1.5]
+    wait_for(lambda: float(now.text()) > 0.1 and not dock.busy)
+    assert sd.text() == "1.5"
+    assert float(Cell(table, 0, 2).text()) < 0.01
+    sd.write("wide")
+    assert sd.text() == "1.5"
+    assert dock.status == INVALID
+    dock.undo()
+    assert [mark.sd for mark in dock.drawing.marks] == [0, 0]
+    wait_for(lambda: sd.text() == "0" and float(now.text()) < 0.01 and not dock.busy)
+
+
+def test_imported_landmarks_keep_the_standard_deviations_of_their_layer(compared, wait_for):
+    viewer, dock, _, _ = compared
+    viewer.layers["ought"].features = {"sd": [0, 2, 0.5]}
+    Screen(dock).choose("is")
+    Screen(dock).press("Use as landmarks")
+    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
+    assert [mark.sd for mark in dock.drawing.marks] == [0, 2, 0.5]
+    left = viewer.layers["is"].features["residual (mm)"].to_numpy()
+    assert left[0] < 0.01 < left[2] < left[1]
+    Screen(dock).entry("More", "Landmarks ...").trigger()
+    (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
+    assert [Cell(table, row, 3).text() for row in range(3)] == ["0", "2", "0.5"]
 
 
 def test_drawn_landmarks_have_residuals_without_a_layer_of_points(compared, wait_for):

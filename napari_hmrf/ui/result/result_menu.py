@@ -26,8 +26,10 @@ from napari_hmrf.layers.result_layers import LayerData, stiffness_unit
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View, plane_shown
 from napari_hmrf.layers.viewer_layers import same_selection
+from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
+from napari_hmrf.ui.result.landmark_table import LandmarkRows, LandmarkTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import (
@@ -88,8 +90,11 @@ class ResultMenu:
             show_message,
         )
         self._jobs = BackgroundJobs(show_message)
-        #: Returns the titles and cells of the table of landmarks, or None if there are none.
-        self.landmarks: Callable[[], tuple[list[str], list[list[str]]] | None] = lambda: None
+        #: Returns the rows of the table of landmarks, or None if there are none.
+        self.landmarks: Callable[[], LandmarkRows | None] = lambda: None
+        #: Sets the standard deviation of a landmark of the drawing.
+        self.set_sd: Callable[[Landmark, float], None] = lambda _mark, _sd: None
+        self._landmark_table: LandmarkTable | None = None
         give_menu(self._button, self._fill)
         form.save.changed.connect(self._on_save)
 
@@ -199,9 +204,16 @@ class ResultMenu:
         kind = f"{[layer.name for layer in layers]} moved along"  # one kind of job per selection
         self._jobs.submit(kind, lambda: [move() for move in movers], add)
 
+    def refresh_landmarks(self) -> None:
+        """Update the table of landmarks, if it is open."""
+        if self._landmark_table is not None:
+            self._landmark_table.show_rows(self.landmarks())
+
     def release(self) -> None:
-        """Discard all pending tasks."""
+        """Discard all pending tasks, and close the table of landmarks."""
         self._jobs.release()
+        if self._landmark_table is not None:
+            self._landmark_table.close()
 
     @property
     def _shown(self) -> MovingLayers:
@@ -227,7 +239,7 @@ class ResultMenu:
         add_entry(menu, "Measurements ...", about, measure)
         forces = partial(attempt, self._show_forces, self._show_message)
         add_entry(menu, "Forces ...", "Forces that hold or move tissue", forces)
-        about = "Distance of each landmark from its target, before and after the motion"
+        about = "Distance of each landmark from its target, and its uncertainty (±), to be edited"
         pairs = partial(attempt, self._show_landmarks, self._show_message)
         add_entry(menu, "Landmarks ...", about, pairs).setEnabled(self.landmarks() is not None)
         along = menu.addMenu("Move along")
@@ -288,9 +300,20 @@ class ResultMenu:
         self._jobs.submit("forces", answer.forces, show)
 
     def _show_landmarks(self) -> None:
-        """Show the distance of each landmark from its target in a table."""
-        if (words := self.landmarks()) is not None:
-            self._show_table("Distance of each landmark from its target", words)
+        """Show the landmarks in a table, which is updated with each result."""
+        if self.landmarks() is None:
+            return
+        if self._landmark_table is None:
+            window, refuse = self._button.window(), self._show_message
+            table = LandmarkTable(window, lambda mark, sd: self.set_sd(mark, sd), refuse)
+            table.finished.connect(self._on_landmarks_closed)
+            self._landmark_table = table
+        self.refresh_landmarks()
+        self._landmark_table.show()
+        self._landmark_table.raise_()
+
+    def _on_landmarks_closed(self, *_: Any) -> None:
+        self._landmark_table = None
 
     def _show_table(
         self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QWidget

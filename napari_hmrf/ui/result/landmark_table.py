@@ -1,0 +1,122 @@
+"""Table of the landmarks: distances from their targets, and editable standard deviations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from qtpy import QtWidgets
+from qtpy.QtCore import Qt
+
+from napari_hmrf.tissue.drawing import Landmark
+from napari_hmrf.ui.forms import number_of
+
+TITLE = "Distance of each landmark from its target"
+_COLUMN = 3
+_SD_TIP = (
+    "Standard deviation of the landmark. 0: exact. Above 0: the tissue may miss the target by "
+    "about this distance, for the elastic model only. Double-click to change it."
+)
+_NOT_DRAWN = "This pair is not a landmark of the drawing. Press 'Use as landmarks' first."
+#: Message for a standard deviation that is not a length.
+INVALID = "A standard deviation (±) must be 0 (exact) or a length above 0."
+# Width and height of the window in addition to those of the cells, and height of a row, in pixels.
+_MARGINS, _ROW = (40, 100), 32
+
+
+class LandmarkRow(NamedTuple):
+    """Row of the table.
+
+    Attributes
+    ----------
+    number : int
+        Number of the landmark in its layer or in the drawing.
+    before, now : float
+        Distance from the target before and after the motion.
+    mark : Landmark or None
+        Landmark in the drawing; None if a pair of a layer is not in the drawing.
+    """
+
+    number: int
+    before: float
+    now: float
+    mark: Landmark | None
+
+
+class LandmarkRows(NamedTuple):
+    """Content of the table; all lengths are in `unit`."""
+
+    rows: list[LandmarkRow]
+    unit: str
+
+
+class LandmarkTable(QtWidgets.QDialog):
+    """Window with the landmarks of the displayed result, updated with each result.
+
+    Parameters
+    ----------
+    parent : QWidget
+        Main window.
+    set_sd : callable
+        Sets the standard deviation of a landmark.
+    refuse : callable
+        Called with a message if a typed value is not a length.
+    """
+
+    def __init__(
+        self,
+        parent: QtWidgets.QWidget,
+        set_sd: Callable[[Landmark, float], None],
+        refuse: Callable[[str], None],
+    ) -> None:
+        super().__init__(parent, windowTitle=TITLE)
+        self._set_sd, self._refuse = set_sd, refuse
+        self._content = LandmarkRows([], "")
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self._table = QtWidgets.QTableWidget(0, _COLUMN + 1)
+        self._table.setObjectName("measurements")
+        self._table.verticalHeader().hide()
+        self._table.itemChanged.connect(self._on_item)
+        QtWidgets.QVBoxLayout(self).addWidget(self._table)
+
+    def show_rows(self, content: LandmarkRows | None) -> None:
+        """Show the landmarks of a result; None shows an empty table."""
+        self._content = content = LandmarkRows([], "") if content is None else content
+        table, unit = self._table, content.unit
+        is_first = not table.rowCount()
+        table.blockSignals(True)
+        titles = ["landmark", f"before ({unit})", f"now ({unit})", f"± ({unit})"]
+        table.setHorizontalHeaderLabels(titles)
+        table.horizontalHeaderItem(_COLUMN).setToolTip(_SD_TIP)
+        table.setRowCount(len(content.rows))
+        for number, row in enumerate(content.rows):
+            spread = "" if row.mark is None else f"{row.mark.sd:g}"
+            words = [str(row.number), f"{row.before:.3g}", f"{row.now:.3g}", spread]
+            for column, text in enumerate(words):
+                table.setItem(number, column, self._cell(text, column, row))
+        table.blockSignals(False)
+        if is_first:
+            table.resizeColumnsToContents()
+            width = table.horizontalHeader().length() + _MARGINS[0]
+            self.resize(width, _MARGINS[1] + _ROW * (len(content.rows) + 1))
+
+    def _cell(self, text: str, column: int, row: LandmarkRow) -> QtWidgets.QTableWidgetItem:
+        cell = QtWidgets.QTableWidgetItem(text)
+        if column != _COLUMN or row.mark is None:
+            cell.setFlags(cell.flags() & ~Qt.ItemFlag.ItemIsEditable)
+        if column == _COLUMN:
+            cell.setToolTip(_NOT_DRAWN if row.mark is None else _SD_TIP)
+        return cell
+
+    def _on_item(self, item: Any) -> None:
+        """Set the typed standard deviation, or restore the previous value if it is invalid."""
+        row = self._content.rows[item.row()]
+        if item.column() != _COLUMN or row.mark is None:
+            return
+        value = number_of(item.text().strip().removeprefix("±"))
+        if 0 <= value < math.inf:
+            self._set_sd(row.mark, value)
+        else:
+            self._refuse(INVALID)
+            self.show_rows(self._content)
