@@ -316,7 +316,7 @@ class SoftTissue(DockValues):
     def take_landmarks(self, where: Any, should: Any = None, **how: float) -> None:
         """Add the points of two layers, or the lines of a Shapes layer, as landmarks.
 
-        The landmarks of an earlier call are removed from the drawing.
+        The landmarks of an earlier call are removed from the drawing, except those that were moved.
 
         Parameters
         ----------
@@ -335,7 +335,12 @@ class SoftTissue(DockValues):
         if self.image is None or not self._controller.refresh():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
         grid, view = self.study.grid, self._form.view()
-        others = [mark for mark in self.drawing.marks if mark not in self._added_landmarks]
+        added = {(mark.source, mark.target) for mark in self._added_landmarks}
+        others = [
+            mark
+            for mark in self.drawing.marks
+            if not (isinstance(mark, Landmark) and (mark.source, mark.target) in added)
+        ]
         self._added_landmarks = marks = read_landmarks(
             where, should, grid.known_place, grid.shape, view, **how
         )

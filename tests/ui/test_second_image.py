@@ -210,6 +210,11 @@ def test_imported_landmarks_keep_the_standard_deviations_of_their_layer(compared
     Screen(dock).entry("More", "Landmarks ...").trigger()
     (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
     assert [Cell(table, row, 3).text() for row in range(3)] == ["0", "2", "0.5"]
+    Cell(table, 0, 3).write("1")
+    assert [mark.sd for mark in dock.drawing.marks] == [1, 2, 0.5]
+    Screen(dock).press("Use as landmarks")
+    assert [mark.sd for mark in dock.drawing.marks] == [0, 2, 0.5], "an edited landmark was kept"
+    wait_for(lambda: not dock.busy)
 
 
 def test_drawn_landmarks_have_residuals_without_a_layer_of_points(compared, wait_for):
