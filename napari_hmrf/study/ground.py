@@ -299,8 +299,8 @@ def _no_landmark_data(study: Study, count: int) -> LayerError:
     pairs = "a landmark" if count == 1 else f"{count} landmarks"
     return LayerError(
         study.named("drawing"),
-        f"has {pairs} with a standard deviation (±), which requires the elastic model. Use this "
-        "model (`model='elastic'`), or set the standard deviation to 0 (`sd=0`).",
+        f"has {pairs} with an uncertainty (±), for the elastic model only. Use this "
+        "model (`model='elastic'`), or set ± to 0 (`sd=0`).",
     )
 
 

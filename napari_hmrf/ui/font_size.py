@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from qtpy.QtCore import QEvent, QObject
-from qtpy.QtWidgets import QScrollArea, QWidget
+from qtpy.QtWidgets import QLabel, QScrollArea, QWidget
 
 _FONT_EVENTS = (QEvent.Type.FontChange, QEvent.Type.StyleChange, QEvent.Type.Show)
 
@@ -36,6 +36,31 @@ class FontFollower(QObject):
                 if font.pointSizeF() != size:
                     font.setPointSizeF(size)
                     control.setFont(font)
+        return False
+
+
+class LabelAligner(QObject):
+    """Event filter that gives all labels of a form the width of the widest label.
+
+    magicgui measures labels in the default font, which is smaller than the font of napari.
+
+    Parameters
+    ----------
+    form : QWidget
+    """
+
+    def __init__(self, form: QWidget) -> None:
+        super().__init__(form)
+        form.installEventFilter(self)
+
+    def eventFilter(self, form: Any, event: Any) -> bool:
+        """Set the width after each change of the layout."""
+        if event.type() == QEvent.Type.LayoutRequest:
+            labels = form.findChildren(QLabel)
+            widest = max((label.sizeHint().width() for label in labels), default=0)
+            for label in labels:
+                if label.minimumWidth() != widest:
+                    label.setMinimumWidth(widest)
         return False
 
 

@@ -120,10 +120,9 @@ def test_other_models_refuse_landmarks_with_a_standard_deviation(model):
     exact = replace(MARK, sd=0)
     with pytest.raises(ProblemError) as refusal:
         build_problem(a_study(MARK, exact, model=model))
-    said = "'drawing' has a landmark with a standard deviation (±), which requires the elastic"
-    assert said in str(refusal.value)
+    assert "'drawing' has a landmark with an uncertainty (±), for the" in str(refusal.value)
     shown = in_words_of("window", str(refusal.value))
-    assert shown.endswith("Use this model, or set the standard deviation to 0.")
+    assert shown.endswith("Use this model, or set ± to 0.")
     build_problem(a_study(exact, model=model))
 
 

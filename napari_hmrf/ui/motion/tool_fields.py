@@ -12,6 +12,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Palette, Preset
+from napari_hmrf.ui.font_size import LabelAligner
 from napari_hmrf.ui.forms import length, menu, narrow, share
 from napari_hmrf.ui.motion.tool import Tool, ToolSettings
 from napari_hmrf.ui.motion.tools import BY_NAME
@@ -104,6 +105,7 @@ class ToolFields(Container):
         for field in lengths:  # emit no value while a number is being typed
             field.native.setKeyboardTracking(False)
         self.margins = (0, 0, 0, 0)
+        LabelAligner(self.native)
         self._tool = BY_NAME["pull"]
         self._labels = {field: str(field.label) for field in lengths}
         self._about = {field: str(field.tooltip) for field in lengths}

@@ -89,11 +89,8 @@ def test_other_models_refuse_an_uncertain_landmark_with_a_message(pulling_beside
     dock.fields.sd.value = 0.5
     touch.drag((30, 30), (32, 30))
     settle(dock)
-    assert (
-        "has a landmark with a standard deviation (±), which requires the elastic model. Use this "
-        "model, or set the standard deviation to 0."
-    ) in dock.status
+    assert "has a landmark with an uncertainty (±), for the elastic model only." in dock.status
     dock.model = "elastic"
     settle(dock)
     assert dock.solution is not None
-    assert "standard deviation" not in dock.status
+    assert "uncertainty" not in dock.status
