@@ -31,6 +31,7 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
 from napari_hmrf.solver.solve import Progress
+from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -333,6 +334,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
             "rules": [asdict(row) for row in motion.rules],
             "drawing": motion.drawing.as_dict(),
             "weight": list(motion.weight),
+            "typical_strain": motion.typical_strain,
         },
         "prior": _prior_as_dict(study.prior),
         "optimizer": study.optimizer.parameters,
@@ -398,6 +400,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 confidence=arrays.get("counts"),
                 drawing=Drawing.from_dict(motion["drawing"]),
                 weight=_LENGTHS.validate_python(motion.get("weight", ())),
+                typical_strain=float(motion.get("typical_strain", StrainScale.strain)),
             ),
             prior=_prior_from_dict(header["prior"], arrays.get("poisson")),
             optimizer=optimizer_from_dict(header["optimizer"]),

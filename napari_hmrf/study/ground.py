@@ -219,7 +219,9 @@ class Ground:
                 m = np.where(at_rest, np.float32(0), m)
         with self.study.naming():
             loads, spacing = self._loads(canvas.labels, m), self.study.grid.spacing
-            landmarks = landmark_data(marks, points, m, self.body, spacing)
+            landmarks = landmark_data(
+                marks, points, m, self.body, spacing, self.study.motion.typical_strain
+            )
             problem = Problem(
                 canvas.observed,
                 canvas.confidence,

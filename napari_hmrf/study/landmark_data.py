@@ -79,6 +79,7 @@ def landmark_data(
     stiffness: FloatArray,
     body: Mask,
     spacing: tuple[float, ...],
+    strain: float,
 ) -> Landmarks | None:
     """Return landmarks as data of a problem; None if no landmark is in tissue.
 
@@ -93,6 +94,8 @@ def landmark_data(
     body : ndarray of bool, shape ([D,] H, W)
         Tissue that determines the typical stiffness.
     spacing : tuple of float
+    strain : float
+        Typical strain of the tissue.
     """
     if not len(points):
         return None
@@ -103,5 +106,5 @@ def landmark_data(
     steps = np.array([np.subtract(mark.target, mark.source) for mark in marks])[used]
     low, high = SD_RANGE[0] * max(spacing) * _INSIDE, SD_RANGE[1] * min(spacing) / _INSIDE
     sd = np.clip([mark.sd for mark in marks], low, high)[used]
-    scale = StrainScale(stiffness=typical_stiffness(stiffness[body]))
+    scale = StrainScale(strain, stiffness=typical_stiffness(stiffness[body]))
     return Landmarks(points[used], points[used] + steps, sd=sd, scale=scale)

@@ -6,6 +6,7 @@ shares the unchanged parts. Arrays are therefore compared by identity, not by va
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import reals, refuse_unless, require_kind, shown, tuple_of
+from napari_hmrf.arguments import real, reals, refuse_unless, require_kind, shown, tuple_of
 from napari_hmrf.errors import ArgumentError, ProblemError, naming
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame
@@ -24,6 +25,7 @@ from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import checked_spacing, grid_in_words, whole_numbers
+from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, is_by_name, parts_of
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
@@ -368,6 +370,10 @@ class Motion:
     weight : tuple of float
         Body force on all tissue along each axis, which is density times acceleration, in the unit
         of stiffness per length; empty if there is no body force.
+    typical_strain : float
+        Typical strain of the tissue, such as 0.1 for 10 %, against which landmarks with a standard
+        deviation are weighed; see `StrainScale`. With a larger strain, tissue follows these
+        landmarks more closely.
 
     Raises
     ------
@@ -384,6 +390,7 @@ class Motion:
     confidence: Array | None = None
     drawing: Drawing = field(default_factory=Drawing)
     weight: tuple[float, ...] = ()
+    typical_strain: float = StrainScale.strain
 
     def __post_init__(self) -> None:
         is_flag = isinstance(self.hold_edge, bool | np.bool_)
@@ -398,6 +405,9 @@ class Motion:
         requirement = "a finite number along each axis, such as (0.01, 0)"
         refuse_unless(bool(np.isfinite(along).all()), "weight", self.weight, requirement)
         object.__setattr__(self, "weight", along)
+        is_positive = 0 < real(self.typical_strain) < math.inf
+        requirement = "a positive number, such as 0.1"
+        refuse_unless(is_positive, "typical_strain", self.typical_strain, requirement)
         if (self.observed is None) != (self.confidence is None):
             raise ProblemError("motion", "requires both the observed field and its confidence.")
 
@@ -408,6 +418,9 @@ class Motion:
             "observed" if self.observed is not None else "",
             repr(self.drawing) if self.drawing.marks else "",
             f"weight {self.weight}" if any(self.weight) else "",
+            ""
+            if self.typical_strain == StrainScale.strain
+            else f"typical strain {self.typical_strain:g}",
         ]
         return f"Motion({_listed(parts) or 'none'})"
 

@@ -19,6 +19,7 @@ from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.edit_history import DEPTH, EditHistory
 from napari_hmrf.study.models import (
     SolverDetails,
@@ -48,6 +49,7 @@ _STEP_NAMES = {
     "name": "chose another model",
     "plane": "chose another plane",
     "poisson": "changed Poisson's ratio",
+    "strain": "changed the typical strain",
     "tissue": "chose another source of stiffness",
     "boundary": "chose another boundary",
     "confidence": "chose another confidence",
@@ -145,12 +147,15 @@ class ModelChoice:
         Poisson's ratio of tissue without a table.
     details : SolverDetails
         Optional solver settings.
+    strain : float
+        Typical strain of the tissue, as in `Motion`.
     """
 
     name: ModelName = "elastic"
     plane: Plane = "stress"
     poisson: float = USUAL_POISSON
     details: SolverDetails = field(default_factory=SolverDetails)
+    strain: float = StrainScale.strain
 
     @classmethod
     def of(cls, study: Study) -> ModelChoice:
@@ -159,7 +164,8 @@ class ModelChoice:
         An array of Poisson's ratios is ignored, because it belongs to the tissue map.
         """
         prior, optimizer = study.prior, study.optimizer
-        choice = cls(family_of(prior, optimizer), details=details_of(prior, optimizer))
+        strain, details = study.motion.typical_strain, details_of(prior, optimizer)
+        choice = cls(family_of(prior, optimizer), details=details, strain=strain)
         if isinstance(prior, Elastic):
             choice = replace(choice, plane=prior.plane)
             if np.ndim(prior.poisson) == 0:

@@ -15,6 +15,7 @@ from qtpy.QtWidgets import QRadioButton
 from napari_hmrf.solver.model_advice import ABOUT_POISSON, when_to_take
 from napari_hmrf.solver.model_names import ELASTIC
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.models import SolverDetails, detail_names
 from napari_hmrf.study.study_model import ModelChoice
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
@@ -23,6 +24,13 @@ from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
 
 #: Size of the icon on a plane button, in pixels.
 _PICTURE = QSize(64, 32)
+# Range of the typical strain, in percent, and number of its decimals as a fraction.
+_STRAINS = 0.01, 10_000.0
+_DECIMALS = 6
+_ABOUT_STRAIN = (
+    "Strain that is usual for this tissue, against which landmarks with an uncertainty (±) are "
+    "weighed. A larger strain brings tissue closer to these landmarks; it has no other effect"
+)
 
 
 class DetailsForm(Container):
@@ -80,6 +88,8 @@ class ModelForm(Container):
     poisson : FloatSpinBox
         Poisson's ratio of the elastic model if the tissue is a stiffness image; for labels, the
         ratios are in the tissue table.
+    strain : FloatSpinBox
+        Typical strain of the elastic model, in percent.
     in_detail : DetailsForm
         Solver settings, in a separate section of the dock.
     """
@@ -109,13 +119,23 @@ class ModelForm(Container):
             value=USUAL_POISSON,
             tooltip=ABOUT_POISSON,
         )
+        self.strain = FloatSpinBox(
+            name="strain",
+            label="typical strain (%)",
+            min=_STRAINS[0],
+            max=_STRAINS[1],
+            step=1.0,
+            value=100 * StrainScale.strain,
+            tooltip=_ABOUT_STRAIN,
+        )
         self._when = Prose()
-        self._form = form = Container(widgets=[self.model, self.plane, self.poisson])
+        self._form = form = Container(widgets=[self.model, self.plane, self.poisson, self.strain])
         super().__init__(widgets=[form, self._when], labels=False)
         form.margins = (0, 0, 0, 0)
         align_labels(form)
         self.poisson.native.setDecimals(3)
-        self.poisson.native.setKeyboardTracking(False)  # "0." is not a complete ratio
+        for field in (self.poisson, self.strain):
+            field.native.setKeyboardTracking(False)  # "0." is not a complete ratio
         self.in_detail = DetailsForm()
         self._tissue: Any = None
         self._volume = False
@@ -129,12 +149,14 @@ class ModelForm(Container):
     def choice(self) -> ModelChoice:
         """Chosen model and settings."""
         form = self._form.asdict()
-        return ModelChoice(form["model"], form["plane"], form["poisson"], self.in_detail.details)
+        parts = form["model"], form["plane"], form["poisson"], self.in_detail.details
+        return ModelChoice(*parts, strain=round(form["strain"] / 100, _DECIMALS))
 
     @choice.setter
     def choice(self, choice: ModelChoice) -> None:
         values = {"model": choice.name, "plane": choice.plane, "poisson": choice.poisson}
-        self._form.update(values)
+        low, high = _STRAINS
+        self._form.update({**values, "strain": min(max(100 * choice.strain, low), high)})
         self.in_detail.details = choice.details
 
     @property
@@ -165,5 +187,6 @@ class ModelForm(Container):
         self._when.show_text(when_to_take(model, None if self._volume else self.plane.value))
         self.plane.visible = self.is_elastic and not self._volume
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
+        self.strain.visible = model == "elastic"
         for field in self.in_detail:
             field.visible = field.name in detail_names(model)

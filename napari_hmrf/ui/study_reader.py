@@ -61,7 +61,8 @@ class StudyReader:
         """
         model = self._model.model
         study = study_from_layers(request, self._copies)
-        return replace(study, prior=model.prior, optimizer=model.optimizer)
+        motion = replace(study.motion, typical_strain=model.strain)
+        return replace(study, motion=motion, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:
         """Return a first guess of the curve that maps the brightness of the slice to stiffness.

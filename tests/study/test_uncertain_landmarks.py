@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import (
+    ArgumentError,
     Drawing,
     Grid,
     Landmark,
@@ -181,3 +182,14 @@ def test_pairs_have_a_common_or_their_own_standard_deviation():
             Drawing.from_landmarks(at, to, radius=2.0, sd=sd)
     with pytest.raises(ProblemError, match="two sources in the pixel"):
         Drawing.from_landmarks(at, to, radius=2.0)
+
+
+def test_a_larger_typical_strain_brings_tissue_closer_and_is_saved(tmp_path):
+    study = a_study(MARK)
+    stretchy = replace(study, motion=replace(study.motion, typical_strain=0.3))
+    moved = [solve_study(each, backend="cpu").at([MARK.source])[0, 0] for each in (study, stretchy)]
+    assert moved[0] + 0.2 < moved[1] < 2
+    saved = read_study(write_study(tmp_path / "a.study", stretchy)).study
+    assert build_problem(saved).problem.digests == build_problem(stretchy).problem.digests
+    with pytest.raises(ArgumentError, match="typical_strain must be a positive number"):
+        replace(study.motion, typical_strain=-1)

@@ -94,3 +94,23 @@ def test_other_models_refuse_an_uncertain_landmark_with_a_message(pulling_beside
     settle(dock)
     assert dock.solution is not None
     assert "uncertainty" not in dock.status
+
+
+def test_a_larger_typical_strain_brings_tissue_closer_to_an_uncertain_landmark(
+    pulling_beside, settle
+):
+    touch, dock = pulling_beside
+    Screen(dock).press("Landmark")
+    dock.fields.sd.value = 2
+    touch.drag((30, 30), (34, 30))
+    settle(dock)
+    before = dock.solution.displacement[30, 30, 0]
+    dock._form.model.strain.value = 40
+    settle(dock)
+    assert before + 0.2 < dock.solution.displacement[30, 30, 0] < 4
+    assert dock.study.motion.typical_strain == 0.4
+    dock.undo()
+    assert dock.status == "Undid: changed the typical strain."
+    assert dock._form.model.strain.value == 10
+    dock.model = "large motion"
+    assert not dock._form.model.strain.native.isVisibleTo(dock.native)
