@@ -46,17 +46,18 @@ class LabelAligner(QObject):
 
     Parameters
     ----------
-    form : QWidget
+    area : QWidget
+        Widget of the form.
     """
 
-    def __init__(self, form: QWidget) -> None:
-        super().__init__(form)
-        form.installEventFilter(self)
+    def __init__(self, area: QWidget) -> None:
+        super().__init__(area)
+        area.installEventFilter(self)
 
-    def eventFilter(self, form: Any, event: Any) -> bool:
+    def eventFilter(self, area: Any, event: Any) -> bool:
         """Set the width after each change of the layout."""
         if event.type() == QEvent.Type.LayoutRequest:
-            labels = form.findChildren(QLabel)
+            labels = area.findChildren(QLabel)
             widest = max((label.sizeHint().width() for label in labels), default=0)
             for label in labels:
                 if label.minimumWidth() != widest:
