@@ -143,8 +143,8 @@ def _sentence(clause: str) -> str:
 
 
 def _issue(clause: str) -> str:
-    """Return the first part of a note, which names the issue."""
-    return re.split(r"[:;,]", _sentence(clause))[0].rstrip(".")
+    """Return the first part of a note, up to a mark that is not within a position."""
+    return re.split(r"[:;,](?![^(]*\))", _sentence(clause))[0].rstrip(".")
 
 
 def next_mark(outputs: Outputs, overlay: str) -> Mark | None:

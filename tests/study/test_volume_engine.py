@@ -164,3 +164,14 @@ def test_the_coarse_preview_of_large_motion_approximates_the_final_image():
     )
     assert apart < 0.15 * moved
     assert preview.moved_positions(np.array([(30.0, 40.0)]))[0] == pytest.approx((30, 48), abs=0.1)
+
+
+def test_a_preview_weighs_an_uncertain_landmark_like_the_full_grid():
+    mark = Landmark((10.2, 12.4, 11.3), (10.2, 15.4, 11.3), 3.0, sd=0.05)
+    study, at = a_study(mark), np.array([mark.source])
+    coarse, fine = results_of((study, Preview(CoarseGrid(2))), (study, None))
+    reached = [each.solution.at(at / each.grid.step)[0, 1] for each in (coarse, fine)]
+    assert coarse.error is None
+    assert reached == pytest.approx([reached[1]] * 2, rel=0.35)
+    assert reached[1] > 0.5
+    assert coarse.stated.problem.landmarks.sd[0] == pytest.approx(0.05)

@@ -1,6 +1,7 @@
 """Tests of drawings: rendering, picking, storage and undo of marks."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -470,3 +471,14 @@ def test_a_drawing_refuses_a_single_mark_and_other_types():
             Drawing(wrong)
     assert Drawing([arrow]) == Drawing((arrow,))
     assert repr(Drawing([arrow, arrow])) == "Drawing(2 Arrow)"
+
+
+def test_a_landmark_with_a_standard_deviation_changes_no_pixel():
+    mark = Landmark((10.0, 10.0), (12.0, 10.0), 3.0, sd=1.0)
+    rendering = Rendering(Canvas.blank((20, 40)))
+    assert rendering.show(Drawing((mark,))) is None
+    assert rendering.drawing == Drawing((mark,))
+    assert rendering.show(Drawing((replace(mark, sd=0),))) is not None
+    assert rendering.canvas.confidence.any()
+    rendering.show(Drawing((mark,)))
+    assert not rendering.canvas.confidence.any()

@@ -1,8 +1,10 @@
 """Tests of where a patch can grow without undoing a pull."""
 
+from dataclasses import replace
+
 import pytest
 
-from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.growth import patch_at, with_patch
 
 SHAPE, SPACING = (60, 60), (1.0, 1.0)
@@ -42,3 +44,12 @@ def test_a_patch_is_refused_if_a_later_mark_would_hold_its_outline():
     assert with_patch(Drawing((PULL, ring)), PATCH, SPACING, SHAPE) is None
     drawing, number = with_patch(Drawing((ring, PULL)), PATCH, SPACING, SHAPE)
     assert (drawing.marks, number) == ((ring, PATCH, PULL), 1)
+
+
+def test_a_landmark_with_a_standard_deviation_has_no_patch():
+    mark = Landmark((10.0, 10.0), (12.0, 10.0), 4.0)
+    assert patch_at(Drawing((mark,)), (10.0, 10.0), (1.0, 1.0)) == 0
+    assert patch_at(Drawing((replace(mark, sd=1),)), (10.0, 10.0), (1.0, 1.0)) is None
+    patch = Stroke("expand", (((10.0, 20.0),),), 10.0, amount=1.0)
+    assert with_patch(Drawing((mark,)), patch, (1.0, 1.0), (40, 40)) is None
+    assert with_patch(Drawing((replace(mark, sd=1),)), patch, (1.0, 1.0), (40, 40)) is not None

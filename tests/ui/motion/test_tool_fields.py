@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from qtpy.QtTest import QTest
 
+from napari_hmrf import Landmark
 from tests.support.screen import Screen
 
 
@@ -114,3 +115,19 @@ def test_a_larger_typical_strain_brings_tissue_closer_to_an_uncertain_landmark(
     assert dock._form.model.strain.value == 10
     dock.model = "large motion"
     assert not dock._form.model.strain.native.isVisibleTo(dock.native)
+
+
+def test_a_landmark_drawn_later_outside_tissue_is_named(pulling_beside, settle):
+    touch, dock = pulling_beside
+    touch.drag((30, 30), (32, 30))
+    settle(dock)
+    far = Landmark((-40.0, 9.0), (-38.0, 9.0), 1.0, sd=1.0)
+    dock.drawing = dock.drawing.with_mark(far)
+    settle(dock)
+    assert "The landmark at (-40, 9) is outside the image and has no effect." in dock.warning
+    assert (
+        Screen(dock)
+        .button("⚠")
+        .text()
+        .endswith("The landmark at (-40, 9) is outside the image and has no effect")
+    )
