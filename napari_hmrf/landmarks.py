@@ -9,8 +9,9 @@
     pairs = read_points("landmarks.csv")
     drawing = Drawing.from_landmarks(pairs.points, pairs.targets, radius=3)
 
-`Landmarks` are points between pixels whose positions are uncertain, for a `Problem`. The tissue
-follows each point according to its standard deviation, and the strain scale of the tissue::
+With a standard deviation, as in ``Drawing.from_landmarks(..., sd=0.5)``, tissue may miss a target.
+`Landmarks` are such points of a `Problem`. The tissue follows each point according to its standard
+deviation, and the strain scale of the tissue::
 
     landmarks = Landmarks(pairs.points, pairs.targets, sd=0.5, scale=StrainScale(strain=0.1))
     none = np.zeros((*stiffness.shape, 2))

@@ -20,6 +20,7 @@ from napari_hmrf.study.models import SolverDetails, detail_names
 from napari_hmrf.study.study_model import ModelChoice
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
+from napari_hmrf.ui.font_size import LabelAligner
 from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
 
 #: Size of the icon on a plane button, in pixels.
@@ -133,6 +134,7 @@ class ModelForm(Container):
         super().__init__(widgets=[form, self._when], labels=False)
         form.margins = (0, 0, 0, 0)
         align_labels(form)
+        LabelAligner(form.native)
         self.poisson.native.setDecimals(3)
         for field in (self.poisson, self.strain):
             field.native.setKeyboardTracking(False)  # "0." is not a complete ratio
