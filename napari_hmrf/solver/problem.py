@@ -21,7 +21,7 @@ from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
 from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
-from napari_hmrf.solver.uncertain_landmarks import Landmarks
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 
 #: Largest ratio between two stiffnesses for which single precision is sufficient.
 MAX_STIFFNESS_RATIO = 1e7
@@ -222,10 +222,16 @@ class Problem:
 
     @property
     def observed_components(self) -> npt.NDArray[np.bool_]:
-        """Mask of components of tissue with a confidence or a precision, shape (H, W, 2)."""
-        if self.precision is None:
+        """Mask of components with a confidence, a precision or a landmark, shape (H, W, 2)."""
+        if not self.has_data:
             return self.known
-        mask: npt.NDArray[np.bool_] = self.known | self.precision.any(axis=-1)
+        mask: npt.NDArray[np.bool_] = self.known.copy()
+        if self.precision is not None:
+            mask |= self.precision.any(axis=-1)
+        if self.landmarks is not None:
+            elements, _ = corners_of(self.landmarks.points, self.shape)
+            for corner in np.ndindex(*(2,) * len(self.shape)):
+                mask[tuple((elements + corner).T)] = True
         return mask
 
     @property

@@ -288,6 +288,16 @@ def test_loose_specks_stay_at_rest_on_request_in_images_and_volumes():
         assert "stays at rest" in solution.notes[-1]
 
 
+def test_a_piece_that_landmarks_hold_does_not_stay_at_rest():
+    m, none = np.zeros((16, 16)), np.zeros((16, 16, 2))
+    m[:10, :10] = m[12:, 12:] = 1
+    points = np.array([(1.5, 2.5), (8.2, 7.7), (12.5, 12.5), (14.5, 13.5), (4.5, 8.5)])
+    marks = Landmarks(points, points + 1.0, sd=0.1)
+    problem = Problem(none, none, m, landmarks=marks)
+    field = solve(problem, backend="cpu", rest_loose=True).displacement
+    assert field[m > 0] == pytest.approx(1, abs=1e-3)
+
+
 def test_points_beside_tissue_follow_the_nearest_tissue_on_request():
     y = np.zeros((12, 12, 2))
     y[..., 0] = 2
