@@ -50,11 +50,22 @@ class HeldTissue(NamedTuple):
         Mask of the constrained components.
     strength : float
         Result of `holding_strength`.
+    precision : ndarray, shape (H, W, 2, 2) or (D, H, W, 3, 3), or None
+        Precision of the data term.
     """
 
     tissue: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_]
     strength: float = 0.0
+    precision: Motions | None = None
+
+    def covers_problem(self, problem: Problem) -> bool:
+        """Return whether the problem has the same tissue and data, and all checked constraints."""
+        if problem.landmarks is not None or not self.covers(problem.tissue, problem.known):
+            return False
+        if self.precision is None or problem.precision is None:
+            return self.precision is problem.precision
+        return np.array_equal(self.precision, problem.precision)
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
         """Return whether the tissue is the same, and `held` includes all checked constraints.
@@ -69,7 +80,7 @@ class HeldTissue(NamedTuple):
 
 # Result of the last check.
 _firm: list[HeldTissue] = []
-# Results for problems with a data term.
+# Results for problems with landmarks.
 _strengths: WeakKeyDictionary[Problem, float] = WeakKeyDictionary()
 # Number of data that are checked first. If they hold the tissue, so do all data.
 _FEW_DATA = 10_000
@@ -124,7 +135,7 @@ def holding_strength(problem: Problem) -> float:
     """
     held = problem.known
     for firm in _firm:  # checked first, because every frame of a drag needs the result
-        if firm.covers(problem.tissue, held):
+        if firm.covers_problem(problem):
             return firm.strength
     if problem in _strengths:
         return _strengths[problem]
@@ -140,11 +151,25 @@ def holding_strength(problem: Problem) -> float:
         raise refusal(free)
     sizes, share = np.bincount(pieces.ravel(), minlength=count + 1)[1:], 1 - 1 / pieces.ndim
     value = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
-    if problem.has_data:
+    if problem.precision is not None:
+        value *= _mean_grip(problem)
+    if problem.landmarks is not None:
         _strengths[problem] = value
     else:
-        _firm[:] = [HeldTissue(problem.tissue, held, value)]
+        _firm[:] = [HeldTissue(problem.tissue, held, value, problem.precision)]
     return value
+
+
+def _mean_grip(problem: Problem) -> float:
+    """Return the mean part of a site's motion that the precision prevents, from 0 to 1."""
+    assert problem.precision is not None
+    traces = np.trace(problem.precision, axis1=-2, axis2=-1)
+    at = np.flatnonzero(traces)
+    at = at[:: max(1, len(at) // _FEW_DATA)]
+    strength = traces.ravel()[at]
+    unit = problem.unit ** (problem.tissue.ndim - 2)
+    stiffness = problem.stiffness.ravel()[at].astype(np.float64) * unit
+    return float((strength / (strength + stiffness)).mean())
 
 
 def refusal(free: FreeMotion) -> ProblemError:
@@ -339,10 +364,10 @@ def _data_costs(
         of_sites = _sites(pieces)
         there = np.flatnonzero((precision.reshape(*of_sites.shape, -1) != 0).any(axis=-1))
         there = there[of_sites.ravel()[there] > 0]
-        there = there if most is None else there[:: max(1, len(there) // most)]
-        sites = np.unravel_index(there, of_sites.shape)
+        step = 1 if most is None else max(1, len(there) // most)
+        sites = np.unravel_index(there[::step], of_sites.shape)
         tensors = precision[sites]
-        tensors /= np.trace(tensors, axis1=-2, axis2=-1)[:, None, None]
+        tensors *= step / np.trace(tensors, axis1=-2, axis2=-1)[:, None, None]
         _add_data(costs, tensors, sites, of_sites[sites] - 1, problem.shape)
     if landmarks is not None:
         elements, _ = corners_of(landmarks.points, problem.shape)
