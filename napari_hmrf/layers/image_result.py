@@ -24,7 +24,7 @@ from napari_hmrf.layers.metadata import (
     role_of,
 )
 from napari_hmrf.layers.result_layers import Kind, LayerData
-from napari_hmrf.layers.still_paint import hide_still_paint, lies_still
+from napari_hmrf.layers.still_paint import hide_still_paint, layer_painted, lies_still
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
 #: Kind of the layer that shows painted confidence.
@@ -190,6 +190,8 @@ class Result:
         """Update all layers of the result; see `ResultLayers.show`."""
         quick = moving and frame == self._frame
         self._frame, self.moving, self._is_whole = frame, moving, True
+        was_before, is_painted = self.is_before, layer_painted(self._viewer) is not None
+        self.is_before = was_before or (is_painted and bool(layers))
         for part, made in layers.items():
             if not (quick and self._overwrite(part, made)):
                 self._update_or_replace(part, made)
@@ -199,6 +201,8 @@ class Result:
         if arrows is not None and not (moving or self.holds("arrows")):
             add_metadata(arrows, answer=None, solution=None)  # the tissue is undeformed again
         self._update_visibility()
+        if self.is_before != was_before:
+            self._before_changed()
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
         """Show a fraction of the deformation, until `show_whole` is called or a result arrives.
@@ -274,8 +278,12 @@ class Result:
             self.set_wanted("image", False)
 
     def show_before(self, before: bool) -> None:
-        """Hide the result to show the undeformed image, or show the result again."""
-        before = before and (self.is_before or self.visible)
+        """Hide the result to show the undeformed image, or show the result again.
+
+        While the user paints tissue or boundaries, the undeformed image stays visible.
+        """
+        stays = self.is_before and layer_painted(self._viewer) is not None
+        before = stays or (before and (self.is_before or self.visible))
         if before != self.is_before:
             self.is_before = before
             self._update_visibility()
@@ -535,6 +543,12 @@ class ResultLayers:
         for result in self._results:
             if not isinstance(result.anchor(), Vectors):
                 result.show_before(result.anchor() is not source)
+
+    def show_before(self, source: Any, before: bool) -> None:
+        """Show an undeformed layer in all its slices, or show its results again."""
+        for result in self._results:
+            if result.anchor() is source:
+                result.show_before(before)
 
     def hide_paint(self) -> None:
         """Hide painted layers, which do not move, while a deformed image is visible."""

@@ -6,12 +6,11 @@ from typing import Any
 
 from napari.layers import Labels
 
-from napari_hmrf.layers.compat import fade
 from napari_hmrf.layers.field_layer import MOVED
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, metadata_of, role_of
 
-#: Modes in which napari paints.
-BRUSHES = ("paint", "erase", "fill", "polygon")
+#: Modes for painting in Labels layers, with the mode that picks a label from the image.
+BRUSHES = ("paint", "erase", "fill", "polygon", "pick")
 
 
 def lies_still(layer: Any) -> bool:
@@ -25,6 +24,18 @@ def is_painted(viewer: Any, layer: Any) -> bool:
     return is_active and layer.mode in BRUSHES
 
 
+def layer_painted(viewer: Any) -> Any:
+    """Return the tissue or boundary layer in which a brush of napari is selected, or None."""
+    active = viewer.layers.selection.active
+    return active if is_painted(viewer, active) and lies_still(active) else None
+
+
+def put_brush_away(viewer: Any) -> None:
+    """Let the mouse move the view again if a brush is selected in a tissue or boundary layer."""
+    if (layer := layer_painted(viewer)) is not None:
+        layer.mode = "pan_zoom"
+
+
 def is_deformed(viewer: Any) -> bool:
     """Return whether a deformed image is visible."""
     return any(each.visible and metadata_of(each).get("kind") == "image" for each in viewer.layers)
@@ -34,15 +45,12 @@ def hide_still_paint(viewer: Any) -> list[Any]:
     """Hide painted layers while a deformed image is visible, and return the hidden layers.
 
     Over a deformed image, the paint would look like an error of the deformation. A layer in which a
-    brush is selected stays in use and is not drawn until the undeformed image is visible again.
+    brush is selected stays visible.
     """
-    deformed, hidden = is_deformed(viewer), []
-    for layer in viewer.layers:
-        if not (lies_still(layer) and layer.visible):
-            continue
-        in_use = is_painted(viewer, layer)
-        fade(viewer, layer, 0.0 if deformed and in_use else 1.0)
-        if deformed and not in_use:
-            layer.visible = False
-            hidden.append(layer)
+    if not is_deformed(viewer):
+        return []
+    shown = [each for each in viewer.layers if lies_still(each) and each.visible]
+    hidden = [each for each in shown if not is_painted(viewer, each)]
+    for layer in hidden:
+        layer.visible = False
     return hidden

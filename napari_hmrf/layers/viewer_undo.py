@@ -61,11 +61,14 @@ class ViewerUndo:
         if not self._undo_older_paint("redo", self.model.next_redo):
             self._report("redo", "Redid", self.model.redo(), "There is nothing to redo.")
 
-    @property
-    def tooltips(self) -> tuple[str, str]:
-        """Tooltips of undo and redo, with the next step and the key."""
+    def tooltips(self, image: Any = None) -> tuple[str, str]:
+        """Return the tooltips of undo and redo, with the next step and the key.
+
+        A step that changes another image than `image` is named with that image.
+        """
         undo, redo = self.model.next_undo, self.model.next_redo
-        return f"{_tip('undo', undo)} (Ctrl+Z)", f"{_tip('redo', redo)} (Ctrl+Shift+Z)"
+        first, second = _tip("undo", undo, image), _tip("redo", redo, image)
+        return f"{first} (Ctrl+Z)", f"{second} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: object) -> None:
         """Bind undo and redo to their keys.
@@ -190,8 +193,13 @@ def _repeat(layer: Any, name: str) -> None:
     getattr(layer, name)()
 
 
-def _tip(what: str, step: Step | None) -> str:
-    return f"Nothing to {what}" if step is None else f"{what.capitalize()}: {step.word}"
+def _tip(what: str, step: Step | None, image: Any) -> str:
+    if step is None:
+        return f"Nothing to {what}"
+    part, where = step.part, ""
+    if isinstance(part, Part) and part.kind in ("drawing", "choice"):
+        where = f" on '{part.layer.name}'" if part.layer and part.layer is not image else ""
+    return f"{what.capitalize()}{where}: {step.word}"
 
 
 def undo_of(viewer: Any) -> ViewerUndo:

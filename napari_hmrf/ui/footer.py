@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from magicgui.widgets import CheckBox, Container, PushButton
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QVBoxLayout, QWhatsThis, QWidget
@@ -124,9 +126,9 @@ class Footer(QWidget):
         beside.setAlignment(self.other, Qt.AlignmentFlag.AlignRight)
         return place
 
-    def show_steps(self, undo: ViewerUndo) -> None:
-        """Show the next steps to undo and redo."""
-        self.undo.tooltip, self.redo.tooltip = undo.tooltips
+    def show_steps(self, undo: ViewerUndo, image: Any = None) -> None:
+        """Show the next steps to undo and redo, with their image if it is not `image`."""
+        self.undo.tooltip, self.redo.tooltip = undo.tooltips(image)
         self.undo.enabled = undo.model.next_undo is not None
         self.redo.enabled = undo.model.next_redo is not None
 

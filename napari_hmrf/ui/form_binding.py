@@ -5,7 +5,6 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 from napari.layers import Labels, Layer
@@ -94,7 +93,11 @@ class FormBinding:
         form.tissue.editor.plot.settled.connect(model.end)
         form.footer.undo.changed.connect(lambda _: undo.undo())
         form.footer.redo.changed.connect(lambda _: undo.redo())
-        show = partial(form.footer.show_steps, undo)
+
+        def show(*_: Any) -> None:
+            form.footer.show_steps(undo, form.image.value)
+
+        form.image.changed.connect(show)
         self._connections = EventConnections(
             (model.changed, self._on_changed),
             (model.selected, self._on_selected),

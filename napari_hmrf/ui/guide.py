@@ -43,6 +43,7 @@ class Guide:
         self._aside = ""
         self._why: Why = "news"
         self._introduction = ""
+        self._is_painting = False
         for table in form.tables:
             table.message.connect(partial(self.show_message, why="step"))
             table.refusal.connect(self.refuse)
@@ -69,8 +70,22 @@ class Guide:
     def shown(self) -> str:
         """Displayed status text; it names the button "Deform" as the button is labelled now."""
         doing = "" if self._why == "refused" else self._doing
-        text, button = doing or self._message or self.invitation, self._form.footer.deform.text
+        hint = messages.MEANWHILE if self._is_painting else self.invitation
+        text, button = doing or self._message or hint, self._form.footer.deform.text
+        if self._is_painting and messages.MEANWHILE not in text and not doing:
+            text = f"{text} {messages.MEANWHILE}"
         return text if button == DEFORM else text.replace(f"ress {DEFORM}", f"ress '{button}'")
+
+    @property
+    def is_painting(self) -> bool:
+        """True while the deformed image is hidden because the user paints."""
+        return self._is_painting
+
+    @is_painting.setter
+    def is_painting(self, is_painting: bool) -> None:
+        if is_painting != self._is_painting:
+            self._is_painting = is_painting
+            self.show()
 
     @property
     def introduction(self) -> str:

@@ -14,6 +14,7 @@ from qtpy.QtWidgets import QMessageBox
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
+from napari_hmrf.layers.still_paint import put_brush_away
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.solver.solution import Solution
@@ -355,7 +356,7 @@ class SoftTissue(DockValues):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self.show_message(messages.MEANWHILE if self.before else "")
+            self.show_message("")
 
     def _connect(self) -> None:
         form, pointer, controller = self._form, self._pointer, self._controller
@@ -377,10 +378,7 @@ class SoftTissue(DockValues):
         form.footer.reset.changed.connect(lambda _: self._on_reset())
         for table in form.tables:
             table.picked.connect(self.hand_brush)
-            # Show the effect of a typed value even while the brush is active.
-            table.changed.connect(
-                lambda automatic: None if automatic else controller.show_before(False)
-            )
+            table.changed.connect(self._on_table)
         pointer.changed.connect(self._show_tool)
         pointer.action_started.connect(partial(setattr, self, "_unused", False))
         controller.finished.connect(self._on_finished)
@@ -425,9 +423,16 @@ class SoftTissue(DockValues):
                 self.start()
         self._show_tool()
 
+    def _on_table(self, is_automatic: bool) -> None:
+        """Show the effect of a typed value."""
+        if not is_automatic and self.before:
+            put_brush_away(self._viewer)
+            self._controller.show_before(False)
+
     def _on_finished(self, outputs: object) -> None:
         """Hide the paint, which would tint the requested result."""
         if outputs is not None and self.image is not None:
+            put_brush_away(self._viewer)
             self._controller.show_before(False)
             for tissue in (self._form.tissue.layer, self._controller.curve_layer.layer):
                 if tissue is not None:

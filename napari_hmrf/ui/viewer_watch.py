@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from typing import Any
 
 from napari.layers import Points
@@ -28,8 +29,8 @@ from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
 class ViewerWatch:
     """Listener that updates a dock when its viewer changes.
 
-    napari's own brushes paint on the undeformed image, so the undeformed image is shown when a
-    brush is selected and while it paints.
+    napari's own brushes paint on the undeformed image, so the undeformed image is shown while a
+    brush is selected.
 
     Parameters
     ----------
@@ -59,6 +60,10 @@ class ViewerWatch:
         self._has_started = self._was_active = False
         # Painted layer that the user works on, shown on the undeformed image; or None.
         self._in_use: Any = None
+        # True while a brush is selected in this layer, also while Space is pressed.
+        self._is_painting = self._is_view_moved = False
+        # Stack that unbinds the Space key of this layer.
+        self._space = ExitStack()
         # Message about a removed layer, until it is shown.
         self._removal_message = ""
         controller.slice_changed.connect(self._on_moved)
@@ -80,15 +85,15 @@ class ViewerWatch:
             (viewer.dims.events, self._on_slice),
         )
         self._results.paint_hidden.connect(self._on_paint_hidden)
-        viewer.mouse_drag_callbacks.append(self._on_drag)
+        self._results.before_changed.connect(self._on_before)
         self._on_choice()
 
     def release(self) -> None:
         """Disconnect from all events."""
         self._events.release()
         self._results.paint_hidden.disconnect(self._on_paint_hidden)
-        if self._on_drag in self._viewer.mouse_drag_callbacks:
-            self._viewer.mouse_drag_callbacks.remove(self._on_drag)
+        self._results.before_changed.disconnect(self._on_before)
+        self._space.close()
 
     def _on_moved(self, study: Study) -> None:
         """Set the range of the tool sizes; for the first image, also set the sizes.
@@ -259,20 +264,52 @@ class ViewerWatch:
     def _on_mode(self, *_: Any) -> None:
         """Show the undeformed image while a painted layer is in use, else the deformed image.
 
-        Without its brush, the layer stays in use until another layer is selected: napari takes away
-        the brush while the view is moved with the space key.
+        A layer is in use while a brush is selected in it. A layer that the user has shown on the
+        undeformed image stays in use until another layer is selected.
         """
-        active = self._viewer.layers.selection.active
-        if self._is_painted:
+        active, was_painting = self._viewer.layers.selection.active, self._is_painting
+        if self._is_view_moved and active is self._in_use:
+            return
+        self._is_painting = self._is_painted
+        if self._is_painting:
+            if active is not self._in_use or not was_painting:
+                self._bind_space(active)
             self._in_use = active
-        elif active is not self._in_use:
+            if not was_painting:
+                self._guide.invite()  # the message about the layer in use is out of date
+        elif was_painting or active is not self._in_use:
+            self._space.close()
             self._in_use = None
         self._show_before(self._in_use is not None)
 
+    def _bind_space(self, layer: Any) -> None:
+        self._space.close()
+        with suppress(ValueError):  # the key is already bound by another plugin
+            layer.bind_key("Space", self._on_space)
+            self._space.callback(layer.bind_key, "Space", None)
+
+    def _on_space(self, layer: Any) -> Iterator[None]:
+        """Move the view with the mouse while Space is pressed, as napari does, and keep painting.
+
+        From napari's own key binding, the change of the mode would look like the end of painting.
+        """
+        mode, self._is_view_moved = layer.mode, True
+        layer.mode = "pan_zoom"
+        yield
+        layer.mode = mode
+        self._is_view_moved = False
+
     def _show_before(self, before: bool) -> None:
         """Show the undeformed image with its paint, or the deformed image without paint."""
-        self._controller.show_before(before)
+        self._results.show_before(self._controller.source, before)
         self._results.hide_paint()
+        self._on_before()
+
+    def _on_before(self) -> None:
+        """Update the message about the deformed image that is hidden while the user paints."""
+        result = self._controller.pointer.display.result
+        is_hidden = result is not None and result.is_before
+        self._guide.is_painting = is_hidden and self._is_painting
 
     def _on_visible(self, event: Any) -> None:
         """Show the undeformed image while the user shows a painted layer on it."""
@@ -293,13 +330,3 @@ class ViewerWatch:
     def _on_paint_hidden(self, layers: list[Any]) -> None:
         names = ", ".join(f"'{layer.name}'" for layer in layers)
         self._guide.add_aside(messages.PAINT_HIDDEN.format(names))
-
-    def _on_drag(self, _: Any, event: Any) -> Iterator[None]:
-        """Show the undeformed image while a brush paints, then the deformed image."""
-        if not self._is_painted:
-            return
-        self._show_before(True)
-        yield
-        while event.type == "mouse_move":
-            yield
-        self._show_before(False)

@@ -1,11 +1,15 @@
 """Tests that painted layers, which do not move, are never visible over a deformed image."""
 
 import pytest
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
 
 from napari_hmrf.layers.compat import drawn_node
 from napari_hmrf.layers.metadata import metadata_of
+from napari_hmrf.ui.messages import MEANWHILE
 from tests.support.docks import dock_in, quick, viewer_of
 from tests.support.person import Person
+from tests.support.screen import Screen
 from tests.support.windowless import Touch
 
 
@@ -77,31 +81,88 @@ def test_undone_paint_in_a_hidden_layer_is_solved(painted, settle):
     assert widget.solution.tissue.sum() > holes, "the undone paint was not noticed"
 
 
-def test_a_brush_stays_in_use_but_its_paint_is_not_drawn_over_the_result(
-    make_napari_viewer, small_sample, at_rest, settle, qtbot
-):
+@pytest.fixture
+def painting(make_napari_viewer, small_sample, at_rest, settle, qtbot):
+    """Return a person with the brush of the tissue in a window with a result, and the dock."""
     viewer = make_napari_viewer(show=True)
-    _, tissue, _ = small_sample(viewer, (48, 64))
+    small_sample(viewer, (48, 64))
     widget = quick(dock_in(viewer))
     widget.live = True
     at_rest()
     settle(widget)
-    person, deformed = Person(viewer, qtbot), deformed_of(viewer)
-    widget.hand_brush(tissue)
+    assert deformed_of(viewer).visible
+    Screen(widget).click_row("air")
+    return Person(viewer, qtbot), widget
 
-    def opacity():
-        return drawn_node(viewer, tissue).opacity
 
-    assert not deformed.visible
-    seen = []
-    person.paint((20, 20), (24, 24), between=lambda: seen.append(opacity()))
-    assert set(seen) == {tissue.opacity}
+def shows_paint(widget):
+    """Return whether the image and its paint are shown undeformed, with the message about it."""
+    deformed, tissue = deformed_of(viewer_of(widget)), widget.tissue
+    is_undeformed = tissue.visible and not deformed.visible
+    assert is_undeformed == (MEANWHILE in widget.status)
+    assert tissue.visible != deformed.visible
+    return is_undeformed
+
+
+def test_a_painted_stroke_stays_visible_on_the_undeformed_image(painting, settle):
+    person, widget = painting
+    drawn, found = drawn_node(person.viewer, widget.tissue), []
+    widget.result_drawn.connect(found.append)
+    for row in (20, 24):
+        person.paint((row, 20), (row, 24))
+        settle(widget)
+        assert found, "the stroke was not solved"
+        assert shows_paint(widget)
+        assert drawn.opacity == widget.tissue.opacity
+        found.clear()
+
+
+def test_moving_the_view_with_the_space_key_does_not_end_painting(painting):
+    person, widget = painting
+    native = person.canvas
+    native.setFocus()
+    QTest.keyPress(native, Qt.Key.Key_Space)
+    assert widget.tissue.mode == "pan_zoom"
+    assert shows_paint(widget)
+    QTest.keyRelease(native, Qt.Key.Key_Space)
+    assert widget.tissue.mode == "paint"
+    assert shows_paint(widget)
+
+
+@pytest.mark.parametrize("end", ["view", "image", "tool", "play", "overlay", "eye", "deform"])
+def test_the_deformed_image_returns_when_painting_ends(painting, settle, end):
+    person, widget = painting
+    viewer, screen = person.viewer, Screen(widget)
+    assert shows_paint(widget)
+    actions = {
+        "view": lambda: setattr(widget.tissue, "mode", "pan_zoom"),
+        "image": lambda: setattr(viewer.layers.selection, "active", widget.image),
+        "tool": lambda: screen.press("Pull"),
+        "play": lambda: screen.press("Play"),
+        "overlay": lambda: setattr(widget, "overlay", "magnitude"),
+        "eye": lambda: setattr(widget.tissue, "visible", False),
+        "deform": lambda: screen.press("Solve precisely"),
+    }
+    actions[end]()
+    widget.pause()
     settle(widget)
-    assert (deformed.visible, tissue.visible, tissue.mode) == (True, True, "paint")
-    assert opacity() == 0
-    person.press(20, 20)
-    assert (deformed.visible, opacity()) == (False, tissue.opacity)
-    person.release(20, 20)
+    assert not shows_paint(widget)
+    assert widget.tissue.mode == "pan_zoom" or end in ("image", "tool")
+
+
+def test_the_first_result_is_not_shown_while_the_user_paints(
+    make_napari_viewer, small_sample, at_rest, settle, qtbot
+):
+    viewer = make_napari_viewer(show=True)
+    small_sample(viewer, (48, 64))
+    widget = quick(dock_in(viewer))
+    at_rest()
+    Screen(widget).click_row("air")
+    assert MEANWHILE not in widget.status
+    widget.live = True
     settle(widget)
-    tissue.mode = "pan_zoom"  # as napari does while the space key is held
-    assert (deformed.visible, tissue.visible, opacity()) == (False, True, tissue.opacity)
+    assert widget.solution is not None
+    assert widget.boundary.visible, "the paint of the other layer was hidden"
+    assert shows_paint(widget)
+    widget.tissue.mode = "pan_zoom"
+    assert not shows_paint(widget)

@@ -199,8 +199,11 @@ def test_undo_on_another_image_shows_that_image(viewer, widget, settle):
     settle(widget)
     widget.drawing = MARKS
     settle(widget)
+    undo = Screen(widget).button("Undo")
+    assert undo.toolTip() == "Undo: replaced the drawing (Ctrl+Z)"
     widget.image = second[0]
     settle(widget)
+    assert undo.toolTip() == f"Undo on '{first[0].name}': replaced the drawing (Ctrl+Z)"
     widget.undo()
     settle(widget)
     assert widget.image is first[0]

@@ -15,6 +15,7 @@ from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import directions_of
+from napari_hmrf.layers.still_paint import layer_painted, put_brush_away
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.forms import attempt
@@ -203,7 +204,9 @@ class ResultView:
         shown, arrows = self.shown, result.layer("arrows")
         moves = self.player.playing or self._jobs.busy("moment")
         if shown is None or result is not shown.layers:
-            if arrows is not None and arrows.visible:
+            # While the user paints, a new result is hidden.
+            is_hidden = result.is_before and layer_painted(self._viewer) is not None
+            if arrows is not None and (arrows.visible or is_hidden):
                 self.arrows = arrows
         elif result.is_away or not (result.moving or result.holds("arrows")):
             self.arrows = None
@@ -222,7 +225,7 @@ class ResultView:
             self.arrows = active
 
     def _on_chosen(self, *_: Any) -> None:
-        self.before = False
+        self._end_before()
         self._lay_over(chosen=True)
 
     def _on_inserted(self, event: Any) -> None:
@@ -292,7 +295,7 @@ class ResultView:
 
     def _can_move(self) -> bool:
         """Prepare the layers to move; if no layer can move, report why and return False."""
-        self.before = False
+        self._end_before()
         if self.shown is None:
             self.message.emit(words.NO_RESULT)
         elif not self.shown.ready():
@@ -302,6 +305,12 @@ class ResultView:
                 self.message.emit(words.BURIED)
             return True
         return False
+
+    def _end_before(self) -> None:
+        """Show the deformed image, and end painting, which shows the undeformed image."""
+        if self.shown is not None:
+            put_brush_away(self._viewer)
+        self.before = False
 
     @property
     def _is_buried(self) -> bool:
