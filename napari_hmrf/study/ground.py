@@ -19,7 +19,7 @@ from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, missing_constraint
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
-from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
 from napari_hmrf.solver.real_arrays import first_index, how_many
 from napari_hmrf.solver.solution import Solution
@@ -44,6 +44,7 @@ from napari_hmrf.tissue.drawing import Canvas
 from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
+from napari_hmrf.tissue.sliding import sliding_data
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 #: Stiffness of the subject and of its dark surroundings if there is no tissue map. The surroundings
@@ -195,12 +196,16 @@ class Ground:
         labels = canvas.labels.copy() if painted else None
         at_rest = np.zeros(m.shape, dtype=bool)
         if isinstance(prior, Elastic):
-            at_rest = scraps(m > 0, canvas.confidence > 0)
+            at_rest = scraps(m > 0, (canvas.confidence > 0) | canvas.slides[..., None])
             if at_rest.any():
                 m = np.where(at_rest, np.float32(0), m)
         with self.study.naming():
             loads, spacing = self._loads(canvas.labels, m), self.study.grid.spacing
-            problem = Problem(canvas.observed, canvas.confidence, m, spacing=spacing, loads=loads)
+            refuse_sliding(self.study, canvas.slides)
+            y, precision = sliding_data(canvas.observed, canvas.slides, m, spacing)
+            problem = Problem(
+                y, canvas.confidence, m, spacing=spacing, loads=loads, precision=precision
+            )
         return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study)
 
     def _loads(self, labels: npt.NDArray[Any], m: FloatArray) -> Loads | None:
@@ -267,16 +272,34 @@ class Ground:
         return tuple(filter(None, notes))
 
 
-def refuse_unknown(study: Study) -> None:
-    """Raise an error for rigid tissue, growth or forces that the prior does not support.
+def refuse_sliding(study: Study, slides: npt.NDArray[np.bool_] | bool) -> None:
+    """Raise an error if tissue slides, and the model does not support it.
 
     Raises
     ------
     ProblemError
-        If the study has rigid tissue, growth or forces that are not supported; the error names the
-        tissue and suggests a remedy.
+        If `slides` is true anywhere, and the model is not the elastic model.
+    """
+    if not isinstance(study.prior, ElasticPrior) and np.any(slides):
+        raise ProblemError(
+            study.named("boundary", "drawing"),
+            f"has tissue that slides, which the model '{study.model_name}' does not support. Use "
+            "the elastic model (`model='elastic'`), or hold the surface fixed.",
+        )
+
+
+def refuse_unknown(study: Study) -> None:
+    """Raise an error for rigid tissue, loads or surfaces that the prior does not support.
+
+    Raises
+    ------
+    ProblemError
+        If the study has rigid tissue, growth, forces or sliding surfaces that are not supported;
+        the error names the tissue and suggests a remedy.
     """
     prior, tissue = study.prior, study.tissue
+    if not isinstance(prior, ElasticPrior):
+        refuse_sliding(study, study.slides)
     if study.bears_loads and not isinstance(prior, Elastic):
         raise LayerError(
             study.named("tissue", "image"),
@@ -510,6 +533,10 @@ def _observe(study: Study, base: Canvas) -> list[str]:
             y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
         painted = motion.labels != 0
         base.observed[painted], base.confidence[painted] = y[painted], c[painted]
+        for rule in rules:
+            if rule.action == "slide":
+                under = motion.labels == rule.label
+                base.slides[under], base.observed[under, 0] = True, rule.amount
     with study.naming(drawn=False):
         check_reach(base.observed, base.spacing)
     return notes

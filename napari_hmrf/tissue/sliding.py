@@ -29,15 +29,17 @@ Mask = npt.NDArray[np.bool_]
 STRENGTH = 1e3
 #: Standard deviation of the Gaussian blur of the first estimate of the normals, in pixels.
 _BLUR = 1.5
-#: Standard deviation of the Gaussian weights of a fit, in pixels, and the radius of the fit in
-#: standard deviations.
-_WIDTH, _REACH = 4.0, 2.5
+#: Standard deviation of the Gaussian weights of a fit in an image and in a volume, in pixels. A
+#: line has fewer sites than a surface, so its fit is wider.
+_WIDTH = {2: 6.0, 3: 4.0}
+#: Radius of a fit, in standard deviations.
+_REACH = 2.5
 #: Largest number of sites in a fit, in an image and in a volume.
-_NEIGHBOURS = {2: 30, 3: 100}
+_NEIGHBOURS = {2: 36, 3: 180}
 #: Distance from the fitted surface beyond which a site has little weight, in pixels.
 _OUTLIER = 1.0
-#: Typical curvature of a surface, in 1 / pixels; the fit prefers smaller curvatures.
-_CURVATURE = 0.06
+#: Typical curvature of a line and a surface, in 1 / pixels; a fit prefers smaller curvatures.
+_CURVATURE = {2: 0.03, 3: 0.06}
 #: Weight of an unpainted site of the surface in a fit; a painted site has weight 1.
 _UNPAINTED = 0.3
 # Number of frames of a fit, and number of weightings in each frame.
@@ -110,7 +112,7 @@ def sliding_surface(
     normals = np.zeros((*tissue.shape, tissue.ndim), np.float32)
     outer = np.zeros(tissue.shape, np.bool_)
     for box, part in parts_of(paint & tissue):
-        margin = [int(np.ceil(_REACH * _WIDTH / along)) + 1 for along in size]
+        margin = [int(np.ceil(_REACH * _WIDTH[tissue.ndim] / along)) + 1 for along in size]
         wide = tuple(
             slice(max(side.start - more, 0), side.stop + more)
             for side, more in zip(box, margin, strict=True)
@@ -177,6 +179,78 @@ def sliding_precision(
     return tensors
 
 
+class _Data(NamedTuple):
+    """Sliding surface of some paint and its tensors."""
+
+    slides: Mask
+    stiffness: npt.NDArray[np.float32]
+    spacing: tuple[float, ...]
+    surface: SlidingSurface
+    tensors: Float64Array
+
+    def is_valid_for(
+        self, slides: Mask, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]
+    ) -> bool:
+        """Return whether the surface belongs to the given paint and stiffness."""
+        same = self.spacing == spacing and np.array_equal(self.slides, slides)
+        return same and np.array_equal(self.stiffness, stiffness)
+
+
+#: Last data of a sliding surface, cached because each frame of a drag needs them.
+_last_data: list[_Data] = []
+
+
+def sliding_data(
+    observed: npt.NDArray[np.float32],
+    slides: Mask,
+    stiffness: npt.NDArray[np.float32],
+    spacing: tuple[float, ...],
+) -> tuple[npt.NDArray[np.float32], Float64Array | None]:
+    """Return the observed displacement and the precision of a problem with sliding paint.
+
+    Parameters
+    ----------
+    observed : ndarray, shape ([D,] H, W, n)
+        Observed displacement; where tissue slides, its first component is the displacement along
+        the outward normal.
+    slides : ndarray of bool, shape ([D,] H, W)
+        Paint along which tissue slides.
+    stiffness : ndarray, shape ([D,] H, W)
+    spacing : tuple of float
+
+    Returns
+    -------
+    observed : ndarray, shape ([D,] H, W, n)
+    precision : ndarray, shape ([D,] H, W, n, n), or None if no tissue slides
+
+    Raises
+    ------
+    ProblemError
+        If paint inside tissue has a displacement along its normal, which has no outside there.
+    """
+    if not slides.any():
+        return observed, None
+    last = next(
+        (each for each in _last_data if each.is_valid_for(slides, stiffness, spacing)), None
+    )
+    if last is None:
+        surface = sliding_surface(stiffness, slides, spacing=spacing)
+        tensors = sliding_precision(stiffness, surface, spacing=spacing)
+        last = _Data(slides.copy(), stiffness.copy(), spacing, surface, tensors)
+        _last_data[:] = [last]
+    surface, tensors = last.surface, last.tensors
+    amounts = observed[surface.sites][:, 0]
+    if (amounts[~surface.is_outer] != 0).any():
+        raise ProblemError(
+            "observed",
+            "shifts a surface that slides inside tissue along its normal, but such a surface has "
+            "no outside. Use a distance of 0 there, or paint the surface of the tissue.",
+        )
+    y = np.where(slides[..., None], np.float32(0), observed)
+    y[surface.sites] = amounts[:, None] * surface.normals
+    return y, tensors if tensors.any() else None
+
+
 def _surface_of(
     part: Mask, tissue: Mask, whole: list[tuple[bool, bool]]
 ) -> tuple[Mask, Mask, Mask, str]:
@@ -237,13 +311,14 @@ def _fitted(
     """Return the normals at sites of quadratic surfaces that are fitted to points."""
     axes = at.shape[1]
     tree = scipy.spatial.cKDTree(points)
+    width = _WIDTH[axes]
     most = min(len(points), _NEIGHBOURS[axes])
     fitted = np.empty_like(normals)
     for start in range(0, len(at), _TOGETHER):
         some = slice(start, start + _TOGETHER)
         far, of = tree.query(at[some], k=np.arange(1, most + 1))
-        near = far <= _REACH * _WIDTH
-        weight = np.where(near, np.exp(-0.5 * (far / _WIDTH) ** 2) * weights[of], 0.0)
+        near = far <= _REACH * width
+        weight = np.where(near, np.exp(-0.5 * (far / width) ** 2) * weights[of], 0.0)
         fitted[some] = _fit(points[of] - at[some, None], weight, normals[some])
     return fitted
 
@@ -262,7 +337,7 @@ def _fit(relative: Float64Array, weight: Float64Array, normals: Float64Array) ->
     """
     axes = relative.shape[2]
     pairs = list(itertools.combinations_with_replacement(range(axes - 1), 2))
-    penalty = np.diag([1e-9] * axes + [_CURVATURE**-2] * len(pairs))
+    penalty = np.diag([1e-9] * axes + [_CURVATURE[axes] ** -2] * len(pairs))
     for _ in range(_FRAMES):
         eye = np.broadcast_to(np.eye(axes), (len(normals), axes, axes))
         along = np.linalg.qr(np.concatenate([normals[:, :, None], eye], axis=2))[0][:, :, 1:axes]
