@@ -42,6 +42,9 @@ _OUTLIER = 1.0
 _CURVATURE = {2: 0.03, 3: 0.06}
 #: Weight of an unpainted site of the surface in a fit; a painted site has weight 1.
 _UNPAINTED = 0.3
+#: Smallest share of the outline of some paint that is on the surface of the tissue; with a smaller
+#: share, the paint is a line or a sheet inside tissue, which only ends at the surface.
+_SHARE = 0.15
 # Number of frames of a fit, and number of weightings in each frame.
 _FRAMES, _WEIGHTINGS = 3, 3
 # Number of sites that are fitted together, to limit the memory.
@@ -74,7 +77,7 @@ def sliding_surface(
 
     For each connected part of the paint, these are its sites on the surface of the tissue, next to
     void or at the edge of the image, and the normals of this surface. A part inside tissue has the
-    normals of its own outline.
+    normals of its own outline, even if an end of it reaches the surface.
 
     The normal of a site is the normal of a quadratic surface that is fitted to the sites around it.
     Sites far from the fitted surface, such as those on the other side of a corner, hardly count.
@@ -281,8 +284,8 @@ def _surface_of(
             at_edge.swapaxes(0, axis)[end] |= is_edge
     at_edge &= tissue
     by_void, only_edge = part & next_to_void, part & at_edge & ~next_to_void
-    if not by_void.any() and not only_edge.any():
-        rim = outer_rim(part)
+    rim = outer_rim(part)
+    if np.count_nonzero(by_void | only_edge) < _SHARE * np.count_nonzero(rim):
         return rim, rim, part, "nearest"
     if np.count_nonzero(only_edge) > np.count_nonzero(by_void):
         return part & (next_to_void | at_edge), next_to_void | at_edge, tissue, "constant"
