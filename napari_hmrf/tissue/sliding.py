@@ -146,19 +146,20 @@ def sliding_surface(
 
 def sliding_precision(
     stiffness: npt.ArrayLike,
-    surface: SlidingSurface,
+    painted: npt.ArrayLike,
     *,
     spacing: float | Sequence[float],
     strength: float = STRENGTH,
 ) -> Float64Array:
-    """Return the precision tensors of a surface along which tissue slides.
+    """Return the precision tensors of a painted surface along which tissue slides.
 
     Parameters
     ----------
     stiffness : array_like, shape ([D,] H, W)
         Stiffness of the problem; above 0 in tissue, infinite in rigid tissue.
-    surface : SlidingSurface
-        Result of `sliding_surface` for this stiffness.
+    painted : array_like of bool, shape ([D,] H, W)
+        Mask of the painted sites. Tissue slides where the paint covers its surface, next to void or
+        at the edge of the image; paint inside tissue slides along its own outline.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis; a single number applies to all axes.
     strength : float
@@ -169,7 +170,23 @@ def sliding_precision(
     -------
     ndarray, shape ([D,] H, W, n, n)
         Argument `precision` of a `Problem`; 0 at sites that do not slide.
+
+    Raises
+    ------
+    ProblemError
+        If an input is invalid; the message names the input and a remedy.
     """
+    surface = sliding_surface(stiffness, painted, spacing=spacing)
+    return _tensors(stiffness, surface, spacing, strength)
+
+
+def _tensors(
+    stiffness: npt.ArrayLike,
+    surface: SlidingSurface,
+    spacing: float | Sequence[float],
+    strength: float = STRENGTH,
+) -> Float64Array:
+    """Return the precision tensors of a sliding surface."""
     m = as_float32("stiffness", stiffness).astype(np.float64)
     size = checked_spacing(spacing, m.ndim)
     soft = np.where(np.isfinite(m), m, 0.0)
@@ -238,7 +255,7 @@ def sliding_data(
     )
     if last is None:
         surface = sliding_surface(stiffness, slides, spacing=spacing)
-        tensors = sliding_precision(stiffness, surface, spacing=spacing)
+        tensors = _tensors(stiffness, surface, spacing)
         last = _Data(slides.copy(), stiffness.copy(), spacing, surface, tensors)
         _last_data[:] = [last]
     surface, tensors = last.surface, last.tensors

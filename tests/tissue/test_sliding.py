@@ -12,7 +12,7 @@ from napari_hmrf.tissue.sliding import sliding_precision, sliding_surface
 def slipped(y, c, m, painted, spacing=1.0):
     """Return the sites and normals of a sliding surface, and their displacement."""
     surface = sliding_surface(m, painted, spacing=spacing)
-    data = sliding_precision(m, surface, spacing=spacing)
+    data = sliding_precision(m, painted, spacing=spacing)
     spacing = np.broadcast_to(spacing, m.ndim).tolist()
     solution = solve(
         Problem(y, c, m, precision=data, spacing=spacing), ElasticPrior(0.3), backend="cpu"
