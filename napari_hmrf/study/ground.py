@@ -280,9 +280,10 @@ def refuse_sliding(study: Study, slides: npt.NDArray[np.bool_] | bool) -> None:
     ProblemError
         If `slides` is true anywhere, and the model is not the elastic model.
     """
+    by_label = (rule.action == "slide" for rule in study.motion.rules)
     if not isinstance(study.prior, ElasticPrior) and np.any(slides):
         raise ProblemError(
-            study.named("boundary", "drawing"),
+            study.named("boundary" if any(by_label) else "drawing"),
             f"has tissue that slides, which the model '{study.model_name}' does not support. Use "
             "the elastic model (`model='elastic'`), or hold the surface fixed.",
         )

@@ -40,8 +40,9 @@ _NEIGHBOURS = {2: 36, 3: 180}
 _OUTLIER = 1.0
 #: Typical curvature of a line and a surface, in 1 / pixels; a fit prefers smaller curvatures.
 _CURVATURE = {2: 0.03, 3: 0.06}
-#: Weight of an unpainted site of the surface in a fit; a painted site has weight 1.
-_UNPAINTED = 0.3
+#: Weight of an unpainted site of the surface in a fit; a painted site has weight 1. It continues
+#: the surface beyond the end of the paint, but hardly counts beyond a corner.
+_UNPAINTED = 0.1
 #: Smallest share of the outline of some paint that is on the surface of the tissue; with a smaller
 #: share, the paint is a line or a sheet inside tissue, which only ends at the surface.
 _SHARE = 0.15
@@ -305,7 +306,8 @@ def _surface_of(
     if np.count_nonzero(by_void | only_edge) < _SHARE * np.count_nonzero(rim):
         return rim, rim, part, "nearest"
     if np.count_nonzero(only_edge) > np.count_nonzero(by_void):
-        return part & (next_to_void | at_edge), next_to_void | at_edge, tissue, "constant"
+        own = part & (next_to_void | at_edge)
+        return own, own, tissue, "constant"
     # Tissue continues beyond the edge of the image, so that the surface has no corner there.
     return by_void, next_to_void, tissue, "nearest"
 

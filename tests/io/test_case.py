@@ -264,6 +264,17 @@ def test_unused_columns_of_a_rule_may_contain_their_defaults(tmp_path):
     assert read_rules(tmp_path / "t.csv") == (BoundaryRule(1, "press", amount=3.0),)
 
 
+def test_a_rule_that_slides_needs_no_distance_and_may_have_one(tmp_path):
+    (tmp_path / "t.csv").write_text("label,action,amount\n1,slide,\n2,slide,-0.5\n")
+    slides = BoundaryRule(1, "slide"), BoundaryRule(2, "slide", amount=-0.5)
+    assert read_rules(tmp_path / "t.csv") == slides
+    (tmp_path / "t.csv").write_text("label,action\n1,slide\n")
+    assert read_rules(tmp_path / "t.csv") == slides[:1]
+    (tmp_path / "t.csv").write_text("label,action,confidence\n1,slide,0.5\n")
+    with pytest.raises(FileFormatError, match="confidence has no effect on slide"):
+        read_rules(tmp_path / "t.csv")
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
