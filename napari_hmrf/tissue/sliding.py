@@ -16,9 +16,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.data_term import MAX_PRECISION
 from napari_hmrf.solver.neighbours import around_sites, in_elements
-from napari_hmrf.solver.problem import checked_spacing
+from napari_hmrf.solver.problem import as_stiffness, checked_spacing
 from napari_hmrf.solver.real_arrays import as_float32
 from napari_hmrf.tissue.normals import outer_rim, parts_of
 
@@ -101,10 +103,11 @@ def sliding_surface(
     ProblemError
         If an input is invalid; the message names the input and a remedy.
     """
-    tissue, paint = as_float32("stiffness", stiffness) > 0, np.asarray(painted) != 0
-    if tissue.ndim not in (2, 3) or paint.shape != tissue.shape:
+    tissue = as_stiffness(stiffness) > 0
+    paint = as_float32("painted", painted) > 0
+    if paint.shape != tissue.shape:
         raise ProblemError(
-            "surface",
+            "painted",
             f"has shape {paint.shape}, but stiffness has shape {tissue.shape}. Use the same image "
             "or volume for both.",
         )
@@ -177,6 +180,11 @@ def sliding_precision(
     ProblemError
         If an input is invalid; the message names the input and a remedy.
     """
+    if not 0 < real(strength) <= MAX_PRECISION:
+        raise ProblemError(
+            "strength",
+            f"is {shown(strength)}. Pass a number above 0, up to {MAX_PRECISION:g}.",
+        )
     surface = sliding_surface(stiffness, painted, spacing=spacing)
     return _tensors(stiffness, surface, spacing, strength)
 

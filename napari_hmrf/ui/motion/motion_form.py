@@ -70,7 +70,8 @@ class MotionForm(Container):
 
     def __init__(self, layers: Callable[[], list[Any]], view: Callable[[], View]) -> None:
         self.tools = {
-            tool.name: _button(tool, is_large=number < _ROWS[0]) for number, tool in enumerate(TOOLS)
+            tool.name: _button(tool, is_large=number < _ROWS[0])
+            for number, tool in enumerate(TOOLS)
         }
         self.fields = ToolFields()
         self.edge = CheckBox(
