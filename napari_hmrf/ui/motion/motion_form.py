@@ -32,7 +32,7 @@ _PLACES = [
     for number in range(across)
 ]
 #: Sizes of the icons in the first row and in the other rows, in pixels.
-_ICONS = QSize(24, 24), QSize(14, 14)
+_ICONS = QSize(20, 20), QSize(12, 12)
 #: Style of the buttons on light and dark themes; napari's own style does not show a pressed state.
 _LOOK = """
 QToolButton { background: rgba(128, 128, 128, 60); border-radius: 2px; padding: 3px 0px; }
