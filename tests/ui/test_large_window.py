@@ -210,6 +210,21 @@ def test_a_painted_boundary_slides_and_large_motion_says_that_it_cannot(
     assert "Lid: has tissue that slides" in dock.status
 
 
+def test_large_motion_is_not_offered_for_folds_of_tissue_that_slides(dock, viewer, do_and_wait):
+    paint = np.zeros((SIZE, SIZE), int)
+    paint[-1] = 1
+    rules = (BoundaryRule(1, "fixed", name="table"),)
+    dock.boundary = viewer.add_labels(paint, name="Lid", metadata=layer_metadata(BOUNDARY, rules))
+    dock.hold_edge = True
+    screen = Screen(dock)
+    do_and_wait(screen.cell("tumour", "grows").write, "150")
+    assert offers(dock, "Use large motion")
+    slid = do_and_wait(screen.cell("table", "Action").choose, "slides")
+    assert slid.displacement[-1, 20, 0] == pytest.approx(0, abs=0.01)
+    assert slid.count_folds() > 0
+    assert not offers(dock, "Use large motion")
+
+
 def test_tissue_moves_in_the_direction_of_its_weight(dock, do_and_wait, tmp_path):
     screen = Screen(dock)
     do_and_wait(screen.choose, "down")
