@@ -33,8 +33,9 @@ class Change(NamedTuple):
     what : {"growth", "stiffness", "poisson", "amount", "model"}
         Changed property.
     value : float, tuple of float or str
-        New value, as in a `Material` or `BoundaryRule`. For the actions "expand" and "press",
-        "amount" is the distance or the pressure; for other actions, it is the length of the vector.
+        New value, as in a `Material` or `BoundaryRule`. For the actions "expand", "slide"
+        and "press", "amount" is the distance or the pressure; for other actions, it is the length
+        of the vector.
     of : str
         Label or name of a tissue or boundary; for a tissue, also the name of the known tissue that
         matches its name; "" for all tissue.
@@ -120,7 +121,7 @@ def _tissue_name(row: Material) -> str:
 
 
 def _with_amount(rule: BoundaryRule, amount: float) -> BoundaryRule:
-    if rule.action in ("expand", "press"):
+    if rule.action in ("expand", "press", "slide"):
         return replace(rule, amount=amount)
     length = math.hypot(*rule.vector)
     if not length:

@@ -12,7 +12,8 @@ A table of rules has the columns ``label`` and ``action`` and, optionally, ``nam
 
 - ``row``, ``col`` and, in a volume, ``plane``: displacement of the action "move", or force of the
   action "pull";
-- ``amount``: distance of the action "expand", or pressure of the action "press";
+- ``amount``: distance of the actions "expand" and "slide" along the outward normal, or pressure of
+  the action "press"; it may be omitted for "slide";
 - ``confidence``.
 
 Cells that the action of a rule does not use must be empty or have no effect.
@@ -135,7 +136,10 @@ _USED: dict[Action, tuple[str, ...]] = {
     "expand": ("amount", "confidence"),
     "press": ("amount",),
     "pull": ("plane", "row", "col"),
+    "slide": ("amount",),
 }
+#: Actions whose distance is 0 by default.
+_STILL: tuple[Action, ...] = ("slide",)
 #: Values without any effect, which are allowed in unused cells.
 _NEUTRAL = {"plane": 0.0, "row": 0.0, "col": 0.0, "amount": 0.0, "confidence": 1.0}
 #: Kind of table for each column that occurs in only one kind of table.
@@ -257,7 +261,7 @@ def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
     action, label = row["action"], row["label"]
     used = _USED[action]
     needed = [title for title in used if title in ("row", "col", "amount")]
-    missing = [title for title in needed if title not in row]
+    missing = [title for title in needed if title not in row and action not in _STILL]
     if missing:
         if missing == needed:
             raise FileFormatError(

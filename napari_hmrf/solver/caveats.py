@@ -95,12 +95,16 @@ def missing_constraint(problem: Problem) -> str:
         # Another check raises an error for unconstrained tissue.
         return ""
     observed = problem.known.any(axis=-1)
+    if problem.precision is not None:
+        observed |= problem.precision.any(axis=(-2, -1))
     displacements = problem.observed[observed]
     if not displacements.any():
         return (
             "nothing moves: mark tissue that moves or expands, by a distance other than 0 "
             "and with a confidence above 0"
         )
+    if problem.has_data:
+        return ""
     rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
     tolerance = 1e-3 * float(np.abs(displacements).max())
     is_translation = np.allclose(displacements, displacements[0], atol=tolerance)

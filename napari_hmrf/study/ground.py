@@ -51,6 +51,7 @@ from napari_hmrf.tissue.drawing import Canvas, Drawing
 from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
+from napari_hmrf.tissue.sliding import sliding_data
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 #: Stiffness of the subject and of its dark surroundings if there is no tissue map. The surroundings
@@ -211,7 +212,7 @@ class Ground:
         points, near = points_in_tissue(marks, m > 0)
         marks, points = tuple(compress(marks, near)), points[near]
         if isinstance(prior, Elastic):
-            held = canvas.confidence > 0
+            held = (canvas.confidence > 0) | canvas.slides[..., None]
             if marks:
                 held |= sites_of(points, m.shape)
             at_rest = scraps(m > 0, held)
@@ -219,15 +220,18 @@ class Ground:
                 m = np.where(at_rest, np.float32(0), m)
         with self.study.naming():
             loads, spacing = self._loads(canvas.labels, m), self.study.grid.spacing
+            refuse_sliding(self.study, canvas.slides)
+            y, precision = sliding_data(canvas.observed, canvas.slides, m, spacing)
             landmarks = landmark_data(
                 marks, points, m, self.body, spacing, self.study.motion.typical_strain
             )
             problem = Problem(
-                canvas.observed,
+                y,
                 canvas.confidence,
                 m,
                 spacing=spacing,
                 loads=loads,
+                precision=precision,
                 landmarks=landmarks,
             )
         return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study)
@@ -306,16 +310,35 @@ def _no_landmark_data(study: Study, count: int) -> LayerError:
     )
 
 
-def refuse_unknown(study: Study) -> None:
-    """Raise an error for rigid tissue, growth or forces that the prior does not support.
+def refuse_sliding(study: Study, slides: npt.NDArray[np.bool_] | bool) -> None:
+    """Raise an error if tissue slides, and the model does not support it.
 
     Raises
     ------
     ProblemError
-        If the study has rigid tissue, growth or forces that are not supported; the error names the
-        tissue and suggests a remedy.
+        If `slides` is true anywhere, and the model is not the elastic model.
+    """
+    by_label = (rule.action == "slide" for rule in study.motion.rules)
+    if not isinstance(study.prior, ElasticPrior) and np.any(slides):
+        raise ProblemError(
+            study.named("boundary" if any(by_label) else "drawing"),
+            f"has tissue that slides, which the model '{study.model_name}' does not support. Use "
+            "the elastic model (`model='elastic'`), or hold the surface fixed.",
+        )
+
+
+def refuse_unknown(study: Study) -> None:
+    """Raise an error for rigid tissue, loads or surfaces that the prior does not support.
+
+    Raises
+    ------
+    ProblemError
+        If the study has rigid tissue, growth, forces or sliding surfaces that are not supported;
+        the error names the tissue and suggests a remedy.
     """
     prior, tissue = study.prior, study.tissue
+    if not isinstance(prior, ElasticPrior):
+        refuse_sliding(study, study.slides)
     if study.bears_loads and not isinstance(prior, Elastic):
         raise LayerError(
             study.named("tissue", "image"),
@@ -549,6 +572,10 @@ def _observe(study: Study, base: Canvas) -> list[str]:
             y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
         painted = motion.labels != 0
         base.observed[painted], base.confidence[painted] = y[painted], c[painted]
+        for rule in rules:
+            if rule.action == "slide":
+                under = motion.labels == rule.label
+                base.slides[under], base.observed[under, 0] = True, rule.amount
     with study.naming(drawn=False):
         check_reach(base.observed, base.spacing)
     return notes

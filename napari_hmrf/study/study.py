@@ -28,7 +28,7 @@ from napari_hmrf.solver.problem import checked_spacing, grid_in_words, whole_num
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, is_by_name, parts_of
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
-from napari_hmrf.tissue.drawing import Drawing, Landmark
+from napari_hmrf.tissue.drawing import Drawing, Landmark, Stroke
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.tissue.tissue_maps import materials_of_maps, most_likely
@@ -599,6 +599,16 @@ class Study:
         forces = any(motion.weight) or any(rule.action in FORCES for rule in motion.rules)
         return forces or any(row.grows for row in self.tissue.materials)
 
+    @property
+    def slides(self) -> bool:
+        """True if tissue slides along a painted label or a stroke."""
+        marks, labels = self.motion.drawing.marks, self.motion.labels
+        sliding = [rule.label for rule in self.motion.rules if rule.action == "slide"]
+        drawn = any(isinstance(mark, Stroke) and mark.action == "slide" for mark in marks)
+        return drawn or (
+            bool(sliding) and labels is not None and bool(np.isin(labels, sliding).any())
+        )
+
     def named(self, *parts: str) -> str:
         """Return the name of the first given part with a name in `names`, else the first part."""
         return next((self.names[part] for part in parts if part in self.names), parts[0])
@@ -643,6 +653,7 @@ class Study:
             spacing=names.get("image") or tissue,
             growth=tissue,
             surface=names.get("boundary"),
+            precision=boundary,
             force=names.get("boundary"),
         ):
             yield

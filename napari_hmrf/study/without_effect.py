@@ -20,7 +20,7 @@ from napari_hmrf.tissue.drawing.marks import Mark, Point, is_painted
 # Largest number of marks whose positions a clause lists.
 _LISTED = 4
 #: Actions of strokes that have no effect outside tissue; other strokes can change earlier marks.
-_HOLD_OR_MOVE = ("pin", "move", "expand")
+_HOLD_OR_MOVE = ("pin", "move", "expand", "slide")
 
 
 def asks_motion(problem: Problem) -> bool:
@@ -30,6 +30,8 @@ def asks_motion(problem: Problem) -> bool:
         return True
     given = () if loads is None else (loads.growth, loads.force)
     moved = problem.known & (problem.observed != 0)
+    if problem.precision is not None:
+        moved |= problem.precision.any(axis=-1) & (problem.observed != 0)
     return bool(moved.any()) or any(part is not None and part.any() for part in given)
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         stiffness_image,
     )
     from napari_hmrf.tissue.material_presets import PRESETS, Preset
+    from napari_hmrf.tissue.sliding import sliding_precision
     from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
     from napari_hmrf.tissue.tissue_names import (
         KnownTissue,
@@ -46,6 +47,7 @@ __all__ = [
     "poisson_image",
     "read_label_names",
     "read_preset",
+    "sliding_precision",
     "stiffness_image",
     "write_preset",
 ]
@@ -67,6 +69,7 @@ _HOMES = {
     "poisson_image": "napari_hmrf.tissue.boundary_rules",
     "read_label_names": "napari_hmrf.io.segmentation_tables",
     "read_preset": "napari_hmrf.io.material_tables",
+    "sliding_precision": "napari_hmrf.tissue.sliding",
     "stiffness_image": "napari_hmrf.tissue.boundary_rules",
     "write_preset": "napari_hmrf.io.material_tables",
 }

@@ -21,7 +21,7 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import FloatArray, as_numbers, checked_spacing
 from napari_hmrf.tissue.normals import outward_normals
 
-Action = Literal["fixed", "move", "expand", "press", "pull"]
+Action = Literal["fixed", "move", "expand", "press", "pull", "slide"]
 #: Actions that are forces rather than observed displacements.
 FORCES: tuple[Action, ...] = "press", "pull"
 #: Growth strain: one number for all directions, or one number for each axis of the image.
@@ -130,12 +130,15 @@ class BoundaryRule:
     ----------
     label : int
         Value in the label image, above 0, because 0 means unpainted.
-    action : {"fixed", "move", "expand", "press", "pull"}
+    action : {"fixed", "move", "expand", "press", "pull", "slide"}
         Effect on the tissue under the label. "fixed": the tissue does not move. "move": the tissue
         moves by `vector`. "expand": the tissue moves outward by `amount`, or inward if `amount` is
         negative. A painted ring moves as a whole; a filled patch moves only at its rim. "press"
         and "pull": the tissue is free, and a pressure of `amount` or a traction of `vector` acts
-        on its surface under the label.
+        on its surface under the label. "slide": the tissue moves freely along its surface under
+        the label, and by `amount` along the outward normal of this surface; a label inside tissue
+        that does not cover a surface slides along its own outline. Only the elastic model supports
+        this action.
     vector : tuple of float
         Displacement along (row, col), or (plane, row, col) in a volume, in the unit of the pixel
         spacing; with two components in a volume, the plane component is 0. For "pull", force per
@@ -282,8 +285,9 @@ def boundary_images(
     observed : ndarray, shape ([D,] H, W, n), float32
         Material displacement in the order of the axes, in the unit of `spacing`.
     confidence : ndarray, shape ([D,] H, W, n), float32
-        Confidence of each component; 0 in unpainted pixels, under forces, in the interior of an
-        expanding patch, and in an expanding spot that is too small to have a direction.
+        Confidence of each component; 0 in unpainted pixels, under forces, where tissue slides, in
+        the interior of an expanding patch, and in an expanding spot that is too small to have a
+        direction.
 
     Raises
     ------
@@ -301,7 +305,7 @@ def boundary_images(
     for label in present:
         rule = table[int(label)]
         painted = image == label
-        if rule.action in FORCES:
+        if rule.action in FORCES or rule.action == "slide":
             continue
         c[painted] = (*(max(rule.confidence),) * (n - len(rule.confidence)), *rule.confidence)
         if rule.action == "move":
@@ -362,7 +366,7 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
         (
             "action",
             is_one_of(rule.action, get_args(Action)),
-            '"fixed", "move", "expand", "press" or "pull"',
+            '"fixed", "move", "expand", "press", "pull" or "slide"',
         ),
         ("vector", all(map(math.isfinite, vector)), f"a number for each of {each}"),
         ("amount", math.isfinite(real(rule.amount)), "a number"),

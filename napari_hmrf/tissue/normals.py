@@ -63,7 +63,7 @@ def outward_normals(
     sigma = _SMOOTHING * sizes.max() / sizes
     margin = tuple(math.ceil(4 * along) + 1 for along in sigma)
     normals = np.zeros((*mask.shape, mask.ndim), dtype=np.float32)
-    for box, part in _parts(mask):
+    for box, part in parts_of(mask):
         padded = np.pad(part, [(size, size) for size in margin])
         filled = ~outside_of(padded)
         _refuse_open_line(filled, sizes, name)
@@ -92,7 +92,7 @@ def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return units
 
 
-def _parts(
+def parts_of(
     mask: npt.NDArray[np.bool_],
 ) -> Iterator[tuple[tuple[slice, ...], npt.NDArray[np.bool_]]]:
     """Yield the bounding box of each connected part, and the part within the box."""
@@ -141,7 +141,7 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         Pixels of each part that are next to the outside of the part or at the edge of the image.
     """
     rim = mask & ~scipy.ndimage.binary_erosion(mask)
-    for box, part in _parts(mask):
+    for box, part in parts_of(mask):
         if part.size > _SPECK:
             rim[box] &= ~(part & scipy.ndimage.binary_erosion(~outside_of(part)))
     return np.asarray(rim)

@@ -118,7 +118,9 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
 
 def can_unfold(done: CompleteResult) -> bool:
     """Return whether the tissue folds and the large-motion model would avoid the folds."""
-    return "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"
+    study = done.moved.study
+    is_elastic = study.model_name == "elastic" and not study.slides
+    return is_elastic and "folds" in marks_of(done.outputs)
 
 
 def has_stopped(done: CompleteResult) -> bool:

@@ -51,6 +51,7 @@ _ACTIONS: dict[Action, str] = {
     "expand": "expands",
     "press": "pressed",
     "pull": "pulled",
+    "slide": "slides",
 }
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
 _FILES = f"Materials (*{ENDING})"
@@ -157,7 +158,9 @@ class BoundaryTable(LabelTable[BoundaryRule]):
                 "Action",
                 "fixed: stays in place.\nmoves: by a displacement along rows and columns.\n"
                 "expands: outward, by a distance; the paint must be a closed ring or a patch.\n"
-                "pressed, pulled: by a force per area, on the surface of tissue under the paint.",
+                "pressed, pulled: by a force per area, on the surface of tissue under the paint.\n"
+                "slides: keeps its distance from a wall, and moves freely along its surface; erase "
+                "the wall from the tissue (stiffness 0). In the elastic model.",
                 lambda row: _ACTIONS[row.action],
                 _action,
                 tuple(_BY_WORD),
@@ -165,22 +168,24 @@ class BoundaryTable(LabelTable[BoundaryRule]):
             *(_along(axis, unit, ways, "move", self._largest_distance) for axis in (0, 1)),
             _amount(
                 "out",
-                "Distance outward; negative: inward",
+                "Distance outward; negative: inward. For a surface that slides, usually 0",
                 unit,
-                "expand",
+                ("expand", "slide"),
                 self._largest_distance,
             ),
             Column(
                 "confi-\ndence",
                 "Confidence from 0 to 1.\nTwo numbers, such as 1 / 0.5: along rows and columns.",
-                lambda row: _joined(() if row.action in FORCES else dict.fromkeys(row.confidence)),
+                lambda row: _joined(
+                    () if row.action in (*FORCES, "slide") else dict.fromkeys(row.confidence)
+                ),
                 _confidence,
             ),
             _amount(
                 "pressure",
                 "Force per area; negative: suction",
                 per_area,
-                "press",
+                ("press",),
                 _largest_force,
             ),
             *(_along(axis, per_area, ways, "pull", _largest_force) for axis in (0, 1)),
@@ -204,6 +209,8 @@ def _action(rule: BoundaryRule, text: str) -> BoundaryRule:
     """Return the rule with another action; the amount is reset if its unit differs."""
     changed_rule = replace(rule, action=_BY_WORD[text])
     same = (changed_rule.action in FORCES) == (rule.action in FORCES)
+    if changed_rule.action == "slide":  # the distance of an expansion would usually be too large
+        return replace(changed_rule, amount=0.0)
     return changed_rule if same else replace(changed_rule, vector=(0.0, 0.0), amount=0.0)
 
 
@@ -229,12 +236,12 @@ def _along(
 
 
 def _amount(
-    title: str, about: str, unit: str, action: Action, largest: Callable[[], float]
+    title: str, about: str, unit: str, actions: tuple[Action, ...], largest: Callable[[], float]
 ) -> Column[BoundaryRule]:
-    """Return the column for an amount that applies to one action only."""
+    """Return the column for an amount that applies to some actions only."""
 
     def shown(rule: BoundaryRule) -> float | None:
-        return rule.amount if rule.action == action else None
+        return rule.amount if rule.action in actions else None
 
     return _distance(title, about, unit, shown, lambda row, far: replace(row, amount=far), largest)
 

@@ -212,7 +212,7 @@ def test_a_slice_of_a_stack_without_a_place_stores_its_number(tmp_path):
     [
         (
             "label,action\n1,fixed\n2,push\n",
-            r"t\.csv: line 3: action is 'push'\. Give fixed, move, expand, press or",
+            r"t\.csv: line 3: action is 'push'\. Give fixed, move, expand, press, pull or slide",
         ),
         ("label,action\n0,fixed\n", r"line 2: label is '0'\. Give a whole number, 1 or more"),
         ("label,action,confidence\n1,fixed,2\n", r"confidence is '2'\. Give a number from 0 to 1"),
@@ -262,6 +262,17 @@ def test_an_error_in_a_table_of_rules_names_its_line(tmp_path, text, sentence):
 def test_unused_columns_of_a_rule_may_contain_their_defaults(tmp_path):
     (tmp_path / "t.csv").write_text("label,action,row,col,amount,confidence\n1,press,0,0,3,1\n")
     assert read_rules(tmp_path / "t.csv") == (BoundaryRule(1, "press", amount=3.0),)
+
+
+def test_a_rule_that_slides_needs_no_distance_and_may_have_one(tmp_path):
+    (tmp_path / "t.csv").write_text("label,action,amount\n1,slide,\n2,slide,-0.5\n")
+    slides = BoundaryRule(1, "slide"), BoundaryRule(2, "slide", amount=-0.5)
+    assert read_rules(tmp_path / "t.csv") == slides
+    (tmp_path / "t.csv").write_text("label,action\n1,slide\n")
+    assert read_rules(tmp_path / "t.csv") == slides[:1]
+    (tmp_path / "t.csv").write_text("label,action,confidence\n1,slide,0.5\n")
+    with pytest.raises(FileFormatError, match="confidence has no effect on slide"):
+        read_rules(tmp_path / "t.csv")
 
 
 @pytest.mark.parametrize(

@@ -185,6 +185,46 @@ def test_forces_are_painted_as_boundaries_and_have_their_own_columns(dock, viewe
     assert pulled.displacement[0, 20, 1] > 1
 
 
+def test_a_painted_boundary_slides_and_large_motion_says_that_it_cannot(
+    dock, viewer, do_and_wait, wait_for
+):
+    paint = np.zeros((SIZE, SIZE), int)
+    paint[-1], paint[0, 10:30] = 1, 2
+    rules = (
+        BoundaryRule(1, "expand", amount=9, name="table"),
+        BoundaryRule(2, "move", vector=(0, 3), name="lid"),
+    )
+    layer = viewer.add_labels(paint, name="Lid", metadata=layer_metadata(BOUNDARY, rules))
+    dock.boundary, dock.hold_edge = layer, False
+    screen = Screen(dock)
+    slid = do_and_wait(screen.cell("table", "Action").choose, "slides").displacement
+    assert screen.cell("table", "confi-").text() == ""
+    assert slid[-1, :, 1] == pytest.approx(3, abs=0.05)
+    assert np.abs(slid[-1, :, 0]).max() < 0.01
+    raised = do_and_wait(screen.cell("table", "out").write, "-2").displacement
+    assert raised[-1, 20, 0] == pytest.approx(-2, abs=0.05)
+    do_and_wait(dock.undo)
+    assert dock.rules[0] == BoundaryRule(1, "slide", name="table")
+    dock.model = "large motion"
+    wait_for(lambda: not dock.busy)
+    assert "Lid: has tissue that slides" in dock.status
+
+
+def test_large_motion_is_not_offered_for_folds_of_tissue_that_slides(dock, viewer, do_and_wait):
+    paint = np.zeros((SIZE, SIZE), int)
+    paint[-1] = 1
+    rules = (BoundaryRule(1, "fixed", name="table"),)
+    dock.boundary = viewer.add_labels(paint, name="Lid", metadata=layer_metadata(BOUNDARY, rules))
+    dock.hold_edge = True
+    screen = Screen(dock)
+    do_and_wait(screen.cell("tumour", "grows").write, "150")
+    assert offers(dock, "Use large motion")
+    slid = do_and_wait(screen.cell("table", "Action").choose, "slides")
+    assert slid.displacement[-1, 20, 0] == pytest.approx(0, abs=0.01)
+    assert slid.count_folds() > 0
+    assert not offers(dock, "Use large motion")
+
+
 def test_tissue_moves_in_the_direction_of_its_weight(dock, do_and_wait, tmp_path):
     screen = Screen(dock)
     do_and_wait(screen.choose, "down")

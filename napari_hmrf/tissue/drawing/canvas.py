@@ -33,7 +33,14 @@ FloatArray = npt.NDArray[np.float32]
 Box = tuple[slice, ...]
 
 #: Value of each stroke action in `Canvas.kinds`. Painted tissue is stored in the labels instead.
-KINDS: dict[Action, int] = {"pin": 1, "free": 2, "move": 3, "expand": 4, "confidence": 5}
+KINDS: dict[Action, int] = {
+    "pin": 1,
+    "free": 2,
+    "move": 3,
+    "expand": 4,
+    "confidence": 5,
+    "slide": 6,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +53,8 @@ class Canvas:
     Attributes
     ----------
     observed : ndarray, shape ([D,] H, W, n), float32
-        Observed material displacement along each axis, in the unit of `spacing`.
+        Observed material displacement along each axis, in the unit of `spacing`. Where tissue
+        slides, the first component is the displacement along the outward normal of the surface.
     confidence : ndarray, shape ([D,] H, W, n), float32
         Confidence of each component, from 0 to 1.
     labels : ndarray of int, shape ([D,] H, W)
@@ -56,6 +64,9 @@ class Canvas:
         Painted confidence does not change this value.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis.
+    slides : ndarray of bool, shape ([D,] H, W)
+        Mask of the paint along which tissue slides. The sites and their normals are known only with
+        the stiffness; see `sliding_surface`.
     """
 
     observed: FloatArray
@@ -63,6 +74,7 @@ class Canvas:
     labels: npt.NDArray[Any]
     kinds: npt.NDArray[np.uint8]
     spacing: tuple[float, ...]
+    slides: npt.NDArray[np.bool_]
 
     @classmethod
     def blank(
@@ -76,7 +88,7 @@ class Canvas:
         y, kinds = np.zeros((*shape, n), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         tissue = kinds.copy() if labels is None else labels
         sizes = (1.0,) * n if spacing is None else tuple(map(float, spacing))
-        return cls(y, y.copy(), tissue, kinds, sizes)
+        return cls(y, y.copy(), tissue, kinds, sizes, np.zeros(shape, dtype=bool))
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -90,8 +102,8 @@ class Canvas:
 
     @property
     def images(self) -> tuple[npt.NDArray[Any], ...]:
-        """Tuple of all images: observed, confidence, labels, kinds."""
-        return self.observed, self.confidence, self.labels, self.kinds
+        """Tuple of all images: observed, confidence, labels, kinds, slides."""
+        return self.observed, self.confidence, self.labels, self.kinds, self.slides
 
     def copy(self) -> Canvas:
         """Return a deep copy."""
@@ -145,6 +157,8 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     where = distance <= reach
     components = COMPONENTS[mark.components]
     y, c = canvas.observed[box][..., components], canvas.confidence[box][..., components]
+    if isinstance(mark, Arrow) or mark.action not in ("confidence", "tissue"):
+        _stop_sliding(canvas, box, where)
     if grows(mark):
         normals, region = _outward(_outline(mark), canvas.spacing, canvas.shape)
         sides = zip(box, region, strict=True)
@@ -166,6 +180,10 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         y[where], c[where] = 0, mark.confidence
     elif mark.action == "free":
         y[where], c[where] = 0, 0
+    elif mark.action == "slide":
+        y[where], c[where] = 0, 0
+        canvas.observed[box][where, 0] = mark.amount
+        canvas.slides[box][where] = True
     elif mark.action == "confidence":
         soft = mark.softness * reach
         share = np.clip((reach - distance) / soft, 0, 1) if soft > 0 else np.ones_like(distance)
@@ -179,6 +197,13 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         kinds[where] = 0
     elif mark.action != "confidence":  # confidence does not change the kind
         kinds[where] = KINDS[mark.action]
+
+
+def _stop_sliding(canvas: Canvas, box: Box, where: npt.NDArray[np.bool_]) -> None:
+    """Remove the sliding surface under a mark that determines the motion of tissue."""
+    slides = canvas.slides[box]
+    canvas.observed[box][where & slides] = 0
+    slides[where] = False
 
 
 def rim_of(

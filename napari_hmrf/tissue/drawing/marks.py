@@ -24,7 +24,7 @@ Components = Literal["both", "row", "col"]
 #: Index slice that selects the prescribed components, counted from the last axis.
 COMPONENTS = {"both": slice(None), "row": slice(-2, -1), "col": slice(-1, None)}
 #: Effects of a brush on the tissue under it.
-Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]
+Action = Literal["pin", "free", "move", "expand", "confidence", "tissue", "slide"]
 
 
 def between(start: Point, end: Point, spacing: Iterable[float]) -> Point:
@@ -213,13 +213,14 @@ class Stroke(_Checked):
 
     Attributes
     ----------
-    action : {"pin", "free", "move", "expand", "confidence", "tissue"}
+    action : {"pin", "free", "move", "expand", "confidence", "tissue", "slide"}
         Effect on the tissue under the brush. "pin": the tissue does not move. "free": the motion
         is not observed, even under earlier marks. "move": the tissue moves by `by`. "expand": the
         tissue moves by `amount` along the outward normal of the painted region. A ring moves as a
         whole; a filled patch moves only at its rim, and its interior is not observed.
         "confidence": the confidence of earlier marks changes. "tissue": the label changes to
-        `label`.
+        `label`. "slide": the tissue moves freely along the painted surface, and by `amount` along
+        its outward normal; see `BoundaryRule`.
     lines : tuple of tuple of tuple of float
         Points of each path of the brush, (row, col) or (plane, row, col) in pixels. A path with
         one point is a spot. All paths together paint one region.
@@ -229,7 +230,8 @@ class Stroke(_Checked):
         For "move": displacement along each axis, in the unit of the pixel spacing.
     amount : float
         For "expand": displacement in the unit of the pixel spacing. A negative value shrinks the
-        region. For "move": growth of the region, in addition to `by`.
+        region. For "move": growth of the region, in addition to `by`. For "slide":
+        displacement along the outward normal of the surface.
     confidence : float
         Confidence of the displacement, from 0 (not observed) to 1 (certain).
     softness : float

@@ -157,6 +157,18 @@ class FreeTool(BrushTool):
     step = "released tissue"
 
 
+class SlideTool(BrushTool):
+    """Brush for the surface of tissue that slides along a wall."""
+
+    name = "slide"
+    title = "Slide"
+    key = "S"
+    fields = ("radius",)
+    hint = "Paint the surface of tissue that slides along a wall."
+    action = "slide"
+    step = "painted a sliding surface"
+
+
 class PushTool(BrushTool):
     """Brush for moving tissue; dragging the selected stroke sets its displacement."""
 

@@ -21,10 +21,18 @@ from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.motion.weight_form import WeightForm
 from napari_hmrf.ui.tissue_form import BoundarySection
 
-#: Number of tool buttons in a row; the buttons of the first row are larger.
-_ACROSS = 4
-#: Sizes of the icons in the first row and in the second row, in pixels.
-_ICONS = QSize(24, 24), QSize(14, 14)
+#: Number of tool buttons in each row; the buttons of the first row are larger.
+_ROWS = 4, 3, 2
+#: Number of columns of the grid of buttons, which the number of buttons in each row divides.
+_COLUMNS = 12
+#: Place of each button in the grid: row, column, and number of rows and columns.
+_PLACES = [
+    (row, number * _COLUMNS // across, 1, _COLUMNS // across)
+    for row, across in enumerate(_ROWS)
+    for number in range(across)
+]
+#: Sizes of the icons in the first row and in the other rows, in pixels.
+_ICONS = QSize(20, 20), QSize(12, 12)
 #: Style of the buttons on light and dark themes; napari's own style does not show a pressed state.
 _LOOK = """
 QToolButton { background: rgba(128, 128, 128, 60); border-radius: 2px; padding: 3px 0px; }
@@ -62,7 +70,8 @@ class MotionForm(Container):
 
     def __init__(self, layers: Callable[[], list[Any]], view: Callable[[], View]) -> None:
         self.tools = {
-            tool.name: _button(tool, is_large=number < _ACROSS) for number, tool in enumerate(TOOLS)
+            tool.name: _button(tool, is_large=number < _ROWS[0])
+            for number, tool in enumerate(TOOLS)
         }
         self.fields = ToolFields()
         self.edge = CheckBox(
@@ -84,10 +93,11 @@ class MotionForm(Container):
             container.margins = (0, 0, 0, 0)
         grid = QGridLayout()
         grid.setSpacing(2)
-        for number, (name, button) in enumerate(self.tools.items()):
+        for (name, button), place in zip(self.tools.items(), _PLACES, strict=True):
             button.clicked.connect(partial(self.picked.emit, name))
-            grid.addWidget(button, *divmod(number, _ACROSS))
-            grid.setColumnStretch(number % _ACROSS, 1)
+            grid.addWidget(button, *place)
+        for column in range(_COLUMNS):
+            grid.setColumnStretch(column, 1)
         self.native.layout().insertLayout(0, grid)
 
     def show_tool(self, name: str) -> None:

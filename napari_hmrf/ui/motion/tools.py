@@ -9,6 +9,7 @@ from napari_hmrf.ui.motion.brush_tools import (
     GrowTool,
     HoldTool,
     PushTool,
+    SlideTool,
     TissueTool,
 )
 from napari_hmrf.ui.motion.pull_tools import LandmarkTool, PullTool
@@ -22,6 +23,7 @@ TOOLS: tuple[type[Tool], ...] = (
     GrowTool,
     FreeTool,
     PushTool,
+    SlideTool,
     TissueTool,
     ConfidenceTool,
 )

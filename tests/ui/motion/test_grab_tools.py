@@ -162,6 +162,23 @@ def test_a_moved_region_moves_tissue_and_is_drawn_at_its_target(brushing_beside,
     )
 
 
+def test_a_stroke_on_the_surface_lets_tissue_slide_until_it_is_undone(pulling_beside, settle):
+    person, widget = pulling_beside
+    widget.hold_edge = True
+    widget.drawing = Drawing((Arrow((10, 10), (4, 0), 4),))
+    person.key(Qt.Key.Key_S)
+    widget.fields.radius.value = 2.0
+    person.paint((4, 0), (10, 0), (28, 0))
+    settle(widget)
+    assert widget.drawing.marks[-1].action == "slide"
+    slid = displacement(widget)
+    assert slid[10, 0, 0] > 1
+    assert np.abs(slid[6:28, 0, 1]).max() < 0.05
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert displacement(widget)[10, 0] == pytest.approx((0, 0), abs=1e-3)
+
+
 def test_a_ring_expands_or_shrinks(brushing_beside, settle):
     person, widget = brushing_beside
     widget.drawing = Drawing()
