@@ -91,7 +91,7 @@ def missing_constraint(problem: Problem) -> str:
     ----------
     problem : Problem
     """
-    if problem.loads is not None or problem.has_data:
+    if problem.loads is not None or problem.landmarks is not None:
         # Another check raises an error for unconstrained tissue.
         return ""
     observed = problem.known.any(axis=-1)
@@ -103,7 +103,7 @@ def missing_constraint(problem: Problem) -> str:
             "nothing moves: mark tissue that moves or expands, by a distance other than 0 "
             "and with a confidence above 0"
         )
-    if problem.has_data:
+    if problem.precision is not None:
         return ""
     rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
     tolerance = 1e-3 * float(np.abs(displacements).max())
