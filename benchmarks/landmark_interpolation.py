@@ -30,7 +30,7 @@ _HALF_AXES = {2: (44.0, 34.0), 3: (44.0, 38.0, 34.0)}
 #: Sites at which errors are measured.
 _SITES = 8000
 #: Typical strains of elastic tissue; cross-validation selects one.
-_STRAINS = (0.03, 0.1, 0.3)
+_STRAINS = (0.2, 1.0, 5.0)
 
 
 def _inside(x: Array) -> npt.NDArray[np.bool_]:
