@@ -39,7 +39,7 @@ def spline(
     """Return the displacement field of a smoothing spline of landmarks inside tissue.
 
     Each component u of the displacement is the sum of a free affine motion and a smooth part, and
-    minimises
+    minimises::
 
         sum_i (u(x_i) - y_i)^2 / sd_i^2 + lambda (integral |D^2 u|^2 + tau^2 integral |D^3 u|^2)
 
