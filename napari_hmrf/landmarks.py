@@ -16,9 +16,21 @@ deviation, and the strain scale of the tissue::
     landmarks = Landmarks(pairs.points, pairs.targets, sd=0.5, scale=StrainScale(strain=0.1))
     none = np.zeros((*stiffness.shape, 2))
     solution = solve(Problem(none, none, stiffness, landmarks=landmarks))
+
+If no other motion is known, `spline` interpolates landmarks smoothly inside the tissue::
+
+    displacement = spline(landmarks, stiffness > 0, spacing=1)
 """
 
+from napari_hmrf.field.landmark_spline import spline
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points, write_points
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, StrainScale
 
-__all__ = ["LandmarkFile", "Landmarks", "StrainScale", "read_points", "write_points"]
+__all__ = [
+    "LandmarkFile",
+    "Landmarks",
+    "StrainScale",
+    "read_points",
+    "spline",
+    "write_points",
+]
