@@ -134,13 +134,13 @@ class BrushTool(Tool):
 
 
 class HoldTool(BrushTool):
-    """Brush that holds tissue in place."""
+    """Brush that holds tissue at its original place."""
 
     name = "pin"
     title = "Hold"
     key = "P"
     fields = ("radius", "confidence", "components")
-    hint = "Paint tissue to hold it in place."
+    hint = "Paint tissue to hold it at its original place."
     action = "pin"
     step = "held tissue"
 

@@ -39,7 +39,7 @@ NO_OUTSIDE = (
     "Nothing was painted: an open line has no inside, so it cannot grow. Close the line to form a "
     "ring, paint a patch, or use 'Push'."
 )
-PULLED = "Not grown: this would undo a pull. Turn the wheel over the pull, or set another radius."
+PULLED = "Not grown: this would undo a pull. Turn the wheel over the pull, or set a smaller radius."
 TOO_SMALL = "Not grown: the patch is too small. Shift+click the patch, and set a larger radius."
 NO_INSIDE = "Not grown: an open line has no inside. Push a patch or a closed ring instead."
 
@@ -47,10 +47,10 @@ NO_INSIDE = "Not grown: an open line has no inside. Push a patch or a closed rin
 def grown(amount: float, unit: str, is_pulled: bool = False) -> str:
     """Return a message about growth with the mouse wheel."""
     if is_pulled and not amount:
-        return "This pulled tissue neither grows nor shrinks."
+        return "This displaced tissue neither grows nor shrinks."
     way = "shrinks" if amount < 0 else "grows"
     still = "" if amount else ": its outline is held in place"
-    noun = "pulled tissue" if is_pulled else "tissue"
+    noun = "displaced tissue" if is_pulled else "tissue"
     return f"This {noun} {way} by {abs(amount):.3g} {unit}{still}."
 
 

@@ -831,7 +831,7 @@ def test_the_wheel_over_pulled_tissue_keeps_the_pull_and_adds_growth(pulling_bes
         person.turn_wheel(33, 38)
     settle(widget)
     moves = widget.solution.displacement
-    assert widget.status.startswith("This pulled tissue grows by 1.6 px.")
+    assert widget.status.startswith("This displaced tissue grows by 1.6 px.")
     assert moves[32, 32] == pytest.approx((0, 4), abs=0.1), "the pull is lost"
     assert moves[32, [24, 40], 1] == pytest.approx((2.4, 5.6), abs=0.2), "the patch does not grow"
     assert widget.fields.amount.value == 1.6

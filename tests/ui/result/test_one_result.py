@@ -545,7 +545,7 @@ def test_the_status_is_shown_besides_a_warning(folded, settle):
     settle(widget)
     assert "Cancelled" in widget.status
     widget.tool = "pin"
-    assert widget.status == "Paint tissue to hold it in place."
+    assert widget.status == "Paint tissue to hold it at its original place."
     assert "folds" in widget.warning
 
 
