@@ -90,7 +90,7 @@ class FormBinding:
         for field in (form.image, *self.fields.values(), form.model, form.model.in_detail):
             field.changed.connect(self.write, max_args=0)
         form.tissue.editor.plot.edited.connect(self._use_curve)
-        form.tissue.editor.plot.settled.connect(model.end)
+        form.tissue.editor.plot.settled.connect(lambda _: model.end())
         form.footer.undo.changed.connect(lambda _: undo.undo())
         form.footer.redo.changed.connect(lambda _: undo.redo())
 

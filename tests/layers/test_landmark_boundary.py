@@ -160,6 +160,8 @@ def test_menus_for_landmarks_appear_and_select_the_other_layer_of_points(chosen)
 
 
 def test_menus_for_landmarks_are_hidden_without_points(widget):
+    for section in widget._form.sections.values():
+        section.expand(animate=False)
     assert not menus(widget).native.isVisibleTo(widget.native)
     widget._viewer.add_points([[1.0, 2.0]])
     assert menus(widget).native.isVisibleTo(widget.native)

@@ -524,6 +524,8 @@ def test_all_columns_of_the_table_of_boundaries_are_visible(
     small_sample(viewer)
     dock.rules = (*dock.rules, BoundaryRule(3, "expand", amount=-2.5))
     at_rest(thread=False)
+    for section in dock._form.sections.values():
+        section.expand(animate=False)
     table = dock.native.findChild(BoundaryTable)
     seen = [at for at in range(table.columnCount()) if not table.isColumnHidden(at)]
     assert len(seen) == 7
