@@ -16,6 +16,7 @@ from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.study.landmark_data import uncertain_landmarks
 from napari_hmrf.wording import in_words_of
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
@@ -119,7 +120,8 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
 def can_unfold(done: CompleteResult) -> bool:
     """Return whether the tissue folds and the large-motion model would avoid the folds."""
     study = done.moved.study
-    is_elastic = study.model_name == "elastic" and not study.slides
+    has_data = study.slides or bool(uncertain_landmarks(study.motion.drawing))
+    is_elastic = study.model_name == "elastic" and not has_data
     return is_elastic and "folds" in marks_of(done.outputs)
 
 

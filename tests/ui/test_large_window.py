@@ -7,7 +7,7 @@ import pytest
 from napari.components import ViewerModel
 from qtpy.QtWidgets import QPushButton, QTableWidget
 
-from napari_hmrf import NeoHookeanPrior
+from napari_hmrf import Drawing, Landmark, NeoHookeanPrior
 from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.solver.optimizers import work
@@ -262,3 +262,12 @@ def test_a_warning_reports_motion_that_the_large_motion_model_could_not_apply(
     assert isinstance(dock.study.prior, NeoHookeanPrior)
     assert solution.reach.missing > 0.1
     assert "stay short" in dock.warning
+
+
+def test_large_motion_is_not_offered_beside_an_uncertain_landmark(dock, do_and_wait):
+    do_and_wait(Screen(dock).cell("tumour", "grows").write, "150")
+    assert offers(dock, "Use large motion")
+    mark = Landmark((34, 8), (0, 0), 3.0, sd=2.0)
+    do_and_wait(setattr, dock, "drawing", Drawing((mark,)))
+    assert dock.solution.count_folds() > 0
+    assert not offers(dock, "Use large motion")
