@@ -161,8 +161,8 @@ def add_relaxed(correction, inverse, weight, mixed, out):
                 out[1, i, j] += y
             else:
                 z = correction[2, i, j]
-                p, q, r = _product(_springs(weight, mixed, i, j), x, y, z)
-                p, q, r = _product(_block(inverse, mixed, i, j), p, q, r)
+                p, q, r = _product(_packed(weight, mixed, 0, i, j), x, y, z)
+                p, q, r = _product(_packed(inverse, mixed, 3, i, j), p, q, r)
                 out[0, i, j] += x - p
                 out[1, i, j] += y - q
                 out[2, i, j] += z - r
@@ -175,36 +175,23 @@ def filter_rest(inverse, weight, mixed, rest):
         i = n + 2
         for j in range(2, rest.shape[2] - 2):
             x, y, z = rest[0, i, j], rest[1, i, j], rest[2, i, j]
-            p, q, r = _product(_block(inverse, mixed, i, j), x, y, z)
-            p, q, r = _product(_springs(weight, mixed, i, j), p, q, r)
+            p, q, r = _product(_packed(inverse, mixed, 3, i, j), x, y, z)
+            p, q, r = _product(_packed(weight, mixed, 0, i, j), p, q, r)
             rest[0, i, j] = x - p
             rest[1, i, j] = y - q
             rest[2, i, j] = z - r
 
 
 @shared
-def _springs(weight, mixed, i, j):
-    """Return the tensor of data and springs at a site of a volume."""
+def _packed(diagonal, others, first, i, j):
+    """Return a tensor at a site of a volume; its other components begin at plane `first`."""
     return (
-        weight[0, i, j],
-        weight[1, i, j],
-        weight[2, i, j],
-        mixed[0, i, j],
-        mixed[1, i, j],
-        mixed[2, i, j],
-    )
-
-
-@shared
-def _block(inverse, mixed, i, j):
-    """Return the block of the smoother at a site of a volume."""
-    return (
-        inverse[0, i, j],
-        inverse[1, i, j],
-        inverse[2, i, j],
-        mixed[3, i, j],
-        mixed[4, i, j],
-        mixed[5, i, j],
+        diagonal[0, i, j],
+        diagonal[1, i, j],
+        diagonal[2, i, j],
+        others[first, i, j],
+        others[first + 1, i, j],
+        others[first + 2, i, j],
     )
 
 
@@ -224,6 +211,18 @@ def _limited(data, diagonal, i, j):
     else:
         a, b, c, d, e, f = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
     return mean * (1 - a), mean * (1 - b), mean * (1 - c), -mean * d, -mean * e, -mean * f
+
+
+@shared
+def _add_limited(data, diagonal, i, j, share, sums):
+    """Add W T of a site, multiplied by `share`, to the sums of the six components."""
+    a, b, c, d, e, f = _limited(data, diagonal, i, j)
+    sums[0] += share * a
+    sums[1] += share * b
+    sums[2] += share * c
+    sums[3] += share * d
+    sums[4] += share * e
+    sums[5] += share * f
 
 
 @callee
@@ -248,13 +247,7 @@ def coarsen_image(data, diagonal, out):
                 for right in range(-1, 2):
                     share = 1.0 / ((1 + abs(down)) * (1 + abs(right)))
                     i, j = 2 * np.int64(n) + 2 + down, 2 * m + 2 + right
-                    a, b, c, d, e, f = _limited(data, diagonal, i, j)
-                    sums[0] += share * a
-                    sums[1] += share * b
-                    sums[2] += share * c
-                    sums[3] += share * d
-                    sums[4] += share * e
-                    sums[5] += share * f
+                    _add_limited(data, diagonal, i, j, share, sums)
             _write(sums, out, np.int64(n) + 2, m + 2)
 
 
@@ -272,11 +265,5 @@ def coarsen_volume(data, diagonal, out):
                         for right in range(-1, 2):
                             share = 1.0 / ((1 + abs(back)) * (1 + abs(down)) * (1 + abs(right)))
                             i, j = 2 * m + 2 + down, 2 * o + 2 + right
-                            a, b, c, d, e, f = _limited(data[:, z], diagonal[:, z], i, j)
-                            sums[0] += share * a
-                            sums[1] += share * b
-                            sums[2] += share * c
-                            sums[3] += share * d
-                            sums[4] += share * e
-                            sums[5] += share * f
+                            _add_limited(data[:, z], diagonal[:, z], i, j, share, sums)
                 _write(sums, out[:, np.int64(n) + 2], m + 2, o + 2)

@@ -89,10 +89,7 @@ class CpuElasticLevel(SmallLevel):
             held = self.bodies.hold(held)
         assembly.diagonal(self.lame, self.shape, self.inverse)
         vectors.hold(self.inverse, held, self.pins, self.spans)
-        if self.data is not None:
-            assert self.weight is not None
-            self.weight.fill(0)
-            self._couple()
+        self._hold_data()
         # Deflation also changes the correction at bodies, so the next cycle must reset it there.
         self.spans[:] = self.reach
         self._clear_vectors(before)

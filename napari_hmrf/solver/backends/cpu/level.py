@@ -124,6 +124,13 @@ class CpuLevel:
         flat[: len(sums), at] += (sums * mean / np.maximum(sums + mean, _TINY)).astype(np.float32)
         return data
 
+    def _hold_data(self) -> None:
+        """Make the data term the only springs of the finest level, if there is a data term."""
+        if self.data is not None:
+            assert self.weight is not None
+            self.weight.fill(0)
+            self._couple()
+
     def _couple(self) -> None:
         """Add the data term to the springs and to the smoother, if there is one."""
         if self.data is not None:

@@ -125,10 +125,7 @@ class CpuVolumeLevel(VolumeLevel):
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         self.checkpoint()
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
-        if self.data is not None:
-            assert self.weight is not None
-            self.weight.fill(0)
-            self._couple()
+        self._hold_data()
 
     def hold_as(self, finer: CpuVolumeLevel) -> None:
         """Set the springs of sites near prescribed sites of the next finer level."""
