@@ -123,22 +123,10 @@ def _checked_sites(landmarks: Landmarks, mask: npt.NDArray[np.bool_]) -> Indices
             "landmarks", f"are of type {type(landmarks).__name__}. Pass Landmarks(points, targets)."
         )
     points, axes = landmarks.points, mask.ndim
-    if points.shape[1] != axes:
-        raise ProblemError(
-            "landmarks",
-            f"have {points.shape[1]} coordinates, but tissue has {axes} axes. Pass points of the "
-            "image.",
-        )
+    landmarks.check_inside(mask.shape)
     if len(points) < axes + 2:
         raise ProblemError(
             "landmarks", f"are only {len(points)}. A spline needs at least {axes + 2}; add some."
-        )
-    outside = np.asarray(((points < 0) | (points > np.array(mask.shape) - 1)).any(axis=1))
-    if outside.any():
-        raise ProblemError(
-            "landmarks",
-            f"have {int(outside.sum())} points outside the image, the first with number "
-            f"{first_index(outside)[0]}. Pass positions in pixels, or remove these landmarks.",
         )
     extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if extents[-1] <= _THINNEST * extents[0]:

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +21,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.uncertain_landmarks import corners_of
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 
 # Largest strength of a constraint, relative to the strongest one, that counts as rounding error.
 _ROUNDING = 1e-9
@@ -52,16 +51,20 @@ class HeldTissue(NamedTuple):
         Result of `holding_strength`.
     precision : ndarray, shape (H, W, 2, 2) or (D, H, W, 3, 3), or None
         Precision of the data term.
+    landmarks : Landmarks or None
     """
 
     tissue: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_]
     strength: float = 0.0
     precision: Motions | None = None
+    landmarks: Landmarks | None = None
 
     def covers_problem(self, problem: Problem) -> bool:
         """Return whether the problem has the same tissue and data, and all checked constraints."""
-        if problem.landmarks is not None or not self.covers(problem.tissue, problem.known):
+        if self.landmarks is not problem.landmarks:
+            return False
+        if not self.covers(problem.tissue, problem.known):
             return False
         if self.precision is None or problem.precision is None:
             return self.precision is problem.precision
@@ -80,8 +83,6 @@ class HeldTissue(NamedTuple):
 
 # Result of the last check.
 _firm: list[HeldTissue] = []
-# Results for problems with landmarks.
-_strengths: WeakKeyDictionary[Problem, float] = WeakKeyDictionary()
 # Number of data that are checked first. If they hold the tissue, so do all data.
 _FEW_DATA = 10_000
 
@@ -137,8 +138,6 @@ def holding_strength(problem: Problem) -> float:
     for firm in _firm:  # checked first, because every frame of a drag needs the result
         if firm.covers_problem(problem):
             return firm.strength
-    if problem in _strengths:
-        return _strengths[problem]
     if held[problem.tissue].all():
         return 1.0  # no site is free to move
     pieces, count = _some_pieces(problem)
@@ -153,10 +152,8 @@ def holding_strength(problem: Problem) -> float:
     value = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
     if problem.precision is not None:
         value *= _mean_grip(problem)
-    if problem.landmarks is not None:
-        _strengths[problem] = value
-    else:
-        _firm[:] = [HeldTissue(problem.tissue, held, value, problem.precision)]
+    data = problem.precision, problem.landmarks
+    _firm[:] = [HeldTissue(problem.tissue, held, value, *data)]
     return value
 
 

@@ -167,6 +167,29 @@ class Landmarks:
         """Return the precision of each component, as for `Problem`, shape (n, 2) or (n, 3)."""
         return self.scale.energy(stiffness, spacing) / self.sd**2
 
+    def check_inside(self, grid: tuple[int, ...]) -> None:
+        """Raise an error if the points are not positions inside a grid.
+
+        Raises
+        ------
+        ProblemError
+            If the points have another number of axes, or some points are outside the grid.
+        """
+        axes = len(grid)
+        if self.points.shape[1] != axes:
+            raise ProblemError(
+                "landmarks",
+                f"have {self.points.shape[1]} coordinates, but tissue has {axes} axes. Pass "
+                "points of the image.",
+            )
+        outside = np.asarray(((self.points < 0) | (self.points > np.array(grid) - 1)).any(axis=1))
+        if outside.any():
+            raise ProblemError(
+                "landmarks",
+                f"have {int(outside.sum())} points outside the image, the first with number "
+                f"{first_index(outside)[0]}. Pass positions in pixels, or remove these landmarks.",
+            )
+
     def check(self, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]) -> None:
         """Raise an error if the landmarks do not match the tissue of a problem.
 
@@ -176,21 +199,7 @@ class Landmarks:
             If a point is outside the image or beside tissue, or a standard deviation is so small
             that the motion should be prescribed.
         """
-        axes = stiffness.ndim
-        if self.points.shape[1] != axes:
-            raise ProblemError(
-                "landmarks",
-                f"have {self.points.shape[1]} coordinates, but the image has {axes} axes. Pass "
-                "points of the image.",
-            )
-        low, high = np.zeros(axes), np.array(stiffness.shape) - 1
-        outside = np.asarray(((self.points < low) | (self.points > high)).any(axis=1))
-        if outside.any():
-            raise ProblemError(
-                "landmarks",
-                f"have {int(outside.sum())} points outside the image, the first with number "
-                f"{first_index(outside)[0]}. Pass positions in pixels, or remove these landmarks.",
-            )
+        self.check_inside(stiffness.shape)
         corner, _ = corners_of(self.points, stiffness.shape)
         beside = ~in_elements(stiffness)[tuple(corner.T)]
         if beside.any():
