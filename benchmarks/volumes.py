@@ -1,7 +1,6 @@
 """Benchmark of volumes: time, comparison with PyAMG, and check of the reported errors.
 
     python benchmarks/volumes.py [--sizes 64 128 192] [--memory 96] [--pyamg 48] [--paper 48]
-    python benchmarks/volumes.py --shaders [--sizes 128 256] [--head 190]
     python benchmarks/volumes.py --direct 48
     python benchmarks/volumes.py --torch-fem 80
 
@@ -14,9 +13,6 @@ solve. Finally, random small volumes of every kind are compared with a direct so
 scikit-fem assembled, or of `line_oracle` for the paper's model. Exits with 1 if a distance exceeds
 the reported error.
 
-With --shaders, prints the time of compute shaders for the same volumes and for a head with 190 rows
-of 1 mm voxels: per cycle, and for a whole solve including the work of the host.
-
 With --direct, prints the distance of volumes of random stiffness to the solution of scikit-fem's
 matrix by MKL's PARDISO. With --torch-fem, prints the time of a uniform cube compared with
 torch-fem. The packages of these two comparisons are too heavy for the other extras:
@@ -26,7 +22,6 @@ torch-fem. The packages of these two comparisons are too heavy for the other ext
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
 import time
@@ -52,13 +47,12 @@ from volume_rivals import print_direct, print_torch_fem
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.data import head_phantom
-from napari_hmrf.errors import BackendError, ConvergenceError
 from napari_hmrf.field.deformation import arrows_apart, smallest_determinant
 from napari_hmrf.field.resample import resample
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.fields import Warper
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.optimizers import Monitor, Optimizer
+from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
@@ -104,54 +98,6 @@ def print_times(sizes: list[int]) -> None:
                 each = 1e9 * seconds / size**3
                 cells = f"{size}^3 | {poisson} | {found.iterations} | {seconds:.2f} | {each:.0f}"
                 print(f"| {_NAMES[free]} | {cells} |", flush=True)
-
-
-def print_shaders(sizes: list[int], head: int) -> None:
-    """Print a table of the times of compute shaders."""
-    print("| tissue | voxels | Poisson's ratio | cycles | s | ms a cycle |")
-    print("| --- | --- | --- | --- | --- | --- |")
-    for size in sizes:
-        for free in (False, True):
-            for poisson in (0.3, 0.45):
-                print_shader_row(_NAMES[free], growing(size, free), poisson)
-    if head:
-        for poisson in (0.3, 0.45):
-            print_shader_row("head", head_phantom(size=head).problem, poisson)
-
-
-def print_shader_row(tissue: str, problem: Problem, poisson: float) -> None:
-    """Print a row of that table for the second of two solves, or the reason of a failure."""
-    try:
-        timed_shaders(problem, poisson)
-        found, seconds, cycle = timed_shaders(problem, poisson)
-        numbers = f"{found.iterations} | {seconds:.3f} | {1e3 * cycle:.2f}"
-    except (BackendError, ConvergenceError) as error:
-        numbers = f"{error} | |"
-    voxels = " x ".join(map(str, problem.shape))
-    print(f"| {tissue} | {voxels} | {poisson} | {numbers} |", flush=True)
-
-
-def timed_shaders(problem: Problem, poisson: float) -> tuple[Solution, float, float]:
-    """Return a solution by compute shaders, its time, and the time of a cycle, in seconds."""
-    moments: list[float] = []
-
-    def note(monitor: Monitor) -> None:
-        if monitor.message.startswith("cycle"):
-            moments.append(time.perf_counter())
-
-    def job() -> Solution:
-        return solve(
-            problem,
-            ElasticPrior(poisson),
-            optimizer=WITHIN,
-            backend="opengl",
-            progress=note,
-        )
-
-    begun = time.perf_counter()
-    found = compute_thread.submit(job).result()
-    seconds = time.perf_counter() - begun
-    return found, seconds, float(np.median(np.diff(moments))) if len(moments) > 1 else math.nan
 
 
 def print_memory(size: int) -> None:
@@ -337,7 +283,6 @@ def main() -> int:
     """Print all results; return 1 if a solution is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="*")
-    parser.add_argument("--shaders", action="store_true", help="only time compute shaders")
     parser.add_argument("--head", type=int, default=190, metavar="ROWS", help="0: skip")
     parser.add_argument("--memory", type=int, default=96, metavar="SIZE", help="0: skip")
     parser.add_argument("--pyamg", type=int, default=48, metavar="SIZE", help="0: skip")
@@ -347,9 +292,6 @@ def main() -> int:
     parser.add_argument("--random", type=int, default=300, metavar="COUNT")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
-    if asked.shaders:
-        print_shaders([128, 256] if asked.sizes is None else asked.sizes, asked.head)
-        return 0
     if asked.direct:
         print_direct(asked.direct)
     if asked.torch_fem:

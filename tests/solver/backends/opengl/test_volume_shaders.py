@@ -209,6 +209,21 @@ def test_sums_and_maxima_include_every_site(of_void):
         assert numbers == (count, count - 8, 7)
 
 
+@pytest.mark.parametrize("count", [1, 255, 70_001])
+def test_a_cleared_buffer_contains_only_zeros(count):
+    def job():
+        device = the_device()
+        buffer = device.buffer(4 * count)
+        device.write_buffer(buffer, np.ones(count, np.float32))
+        device.clear_buffer(buffer)
+        device.finish()
+        found = np.frombuffer(buffer.read(), np.float32)
+        device.free([buffer])
+        return found
+
+    assert not on_compute_thread(job).any()
+
+
 def test_a_cycle_matches_the_loops():
     given = random_example((17, 14, 21), ElasticPrior(0.45), OBLONG)
     loops, shaders = cycles("compute", given, NEARLY_INCOMPRESSIBLE_VOLUME)

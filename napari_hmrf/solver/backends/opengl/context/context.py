@@ -49,8 +49,6 @@ class Opened:
         Function that runs a compute program, given its OpenGL name and the number of work groups
         along the column and row axes. It releases the GIL, because the driver may compile the
         program first.
-    clear : callable
-        Function that fills a buffer with zeros, given its OpenGL name.
     way : str
         Description of how the context was created.
     """
@@ -58,7 +56,6 @@ class Opened:
     ctx: Any
     finish: Callable[[], None]
     dispatch: Callable[[int, int, int], None]
-    clear: Callable[[int], None]
     way: str
 
     def release(self) -> None:
@@ -155,7 +152,7 @@ def _open(way: _Way) -> Opened:
         if store is not None:
             store.default_context = default
     finish = _function(loader.load("glFinish"))
-    opened = Opened(ctx, finish, _dispatch(loader), _clear(loader), way.name)
+    opened = Opened(ctx, finish, _dispatch(loader), way.name)
     if ctx.version_code < REQUIRED_VERSION:
         found = f"found OpenGL {ctx.info['GL_VERSION']} on {ctx.info['GL_RENDERER']}"
         opened.release()
@@ -187,23 +184,6 @@ def _dispatch(loader: Any) -> Callable[[int, int, int], None]:
         dispatch_compute(cols, rows, 1)
 
     return dispatch
-
-
-# GL_SHADER_STORAGE_BUFFER, GL_R32F, GL_RED and GL_FLOAT.
-_STORAGE, _SINGLES = 0x90D2, (0x822E, 0x1903, 0x1406)
-
-
-def _clear(loader: Any) -> Callable[[int], None]:
-    """Return a function that fills a buffer with zeros; requires OpenGL 4.3."""
-    bind, fill = loader.load("glBindBuffer"), loader.load("glClearBufferData")
-    bind_buffer = _function(bind, *[ctypes.c_uint] * 2)
-    clear_data = _function(fill, *[ctypes.c_uint] * 4, ctypes.c_void_p)
-
-    def clear(buffer: int) -> None:
-        bind_buffer(_STORAGE, buffer)
-        clear_data(_STORAGE, *_SINGLES, None)
-
-    return clear
 
 
 def _function(address: int, *kinds: Any) -> Callable[..., None]:

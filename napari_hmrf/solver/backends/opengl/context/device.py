@@ -27,6 +27,7 @@ from napari_hmrf.solver.backends.opengl.programs.volume_programs import (
     VolumeProgram,
     compile_volume,
 )
+from napari_hmrf.solver.backends.opengl.programs.volume_source import TOGETHER
 from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
 
 _log = logging.getLogger("napari_hmrf")
@@ -140,8 +141,21 @@ class Device:
         return made
 
     def clear_buffer(self, buffer: Any) -> None:
-        """Fill a buffer with zeros."""
-        self._opened.clear(buffer.glo)
+        """Fill a buffer with zeros, by a kernel, as glClearBufferData is slow on some drivers."""
+        count = buffer.size // 4
+        program = self.volume_program("volume_clear")
+        program.set({"count": np.array([count], np.int32)})
+        program.bind({"values": [buffer]})
+        program.run(0, -(-count // TOGETHER))
+
+    def write_buffer(self, buffer: Any, values: npt.NDArray[Any]) -> None:
+        """Copy an array to a buffer, after all kernels have finished.
+
+        OpenGL promises this order without a wait, but an NVIDIA driver (580.159, H100) executed
+        the copy before kernels that were started earlier.
+        """
+        self.finish()
+        buffer.write(np.ascontiguousarray(values))
 
     def texture(self, shape: tuple[int, ...], components: int) -> Any:
         """Allocate a float32 texture of (rows, cols) texels; raise `BackendError` on failure."""
@@ -276,7 +290,10 @@ class Device:
         try:
             made.append(self.texture((rows, cols), 1))
             made[0].write(n.tobytes())
-            made += [self.texture((rows, cols), components) for components in (4, 2, 1)]
+            for components in (4, 2, 1):
+                made.append(self.texture((rows, cols), components))
+                # The memory may hold the results of the last test, which would hide a failure.
+                made[-1].write(np.full((rows, cols, components), np.nan, np.float32).tobytes())
             outputs, target = made[1:], None
             if stage == "fragment":
                 target = self.framebuffer(outputs)

@@ -16,7 +16,7 @@ from napari_hmrf.solver.backends.opengl.programs.source import VERSIONS, Source,
 
 #: Size of a work group in sites, (cols, rows); each invocation computes several planes.
 GROUP = (32, 4)
-#: Number of invocations of the single work group that adds the totals of all groups.
+#: Number of invocations of a work group that adds the totals of all groups, or clears a buffer.
 TOGETHER = 256
 #: Limits of the kernel that smooths a level in one pass with a single work group: number of sites,
 #: number of steps, and number of values of a component (a level of 5^3 sites with its border).
@@ -189,6 +189,7 @@ VOLUME_KERNELS: Mapping[str, VolumeKernel] = {
             shares=True,
         ),
         VolumeKernel("volume_weigh", _reads("one", "other"), shares=True),
+        VolumeKernel("volume_clear", (Field("values", "writeonly", 1),), alone=True),
         VolumeKernel(
             "volume_total",
             (Field("shares", "readonly", 1), Field("scalars", "writeonly", 1)),

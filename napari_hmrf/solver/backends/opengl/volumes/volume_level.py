@@ -122,7 +122,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components of the finest level."""
         for buffer, each in zip(self._other.buffers, held, strict=True):
-            buffer.write(each.astype(np.float32))
+            self._passes.device.write_buffer(buffer, each.astype(np.float32))
         self.diagonal(self.inverse)
         self._invert_diagonal("volume_hold", {})
 
@@ -143,7 +143,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         most = self._passes.read(self._shares, np.float32, 2 * count)[1::2]
         numbers = np.flatnonzero(most > 0).astype(np.int32)
         if len(numbers):
-            self._list.write(numbers)
+            self._passes.device.write_buffer(self._list, numbers)
         self._region = self.everywhere._replace(buffer=self._list, number=len(numbers))
 
     def clear(self) -> None:
@@ -239,7 +239,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
             buffers = [self._passes.buffer(self.values) for _ in range(_AXES)]
         if values is not None:
             for buffer, each in zip(buffers, values, strict=True):
-                buffer.write(np.ascontiguousarray(each, np.float32))
+                self._passes.device.write_buffer(buffer, np.asarray(each, np.float32))
             self._passes.device.check("uploading a vector")
         return Vector(buffers, self._spare)
 

@@ -83,7 +83,7 @@ class GLVolumeModel(HostModel):
         passing = finest.correction.buffers
         for buffer, values in zip(passing, (material.m, material.poisson), strict=False):
             if not isinstance(values, float):
-                buffer.write(_padded(values))
+                self._passes.device.write_buffer(buffer, _padded(values))
         buffers = {"stiffness": passing[:1], "poisson": passing[1:2], "lame": finest.lame}
         defines = {"PARAMETERS": parameters}
         place = finest.everywhere
@@ -158,7 +158,7 @@ class GLVolumeModel(HostModel):
     def _send(self, d: Planes) -> None:
         """Copy a displacement to the device in double precision."""
         for buffer, values in zip(self._exactly, d, strict=True):
-            buffer.write(np.ascontiguousarray(values))
+            self._passes.device.write_buffer(buffer, values)
         self._passes.device.check("uploading a displacement")
 
     def _add_up(self, name: str, buffers: Buffers, uniforms: Uniforms) -> npt.NDArray[np.float64]:

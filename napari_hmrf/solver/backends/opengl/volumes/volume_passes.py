@@ -65,7 +65,7 @@ class VolumePasses(DeviceResources):
         super().__init__(device, pace)
         self._scalars = self.buffer(2 * _PAIRS)
         self._spare_slots = list(range(2, 2 * _PAIRS, 2))
-        self._scalars.write(np.ones(1, np.float32).tobytes())
+        device.write_buffer(self._scalars, np.ones(1, np.float32))
         #: Scalar with the value 1.
         self.unit = Scalar(0, None)
 
