@@ -136,8 +136,8 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/form_binding.py",
-        "        if MODEL_PART in model.parts:",
-        "        if MODEL_PART not in model.parts:",
+        "        if model.model_part in model.parts:",
+        "        if model.model_part not in model.parts:",
         "ui/test_remembered_settings.py ui/test_docks.py",
     ),
     Mutation(

@@ -1,8 +1,8 @@
 """Model of the studies in a viewer, shared by forms, tools and the solver.
 
 The parts of a study have different owners: a drawing belongs to a slice, a table of materials or
-rules to a Labels layer, a choice of layers to an image, and the tissue model to the viewer. Each
-part is stored once, and an edit to a part changes the studies of all slices that use the part.
+rules to a Labels layer, and a choice of layers and the tissue model to an image. Each part is
+stored once, and an edit to a part changes the studies of all slices that use the part.
 Layers can be any hashable objects; this module does not import napari or Qt.
 """
 
@@ -35,7 +35,7 @@ from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
 #: Kinds of parts: the drawing of a slice; the tables of a Labels layer; the stiffness curve of an
-#: image; the choices for an image; the tissue model; and strokes of napari's brush in a layer.
+#: image; the choices for an image; its tissue model; and strokes of napari's brush in a layer.
 Kind = Literal["drawing", "image", "tissue", "boundary", "curve", "choice", "model", "paint"]
 #: Kinds of tables; the table of an image is always empty.
 TableKind = Literal["image", "tissue", "boundary"]
@@ -76,10 +76,6 @@ class Part(NamedTuple):
     kind: Kind
     layer: Any
     place: Any = None
-
-
-#: Key of the tissue model, which belongs to the whole viewer rather than to a layer.
-MODEL_PART = Part("model", "")
 
 
 @dataclass(frozen=True)
@@ -251,12 +247,17 @@ class StudyModel(EditHistory):
 
     @property
     def model(self) -> ModelChoice:
-        """Selected tissue model."""
-        choice: ModelChoice = self.get(MODEL_PART, ModelChoice())
+        """Tissue model of the selected image."""
+        choice: ModelChoice = self.get(self.model_part, ModelChoice())
         return choice
 
+    @property
+    def model_part(self) -> Part:
+        """Key of the tissue model of the selected image."""
+        return Part("model", self.image)
+
     def choose_model(self, choice: ModelChoice, *, step: bool = True) -> None:
-        """Change the tissue model of the viewer.
+        """Change the tissue model of the selected image.
 
         Parameters
         ----------
@@ -265,7 +266,8 @@ class StudyModel(EditHistory):
             If True, undo can restore the previous model; a change to solver details alone is not a
             step.
         """
-        self._edit(MODEL_PART, choice, step)
+        # Without an image, there would be no model for undo to restore.
+        self._edit(self.model_part, choice, step and self.image is not None)
 
     def restore(self, study: Study, layers: Mapping[str, Hashable]) -> None:
         """Select the image and restore the choices of a study, without undo steps.
@@ -390,12 +392,9 @@ class StudyModel(EditHistory):
         edge = choice.hold_edge if choice.boundary is not None else ImageChoice.hold_edge
         usual = replace(choice, without_border=True, hold_edge=edge, weight=())
         usual_model = ModelChoice(details=SolverDetails(device=model.details.device))
-        values: dict[Part, Any] = {
-            self.slice: Drawing(),
-            Part("choice", self.image): usual,
-            MODEL_PART: usual_model,
-        }
-        before = {self.slice: self.drawing, Part("choice", self.image): choice, MODEL_PART: model}
+        chosen, model_part = Part("choice", self.image), self.model_part
+        values: dict[Part, Any] = {self.slice: Drawing(), chosen: usual, model_part: usual_model}
+        before = {self.slice: self.drawing, chosen: choice, model_part: model}
         for part, value in before.items():
             self.setdefault(part, value)
         self.do_all(values, "reset the study")

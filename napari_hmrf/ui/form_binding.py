@@ -5,6 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from napari.layers import Labels, Layer
@@ -25,7 +26,7 @@ from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import fits
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
-from napari_hmrf.study.study_model import BRIGHTNESS, MODEL_PART, ImageChoice, Part
+from napari_hmrf.study.study_model import BRIGHTNESS, ImageChoice, ModelChoice, Part
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
 from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -83,7 +84,7 @@ class FormBinding:
         form.image.changed.connect(self._on_image)
         for field in (form.extent, form.tissue.choice, motion.boundary.choice):
             field.changed.connect(self._on_extent)
-        if MODEL_PART in model.parts:  # chosen in a dock that was closed
+        if model.model_part in model.parts:  # chosen without an image, in a dock that was closed
             form.model.choice = model.model
         for table in form.tables:
             table.changed.connect(self._write_tables)
@@ -164,6 +165,7 @@ class FormBinding:
                     usual = ImageChoice()
                     form.tissue.border.value = usual.without_border
                     form.motion.edge.value = usual.hold_edge
+                    self._show_model(ModelChoice())
 
     def choose_first(self) -> None:
         """Choose the image to deform, preferably an edited image, and the layers painted on it."""
@@ -248,6 +250,8 @@ class FormBinding:
         with self.automatically():
             if not keep_choices:
                 self._show(ImageChoice())
+            if not keep_choices or self._model.model_part in self._model.parts:
+                self._show_model(self._model.model)
             self._form.extent.show_for(image)
             self._form.tissue.offer(self._model.curve)
             if known:
@@ -289,6 +293,12 @@ class FormBinding:
             for name, field in self.fields.items():
                 value, of_layers = getattr(choice, name), hasattr(field, "offered")
                 field.value = value if not of_layers or value in field.choices else None
+
+    def _show_model(self, model: ModelChoice) -> None:
+        """Show the tissue model of an image in the form; the device is the same for all images."""
+        form = self._form.model
+        device = form.in_detail.details.device
+        form.choice = replace(model, details=replace(model.details, device=device))
 
     # From the forms to the model
 
@@ -367,11 +377,11 @@ class FormBinding:
             return
         with self._showing():
             others = [each for each in form.image.offered if each is not form.image.value]
-            if part.kind in ("drawing", "choice") and part.layer in others:
+            if part.kind in ("drawing", "choice", "model") and part.layer in others:
                 form.image.value = part.layer
                 uncover(self._viewer, part.layer)
             is_current = part.layer is form.image.value
-            if part.kind == "model":
+            if part.kind == "model" and is_current:
                 form.model.choice = value
             elif part.kind == "choice" and is_current:
                 self._show(value)

@@ -275,6 +275,7 @@ def test_results_are_removed_with_their_image_and_a_new_image_has_its_own(
     viewer.layers.remove(image)
     wait_for(lambda: first not in viewer.layers)
     widget.image = viewer.add_image(image.data, name="MR")
+    widget.model = "paper"
     run(widget)
     assert [layer.name for layer in viewer.layers].count("MR deformed, paper") == 1
 

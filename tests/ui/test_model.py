@@ -54,6 +54,42 @@ def test_the_default_model_is_elastic_and_the_paper_model_has_its_schedule(qtbot
     assert widget.model == "paper"
 
 
+def test_each_image_keeps_its_own_model(widget):
+    viewer = viewer_of(widget)
+    first = viewer.add_image(np.zeros((20, 24)), name="first")
+    widget.model = "large motion"
+    second = viewer.add_image(np.zeros((20, 24)), name="second")
+    widget.image = second
+    assert widget.model == "elastic"
+    widget.poisson = 0.3
+    widget.image = first
+    assert (widget.model, widget.poisson) == ("large motion", ModelChoice().poisson)
+    widget.image = second
+    assert (widget.model, widget.poisson) == ("elastic", 0.3)
+    viewer.layers.clear()
+    viewer.add_image(np.zeros((20, 24)), name="third")
+    assert (widget.model, widget.poisson) == ("elastic", ModelChoice().poisson)
+
+
+def test_undo_of_a_model_selects_the_image_of_the_model(widget):
+    viewer = viewer_of(widget)
+    first = viewer.add_image(np.zeros((20, 24)), name="first")
+    elastic(widget)
+    widget.model = "large motion"
+    widget.image = viewer.add_image(np.zeros((20, 24)), name="second")
+    widget.study_model.undo()
+    assert (widget.image, widget.model) == (first, "elastic")
+
+
+def test_the_device_is_the_same_for_all_images(widget):
+    viewer = viewer_of(widget)
+    viewer.add_image(np.zeros((20, 24)), name="first")
+    second = viewer.add_image(np.zeros((20, 24)), name="second")
+    widget.settings = replace(widget.settings, device="cpu")
+    widget.image = second
+    assert widget.study_model.model.details.device == "cpu"
+
+
 def test_the_paper_model_can_be_solved_to_convergence(widget, small_sample, run):
     small_sample(viewer_of(widget))
     widget.model = "paper, converged"

@@ -482,6 +482,7 @@ def test_images_and_arrows_can_replace_painted_layers(widget, small_sample, run)
     y = viewer.add_vectors(arrows, name="observed")
     c = viewer.add_image(np.full((20, 24), 0.5), name="sure")
     widget.tissue, widget.boundary, widget.confidence = m, y, c
+    widget.model = "paper"
     outputs = run(widget)
     assert outputs.solution.displacement[5, 20, 1] == pytest.approx(2, abs=0.01)
 
@@ -578,7 +579,7 @@ def test_a_colour_image_is_deformed_in_all_channels(widget, small_sample, run):
     colours = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
     widget.image = viewer.add_image(colours, name="photo", rgb=True)
     run(widget)
-    moved = viewer.layers["photo deformed, paper"]
+    moved = viewer.layers["photo deformed, elastic"]
     assert moved.rgb
     assert moved.data.shape == (20, 24, 3)
 
@@ -629,7 +630,7 @@ def test_painting_during_a_solve_marks_the_result_as_outdated(
     busy_thread.set()
     wait_for(lambda: widget.idle)
     said = "The inputs have changed since the last result. Press Deform. Hidden over the deformed"
-    assert widget.status.startswith(said)
+    wait_for(lambda: widget.status.startswith(said))
     assert viewer.layers["MR arrows, paper"].metadata[METADATA]["inputs_changed"]
 
 

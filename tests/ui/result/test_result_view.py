@@ -772,8 +772,8 @@ def test_a_photograph_is_deformed_in_colour(widget, small_sample, run, set_to):
     widget.tissue, widget.boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
     run(widget)
     set_to(widget, percent=50)
-    assert viewer.layers["photo deformed, paper"].rgb
-    assert viewer.layers["photo deformed, paper"].data.shape == (20, 24, 3)
+    assert viewer.layers["photo deformed, elastic"].rgb
+    assert viewer.layers["photo deformed, elastic"].data.shape == (20, 24, 3)
 
 
 # Pictures
