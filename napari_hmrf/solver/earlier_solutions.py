@@ -48,7 +48,9 @@ class EarlierSolutions:
         before, self._latest_problem = self._latest_problem, problem
         if before is not None and _same_observations(before, problem):
             del self.solutions[0]
-        self.solutions = [solution, *self.solutions][:KEPT]
+        known = solution.displacement
+        others = [each for each in self.solutions if each.displacement is not known]
+        self.solutions = [solution, *others][:KEPT]
 
 
 def _same_observations(one: Problem, other: Problem) -> bool:

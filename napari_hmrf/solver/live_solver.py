@@ -63,6 +63,8 @@ class Update:
         got within a part of its budget. The final solution follows unless there is a newer edit.
     seconds : float
         Time since the edit was submitted.
+    is_earlier : bool
+        True for the earlier solution of a `Known`.
     """
 
     number: int
@@ -71,10 +73,30 @@ class Update:
     error: Exception | None
     final: bool
     seconds: float
+    is_earlier: bool = False
 
 
-#: Input of an edit: a problem, or a problem with its own prior.
-Input = Problem | tuple[Problem, Prior]
+class Known(NamedTuple):
+    """Problem with its prior and an earlier solution of the same problem.
+
+    Attributes
+    ----------
+    problem : Problem
+    prior : Prior
+    solution : Solution
+    is_answer : bool
+        True to deliver the earlier solution without a solve. If False, the problem is solved, and
+        the earlier solution is delivered only if the budget ends this solve.
+    """
+
+    problem: Problem
+    prior: Prior
+    solution: Solution
+    is_answer: bool
+
+
+#: Input of an edit: a problem, a problem with its own prior, or also with an earlier solution.
+Input = Problem | tuple[Problem, Prior] | Known
 
 
 class LiveSolver:
@@ -171,7 +193,7 @@ class LiveSolver:
 
         Parameters
         ----------
-        problem : Problem, tuple of Problem and Prior, or callable
+        problem : Problem, tuple of Problem and Prior, Known, or callable
             Problem, or a function that returns the problem. The function is called on the compute
             thread, unless the edit is replaced first. An error that it raises is delivered.
             Building a problem may take as long as a solve. With a function, a replaced edit does
@@ -278,22 +300,30 @@ class LiveSolver:
         problem: Problem | None = None
         try:
             given = edit.problem() if callable(edit.problem) else edit.problem
-            unchecked, prior = given if isinstance(given, tuple) else (given, edit.prior)
+            known = given if isinstance(given, Known) else None
+            unchecked, prior = given[:2] if isinstance(given, tuple) else (given, edit.prior)
             check_arguments(problem=unchecked, prior=prior)
             problem = unchecked
             self._earlier.keep_for(problem, turn.series)
             start, self._given = self._given, None
             if start is not None:
                 self._earlier.begin_with(start, problem)
+            if known is not None and known.is_answer:
+                self._deliver_known(turn, known)
+                return
             solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
             optimizer = edit.optimizer
             for stage in self._previews(problem, prior, optimizer) if edit.preview else ():
                 preview = solve(stage)
-                if preview.reach is not None and not preview.reach.stopped:
+                if preview.reach is not None and not has_stopped(preview):
                     break  # the budget of the preview was sufficient
                 self._deliver_update(turn, problem, preview, final=False)
                 turn.patience = 0
-            self._deliver_update(turn, problem, solve(optimizer))
+            solution = solve(optimizer)
+            if known is not None and has_stopped(solution):
+                self._deliver_known(turn, known)
+            else:
+                self._deliver_update(turn, problem, solution)
         except Cancelled:
             raise
         except Exception as error:  # noqa: BLE001 - the caller always gets an answer
@@ -334,6 +364,11 @@ class LiveSolver:
         self._earlier.add(problem, solution)
         return solution
 
+    def _deliver_known(self, turn: Turn, known: Known) -> None:
+        """Deliver an earlier solution, from which the next solve starts."""
+        self._earlier.add(known.problem, known.solution)
+        self._deliver_update(turn, known.problem, known.solution, is_earlier=True)
+
     def _deliver_update(
         self,
         turn: Turn,
@@ -341,13 +376,16 @@ class LiveSolver:
         solution: Solution | None = None,
         error: Exception | None = None,
         final: bool = True,
+        is_earlier: bool = False,
     ) -> None:
         # A newer edit either corrects this error or raises the error again.
         if turn.dropped or (error is not None and self._queue.has_pending):
             return
         seconds = time.perf_counter() - turn.submitted
         try:
-            self._deliver(Update(turn.generation, problem, solution, error, final, seconds))
+            self._deliver(
+                Update(turn.generation, problem, solution, error, final, seconds, is_earlier)
+            )
         except Cancelled:
             raise
         except Exception:  # noqa: BLE001 - later edits must still be answered
@@ -357,6 +395,11 @@ class LiveSolver:
 def _has_preview(optimizer: Optimizer) -> TypeGuard[Multigrid]:
     """Return whether the optimizer has a smaller tolerance than a preview."""
     return isinstance(optimizer, Multigrid) and optimizer.tolerance < PREVIEW_TOLERANCE
+
+
+def has_stopped(solution: Solution) -> bool:
+    """Return whether the budget ended a solve."""
+    return solution.reach is not None and solution.reach.stopped
 
 
 def _is_crushed(solution: Solution) -> bool:

@@ -2,7 +2,8 @@
 
 All computation is on the compute thread. While a study is solved, only the latest request remains
 pending. Each solve is a warm start unless a cold start is requested. Parts that are common to two
-consecutive studies are computed only once.
+consecutive studies are computed only once. A study that was solved before, as after an undo, has
+the same result again.
 """
 
 from __future__ import annotations
@@ -23,14 +24,13 @@ from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.field.resample import on_finer_grid
 from napari_hmrf.field.tissue_point import Points, first_tissue, holds
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.live_solver import LiveSolver, Update
+from napari_hmrf.solver.live_solver import Input, Known, LiveSolver, Update, has_stopped
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.priors import Prior
-from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.coarse_grid import CoarseGrid, Preview
 from napari_hmrf.study.ground import Ground, Statement
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_results import StudyResults
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Rendering
 from napari_hmrf.tissue.drawing.canvas import Box
 from napari_hmrf.tissue.drawing.marks import Point
@@ -87,6 +87,7 @@ class Engine:
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
         self._pictures = MovedPictures()
+        self._results = StudyResults()
 
     # Methods for any thread
 
@@ -122,7 +123,8 @@ class Engine:
             As for `solve`.
         cold_start : bool
             If True, solve from a cold start. The result is then identical to that of `solve_study`,
-            and a study without boundary conditions or loads is an error.
+            and a study without boundary conditions or loads is an error. If the budget of the
+            optimizer ends the solve, an earlier complete result of the study is delivered instead.
         preview : Preview, optional
             Settings of a preview during a drag; the study is solved only on the coarse grid.
 
@@ -177,9 +179,12 @@ class Engine:
 
     # Methods for the compute thread
 
-    def _state(
-        self, study: Study, cold_start: bool, preview: Preview | None
-    ) -> tuple[Problem, Prior]:
+    def keep(self, result: Deformation) -> None:
+        """Store a result, which is delivered again when its study is submitted again."""
+        if result.solution is not None and result.preview is None:
+            self._results.add(result.study, result.solution)
+
+    def _state(self, study: Study, cold_start: bool, preview: Preview | None) -> Input:
         """Build the problem of a study; recompute only the parts that have changed."""
         self._request = Deformation(study, settled=cold_start, preview=preview)
         grid = self._request.grid
@@ -197,7 +202,10 @@ class Engine:
             raise _StillError
         stated = replace(ground.statement(canvas, drawing), optimizer=study.optimizer)
         self._request = replace(self._request, stated=stated)
-        return stated.problem, stated.prior
+        known = self._results.find(study) if preview is None else None
+        if known is None or (cold_start and has_stopped(known)):
+            return stated.problem, stated.prior
+        return Known(stated.problem, stated.prior, known, is_answer=not cold_start)
 
     def _ground_of(self, study: Study, grid: CoarseGrid) -> Ground:
         """Return the ground of a study; reuse the last ground if only the drawing differs."""
@@ -211,7 +219,7 @@ class Engine:
 
     def _deliver(self, update: Update) -> None:
         assert self._request is not None
-        request = replace(self._request, generation=update.number)
+        request = replace(self._request, generation=update.number, is_earlier=update.is_earlier)
         error, latest = update.error, self.latest
         if update.solution is not None or isinstance(error, _StillError):
             moved, error = self._try_to_move(request, update.solution)
@@ -305,6 +313,9 @@ class Deformation:
         Settings of a preview. The `image` of a preview is one slice, (H, W), of a volume, or the
         whole image. In a 3-D view it is a volume on the coarse grid, or the values, (N,), at the
         voxels of a cut.
+    is_earlier : bool
+        True for an earlier result of the study, which is delivered again. If also `settled` is
+        True, the budget ended the solve from a cold start.
     generation : int
         Generation number, as returned by `Engine.submit`.
     """
@@ -318,6 +329,7 @@ class Deformation:
     error: Exception | None = None
     settled: bool = False
     preview: Preview | None = None
+    is_earlier: bool = False
     generation: int = 0
 
     @property

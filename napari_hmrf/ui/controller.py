@@ -292,6 +292,8 @@ class Controller:
 
     def _on_drawn(self) -> None:
         """Solve for the changed drawing without reading the layers again."""
+        if self._refresh_timer.isActive() and (self.form.footer.live.value or self.pointer.active):
+            return  # the refresh reads the other changes of the same undo step, and the drawing
         study = self.study
         if study is not None:
             self._follow(study)

@@ -68,7 +68,9 @@ class Footer(QWidget):
     def __init__(self, result: Container, files: Container, tools: str = "") -> None:
         super().__init__()
         self.deform = PushButton(
-            text=DEFORM, tooltip="Compute the motion of the tissue from scratch, to the tolerance"
+            text=DEFORM,
+            tooltip="Compute the motion of the tissue from scratch, to the tolerance. If the "
+            "largest work is not enough for that, the earlier result is kept.",
         )
         self.cancel = PushButton(text="Cancel", tooltip="Stop computing; nothing is changed")
         self.cancel.enabled = False

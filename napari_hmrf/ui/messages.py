@@ -29,6 +29,11 @@ MEANWHILE = "The deformed image is hidden while you paint."
 CHANGED = "The inputs have changed since the last result. Press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result is still shown."
+#: Message after a solve from a cold start that used up its budget.
+KEPT_RESULT = (
+    "This is the earlier result: from scratch, the largest work was used up before tissue reached "
+    "its targets."
+)
 BEHIND = (
     "Cancelled: the picture and the warnings do not include the last edits. Press Deform to update "
     "them."
@@ -94,14 +99,16 @@ HANDFUL = 5
 
 
 def report(done: CompleteResult) -> str:
-    """Describe the largest displacement of a result in a sentence."""
+    """Describe the largest displacement of a result, and whether an earlier result was kept."""
     place, solution = done.moved.study.grid.known_place, done.outputs.solution
     largest = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
     if not largest:
         return STILL
     slice_name = place.slice_seen.replace("slice", "Slice")
     where = f"{slice_name}: tissue" if slice_name else "Tissue"
-    return f"{where} moved up to {largest:.3g} {unit_symbol(place.unit)}."
+    moved = f"{where} moved up to {largest:.3g} {unit_symbol(place.unit)}."
+    is_kept = done.moved.settled and done.moved.is_earlier
+    return f"{moved} {KEPT_RESULT}" if is_kept else moved
 
 
 def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:

@@ -120,12 +120,14 @@ class PacedEngine:
             return None
         try:
             with compute_thread.unless(lambda: self._engine.busy):
-                return complete_result(latest, compute_thread.check_cancelled)
+                completed = complete_result(latest, compute_thread.check_cancelled)
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001 - every error is reported to the user
             _log.exception("the layers of a result could not be created")
             return ShownDeformation(replace(latest, error=error))
+        self._engine.keep(latest)
+        return completed
 
     # On the GUI thread
 

@@ -1,0 +1,89 @@
+"""Tests of earlier results: a result belongs to one study with its settings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    Arrow,
+    Drawing,
+    Grid,
+    Motion,
+    Multigrid,
+    NeoHookeanPrior,
+    Pictures,
+    Study,
+    Tissue,
+    solve_study,
+)
+from napari_hmrf.solver.optimizers import work
+from napari_hmrf.study import study_results
+from napari_hmrf.study.study_results import StudyResults
+
+SHAPE = (24, 24)
+
+
+def study_with(cols=1.0, optimizer=None):
+    motion = Motion(drawing=Drawing((Arrow((12, 12), (0.0, cols), 3.0),)), hold_edge=True)
+    optimizer = optimizer or Multigrid()
+    return Study(
+        Grid(SHAPE, (1.0, 1.0)), TISSUE, motion, prior=NeoHookeanPrior(), optimizer=optimizer
+    )
+
+
+TISSUE = Tissue(stiffness=np.ones(SHAPE, np.float32))
+STUDY = study_with()
+OTHERS = {
+    "drawing": study_with(2.0),
+    "tissue": replace(STUDY, tissue=Tissue(stiffness=np.full(SHAPE, 2, np.float32))),
+    "prior": replace(STUDY, prior=NeoHookeanPrior(0.2)),
+    "tolerance": replace(STUDY, optimizer=Multigrid(1e-2)),
+    "grid": replace(STUDY, grid=Grid(SHAPE, (2.0, 2.0))),
+    "image": replace(STUDY, pictures=Pictures(image=np.zeros(SHAPE))),
+}
+
+
+@pytest.fixture(scope="module")
+def solution():
+    return solve_study(STUDY, backend="cpu")
+
+
+@pytest.mark.parametrize("other", OTHERS.values(), ids=OTHERS)
+def test_a_result_is_found_for_its_own_study_only(solution, other):
+    results = StudyResults()
+    results.add(STUDY, solution)
+    assert results.find(other) is None
+    assert results.find(study_with()).displacement is solution.displacement
+
+
+def test_a_complete_result_is_found_for_any_budget(solution):
+    results = StudyResults()
+    results.add(STUDY, solution)
+    assert results.find(study_with(optimizer=Multigrid(budget=300.0))) is not None
+
+
+def test_a_result_that_used_up_its_budget_is_not_found_for_another_budget(monkeypatch):
+    monkeypatch.setattr(work, "_LEAST_CYCLE_SITES", {2: 0.0, 3: 0.0})
+    study, results = study_with(9.0, Multigrid(budget=1.0)), StudyResults()
+    short = solve_study(study, backend="cpu")
+    assert short.reach.stopped
+    results.add(study, short)
+    assert results.find(study) is not None
+    assert results.find(study_with(9.0)) is None
+
+
+def test_a_preview_is_not_stored(solution):
+    results = StudyResults()
+    results.add(OTHERS["tolerance"], solution)
+    assert results.find(OTHERS["tolerance"]) is None
+
+
+def test_the_results_that_were_used_last_are_stored_within_a_limit(solution, monkeypatch):
+    monkeypatch.setattr(study_results, "MOST_BYTES", 2.5 * solution.displacement.nbytes)
+    results, studies = StudyResults(), [study_with(cols) for cols in (1.0, 2.0, 3.0)]
+    for study in studies[:2]:
+        results.add(study, solution)
+    assert results.find(studies[0]) is not None
+    results.add(studies[2], solution)
+    assert [results.find(study) is not None for study in studies] == [True, False, True]
