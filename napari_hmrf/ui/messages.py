@@ -30,10 +30,7 @@ CHANGED = "The inputs have changed since the last result. Press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result is still shown."
 #: Message after a solve from a cold start that used up its budget.
-KEPT_RESULT = (
-    "This is the earlier result: from scratch, the largest work was used up before tissue reached "
-    "its targets."
-)
+KEPT_RESULT = "Kept the earlier result: the largest work was used up."
 BEHIND = (
     "Cancelled: the picture and the warnings do not include the last edits. Press Deform to update "
     "them."

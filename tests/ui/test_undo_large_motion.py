@@ -73,7 +73,7 @@ def test_a_precise_solve_that_is_too_long_keeps_the_result_and_reports_it(pulled
     dock = pulled_in_steps
     press(dock, "Solve precisely", settle)
     assert moved_as_pulled(dock)
-    assert "This is the earlier result" in dock.status
+    assert "Kept the earlier result" in dock.status
     dock.drawing = pulled_by(PULLS[-1] + 1)
     settle(dock)
     assert dock.solution.reach.missing == 0, "the next solve started from a field that is too short"
