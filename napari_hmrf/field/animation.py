@@ -11,7 +11,13 @@ import numpy.typing as npt
 
 from napari_hmrf.field.deformation import deformation_grid, pixels_between
 from napari_hmrf.field.live_warp import Picture, Warper
-from napari_hmrf.field.quantities import Quantity, values_of, within, without_folds
+from napari_hmrf.field.quantities import (
+    Quantity,
+    neutral_value,
+    values_of,
+    within,
+    without_folds,
+)
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.field.warp import inverse_map_and_overlaps
@@ -63,14 +69,14 @@ class Motion:
     overlay : ndarray, shape ([D,] H, W), optional
         Overlay before the motion: labels, or a quantity of the tissue that is NaN outside tissue.
         The sites of a boolean overlay are moved individually, because a warped image would lose
-        sites where tissue folds.
+        sites where tissue folds. A quantity of a volume has its neutral value outside tissue.
     grid : bool
         If True, the deformation grid of a slice is drawn as well.
     quantity : Quantity, optional
         Quantity in `overlay`, which contains its values at fraction 1. The values at other
         fractions are recomputed.
     limits : (float, float), optional
-        Ends of the scale of the quantity. If `overlay` contains folds (-infinity), other values are
+        Ends of the scale of the quantity. If `overlay` contains folds (infinite), other values are
         clipped to the scale.
     """
 
@@ -99,7 +105,7 @@ class Motion:
         if self._pictures:
             if self.quantity is not None and self.overlay is not None:
                 values = self._values_at(fraction, self.overlay)
-                self._warper.replace(len(self._pictures) - 1, _overlaid(values))
+                self._warper.replace(len(self._pictures) - 1, self._overlaid(values))
             moved = self._warper(solution.displacement, solution.tissue, fraction)
             parts = dict(zip(self._pictures, moved, strict=True))
         if self.overlay is not None and self.overlay.dtype == bool:
@@ -135,13 +141,22 @@ class Motion:
             pictures["image"] = Picture(self.image, order=1, fill=fill)
         if self.overlay is not None and self.overlay.dtype != bool:
             whole = self._values_at(1, self.overlay) if self.quantity else self.overlay
-            pictures["overlay"] = _overlaid(whole)
+            pictures["overlay"] = self._overlaid(whole)
         return pictures
+
+    def _overlaid(self, values: npt.NDArray[Any]) -> Picture:
+        if values.dtype.kind != "f":
+            return Picture(values, order=0, fill=0)
+        if self.quantity is None or values.ndim == 2:
+            return Picture(values, order=0, fill=np.nan)
+        # In a 3-D view, vispy may draw NaN next to tissue in the colour of an end of the scale.
+        neutral = neutral_value(self.quantity)
+        return Picture(np.where(np.isnan(values), neutral, values), order=0, fill=neutral)
 
     @cached_property
     def _folds(self) -> bool:
         """True if the overlay contains folds."""
-        return self.overlay is not None and bool(np.isneginf(self.overlay).any())
+        return self.overlay is not None and bool(np.isinf(self.overlay).any())
 
     def _values_at(self, fraction: float, whole: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the quantity at a fraction of the displacement, on the grid before the motion."""
@@ -151,16 +166,12 @@ class Motion:
         if not self._folds or self.limits is None:
             return values
         if fraction != 1:
-            values = without_folds(values, self.solution, fraction)
+            values = without_folds(values, self.solution, self.quantity, fraction)
         return within(values, self.limits)
 
     @cached_property
     def _warper(self) -> Warper:
         return Warper(list(self._pictures.values()), spacing=self.solution.spacing)
-
-
-def _overlaid(values: npt.NDArray[Any]) -> Picture:
-    return Picture(values, order=0, fill=np.nan if values.dtype.kind == "f" else 0)
 
 
 def moved_marks(

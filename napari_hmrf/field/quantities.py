@@ -20,8 +20,9 @@ _PER_CENT = 100.0
 #: Largest end of a scale of strain, in per cent. Larger strain occurs only at sites that nearly
 #: fold, and would make the strain of the other tissue invisible.
 _LARGEST_STRAIN = 100.0
-#: Distance of clipped values from the lower end of a scale, as a fraction of the scale. napari
-#: draws values at the lower end in the colour of folds.
+#: Distance of clipped values from the ends of a scale, as a fraction of the scale. napari draws
+#: values at one end in the colour of folds, and stops its search for folds in a 3-D view at values
+#: at this end.
 _INSIDE = 1e-3
 #: Title and unit of each quantity. The unit "" means the unit of length, and "{kind}" is replaced
 #: by the `StrainKind`. "rows", "columns" and "shear" are the components of the strain within
@@ -52,19 +53,24 @@ class Coloured(NamedTuple):
     Attributes
     ----------
     values : ndarray, shape ([D,] H, W), float32
-        Values in the unit of `QUANTITIES`; NaN outside tissue. Strain at folds is -infinity.
+        Values in the unit of `QUANTITIES`; NaN outside tissue. Strain at folds is infinity, or
+        -infinity if `descending`.
     limits : (float, float)
         Ends of the scale.
     signed : bool
         True if the middle of the scale means no change; False if its lower end does.
     folded : bool
         True if any tissue is folded.
+    descending : bool
+        True if folds are below the scale, and a 3-D view shows the lowest value on each line of
+        sight. Otherwise, folds are above the scale, and a 3-D view shows the highest value.
     """
 
     values: FloatArray
     limits: tuple[float, float]
     signed: bool
     folded: bool = False
+    descending: bool = False
 
     @property
     def unit_note(self) -> str:
@@ -75,8 +81,8 @@ class Coloured(NamedTuple):
         """Return a mask of the folds in `values`, or in a slice of `values`."""
         if not self.folded:
             return np.zeros(values.shape, dtype=bool)
-        is_strain = bool(np.isneginf(self.values).any())
-        mask: npt.NDArray[np.bool_] = np.isneginf(values) if is_strain else values <= 0
+        is_strain = bool(np.isinf(self.values).any())
+        mask: npt.NDArray[np.bool_] = np.isinf(values) if is_strain else values <= 0
         return mask
 
 
@@ -99,27 +105,39 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
     values, signed = values_of(solution, quantity), quantity not in ("magnitude", "equivalent")
     if quantity == "jacobian":
         folded = bool((values <= 0).any())
-        return Coloured(values, area_limits(values, folded), signed, folded)
+        return Coloured(values, area_limits(values, folded), signed, folded, folded)
     is_strain = QUANTITIES[quantity][1] == "%"
     if is_strain:
-        values = without_folds(values, solution)
+        values = without_folds(values, solution, quantity)
     reach = reach_of(values, signed, SMALLEST * (_PER_CENT if is_strain else 1))
     if is_strain:
         reach = min(reach, _LARGEST_STRAIN)
-    folded = bool(np.isneginf(values).any())
-    return Coloured(values, (-reach if signed else 0.0, reach), signed, folded)
+    folded, descending = bool(np.isinf(values).any()), quantity == "squeeze"
+    return Coloured(values, (-reach if signed else 0.0, reach), signed, folded, descending)
 
 
-def without_folds(values: FloatArray, solution: Solution, fraction: float = 1.0) -> FloatArray:
-    """Replace the strain at folds, where strain is not defined, by -infinity."""
-    return np.where(area_change(solution, fraction) <= 0, np.float32(-np.inf), values)
+def neutral_value(quantity: Quantity) -> float:
+    """Return the value of a quantity without deformation, which is drawn transparently."""
+    return 1.0 if quantity == "jacobian" else 0.0
+
+
+def without_folds(
+    values: FloatArray, solution: Solution, quantity: Quantity, fraction: float = 1.0
+) -> FloatArray:
+    """Replace the strain at folds, where strain is not defined, by infinity or -infinity.
+
+    The sign is that of the values that matter most, so that other values on a line of sight do not
+    hide folds in a 3-D view.
+    """
+    fold = np.float32(-np.inf if quantity == "squeeze" else np.inf)
+    return np.where(area_change(solution, fraction) <= 0, fold, values)
 
 
 def within(values: FloatArray, limits: tuple[float, float]) -> FloatArray:
-    """Clip strain to the inside of a scale, so that only folds are at or below the lower end."""
+    """Clip strain to the inside of a scale, so that only folds are at or beyond an end."""
     low, high = limits
-    inside = np.clip(values, low + _INSIDE * (high - low), high)
-    return np.where(np.isneginf(values), values, inside)
+    margin = _INSIDE * (high - low)
+    return np.where(np.isinf(values), values, np.clip(values, low + margin, high - margin))
 
 
 def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> FloatArray:

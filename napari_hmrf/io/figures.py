@@ -293,11 +293,9 @@ def _draw_colours(
             marked = np.where(folds, 1.0, np.nan)
             axes.imshow(marked, cmap=ListedColormap([FOLDED]), aspect=axes.get_aspect())
             axes.legend(handles=[Patch(color=FOLDED, label="folded")], loc="lower right")
-    all_values = coloured_values.values
-    above = (all_values > high).any()
-    below = (
-        coloured_values.signed and (all_values[~coloured_values.is_fold(all_values)] < low).any()
-    )
+    unfolded = coloured_values.values[~coloured_values.is_fold(coloured_values.values)]
+    above = (unfolded > high).any()
+    below = coloured_values.signed and (unfolded < low).any()
     ends = "both" if above and below else "max" if above else "min" if below else "neither"
     figure.colorbar(shown, ax=[axes for axes, _ in parts], shrink=0.8, extend=ends)
 

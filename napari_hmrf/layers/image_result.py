@@ -34,7 +34,10 @@ PAINTED: Literal["painted"] = "painted"
 #: Name of a part of a result: image or arrows of the solution, overlay, or paint.
 Part = Kind | Literal["overlay", "painted confidence", "painted"]
 #: Display settings that are updated together with the data, by part.
-_LOOKS = {"overlay": ("colormap", "contrast_limits"), PAINTED: ("colormap",)}
+_LOOKS = {
+    "overlay": ("colormap", "contrast_limits", "interpolation3d", "rendering"),
+    PAINTED: ("colormap",),
+}
 #: Percentage of the complete deformation.
 _WHOLE = 100
 

@@ -10,8 +10,15 @@ from napari.utils.colormaps.standardize_color import transform_color
 
 from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opacity
 
-#: Display settings of a quantity shown over an image.
-OVER = {"blending": "translucent", "opacity": OPACITY}
+#: Display settings of a quantity shown over an image. In a 3-D view, an interpolation with the NaN
+#: outside tissue would draw wrong colours at the surface, and with the depth test, the brightest
+#: voxels of the image would hide the quantity.
+OVER = {
+    "blending": "translucent_no_depth",
+    "opacity": OPACITY,
+    "interpolation3d": "nearest",
+    "rendering": "mip",
+}
 #: Colour of the arrows of observed motion.
 OBSERVED = "magenta"
 #: Colour of the arrows of a result; visible on black, grey and white.
@@ -36,10 +43,11 @@ def boundary_colours() -> Any:
 def mark_look() -> dict[str, Any]:
     """Return the display settings of a Labels layer that marks sites, such as folds."""
     colours = {None: "transparent", 0: "transparent", 1: FOLDED}
-    return {"colormap": colormaps.DirectLabelColormap(color_dict=colours), "opacity": 1.0}
+    colormap = colormaps.DirectLabelColormap(color_dict=colours)
+    return {"colormap": colormap, "opacity": 1.0, "blending": OVER["blending"]}
 
 
-def quantity_colours(signed: bool, folds: bool = False) -> Any:
+def quantity_colours(signed: bool, folds: bool = False, descending: bool = True) -> Any:
     """Return the colormap of a quantity in an Image layer, transparent at the neutral value.
 
     Parameters
@@ -47,14 +55,16 @@ def quantity_colours(signed: bool, folds: bool = False) -> Any:
     signed : bool
         True if the neutral value is at the middle of the colormap, False if it is at the lower end.
     folds : bool
-        True to draw values at or below the lower limit in the colour of folds.
+        True to draw values at or beyond a limit in the colour of folds.
+    descending : bool
+        True if folds are below the lower limit, False if they are above the upper limit.
     """
     name = DIVERGING if signed else RISING
     part = np.linspace(0, 1, 256)
     colours = np.array(colormaps.ensure_colormap(name).map(part))
     colours[:, 3] = opacity(part, signed)
-    low = transform_color(FOLDED)[0] if folds else None
-    return colormaps.Colormap(colours, name=f"{name}, clear", low_color=low)
+    end = {"low_color" if descending else "high_color": transform_color(FOLDED)[0]} if folds else {}
+    return colormaps.Colormap(colours, name=f"{name}, clear", **end)
 
 
 def opaque_gaps(colormap: Any) -> Any:

@@ -432,8 +432,9 @@ def stiffness_unit(answer: PlacedSolution) -> str:
 
 def _colours(shown: Coloured) -> dict[str, Any]:
     """Return the display settings of an Image layer that shows a quantity."""
-    scale = label_colours.quantity_colours(shown.signed, shown.folded)
-    return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
+    scale = label_colours.quantity_colours(shown.signed, shown.folded, shown.descending)
+    look = {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
+    return {**look, "rendering": "minip" if shown.descending else "mip"}
 
 
 def _motion_layer(answer: PlacedSolution) -> LayerData | None:

@@ -4,6 +4,7 @@ import threading
 
 import numpy as np
 import pytest
+from napari.layers import Vectors
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QFileDialog, QPushButton, QTableWidget
 
@@ -11,6 +12,7 @@ from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.messages import MEANWHILE
 from tests.support.person import CTRL, by_name, only
 from tests.support.pulling import pull_volume
@@ -271,6 +273,31 @@ def test_overlays_of_a_volume_are_volumes(volume, settle):
         ]
         assert any(each.data.shape == SHAPE and each.data.dtype.kind == "f" for each in over)
     widget.overlay = "nothing"
+
+
+def test_folds_and_only_folds_are_blue_in_a_3d_view_of_strain(open_window, settle):
+    planes, rows, cols = np.indices(SHAPE)
+    is_brain = ((planes - 12) / 10) ** 2 + ((rows - 16) / 13) ** 2 + ((cols - 16) / 13) ** 2 < 1
+    person, widget = open_window(is_brain * (100 + 20 * (rows % 3)).astype(np.uint8), scale=SCALE)
+    pull_volume(person, widget, settle, ndisplay=3)
+    widget.drawing = Drawing((Arrow((12, 16, 16), (0, 0, 8.0), 2.0),))
+    for overlay in ("equivalent", "squeeze", "jacobian"):
+        widget.overlay = overlay
+        settle(widget)
+        for layer in person.viewer.layers:
+            layer.visible = layer.visible and not isinstance(layer, Vectors)
+        (layer,) = [each for each in person.viewer.layers if "; blue: folded" in each.name]
+        layer.colorbar.visible = False
+        folds = layer.data <= 0 if overlay == "jacobian" else np.isinf(layer.data)
+        ends = np.argwhere(folds)[:, None] + np.array([[0, 0, 0], [-1, -1, -1], [1, 1, 1]]) / 2
+        places = [person.where(*at) for at in (ends * SCALE).reshape(-1, 3)]
+        ratio = person.canvas.devicePixelRatioF()
+        x, y = (ratio * np.array([(at.x(), at.y()) for at in places])).astype(int).T
+        shot = person.viewer.screenshot(canvas_only=True, flash=False)[..., :3].astype(int)
+        is_blue = shot[..., 2] > shot[..., :2].max(axis=-1) + 100
+        assert is_blue[y[::3], x[::3]].all(), "strain hides a fold"
+        is_blue[y.min() - 3 : y.max() + 4, x.min() - 3 : x.max() + 4] = False
+        assert not is_blue.any(), "tissue without folds is blue"
 
 
 def test_measurements_of_a_volume_have_columns_for_voxels_and_volumes(

@@ -105,7 +105,7 @@ class UnderCursor:
             title, unit = title_and_unit(overlay.name, answer.solution)
             if unit == "%":  # every line includes the other quantities anyway
                 strain = float(overlay.picture[probe.site])
-                is_fold = strain == -np.inf
+                is_fold = bool(np.isinf(strain))
                 more.insert(0, f"{title}: folded" if is_fold else f"{title} {rounded(strain):g} %")
         percent = 0 if shown.layers.is_before else shown.percent
         return at_point(answer.unit, probe, ways, more, percent)
