@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,9 @@ _KINDS: tuple[_Kind, ...] = get_args(_Kind)
 _FAR = 2**31
 # Arrows shorter than this fraction of the longest arrow are omitted, as they would look like dots.
 _LEAST = 0.1
+# Arrows shorter than this fraction of the smallest side of a pixel are omitted: the motion is not
+# visible, and its direction may be an error of the solver, up to 0.01 pixels in the window.
+_UNSEEN = 0.05
 
 
 def magnitude(displacement: npt.ArrayLike) -> FloatArray:
@@ -275,16 +278,15 @@ def arrows_apart(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Return `arrows` that do not overlap, without very short arrows.
+    """Return `arrows` that do not overlap, without very short arrows; none if nothing moves.
 
     The parameters, return value and errors are those of `arrows`.
     """
     found = arrows(displacement, spacing=spacing, tissue=tissue, about=about)
-    lengths = np.linalg.norm(found[:, 1], axis=1)
-    found = found[lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)]
     axes = found.shape[-1]
-    sites = np.size(displacement) / axes if tissue is None else np.sum(tissue)
     sizes = checked_sizes(spacing, axes)
+    found = found[_are_visible(found[:, 1], sizes)]
+    sites = np.size(displacement) / axes if tissue is None else np.sum(tissue)
     gap = max(1.0, (sites / about) ** (1 / axes)) * math.prod(sizes) ** (1 / axes) / 4
     chosen: FloatArray = found[_apart(found, gap, sizes)]
     return chosen
@@ -302,8 +304,8 @@ def arrows_in_slices(
     The slice with the most tissue has approximately `about` arrows. Arrows start at voxels with
     x + s y + s^2 z = 0 modulo m, where m is the number of voxels per arrow in that slice and s is
     close to the golden section of m. Slices along any axis therefore show no visible rows of
-    arrows. Very short arrows are omitted. The parameters, return value and errors are those of
-    `arrows`.
+    arrows. Very short arrows are omitted; if nothing moves, there are none. The parameters, return
+    value and errors are those of `arrows`.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     sites = max(1, round(int(mask.sum(axis=(1, 2)).max()) / about))
@@ -316,10 +318,17 @@ def arrows_in_slices(
         chosen[plane] = mask[plane] & ((col + shift * row + shift**2 * plane) % sites == 0)
     starts = np.argwhere(chosen)
     steps = moved[tuple(starts.T)] - starts
-    lengths = np.linalg.norm(steps * checked_sizes(spacing, 3), axis=1)
-    far = lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)
-    found: FloatArray = np.stack([starts, steps], axis=1)[far].astype(np.float32)
+    visible = _are_visible(steps, checked_sizes(spacing, 3))
+    found: FloatArray = np.stack([starts, steps], axis=1)[visible].astype(np.float32)
     return found
+
+
+def _are_visible(steps: npt.NDArray[Any], sizes: Float64Array) -> BoolArray:
+    """Return a mask of the steps, (N, n) in pixels, that are long enough for an arrow."""
+    lengths = np.linalg.norm(steps * sizes, axis=1)
+    least = max(_LEAST * lengths.max(initial=0.0), _UNSEEN * float(sizes.min()))
+    visible: BoolArray = lengths >= least
+    return visible
 
 
 def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:

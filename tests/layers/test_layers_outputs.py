@@ -35,7 +35,7 @@ OVER = (
 
 def solution(displacement=(2.0, 0.0), spacing=(1.0, 1.0), shape=SHAPE):
     """Return a solution in which all tissue moves by the same vector."""
-    field = np.broadcast_to(np.float32(displacement), (*shape, 2)).copy()
+    field = np.broadcast_to(np.float32(displacement), (*shape, len(shape))).copy()
     return Solution(
         displacement=field,
         energy=np.array([1.0]),
@@ -107,6 +107,18 @@ def test_long_arrows_of_true_length_do_not_overlap(spacing):
     for row in np.unique(arrows[:, 0, 0]):
         starts = np.sort(arrows[arrows[:, 0, 0] == row, 0, 1])
         assert (np.diff(starts) > 50).all()
+
+
+@pytest.mark.parametrize("shape", [(60, 60), (4, 60, 60)])
+def test_motion_below_a_twentieth_of_the_smallest_side_of_a_pixel_has_no_arrows(shape):
+    def count(across):
+        spacing = (4.0, 2.0, 2.0)[: len(shape)]
+        step = (across, *[0.0] * (len(shape) - 1))
+        arrows = result_layers(solution(step, spacing, shape)).layers["arrows"].data
+        return int(arrows[:, 1].any(axis=1).sum())
+
+    assert count(0.09) == 0
+    assert count(0.11) > 50
 
 
 def test_arrows_have_equal_distances_in_millimetres_along_both_axes():

@@ -129,10 +129,16 @@ class MovingLayers:
         self.percent = percent
 
     @property
+    def has_arrows(self) -> bool:
+        """True if the layer of the arrows is visible and contains arrows."""
+        arrows = self.layers.layer("arrows")
+        return arrows is not None and bool(arrows.visible and arrows.data[:, 1].any())
+
+    @property
     def times_as_long(self) -> float:
         """Ratio of the displayed length of the arrows to the displacement."""
         arrows = self.layers.layer("arrows")
-        if arrows is None or not self._arrows_percent:
+        if arrows is None or not (self._arrows_percent and arrows.data[:, 1].any()):
             return 1.0
         return float(arrows.length) * FULL / self._arrows_percent
 

@@ -43,8 +43,7 @@ class ScaleKey:
     def is_true(self) -> bool:
         """True if arrows are visible and as long as the displacement in the image."""
         shown = self._shown()
-        arrows = None if shown is None else shown.layers.layer("arrows")
-        if shown is None or arrows is None or not arrows.visible:
+        if shown is None or not shown.has_arrows:
             return False
         return abs(shown.times_as_long - 1) < _TRUE
 

@@ -8,6 +8,7 @@ from napari.utils.colormaps import AVAILABLE_COLORMAPS
 from qtpy.QtCore import Qt
 
 from napari_hmrf.field.strain import fold_mask
+from napari_hmrf.layers.compat import scale_bar_of
 from napari_hmrf.layers.metadata import BOUNDARY, metadata_of, rows_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -624,6 +625,24 @@ def test_clicking_a_cell_to_type_a_number_activates_no_brush(pointer_and_dock, s
     assert dock.active, "the tool was deactivated"
     Screen(dock).click_row("gel")
     assert not dock.active
+
+
+def test_undo_of_a_pull_leaves_neither_arrows_nor_a_scale_key(pulling_beside, settle):
+    person, dock = pulling_beside
+    person.drag((20, 20), (20, 20))
+    person.drag((40, 40), (45, 48))
+    settle(dock)
+    bar = scale_bar_of(person.viewer)
+    assert dock.result.data[:, 1].any()
+    assert bar.visible
+    dock.undo()
+    settle(dock)
+    assert "moved up to 0 px" in Screen(dock).words
+    assert not dock.result.data[:, 1].any()
+    assert not bar.visible
+    dock.redo()
+    settle(dock)
+    assert bar.visible
 
 
 def test_undo_of_the_only_pull_removes_the_result(pointer_and_dock, settle):
