@@ -44,7 +44,7 @@ def patch_at(drawing: Drawing, point: Point, spacing: Sequence[float]) -> int | 
 
 def with_patch(
     drawing: Drawing, patch: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]
-) -> tuple[Drawing, int] | None:
+) -> tuple[Drawing, int] | Mark:
     """Add a growing patch to a drawing without changing the tissue that other marks pull.
 
     The patch is added below pulls in its interior, so that they take precedence.
@@ -61,9 +61,9 @@ def with_patch(
 
     Returns
     -------
-    (Drawing, int) or None
-        Drawing with the patch, and the index of the patch; None if the outline of the patch passes
-        through or ends at tissue that is pulled.
+    (Drawing, int) or Mark
+        Drawing with the patch, and the index of the patch. If the outline of the patch passes
+        through or ends at tissue of another mark, this mark.
 
     Raises
     ------
@@ -81,14 +81,14 @@ def with_patch(
         if not (pulled & inside).any():
             continue
         if (pulled & (~inside | _rim(patch, spacing, shape, box))).any():
-            return None
+            return marks[index]
         number = index
     for mark in marks[number:]:
         box = box_of(mark, spacing, area)
         if not _moves_tissue(mark) or is_empty(box):
             continue
         if (covered(mark, spacing, box) & _rim(patch, spacing, shape, box)).any():
-            return None
+            return mark
     return Drawing((*marks[:number], patch, *marks[number:])), number
 
 

@@ -314,8 +314,8 @@ class GrowTool(BrushTool):
                 still: ToolSettings = {**settings, "amount": 0.0}
                 patch = self._new_stroke(at, point, still)
                 added = with_patch(drawing, patch, self._spacing, self._shape)
-                if added is None:
-                    raise ToolError(motion_messages.PULLED)
+                if not isinstance(added, tuple):
+                    raise ToolError(motion_messages.in_the_way(added, is_pull(added)))
                 drawing, number = added
             elif not rim_of(drawing.marks[number], self._spacing, self._shape)[0].any():
                 raise ToolError(motion_messages.TOO_SMALL)

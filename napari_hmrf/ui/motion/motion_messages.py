@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from napari_hmrf.tissue.drawing import Landmark, Mark, Stroke
+from napari_hmrf.tissue.drawing.marks import Action
+
 HERE = "Drag here: pull any tissue in the image with the mouse."
 HERE_OR_PLAY = f"{HERE} To see how the sample itself moves, press Play."
 ON_CANVAS = "{}: drag tissue here"
@@ -39,9 +42,35 @@ NO_OUTSIDE = (
     "Nothing was painted: an open line has no inside, so it cannot grow. Close the line to form a "
     "ring, paint a patch, or use 'Push'."
 )
-PULLED = "Not grown: this would undo a pull. Turn the wheel over the pull, or set a smaller radius."
 TOO_SMALL = "Not grown: the patch is too small. Shift+click the patch, and set a larger radius."
 NO_INSIDE = "Not grown: an open line has no inside. Push a patch or a closed ring instead."
+_HELD = "a held place"
+#: Names of painted tissue that moves or is free to move.
+_STROKES: dict[Action, str] = {
+    "move": "pushed tissue",
+    "expand": "growing tissue",
+    "free": "released tissue",
+    "slide": "a sliding surface",
+}
+
+
+def in_the_way(mark: Mark, can_grow: bool) -> str:
+    """Return a message that a patch does not grow because of another mark nearby.
+
+    Parameters
+    ----------
+    mark : Arrow, Landmark or Stroke
+    can_grow : bool
+        True if the wheel over this mark makes its tissue grow.
+    """
+    if isinstance(mark, Stroke):
+        is_held = mark.action == "pin" or (mark.action == "move" and not any(mark.by))
+        name = _HELD if is_held else _STROKES[mark.action]
+    else:
+        is_held = mark.source == mark.target if isinstance(mark, Landmark) else not any(mark.by)
+        name = _HELD if is_held else "a landmark" if isinstance(mark, Landmark) else "a pull"
+    remedy = "Turn the wheel over it, or set" if can_grow else "Set"
+    return f"Not grown: {name} is in the way. {remedy} a smaller radius."
 
 
 def grown(amount: float, unit: str, is_pulled: bool = False) -> str:

@@ -33,7 +33,7 @@ def test_a_patch_is_added_below_pulls_in_its_interior(place):
 
 def test_a_pull_that_later_marks_hide_does_not_stop_growth():
     far = Arrow((30, 44), (0, 4), 4.0)  # across the outline of the patch
-    assert with_patch(Drawing((far,)), PATCH, SPACING, SHAPE) is None
+    assert with_patch(Drawing((far,)), PATCH, SPACING, SHAPE) == far
     hidden = Drawing((far, Stroke("free", (((30, 44),),), 5.0)))
     drawing, number = with_patch(hidden, PATCH, SPACING, SHAPE)
     assert (drawing.marks, number) == ((*hidden.marks, PATCH), 2)
@@ -41,7 +41,7 @@ def test_a_pull_that_later_marks_hide_does_not_stop_growth():
 
 def test_a_patch_is_refused_if_a_later_mark_would_hold_its_outline():
     ring = Stroke("pin", (((30, 15), (30, 16)),), 2.0)
-    assert with_patch(Drawing((PULL, ring)), PATCH, SPACING, SHAPE) is None
+    assert with_patch(Drawing((PULL, ring)), PATCH, SPACING, SHAPE) == ring
     drawing, number = with_patch(Drawing((ring, PULL)), PATCH, SPACING, SHAPE)
     assert (drawing.marks, number) == ((ring, PATCH, PULL), 1)
 
@@ -51,5 +51,6 @@ def test_a_landmark_with_a_standard_deviation_has_no_patch():
     assert patch_at(Drawing((mark,)), (10.0, 10.0), (1.0, 1.0)) == 0
     assert patch_at(Drawing((replace(mark, sd=1),)), (10.0, 10.0), (1.0, 1.0)) is None
     patch = Stroke("expand", (((10.0, 20.0),),), 10.0, amount=1.0)
-    assert with_patch(Drawing((mark,)), patch, (1.0, 1.0), (40, 40)) is None
-    assert with_patch(Drawing((replace(mark, sd=1),)), patch, (1.0, 1.0), (40, 40)) is not None
+    assert with_patch(Drawing((mark,)), patch, (1.0, 1.0), (40, 40)) == mark
+    drawing, _ = with_patch(Drawing((replace(mark, sd=1),)), patch, (1.0, 1.0), (40, 40))
+    assert patch in drawing.marks

@@ -914,7 +914,10 @@ def test_a_wide_patch_grows_around_pulled_tissue(pulling_beside, settle):
 @pytest.mark.parametrize(
     ("pull", "reason"),
     [
-        (Arrow((32, 40), (0, 2), 6.0), "would undo a pull"),
+        (Arrow((32, 40), (0, 2), 6.0), "Not grown: a pull is in the way. Turn the wheel over it"),
+        (Arrow((32, 40), (0, 0), 6.0), "Not grown: a held place is in the way"),
+        (Landmark((32, 40), (33, 40), 6.0), "Not grown: a landmark is in the way"),
+        (Stroke("move", (((32, 40),),), 6.0, by=(0, 1)), "Not grown: pushed tissue is in the way"),
         (Arrow((32, 32), (0, 0), 0.5), "the patch is too small"),
         (Stroke("move", (((20, 32), (44, 32)),), 1.0, by=(0, 1)), "an open line has no inside"),
     ],
