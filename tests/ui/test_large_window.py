@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from napari.components import ViewerModel
-from qtpy.QtWidgets import QPushButton, QTableWidget
+from qtpy.QtWidgets import QComboBox, QPushButton, QTableWidget
 
-from napari_hmrf import Drawing, Landmark, NeoHookeanPrior
+from napari_hmrf import Drawing, Landmark, NeoHookeanPrior, Stroke
 from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.solver.optimizers import work
@@ -70,6 +70,24 @@ def test_typed_growth_moves_tissue_and_can_be_undone(dock, do_and_wait):
     do_and_wait(dock.undo)
     do_and_wait(dock.undo)
     assert dock.materials[1].growth == 0
+
+
+def test_strain_excludes_typed_growth_but_includes_growth_with_the_wheel(dock, do_and_wait):
+    def growth_excluded(solution):
+        within = solution.strain()[20, 20, -2:, -2:]
+        return np.trace(solution.strain("small")[20, 20] - within)
+
+    typed = do_and_wait(Screen(dock).cell("tumour", "grows").write, "20")
+    assert growth_excluded(typed) > 0.1
+    dock.undo()
+    wheel = Stroke("expand", (((20, 20),),), 4.0, amount=1.0)
+    turned = do_and_wait(setattr, dock, "drawing", Drawing((wheel,)))
+    assert growth_excluded(turned) == pytest.approx(0, abs=1e-4)
+    assert np.trace(turned.strain()[20, 20, -2:, -2:]) > 0.1
+    tips = [each.toolTip() for each in dock.native.findChildren(QComboBox)]
+    (tip,) = [" ".join(each.split()) for each in tips if "Strain:" in each]
+    assert "without the growth typed in the tissue table" in tip
+    assert "grown with the wheel or with 'Grow' is stretched, which is strain" in tip
 
 
 def test_growth_of_minus_100_per_cent_is_refused(dock):

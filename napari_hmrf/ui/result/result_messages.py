@@ -67,8 +67,9 @@ LACKING: dict[Name, str] = {
 OVERLAY_TIP = (
     "Overlay on the image that moves with the tissue; its values belong to the visible tissue.\n"
     "Area change, volume change: ratio of sizes. Purple: shrinks, orange: grows, blue: folds.\n"
-    "Strain: elastic strain without growth, in %; negative: compression. Equivalent: von Mises\n"
-    "strain in all three directions. For the paper's model: total strain within the image.\n"
+    "Strain: elastic strain in %, without the growth typed in the tissue table. Tissue grown with\n"
+    "the wheel or with 'Grow' is stretched, which is strain. Negative: compression. Equivalent:\n"
+    "von Mises strain in all three directions. Paper's model: total strain within the image.\n"
     "Input motion: lines start at the undeformed tissue; a dot marks tissue that is held."
 )
 
