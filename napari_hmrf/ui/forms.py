@@ -267,13 +267,21 @@ class ElidedButton(QPushButton):
         super().__init__(parent)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 
-    def paintEvent(self, event: Any) -> None:
-        """Paint the button with as much of its text as fits."""
+    @property
+    def painted_text(self) -> str:
+        """Visible part of the text."""
         look = QStyleOptionButton()
         self.initStyleOption(look)
         area = self.style().subElementRect(QStyle.SubElement.SE_PushButtonContents, look, self)
         elided = Qt.TextElideMode.ElideRight
-        look.text = self.fontMetrics().elidedText(look.text, elided, area.width())
+        text: str = self.fontMetrics().elidedText(self.text(), elided, area.width())
+        return text
+
+    def paintEvent(self, event: Any) -> None:
+        """Paint the button with as much of its text as fits."""
+        look = QStyleOptionButton()
+        self.initStyleOption(look)
+        look.text = self.painted_text
         QStylePainter(self).drawControl(QStyle.ControlElement.CE_PushButton, look)
 
 

@@ -73,7 +73,7 @@ MODELS: dict[ModelName, str] = {
 #: Labels of the button that offers another model.
 OFFER = "Use large motion"
 #: Label of the button that continues a solve that used up its budget.
-CONTINUE = "Continue with more work"
+CONTINUE = "Continue"
 #: Tooltips of these buttons.
 ABOUT_OFFERS = {
     "": "",
@@ -89,6 +89,20 @@ _WARNINGS: dict[Mark, str] = {
     "overlaps": "one part of the tissue has moved onto another part and hides it. The model does "
     "not include contact across a gap.",
 }
+#: Patterns of long notes, and their labels on the chip, which fit in a dock of usual width.
+_LABELS = (
+    ("the dark surroundings of the image move", "Dark surroundings move like tissue"),
+    ("the drawing moves tissue that is painted as held", "The drawing moves held tissue"),
+    ("forces are in the unit of stiffness", "The unit of the forces is unknown"),
+    ("most of the boundary is so thin", "The boundary is too thin"),
+    ("tissue could not move all the way", "Some tissue stays short of its target"),
+    (r"\d+ boundary pixels? \w+ held exactly", "Uncertain tissue is held exactly"),
+    (r"(label \d+) of .* is not in the table", r"\1 is not in the table"),
+    (r"(the \w+) at .* has no effect", r"\1 has no effect"),
+    (r"(\d+ \w+s) are .* have no effect", r"\1 have no effect"),
+    (r"(\d+ pieces? of tissue) with .* (stays?) at rest", r"\1 \2 at rest"),
+    (r"(.+ of tissue touch(es)? no boundary) \(", r"\1"),
+)
 #: Message after the view has moved to another slice of a volume.
 MOST = "The view has moved to the slice with the most such voxels: {}."
 #: Largest number of marked sites that counts as rounding noise and causes no warning.
@@ -151,7 +165,11 @@ def _sentence(clause: str) -> str:
 
 
 def _issue(clause: str) -> str:
-    """Return the first part of a note, up to a mark that is not within a position."""
+    """Return a short label of a note, or its first part, up to a mark that is not in a position."""
+    for pattern, label in _LABELS:
+        if (found := re.match(pattern, clause)) is not None:
+            short = found.expand(label)
+            return f"{short[0].upper()}{short[1:]}"
     return re.split(r"[:;,](?![^(]*\))", _sentence(clause))[0].rstrip(".")
 
 

@@ -153,6 +153,23 @@ def test_a_button_continues_large_motion_that_used_up_its_budget(dock, do_and_wa
     assert not offers(dock, offer)
 
 
+def test_a_dock_of_usual_width_shows_a_warning_beside_an_offer_in_full(
+    dock, do_and_wait, monkeypatch, qtbot
+):
+    monkeypatch.setattr(work, "_LEAST_CYCLE_SITES", {2: 0.0, 3: 0.0})
+    dock.native.resize(345, 745)  # as in a window of 1366 x 768 pixels
+    with qtbot.waitExposed(dock.native):
+        dock.native.show()
+    do_and_wait(Screen(dock).cell("tumour", "grows").write, "60")
+    dock.settings = replace(dock.settings, budget=2.0)
+    dock.model = "large motion"
+    do_and_wait(lambda: None)
+    chip = Screen(dock).button("⚠")
+    assert offers(dock, "Continue")
+    qtbot.waitUntil(lambda: chip.width() < 300)  # the layout has made room for the offer
+    assert chip.painted_text == "⚠  Tissue had no time to settle"
+
+
 def test_a_volume_has_no_plane_condition(qtbot):
     viewer = ViewerModel()
     viewer.add_image(np.random.default_rng(0).random((6, 8, 8)), name="Head")

@@ -14,8 +14,38 @@ def test_a_few_folded_pixels_cause_no_warning_and_more_do(folds, marks):
     assert marks_of(Outputs(None, {}, folds)) == marks
 
 
-def test_the_label_of_a_warning_without_folds_names_the_issue():
-    notes = ("nothing holds the tissue, so that all of it gives way: hold its edge", "more")
+@pytest.mark.parametrize(
+    ("note", "label"),
+    [
+        (
+            "nothing holds the tissue, so that all of it gives way: hold its edge",
+            "Nothing holds the tissue",
+        ),
+        (
+            "most of the boundary is so thin that the coarse levels miss it, and so on",
+            "The boundary is too thin",
+        ),
+        (
+            "tissue could not move all the way without folding: 9 pixels stay short",
+            "Some tissue stays short of its target",
+        ),
+        (
+            "label 3 of 'Tissue' is not in the table: stiffness 1 is assumed",
+            "Label 3 is not in the table",
+        ),
+        ("the arrow at (1, 2) is outside tissue and has no effect", "The arrow has no effect"),
+        (
+            "3 strokes are outside the image and have no effect, the first at (1, 2)",
+            "3 strokes have no effect",
+        ),
+        (
+            "2 pieces of tissue with too few constraints stay at rest (9 pixels)",
+            "2 pieces of tissue stay at rest",
+        ),
+    ],
+)
+def test_the_label_of_a_warning_without_folds_names_the_issue_in_a_few_words(note, label):
+    notes = (note, "more")
     study = SimpleNamespace(grid=SimpleNamespace(shape=(4, 4)))
     done = CompleteResult(SimpleNamespace(study=study), Outputs(None, {}, 0), notes)
-    assert warnings_of(done, "nothing")[1] == "Nothing holds the tissue"
+    assert warnings_of(done, "nothing")[1] == label
