@@ -155,7 +155,7 @@ def test_every_callable_with_options_is_in_the_list():
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
     records |= {"Study", "Grid", "Frame", "Tissue", "Motion", "Pictures"}
     records |= {"Field", "LandmarkFile", "Measurement", "NamedMaterials"}
-    records |= {"BatchProgress", "Case", "CaseOutcome", "NamedCase"}
+    records |= {"BatchProgress", "Case", "CaseOutcome", "NamedCase", "Update"}
     records |= {"Drawing", "Arrow", "Landmark", "Stroke"}
     choices = set()
     for name, found in NAMES.items():

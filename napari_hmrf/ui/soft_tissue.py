@@ -242,8 +242,12 @@ class SoftTissue(DockValues):
         Raises the same errors as `read_study`.
         """
         self._unsaved.open(path)
+        self.show_marks()
+
+    def show_marks(self) -> None:
+        """Start drawing if the study has marks, which are visible only then."""
         if self.drawing.marks:
-            self._unused = self.start()  # makes the marks visible
+            self._unused = self.start()
 
     def deform(self) -> None:
         """Solve the study from a cold start.

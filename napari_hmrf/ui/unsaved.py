@@ -321,6 +321,7 @@ class Unsaved(QObject):
         slice_part = self._model.slice
         self._work.note(slice_part)
         self._work.saved_files[slice_part] = recovery.claim(file)
+        self._dock.show_marks()
 
     def release(self) -> None:
         """Disconnect from edits after the dock was closed or its window was deleted."""

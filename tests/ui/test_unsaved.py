@@ -439,6 +439,7 @@ def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
     assert LEFT not in Screen(dock).words
     assert dock.drawing == DRAWING
     assert dock.image.name == "photo"
+    assert dock.active, "the marks cannot be seen or edited"
     assert dock.unsaved
     (own,) = autosaved_files()
     assert own != file
