@@ -21,6 +21,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ from skimage.transform import warp as sampled
 from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, solve, warp
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.landmarks import Landmarks, StrainScale, spline
 from napari_hmrf.tissue import edge_confidence
 
 Points = npt.NDArray[np.float64]
@@ -52,6 +54,8 @@ _STEP, _NEAR = 4, 1e-2
 _APART = 2
 #: Candidate forces K of eq. 19, and numbers of folds of the outer and inner cross-validation.
 _FORCES, _PARTS, _INNER = (0.01, 0.03, 0.1, 0.3, math.inf), 6, 4
+#: Standard deviation of a landmark in pixels, and candidate strains of tissue.
+_NOISE, _STRAINS = 1.0, (0.002, 0.005, 0.01, 0.02, 0.05)
 #: Landmarks are near the edge if their distance from it is below this fraction of the picture.
 _EDGE = 0.1
 
@@ -108,22 +112,73 @@ class _Elastic:
         return goes
 
 
-class _Chosen:
-    """Elastic tissue with a force that is chosen by cross-validation.
+class _Uncertain:
+    """Tissue with landmarks that have a standard deviation, after an affine map."""
 
-    The landmarks are divided into folds. For the landmarks of a fold, the force is chosen from the
+    def __init__(self, shape: tuple[int, int], strain: float) -> None:
+        self._shape = tuple(size // _STEP for size in shape)
+        self._scale = StrainScale(strain)
+        self._before: Solution | None = None
+
+    def __call__(self, at: Points, to: Points) -> Callable[[Points], Points]:
+        straight, last = _affine(at, to), np.array(self._shape) - 1
+        points = np.clip(_in_field(at), 0, last)
+        rest = (to - straight(at)) / _STEP
+        marks = Landmarks(points, points + rest, sd=_NOISE, scale=self._scale)
+        none, spacing = np.zeros((*self._shape, 2)), (_STEP, _STEP)
+        problem = Problem(none, none, np.ones(self._shape), spacing=spacing, landmarks=marks)
+        optimizer = Multigrid(_NEAR)
+        solution = solve(problem, ElasticPrior(0.3), optimizer=optimizer, initial=self._before)
+        self._before = solution
+        return lambda x: straight(x) + solution.at(np.clip(_in_field(x), 0, last))
+
+
+def _smooth(shape: tuple[int, int]) -> Fit:
+    """Return the fit of a smoothing spline inside the picture."""
+    tissue = np.ones(tuple(size // _STEP for size in shape))
+    last, spacing = np.array(tissue.shape) - 1, (_STEP, _STEP)
+
+    def fit(at: Points, to: Points) -> Callable[[Points], Points]:
+        points = np.clip(_in_field(at), 0, last)
+        marks = Landmarks(points, points + (to - at) / _STEP, sd=_NOISE)
+        field = spline(marks, tissue, spacing=spacing)
+
+        def goes(places: Points) -> Points:
+            before = np.clip(_in_field(places), 0, last)
+            return places + (moved_points(before, field, spacing=spacing) - before) * _STEP
+
+        return goes
+
+    return fit
+
+
+class _Chosen:
+    """Fit that is chosen by cross-validation.
+
+    The landmarks are divided into folds. For the landmarks of a fold, the fit is chosen from the
     other folds only, by an inner cross-validation.
+
+    Parameters
+    ----------
+    make : callable
+        Function that returns the fit for a candidate value.
+    values : sequence of float
+        Candidates.
+    at, to : ndarray, shape (N, 2)
+        Landmarks.
     """
 
-    def __init__(self, shape: tuple[int, int], at: Points, to: Points) -> None:
+    def __init__(
+        self, make: Callable[[float], Fit], values: Sequence[float], at: Points, to: Points
+    ) -> None:
         self._part = np.random.default_rng(0).permutation(len(at)) % _PARTS
-        self.forces = []
+        self.values = []
         self._fits = []
         for part in range(_PARTS):
             others = self._part != part
-            errors = [_told_apart(_Elastic(shape, k), at[others], to[others]) for k in _FORCES]
-            self.forces.append(_FORCES[int(np.argmin(errors))])
-            self._fits.append(_Elastic(shape, self.forces[-1]))
+            errors = [_told_apart(make(value), at[others], to[others]) for value in values]
+            self.values.append(values[int(np.argmin(errors))])
+            self._fits.append(make(self.values[-1]))
 
     def of(self, number: int) -> Fit:
         """Return the fit that was chosen without a landmark."""
@@ -242,20 +297,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "an affine map": _affine,
         "thin-plate splines": _splines(0),
         "thin-plate splines, smoothed (1000)": _splines(1000),
+        "spline inside the picture": _smooth(fixed.shape),
         "elastic tissue, exactly": _Elastic(fixed.shape, math.inf),
     }
     for name, fit in fits.items():
         found = left_out(lambda _, fit=fit: fit, at, to, options.every)
         print(table.line(name, *found, taken), flush=True)
-    started = time.perf_counter()
-    chosen = _Chosen(fixed.shape, at, to)
-    sought = time.perf_counter() - started
-    errors, seconds = left_out(chosen.of, at, to, options.every)
-    name = "elastic tissue, with the chosen force"
-    print(table.line(name, errors, seconds + sought, taken))
-    print(
-        f"  (K = {', '.join(map(str, chosen.forces))}, each chosen without the predicted landmarks)"
-    )
+    makers: dict[str, tuple[Callable[[float], Fit], Sequence[float]]] = {
+        "elastic tissue, with the chosen force": (partial(_Elastic, fixed.shape), _FORCES),
+        "elastic tissue, with the chosen strain": (partial(_Uncertain, fixed.shape), _STRAINS),
+    }
+    for name, (make, values) in makers.items():
+        started = time.perf_counter()
+        chosen = _Chosen(make, values, at, to)
+        sought = time.perf_counter() - started
+        errors, seconds = left_out(chosen.of, at, to, options.every)
+        print(table.line(name, errors, seconds + sought, taken), flush=True)
+        print(f"  (chosen without the predicted landmarks: {', '.join(map(str, chosen.values))})")
     straight = _affine(at, to)
     # Both registrations start from the affine map and use no landmarks otherwise.
     turned = sampled(moving, _as_xy(straight), order=1, cval=float(np.median(moving)))
