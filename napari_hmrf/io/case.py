@@ -205,7 +205,7 @@ def solve_case(
     folder.mkdir(parents=True, exist_ok=True)  # before the solve, so that errors occur early
     solution = solve_statement(study, stated, backend=backend, progress=progress)
     folds = solution.count_folds()
-    caveats = tuple(shortcomings(solution, study.grid.unit, folds))
+    caveats = tuple(shortcomings(solution, study.grid.unit, folds, stated.problem))
     solution = replace(solution, notes=(*caveats, *solution.notes))
     name = case.image.name.partition(".")[0]
     image = study.pictures.image

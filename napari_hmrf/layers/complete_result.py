@@ -50,7 +50,8 @@ def complete_result(
     if isinstance(stated.prior, Elastic):
         forces = partial(held_forces, stated.problem, solved, stated.prior)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces)
-    caveats = shortcomings(solved, study.grid.unit, folds=0)  # the warning chip reports folds
+    # The warning chip reports folds.
+    caveats = shortcomings(solved, study.grid.unit, folds=0, problem=stated.problem)
     # A ground may be older than the drawing.
     notes = (*caveats, *replace(ground, study=study).notes_on(stated))
     return CompleteResult(moved, outputs, tuple(filter(None, notes)))

@@ -20,6 +20,9 @@ _SAMPLED_SHARE = 0.32
 _SMALLEST_TREE = 6
 # Number of regions short of their targets that a clause names, besides the farthest.
 _NAMED_REGIONS = 3
+# Difference of the observed displacements of two neighbouring sites, in pixels, above which tissue
+# between them cannot follow.
+_TEARING = 3.0
 #: Clause for tissue without sufficient constraints.
 LOOSE = "nothing holds the tissue"
 
@@ -71,6 +74,35 @@ def shortfall(reach: Reach | None, unit: str) -> str:
             f"{reach.unbalanced_at}"
         )
     return "; ".join(clauses)
+
+
+def touching(problem: Problem) -> str:
+    """Return a clause if neighbouring sites have very different observed displacements, or "".
+
+    No model can follow both observations without tearing or crushing the tissue between them.
+
+    Parameters
+    ----------
+    problem : Problem
+    """
+    known = np.asarray(problem.known.all(axis=-1))
+    y = np.where(known[..., None], problem.observed, np.nan) / np.asarray(problem.spacing)
+    at: tuple[int, ...]
+    most, at = _TEARING, ()
+    for axis in range(known.ndim):
+        difference = np.sqrt((np.diff(y, axis=axis) ** 2).sum(axis=-1))
+        difference[np.isnan(difference)] = 0
+        farthest = float(difference.max(initial=0.0))
+        if farthest > most:
+            most = farthest
+            first = np.unravel_index(int(difference.argmax()), difference.shape)
+            at = tuple(map(int, first))
+    if not at:
+        return ""
+    return (
+        f"at {at}, tissue that is held or moved in two different ways touches, and what lies "
+        "between is torn or crushed: release one of the two, or move them farther apart"
+    )
 
 
 def _other_regions(reach: Reach) -> str:

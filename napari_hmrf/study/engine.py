@@ -147,6 +147,10 @@ class Engine:
         """Use a solution from a file as the warm start of the next solve on its grid."""
         self._live.start_from(solution)
 
+    def deliver_again(self, study: Study, solution: Solution) -> None:
+        """Deliver a solution from a file when its study is submitted, if the inputs are equal."""
+        compute_thread.submit(partial(self._results.add, study, solution))
+
     def is_current(self, answer: Deformation) -> bool:
         """Return whether a result is the latest and its study has not been cancelled."""
         return answer is self._latest_deformation and answer.generation > self._dropped
@@ -203,6 +207,8 @@ class Engine:
         stated = replace(ground.statement(canvas, drawing), optimizer=study.optimizer)
         self._request = replace(self._request, stated=stated)
         known = self._results.find(study) if preview is None else None
+        if known is not None and not _is_of(known, stated):
+            known = None
         if known is None or (cold_start and has_stopped(known)):
             return stated.problem, stated.prior
         return Known(stated.problem, stated.prior, known, is_answer=not cold_start)
@@ -272,6 +278,16 @@ class Engine:
             return np.asarray(image.take(preview.number, preview.axis)), ()
         where = preview.axis, preview.number, solution.displacement, request.ground.stiffness > 0
         return self._pictures.plane(image, *where, spacing, preview.grid.step), ()
+
+
+def _is_of(solution: Solution, stated: Statement) -> bool:
+    """Return whether a solution, perhaps from a file, has the inputs and the tissue of a problem.
+
+    A file omits the motion of air.
+    """
+    problem = stated.problem
+    same_tissue = np.array_equal(solution.tissue, problem.tissue)
+    return same_tissue and dict(solution.provenance.inputs) == dict(problem.digests)
 
 
 def patience_for(study: Study, preview: Preview | None) -> float:

@@ -431,7 +431,7 @@ def solve_study(
     solution = solve_statement(study, stated, backend=backend, progress=progress, cancel=cancel)
     # Counting folds takes milliseconds for an image, but 5 % of the solve time for a volume.
     folds = 0 if solution.tissue.ndim == 3 else solution.count_folds()
-    short = shortcomings(solution, solution.unit, folds)
+    short = shortcomings(solution, solution.unit, folds, stated.problem)
     return replace(solution, notes=(*short, *(notes or solution.notes)))
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from napari_hmrf.field.units import unit_symbol
-from napari_hmrf.solver.caveats import shortfall
+from napari_hmrf.solver.caveats import shortfall, touching
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
 
-def shortcomings(solution: Solution, unit: str, folds: int) -> Iterator[str]:
+def shortcomings(
+    solution: Solution, unit: str, folds: int, problem: Problem | None = None
+) -> Iterator[str]:
     """Yield the shortcomings of a solution as clauses for the user.
 
     Parameters
@@ -19,6 +22,8 @@ def shortcomings(solution: Solution, unit: str, folds: int) -> Iterator[str]:
         Name of the unit of lengths.
     folds : int
         Number of sites that fold, as returned by `count_folds`; 0 if folds were not counted.
+    problem : Problem, optional
+        Problem of the solution, in which to look for the cause.
 
     Yields
     ------
@@ -28,5 +33,8 @@ def shortcomings(solution: Solution, unit: str, folds: int) -> Iterator[str]:
         sites = "voxels" if solution.tissue.ndim == 3 else "pixels"
         yield f"the tissue folds over itself at {folds} {sites}, which is impossible: move it less"
     # `unit_symbol` imports pint, which is slow, so call it for large motion only.
-    if solution.reach is not None and (short := shortfall(solution.reach, unit_symbol(unit))):
+    short = shortfall(solution.reach, unit_symbol(unit)) if solution.reach is not None else ""
+    if (short or folds) and problem is not None and (cause := touching(problem)):
+        yield cause
+    if short:
         yield short

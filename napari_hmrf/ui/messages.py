@@ -95,6 +95,7 @@ _LABELS = (
     ("the drawing moves tissue that is painted as held", "The drawing moves held tissue"),
     ("forces are in the unit of stiffness", "The unit of the forces is unknown"),
     ("most of the boundary is so thin", "The boundary is too thin"),
+    (r"at .*, tissue that is held or moved in two", "Held and moved tissue touch"),
     ("tissue could not move all the way", "Some tissue stays short of its target"),
     (r"\d+ boundary pixels? \w+ held exactly", "Uncertain tissue is held exactly"),
     (r"(label \d+) of .* is not in the table", r"\1 is not in the table"),

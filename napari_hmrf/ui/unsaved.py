@@ -96,6 +96,9 @@ class Dock(Protocol):
     def show_message(self, message: str) -> None:
         """Show a message."""
 
+    def show_marks(self) -> None:
+        """Start drawing if the study has marks."""
+
 
 class Unsaved(QObject):
     """Manager that saves and opens the studies of a dock, and protects unsaved work.
@@ -200,6 +203,8 @@ class Unsaved(QObject):
             if study.motion.drawing.marks and not self._controller.refresh():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
+            if solution is not None:
+                self._controller.engine.deliver_again(dock.study, solution)
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
             brightness.visible = False  # would tint the deformed image
         overlay = self._controller.form.result.overlay

@@ -1,5 +1,7 @@
 """Notes on the shortcomings of a result, in Python and in the shell."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from napari_hmrf import Arrow, BoundaryRule, Drawing, Grid, Motion, Study, Tissue, solve_study
@@ -31,6 +33,19 @@ def test_a_note_counts_the_folded_pixels(tmp_path):
     assert said in replay(path).notes
     solved = solve_case(Case(image=path), tmp_path / "out", backend="cpu")
     assert notes_with(solved.notes, "folds over itself") == [said]
+
+
+def test_a_pull_that_touches_held_tissue_is_named_as_the_cause():
+    study = pulled_far()
+    drawing = study.motion.drawing.with_mark(Arrow((10, 17), (0, 0), 2))
+    motion = replace(study.motion, drawing=drawing)
+    study = Study(study.grid, study.tissue, motion, "large motion")
+    solution = solve_study(study, backend="cpu")
+    (cause,) = notes_with(solution.notes, "touches")
+    assert "release one of the two" in cause
+    (short,) = notes_with(solution.notes, "short of their targets")
+    assert solution.notes.index(cause) < solution.notes.index(short)
+    assert not notes_with(solve_study(pulled_far(), backend="cpu").notes, "touches")
 
 
 def test_folds_of_a_volume_are_counted_only_on_request(tmp_path):
