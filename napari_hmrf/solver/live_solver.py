@@ -86,7 +86,8 @@ class Known(NamedTuple):
     solution : Solution
     is_answer : bool
         True to deliver the earlier solution without a solve. If False, the problem is solved, and
-        the earlier solution is delivered only if the budget ends this solve.
+        the earlier solution is delivered only if the budget ends this solve farther from its
+        targets.
     """
 
     problem: Problem
@@ -320,7 +321,7 @@ class LiveSolver:
                 self._deliver_update(turn, problem, preview, final=False)
                 turn.patience = 0
             solution = solve(optimizer)
-            if known is not None and has_stopped(solution):
+            if known is not None and _is_better(known.solution, solution):
                 self._deliver_known(turn, known)
             else:
                 self._deliver_update(turn, problem, solution)
@@ -395,6 +396,14 @@ class LiveSolver:
 def _has_preview(optimizer: Optimizer) -> TypeGuard[Multigrid]:
     """Return whether the optimizer has a smaller tolerance than a preview."""
     return isinstance(optimizer, Multigrid) and optimizer.tolerance < PREVIEW_TOLERANCE
+
+
+def _is_better(earlier: Solution, solution: Solution) -> bool:
+    """Return whether the budget ended a solve farther from its targets than an earlier one."""
+    one, other = earlier.reach, solution.reach
+    if one is None or other is None or not other.stopped:
+        return False
+    return one.missing <= other.missing
 
 
 def has_stopped(solution: Solution) -> bool:

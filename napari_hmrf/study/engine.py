@@ -124,7 +124,8 @@ class Engine:
         cold_start : bool
             If True, solve from a cold start. The result is then identical to that of `solve_study`,
             and a study without boundary conditions or loads is an error. If the budget of the
-            optimizer ends the solve, an earlier complete result of the study is delivered instead.
+            optimizer ends the solve, an earlier result of the study is delivered instead, unless it
+            is farther from its targets.
         preview : Preview, optional
             Settings of a preview during a drag; the study is solved only on the coarse grid.
 
@@ -209,9 +210,11 @@ class Engine:
         known = self._results.find(study) if preview is None else None
         if known is not None and not _is_of(known, stated):
             known = None
-        if known is None or (cold_start and has_stopped(known)):
+        if known is None:
             return stated.problem, stated.prior
-        return Known(stated.problem, stated.prior, known, is_answer=not cold_start)
+        same_budget = known.provenance.parameters["optimizer"] == study.optimizer.parameters
+        is_answer = not cold_start and (same_budget or not has_stopped(known))
+        return Known(stated.problem, stated.prior, known, is_answer)
 
     def _ground_of(self, study: Study, grid: CoarseGrid) -> Ground:
         """Return the ground of a study; reuse the last ground if only the drawing differs."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-from napari_hmrf.solver.live_solver import has_stopped
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Study
@@ -48,10 +47,7 @@ class StudyResults:
             del self._results[0]
 
     def find(self, study: Study) -> Solution | None:
-        """Return the stored solution of a study, or None.
-
-        A solution that did not use up its budget is a solution for any budget.
-        """
+        """Return the stored solution of a study, perhaps with another budget, or None."""
         for number in reversed(range(len(self._results))):
             if self._results[number].belongs_to(study):
                 found = self._results.pop(number)
@@ -76,8 +72,6 @@ class _Result(NamedTuple):
         own, optimizer = self.study, study.optimizer
         if own.motion.drawing != study.motion.drawing:
             return False  # the usual case, which is fast
-        if has_stopped(self.solution):
-            return own.same_as(study)
         if isinstance(own.optimizer, Multigrid) and isinstance(optimizer, Multigrid):
             own = replace(own, optimizer=replace(own.optimizer, budget=optimizer.budget))
         return own.same_as(study)

@@ -33,7 +33,7 @@ class PullTool(Tool):
     title = "Pull"
     key = "G"
     fields: ClassVar[tuple[str, ...]] = ("radius", "confidence", "components")
-    hint = "Drag tissue to pull it, or click it to hold it where it is now."
+    hint = "Drag tissue to pull it, or click to hold a patch where its middle is now."
     grabs_ends = True
 
     #: Dragged end of the mark.

@@ -18,6 +18,7 @@ from napari_hmrf import (
 from napari_hmrf.fields import count_folds
 from napari_hmrf.loads import growth
 from napari_hmrf.solver import live_solver
+from napari_hmrf.solver.live_solver import Known
 from napari_hmrf.solver.optimizers import work
 from napari_hmrf.solver.optimizers.coarse_start import coarse_problem, prolonged
 from tests.support.finite_oracle import bar, turned
@@ -130,6 +131,19 @@ def test_a_live_solve_continues_a_solution_from_a_file(exact_budget, tmp_path):
         live.submit(dragged(), preview=False)
         assert live.wait(100)
     assert farthest(updates[-1].solution, whole) < 0.03
+
+
+@pytest.mark.parametrize(("budget", "is_nearer"), [(10, True), (2, False)])
+def test_of_two_stopped_solves_the_nearer_one_is_delivered(exact_budget, budget, is_nearer):
+    earlier = within(budget)
+    assert earlier.reach.stopped
+    updates: list[Update] = []
+    with LiveSolver(updates.append, PRIOR, backend="cpu") as live:
+        live.optimizer = Multigrid(0.01, budget=5)
+        live.submit(lambda: Known(dragged(), PRIOR, earlier, is_answer=False), preview=False)
+        assert live.wait(100)
+    assert (updates[-1].solution.displacement is earlier.displacement) == is_nearer
+    assert updates[-1].solution.reach.stopped
 
 
 def test_a_stopped_solve_is_marked_in_its_file(exact_budget, tmp_path):
