@@ -201,6 +201,8 @@ class Problem:
             own = self.landmarks
             values = own.points, own.targets, own.precision(self.stiffness, self.spacing)
             arrays["landmarks"] = np.stack(values)
+            if own.drift:
+                arrays["drift"] = np.ones(1)
         return _Digests(arrays)
 
     def with_rest(self, at_rest: npt.NDArray[np.bool_]) -> Problem:

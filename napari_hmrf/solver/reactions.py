@@ -9,6 +9,7 @@ from napari_hmrf.arguments import require_kind
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
+from napari_hmrf.solver.drift import has_drift, with_drift_of
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem, grid_in_words
 from napari_hmrf.solver.solution import Solution
@@ -72,6 +73,8 @@ def reactions(
         raise ArgumentError(
             "the solution was computed from another problem. Pass the problem that was solved"
         )
+    if has_drift(problem, prior):
+        problem = with_drift_of(problem, solution)
     forces = prior.forces(problem, solution.displacement)
     if problem.rigid.any():
         planes, known = host.planes(forces), host.planes(problem.known).astype(np.bool_)

@@ -44,7 +44,7 @@ class Provenance:
         context. Usually zero after the first solve of a process. The first solve on a machine
         compiles the kernels.
     parameters : mapping
-        Prior, optimizer and their parameters; JSON types only.
+        Prior, optimizer and their parameters, and the strain tensor of a drift; JSON types only.
     versions : mapping
         Versions of this package and its dependencies.
     model : str
@@ -102,7 +102,8 @@ class Solution:
         Position of the field in world coordinates, for code that created the problem from layers;
         JSON types only. The solver neither reads nor writes this attribute.
     loads : Loads, optional
-        Loads of the problem, for warm starts from this solution. Files contain only their digest.
+        Loads of the problem, and the growth of a drift, for warm starts from this solution. Files
+        contain only the digest of the loads.
     elasticity : Elasticity, optional
         Poisson's ratios and growth of elastic tissue, from which `strain` and `measure` compute
         elastic strain. None for the paper's model.

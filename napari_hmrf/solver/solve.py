@@ -30,6 +30,7 @@ from napari_hmrf.solver.backends.compile_cache import sets
 from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.caveats import rigid_caveat
+from napari_hmrf.solver.drift import has_drift, solve_with_drift
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.preparation import loop_watch, prepare, provide_loops
@@ -293,7 +294,17 @@ def run_here(
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
     with compute_thread.unless(cancel.is_set):
-        return _solution_of(problem, prior, optimizer, backend, progress, initial)
+        if not has_drift(problem, prior):
+            return _solution_of(problem, prior, optimizer, backend, progress, initial)
+        elastic = prior if isinstance(prior, ElasticPrior) else ElasticPrior()
+
+        def solve_one(
+            part: Problem, schedule: Optimizer, begin: Initial | None, report: Progress | None
+        ) -> Solution:
+            return _solution_of(part, elastic, schedule, backend, report, begin)
+
+        schedule = optimizer or Multigrid()
+        return solve_with_drift(problem, elastic, schedule, progress, initial, solve_one)
 
 
 def _solution_of(

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import real, refuse_unless
+from napari_hmrf.arguments import real, refuse_unless, require_flag
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.neighbours import in_elements
 from napari_hmrf.solver.real_arrays import as_numbers, first_index
@@ -97,6 +98,11 @@ class Landmarks:
         all landmarks, for each one, or for each of its components.
     scale : StrainScale, optional
         Scale of the prior.
+    drift : bool
+        True to estimate an affine motion of all tissue together with the landmarks: a uniform
+        strain that costs no energy, as growth does. Rigid tissue does not strain. At least three
+        landmarks that are not on one line are required, or four that are not on one plane, unless
+        other observations hold the tissue.
 
     Raises
     ------
@@ -108,6 +114,7 @@ class Landmarks:
     targets: Float64Array
     sd: Float64Array
     scale: StrainScale
+    drift: bool
 
     def __init__(
         self,
@@ -116,7 +123,9 @@ class Landmarks:
         *,
         sd: npt.ArrayLike,
         scale: StrainScale | None = None,
+        drift: bool = False,
     ) -> None:
+        require_flag("drift", drift)
         before, after = _positions("points", points), _positions("targets", targets)
         if before.shape != after.shape:
             raise ProblemError(
@@ -142,6 +151,7 @@ class Landmarks:
             "targets": after,
             "sd": np.broadcast_to(spread, before.shape).copy(),
             "scale": StrainScale() if scale is None else scale,
+            "drift": bool(drift),
         }
         for name, value in values.items():
             if isinstance(value, np.ndarray):
@@ -157,7 +167,15 @@ class Landmarks:
     def __repr__(self) -> str:
         low, high = self.sd.min(), self.sd.max()
         spread = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-        return f"Landmarks({len(self)} points, sd {spread}, {self.scale})"
+        drift = ", with a drift" if self.drift else ""
+        return f"Landmarks({len(self)} points, sd {spread}, {self.scale}{drift})"
+
+    @cached_property
+    def without_drift(self) -> Landmarks:
+        """The same landmarks without a drift."""
+        if not self.drift:
+            return self
+        return Landmarks(self.points, self.targets, sd=self.sd, scale=self.scale)
 
     def displacement(self, spacing: Sequence[float]) -> Float64Array:
         """Return the observed displacements, shape (n, 2) or (n, 3), in the unit of `spacing`."""

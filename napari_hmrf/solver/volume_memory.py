@@ -16,6 +16,8 @@ ORDINARY = 112
 IN_DOUBLE = 256
 #: Additional bytes per voxel while the forces of loads are computed.
 LOADED = 48
+#: Additional bytes per voxel for the responses to a drift, and while they are computed.
+DRIFTING = 224
 # Fraction of the free memory that a solve may use.
 _FREE = 0.9
 _GIB = 2.0**30
@@ -30,6 +32,8 @@ def check_memory(problem: Problem) -> None:
         If the memory is not sufficient; the message gives the largest possible size and a remedy.
     """
     bytes_per_voxel = ORDINARY if problem.loads is None else ORDINARY + LOADED
+    if problem.landmarks is not None and problem.landmarks.drift:
+        bytes_per_voxel = ORDINARY + LOADED + DRIFTING
     if not problem.is_volume or fits(problem.shape, bytes_per_voxel):
         return
     volume_caches.clear_all()

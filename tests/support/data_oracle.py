@@ -6,7 +6,9 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
+from napari_hmrf.loads import Loads
 from napari_hmrf.solver.priors.elements import element_stiffness
+from napari_hmrf.solver.problem import Problem
 
 
 def elastic_matrix(problem, prior) -> sp.csr_array:
@@ -65,3 +67,83 @@ def posterior_mean(problem, prior) -> np.ndarray:
     matrix = matrix.tocsr()
     field[free] = spl.spsolve(matrix[free][:, free].tocsc(), (load - matrix @ field)[free])
     return field.reshape(problem.observed.shape)
+
+
+def drift_growth(problem, unit) -> np.ndarray:
+    """Return a uniform growth of all tissue that is not rigid."""
+    soft = problem.tissue & ~problem.rigid
+    return soft[..., None, None] * np.asarray(unit, np.float32)
+
+
+def posterior_mean_with_drift(problem, prior) -> tuple[np.ndarray, np.ndarray]:
+    """Return the field of least energy and the drift, with the drift as further unknowns."""
+    axes, marks = len(problem.shape), problem.landmarks
+    scale = prior.force_unit(problem) / problem.unit
+    units = []
+    for i in range(axes):
+        for j in range(i, axes):
+            unit = np.zeros((axes, axes))
+            unit[i, j] = unit[j, i] = 1
+            units.append(unit)
+
+    def load_of(growth, force=None):
+        loads = Loads(growth=growth, force=force)
+        other = Problem(
+            problem.observed,
+            problem.confidence,
+            problem.stiffness,
+            spacing=problem.spacing,
+            precision=problem.precision,
+            landmarks=marks,
+            loads=loads,
+        )
+        return prior.load(other)
+
+    matrix = elastic_matrix(problem, prior)
+    has_elements = matrix.diagonal() > 0
+    y, load = problem.observed.astype(float).ravel(), np.zeros(problem.observed.size)
+    # In the unit of the problem, a force of the model is its unit times `scale` times a pixel.
+    to_force = scale * problem.unit
+    given = problem.loads
+    grown = None if given is None else given.growth
+    if given is not None:
+        load = load + to_force * load_of(grown, given.force).forces.ravel()
+    if problem.precision is not None:
+        data = sp.block_diag(list(problem.precision.reshape(-1, axes, axes)), format="csr")
+        matrix, load = matrix + data, load + data @ y
+    weights = marks.scale.energy(problem.stiffness, problem.spacing) / marks.sd.ravel() ** 2
+    moves = ((marks.targets - marks.points) * problem.spacing).ravel()
+    at = interpolation(marks.points, problem.shape)
+    matrix = matrix + at.T @ sp.diags_array(weights) @ at
+    load = load + at.T @ (weights * moves)
+    held = problem.confidence.ravel() == 1
+    free = ~held & has_elements
+    to_energy = to_force * problem.unit
+
+    def energy_of(growth):
+        return 0.0 if growth is None else to_energy * load_of(growth).energy
+
+    def of_both(one, other):
+        if other is None:
+            return 0.0
+        both = Loads(growth=one) + Loads(growth=other)
+        return energy_of(both.growth) - energy_of(one) - energy_of(other)
+
+    growths = [drift_growth(problem, unit) for unit in units]
+    coupling = np.stack([to_force * load_of(each).forces.ravel() for each in growths], axis=1)
+    own = np.array([[of_both(one, other) for other in growths] for one in growths])
+    field = np.where(held, y, 0.0)
+    beside = sp.csr_array(-coupling[free])
+    whole = sp.block_array(
+        [[matrix.tocsr()[free][:, free], beside], [beside.T, sp.csr_array(own)]], format="csc"
+    )
+    right = np.concatenate(
+        [
+            (load - matrix @ field)[free],
+            coupling.T @ field - np.array([of_both(each, grown) for each in growths]),
+        ]
+    )
+    solved = spl.spsolve(whole, right)
+    field[free] = solved[: free.sum()]
+    amounts = solved[free.sum() :]
+    return field.reshape(problem.observed.shape), np.einsum("k,kij->ij", amounts, np.array(units))
