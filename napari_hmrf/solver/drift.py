@@ -115,34 +115,26 @@ def solve_with_drift(
     if prior.can_slip(problem):
         raise ProblemError(
             "landmarks",
-            "have a drift, which cannot be estimated beside observations that may slip. Set the "
-            "confidence of these observations to 1, pass penalty=inf, or use drift=False.",
+            "have a drift, which cannot be estimated beside observations that may slip. Give these "
+            "observations a confidence of 1 and no penalty (`penalty=None`), or estimate no drift "
+            "(`drift=False`).",
         )
     check_memory(problem)
     begun = time.perf_counter()
     plain = without_drift(problem)
-    cached = _last[0] if _last and _last[0].covers(problem, prior, optimizer) else None
-    if cached is not None and initial is not None:
+    found = _last[0] if _last and _last[0].covers(problem, prior, optimizer) else None
+    solves = 1 if found is not None else 1 + len(_unit_strains(len(problem.shape)))
+    # The responses come first, so that the field without drift does not depend on whether they
+    # are cached: solves of the same tissue share what they find about their convergence.
+    cached = found or _Responses.of(plain, prior, optimizer, progress, solves, solve)
+    _last[:] = [cached]
+    if initial is not None:
         initial = cached.latest or initial
-    units = _unit_strains(len(problem.shape))
-    solves = 1 if cached is not None else 1 + len(units)
-    base = solve(plain, _tighter(optimizer, _SHARE), initial, _part(progress, 0, solves))
-    if cached is None:
-        responses = [
-            solve(
-                _response_problem(plain, unit),
-                _response_optimizer(optimizer),
-                None,
-                _part(progress, number, solves),
-            )
-            for number, unit in enumerate(units, start=1)
-        ]
-        cached = _Responses.of(plain, prior, optimizer, responses)
-        _last[:] = [cached]
+    base = solve(plain, _tighter(optimizer, _SHARE), initial, _part(progress, solves - 1, solves))
     cached.latest = base
     pull = cached.pull(plain, prior, base.displacement)
     amounts = _amounts(cached.matrix, pull, cached.unit_of_energy)
-    drift = np.einsum("k,kij->ij", amounts, np.array(units))
+    drift = np.einsum("k,kij->ij", amounts, np.array(_unit_strains(len(problem.shape))))
     _check_size(drift)
     energy = base.energy.copy()
     # The iterations find the energy without drift; the last value is the energy of the result.
@@ -213,12 +205,22 @@ class _Responses:
 
     @classmethod
     def of(
-        cls, problem: Problem, prior: ElasticPrior, optimizer: Optimizer, solved: list[Solution]
+        cls,
+        problem: Problem,
+        prior: ElasticPrior,
+        optimizer: Optimizer,
+        progress: Progress | None,
+        solves: int,
+        solve: Solve,
     ) -> _Responses:
-        """Return the responses, with the forces and the matrix that follow from them."""
+        """Compute the responses, and the forces and the matrix that follow from them."""
+        schedule, units = _response_optimizer(optimizer), _unit_strains(len(problem.shape))
+        solved = [
+            solve(_response_problem(problem, unit), schedule, None, _part(progress, number, solves))
+            for number, unit in enumerate(units)
+        ]
         bare = _variant(problem, loads=None)
         fields = [each.displacement for each in solved]
-        units = _unit_strains(len(problem.shape))
         at_points = [_at_points(problem, field) for field in fields]
         forces, matrix = [], np.empty((len(units),) * 2)
         for k, unit in enumerate(units):
@@ -230,9 +232,8 @@ class _Responses:
                 matrix[j, k] += _product_of_points(problem, prior, at_points[j], at_points[k])
             forces.append(exact.astype(np.float32))
         errors = [0.0 if each.convergence is None else each.convergence.error for each in solved]
-        settings = _response_optimizer(optimizer).parameters
         matrix = (matrix + matrix.T) / 2
-        return cls(problem, prior, settings, fields, forces, at_points, matrix, errors)
+        return cls(problem, prior, schedule.parameters, fields, forces, at_points, matrix, errors)
 
     def covers(self, problem: Problem, prior: ElasticPrior, optimizer: Optimizer) -> bool:
         """Return whether the responses of a problem are the same."""
@@ -444,7 +445,8 @@ def _amounts(matrix: Float64Array, pull: Float64Array, unit_of_energy: float) ->
         raise ProblemError(
             "landmarks",
             "are too few for a drift, nearly on one line or plane, or too uncertain: tissue could "
-            "strain by more than its own length. Add landmarks elsewhere, or use drift=False.",
+            "strain by more than its own length. Add landmarks elsewhere, or estimate no drift "
+            "(`drift=False`).",
         )
     return np.asarray(-(vectors / values) @ (vectors.T @ pull))
 
@@ -455,7 +457,7 @@ def _check_size(drift: Float64Array) -> None:
         raise ProblemError(
             "landmarks",
             f"have targets that need a drift of {100 * least:.3g} %, which would compress tissue "
-            "to nothing. Correct the targets, or use drift=False.",
+            "to nothing. Correct the targets, or estimate no drift (`drift=False`).",
         )
 
 
