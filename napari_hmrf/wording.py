@@ -31,6 +31,7 @@ class Term(NamedTuple):
 TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
     "model='elastic'": Term("--model elastic", ""),
+    "drift=False": Term("", "'affine drift' off"),
     "sd=0": Term("a file without this column", ""),
     "penalty=None": Term(
         "without --penalty", "'spring strength' under 'Advanced' at 'by confidence'"

@@ -222,8 +222,9 @@ class Ground:
             loads, spacing = self._loads(canvas.labels, m), self.study.grid.spacing
             refuse_sliding(self.study, canvas.slides)
             y, precision = sliding_data(canvas.observed, canvas.slides, m, spacing)
+            motion = self.study.motion
             landmarks = landmark_data(
-                marks, points, m, self.body, spacing, self.study.motion.typical_strain
+                marks, points, m, self.body, spacing, motion.typical_strain, bool(motion.drift)
             )
             problem = Problem(
                 y,

@@ -80,6 +80,7 @@ def landmark_data(
     body: Mask,
     spacing: tuple[float, ...],
     strain: float,
+    drift: bool,
 ) -> Landmarks | None:
     """Return landmarks as data of a problem; None if no landmark is in tissue.
 
@@ -96,6 +97,8 @@ def landmark_data(
     spacing : tuple of float
     strain : float
         Typical strain of the tissue.
+    drift : bool
+        True to estimate an affine drift together with the landmarks.
     """
     if not len(points):
         return None
@@ -107,4 +110,4 @@ def landmark_data(
     low, high = SD_RANGE[0] * max(spacing) * _INSIDE, SD_RANGE[1] * min(spacing) / _INSIDE
     sd = np.clip([mark.sd for mark in marks], low, high)[used]
     scale = StrainScale(strain, stiffness=typical_stiffness(stiffness[body]))
-    return Landmarks(points[used], points[used] + steps, sd=sd, scale=scale)
+    return Landmarks(points[used], points[used] + steps, sd=sd, scale=scale, drift=drift)

@@ -374,6 +374,9 @@ class Motion:
         Typical strain of the tissue, such as 0.1 for 10 %, against which landmarks with a standard
         deviation are weighed; see `StrainScale`. With a larger strain, tissue follows these
         landmarks more closely.
+    drift : bool
+        If True, a uniform strain of all tissue that costs no energy is estimated together with
+        landmarks with a standard deviation; see `Landmarks`. Without such landmarks, no effect.
 
     Raises
     ------
@@ -391,6 +394,7 @@ class Motion:
     drawing: Drawing = field(default_factory=Drawing)
     weight: tuple[float, ...] = ()
     typical_strain: float = StrainScale.strain
+    drift: bool = False
 
     def __post_init__(self) -> None:
         is_flag = isinstance(self.hold_edge, bool | np.bool_)
@@ -408,6 +412,8 @@ class Motion:
         is_positive = 0 < real(self.typical_strain) < math.inf
         requirement = "a positive number, such as 0.1"
         refuse_unless(is_positive, "typical_strain", self.typical_strain, requirement)
+        is_flag = isinstance(self.drift, bool | np.bool_)
+        refuse_unless(is_flag, "drift", self.drift, "True or False")
         if (self.observed is None) != (self.confidence is None):
             raise ProblemError("motion", "requires both the observed field and its confidence.")
 
@@ -421,6 +427,7 @@ class Motion:
             ""
             if self.typical_strain == StrainScale.strain
             else f"typical strain {self.typical_strain:g}",
+            "drift" if self.drift else "",
         ]
         return f"Motion({_listed(parts) or 'none'})"
 

@@ -50,6 +50,7 @@ _STEP_NAMES = {
     "plane": "chose another plane",
     "poisson": "changed Poisson's ratio",
     "strain": "changed the typical strain",
+    "drift": "changed the drift",
     "tissue": "chose another source of stiffness",
     "boundary": "chose another boundary",
     "confidence": "chose another confidence",
@@ -145,6 +146,8 @@ class ModelChoice:
         Optional solver settings.
     strain : float
         Typical strain of the tissue, as in `Motion`.
+    drift : bool
+        True if an affine drift is estimated with uncertain landmarks, as in `Motion`.
     """
 
     name: ModelName = "elastic"
@@ -152,6 +155,7 @@ class ModelChoice:
     poisson: float = USUAL_POISSON
     details: SolverDetails = field(default_factory=SolverDetails)
     strain: float = StrainScale.strain
+    drift: bool = False
 
     @classmethod
     def of(cls, study: Study) -> ModelChoice:
@@ -160,8 +164,13 @@ class ModelChoice:
         An array of Poisson's ratios is ignored, because it belongs to the tissue map.
         """
         prior, optimizer = study.prior, study.optimizer
-        strain, details = study.motion.typical_strain, details_of(prior, optimizer)
-        choice = cls(family_of(prior, optimizer), details=details, strain=strain)
+        motion, details = study.motion, details_of(prior, optimizer)
+        choice = cls(
+            family_of(prior, optimizer),
+            details=details,
+            strain=motion.typical_strain,
+            drift=bool(motion.drift),
+        )
         if isinstance(prior, Elastic):
             choice = replace(choice, plane=prior.plane)
             if np.ndim(prior.poisson) == 0:

@@ -6,7 +6,14 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from magicgui.widgets import ComboBox, Container, FloatSpinBox, RadioButtons, create_widget
+from magicgui.widgets import (
+    CheckBox,
+    ComboBox,
+    Container,
+    FloatSpinBox,
+    RadioButtons,
+    create_widget,
+)
 from napari.layers import Image
 from qtpy.QtCore import QSize
 from qtpy.QtGui import QIcon
@@ -31,6 +38,12 @@ _DECIMALS = 6
 _ABOUT_STRAIN = (
     "Strain that is usual for this tissue, against which landmarks with an uncertainty (±) are "
     "weighed. A larger strain brings tissue closer to these landmarks; it has no other effect"
+)
+_ABOUT_DRIFT = (
+    "Let all tissue also stretch, shrink or shear evenly, as much as the landmarks with an "
+    "uncertainty (±) suggest: for example, if the scanner or the pixel size differs between "
+    "two images. Needs three such landmarks that are not on one line, or four in a volume; "
+    "without such landmarks, it has no effect"
 )
 
 
@@ -91,6 +104,8 @@ class ModelForm(Container):
         ratios are in the tissue table.
     strain : FloatSpinBox
         Typical strain of the elastic model, in percent.
+    drift : CheckBox
+        Ticked if an affine drift is estimated with uncertain landmarks.
     in_detail : DetailsForm
         Solver settings, in a separate section of the dock.
     """
@@ -129,8 +144,11 @@ class ModelForm(Container):
             value=100 * StrainScale.strain,
             tooltip=_ABOUT_STRAIN,
         )
+        self.drift = CheckBox(name="drift", text="affine drift", tooltip=_ABOUT_DRIFT)
         self._when = Prose()
-        self._form = form = Container(widgets=[self.model, self.plane, self.poisson, self.strain])
+        self._form = form = Container(
+            widgets=[self.model, self.plane, self.poisson, self.strain, self.drift]
+        )
         super().__init__(widgets=[form, self._when], labels=False)
         form.margins = (0, 0, 0, 0)
         align_labels(form)
@@ -152,13 +170,15 @@ class ModelForm(Container):
         """Chosen model and settings."""
         form = self._form.asdict()
         parts = form["model"], form["plane"], form["poisson"], self.in_detail.details
-        return ModelChoice(*parts, strain=round(form["strain"] / 100, _DECIMALS))
+        strain = round(form["strain"] / 100, _DECIMALS)
+        return ModelChoice(*parts, strain=strain, drift=form["drift"])
 
     @choice.setter
     def choice(self, choice: ModelChoice) -> None:
         values = {"model": choice.name, "plane": choice.plane, "poisson": choice.poisson}
         low, high = _STRAINS
-        self._form.update({**values, "strain": min(max(100 * choice.strain, low), high)})
+        values |= {"strain": min(max(100 * choice.strain, low), high), "drift": choice.drift}
+        self._form.update(values)
         self.in_detail.details = choice.details
 
     @property
@@ -189,6 +209,6 @@ class ModelForm(Container):
         self._when.show_text(when_to_take(model, None if self._volume else self.plane.value))
         self.plane.visible = self.is_elastic and not self._volume
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
-        self.strain.visible = model == "elastic"
+        self.strain.visible = self.drift.visible = model == "elastic"
         for field in self.in_detail:
             field.visible = field.name in detail_names(model)

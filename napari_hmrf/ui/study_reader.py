@@ -61,7 +61,7 @@ class StudyReader:
         """
         model = self._model.model
         study = study_from_layers(request, self._copies)
-        motion = replace(study.motion, typical_strain=model.strain)
+        motion = replace(study.motion, typical_strain=model.strain, drift=model.drift)
         return replace(study, motion=motion, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:

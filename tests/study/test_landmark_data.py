@@ -193,3 +193,30 @@ def test_a_larger_typical_strain_brings_tissue_closer_and_is_saved(tmp_path):
     assert build_problem(saved).problem.digests == build_problem(stretchy).problem.digests
     with pytest.raises(ArgumentError, match="typical_strain must be a positive number"):
         replace(study.motion, typical_strain=-1)
+
+
+def test_a_drift_of_a_study_is_estimated_saved_and_replayed_bit_by_bit(tmp_path):
+    places = [(6.3, 8.2), (7.1, 27.4), (22.8, 9.9), (23.5, 26.1), (15.2, 18.4)]
+    marks = [Landmark(at, (1.05 * at[0], 0.97 * at[1]), 2.0, sd=0.5) for at in places]
+    study = a_study(*marks, hold_edge=False)
+    drifting = replace(study, motion=replace(study.motion, drift=True))
+    assert "drift" in repr(drifting.motion)
+    solution = solve_study(drifting, backend="cpu")
+    assert np.abs(solution.strain()).max() < 1e-3
+    assert np.abs(solve_study(study, backend="cpu").strain()).max() > 0.005
+    assert "strains of 5 % and -3 %" in " ".join(solution.notes)
+    path = write_study(tmp_path / "a.study", drifting, solution)
+    assert read_study(path).study.motion.drift is True
+    np.testing.assert_array_equal(replay(path).displacement, solution.displacement)
+    with pytest.raises(ArgumentError, match="drift must be True or False"):
+        replace(study.motion, drift="yes")
+
+
+def test_a_study_with_too_few_landmarks_for_a_drift_names_them():
+    study = a_study(MARK, replace(MARK, source=(20.0, 20.0)), hold_edge=False)
+    study = replace(study, motion=replace(study.motion, drift=True))
+    with pytest.raises(ProblemError, match="too few for a drift") as refused:
+        solve_study(study, backend="cpu")
+    said = in_words_of("window", str(refused.value))
+    assert said.startswith("'Landmark'")
+    assert said.endswith("or estimate no drift ('affine drift' off).")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from qtpy.QtTest import QTest
 
-from napari_hmrf import Landmark
+from napari_hmrf import Landmark, read_study, write_study
 from tests.support.screen import Screen
 
 
@@ -115,6 +115,35 @@ def test_a_larger_typical_strain_brings_tissue_closer_to_an_uncertain_landmark(
     assert dock._form.model.strain.value == 10
     dock.model = "large motion"
     assert not dock._form.model.strain.native.isVisibleTo(dock.native)
+
+
+def test_a_drift_is_ticked_undone_and_saved_with_the_study(pulling_beside, settle, tmp_path):
+    touch, dock = pulling_beside
+    Screen(dock).press("Landmark")
+    dock.fields.sd.value = 0.5
+    for row, col in ((20, 20), (20, 40), (40, 20), (40, 40)):
+        touch.drag((row, col), (1.1 * row, col))
+    settle(dock)
+    box = Screen(dock).button("affine drift")
+    assert "evenly" in box.toolTip()
+    dock._form.motion.edge.value = False
+    settle(dock)
+    strained = np.abs(dock.solution.strain()).max()
+    box.click()
+    settle(dock)
+    assert np.abs(dock.solution.strain()).max() < 0.2 * strained
+    assert dock.study.motion.drift
+    saved = read_study(write_study(tmp_path / "a.study", dock.study)).study
+    assert saved.motion.drift
+    dock.undo()
+    settle(dock)
+    assert dock.status.startswith("Undid: changed the drift.")
+    assert not dock._form.model.drift.value
+    assert not dock.study.motion.drift
+    dock.redo()
+    assert dock._form.model.drift.value
+    dock.model = "large motion"
+    assert not box.isVisibleTo(dock.native)
 
 
 def test_a_landmark_drawn_later_outside_tissue_is_named(pulling_beside, settle):
