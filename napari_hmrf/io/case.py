@@ -27,6 +27,7 @@ from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import is_study_file, read_study, write_study
 from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
+from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
@@ -217,7 +218,8 @@ def solve_case(
         file = ImageFile(moved, place, colours=moved.ndim > len(study.grid.shape))
         write_image(folder / f"{name} deformed{'.nrrd' if place else '.tif'}", file)
     write_study(folder / f"{name}.study", study, solution)
-    notes = (*caveats, *ground.unused(stated), *ground.notes_on(stated))
+    notes = (*ground.unused(stated), *ground.notes_on(stated))
+    notes = (*caveats, *drift_clauses(solution), *notes)
     return SolvedCase(study, solution, folds, notes)
 
 

@@ -85,6 +85,12 @@ def with_drift_of(problem: Problem, solution: Solution) -> Problem:
     return _variant(without_drift(problem), loads=Loads(growth=growth, force=force))
 
 
+def drift_clauses(solution: Solution) -> tuple[str, ...]:
+    """Return a clause with the principal strains of a solution's drift, or () without a drift."""
+    drift = solution.provenance.parameters.get("drift")
+    return () if drift is None else (_in_words(np.array(drift)),)
+
+
 def solve_with_drift(
     problem: Problem,
     prior: ElasticPrior,

@@ -18,6 +18,7 @@ from napari_hmrf.errors import ArgumentError, LayerError, ProblemError
 from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, missing_constraint
+from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
@@ -433,7 +434,8 @@ def solve_study(
     # Counting folds takes milliseconds for an image, but 5 % of the solve time for a volume.
     folds = 0 if solution.tissue.ndim == 3 else solution.count_folds()
     short = shortcomings(solution, solution.unit, folds, stated.problem)
-    return replace(solution, notes=(*short, *(notes or solution.notes)))
+    notes = (*drift_clauses(solution), *notes) if notes else solution.notes
+    return replace(solution, notes=(*short, *notes))
 
 
 def solve_statement(

@@ -13,6 +13,7 @@ from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.result_layers import Outputs
 from napari_hmrf.solver.caveats import LOOSE
+from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
@@ -111,7 +112,7 @@ HANDFUL = 5
 
 
 def report(done: CompleteResult) -> str:
-    """Describe the largest displacement of a result, and whether an earlier result was kept."""
+    """Describe the largest displacement and the drift, and whether an earlier result was kept."""
     place, solution = done.moved.study.grid.known_place, done.outputs.solution
     largest = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
     if not largest:
@@ -119,6 +120,7 @@ def report(done: CompleteResult) -> str:
     slice_name = place.slice_seen.replace("slice", "Slice")
     where = f"{slice_name}: tissue" if slice_name else "Tissue"
     moved = f"{where} moved up to {largest:.3g} {unit_symbol(place.unit)}."
+    moved = " ".join((moved, *map(_sentence, drift_clauses(solution))))
     is_kept = done.moved.settled and done.moved.is_earlier
     return f"{moved} {KEPT_RESULT}" if is_kept else moved
 

@@ -18,6 +18,7 @@ from napari_hmrf.layers.landmarks import landmark_pairs
 from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.controller import Controller
@@ -142,7 +143,7 @@ class SecondImage:
         self._view.more.refresh_landmarks()
 
     def _describe_residuals(self) -> str:
-        """Describe the residuals, and store each as a feature of its landmark."""
+        """Describe the residuals and the drift, and store each residual with its landmark."""
         shown, where = self._view.shown, self._pair.sources.value
         pairs = None if shown is None else self._pairs(shown.answer)
         if shown is None or pairs is None:
@@ -163,7 +164,8 @@ class SecondImage:
         self._distances = LandmarkRows([LandmarkRow(*row) for row in columns], unit)
         both = (float(np.sqrt((lengths**2).mean())) for lengths in (at_first, left))
         before, after = (as_seen(length, spacing) for length in both)
-        return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
+        apart = f"{before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
+        return "; ".join((f"Landmarks: {apart}", *drift_clauses(solution)))
 
     def _marks_of(self, pairs: LandmarkPairs) -> list[Landmark | None]:
         """Return the landmark of the drawing with the positions of each pair, or None."""
