@@ -121,8 +121,8 @@ def solve_with_drift(
     if prior.can_slip(problem):
         raise ProblemError(
             "landmarks",
-            "have a drift, which cannot be estimated beside observations that may slip. Give these "
-            "observations a confidence of 1 and no penalty (`penalty=None`), or estimate no drift "
+            "cannot have a drift beside observations that may slip. Give these observations a "
+            "confidence of 1 and no penalty (`penalty=None`), or estimate no drift "
             "(`drift=False`).",
         )
     check_memory(problem)
@@ -450,8 +450,8 @@ def _amounts(matrix: Float64Array, pull: Float64Array, unit_of_energy: float) ->
     if values[0] < least:
         raise ProblemError(
             "landmarks",
-            "are too few for a drift, nearly on one line or plane, or too uncertain: tissue could "
-            "strain by more than its own length. Add landmarks elsewhere, or estimate no drift "
+            "cannot determine a drift: there are too few, they are nearly on one line or plane, or "
+            "they are too uncertain. Add landmarks elsewhere, or estimate no drift "
             "(`drift=False`).",
         )
     return np.asarray(-(vectors / values) @ (vectors.T @ pull))
@@ -462,8 +462,9 @@ def _check_size(drift: Float64Array) -> None:
     if least <= -1:
         raise ProblemError(
             "landmarks",
-            f"have targets that need a drift of {100 * least:.3g} %, which would compress tissue "
-            "to nothing. Correct the targets, or estimate no drift (`drift=False`).",
+            f"cannot be met: their targets need a drift of {100 * least:.3g} %, which would "
+            "compress tissue to nothing. Correct the targets, or estimate no drift "
+            "(`drift=False`).",
         )
 
 

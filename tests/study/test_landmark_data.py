@@ -215,8 +215,8 @@ def test_a_drift_of_a_study_is_estimated_saved_and_replayed_bit_by_bit(tmp_path)
 def test_a_study_with_too_few_landmarks_for_a_drift_names_them():
     study = a_study(MARK, replace(MARK, source=(20.0, 20.0)), hold_edge=False)
     study = replace(study, motion=replace(study.motion, drift=True))
-    with pytest.raises(ProblemError, match="too few for a drift") as refused:
+    with pytest.raises(ProblemError, match="cannot determine a drift") as refused:
         solve_study(study, backend="cpu")
     said = in_words_of("window", str(refused.value))
-    assert said.startswith("'Landmark'")
+    assert said.startswith("'Landmark' cannot determine a drift: there are too few")
     assert said.endswith("or estimate no drift ('affine drift' off).")
