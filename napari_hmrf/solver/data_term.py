@@ -15,17 +15,23 @@ load.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+import weakref
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import corners_of
 
 Float64Array = npt.NDArray[np.float64]
 Planes = npt.NDArray[np.float64]
+# Number of sites that are processed at once, so that temporary arrays stay in the cache.
+_BLOCK_SIZE = 16384
 
 
 def packed_axes(axes: int) -> tuple[tuple[int, int], ...]:
@@ -132,27 +138,25 @@ class DataTerm(NamedTuple):
         points = PointTerm.of(problem, unit)
         if precision is None and points is None:
             return None
-        axes, grid = len(problem.shape), problem.shape
-        pairs = packed_axes(axes)
-        weights = np.zeros((len(pairs), *(size + 4 for size in grid)))
-        inside = (slice(2, -2),) * axes
         if precision is not None:
-            for plane, (i, j) in zip(weights, pairs, strict=True):
-                np.divide(precision[..., i, j], unit, out=plane[inside])
-        return cls(weights, points)
+            return cls(_weights_of(precision, unit), points)
+        count = len(packed_axes(len(problem.shape)))
+        return cls(np.zeros((count, *(size + 4 for size in problem.shape))), points)
 
     @property
     def axes(self) -> int:
         """Number of axes of the grid."""
         return self.weights.ndim - 1
 
-    def load(self, y: Planes) -> tuple[Planes, float]:
+    def load(self, observed: npt.NDArray[np.float32], unit: float) -> tuple[Planes, float]:
         """Return the forces and the energy of the observations at zero displacement.
 
         Parameters
         ----------
-        y : ndarray, planes
-            Observed displacement, in pixels.
+        observed : ndarray, shape (H, W, 2) or (D, H, W, 3)
+            Observed displacement.
+        unit : float
+            Length of a pixel in the unit of the displacement.
 
         Returns
         -------
@@ -162,13 +166,19 @@ class DataTerm(NamedTuple):
             Half the work of these forces over the observations.
         """
         pairs = dict(zip(packed_axes(self.axes), self.weights, strict=True))
-        forces, product = np.empty(y.shape), np.empty(y.shape[1:])
-        for i, force in enumerate(forces):
-            np.multiply(pairs[i, i], y[i], out=force)
-            for j in range(self.axes):
-                if i != j:
-                    force += np.multiply(pairs[min(i, j), max(i, j)], y[j], out=product)
-        energy = float(np.einsum("i,i->", forces.ravel(), y.ravel())) / 2
+        forces, energy = np.zeros((self.axes, *self.weights.shape[1:])), 0.0
+        for sites, planes in _blocks(observed.shape[:-1]):
+            y = np.moveaxis(observed[sites], -1, 0).astype(np.float64, order="C")
+            y /= unit
+            product = np.empty(y.shape[1:])
+            for i, force in enumerate(forces):
+                out = force[planes]
+                np.multiply(pairs[i, i][planes], y[i], out=out)
+                for j in range(self.axes):
+                    if i != j:
+                        weight = pairs[min(i, j), max(i, j)][planes]
+                        out += np.multiply(weight, y[j], out=product)
+                energy += float(np.multiply(out, y[i], out=product).sum()) / 2
         if self.points is not None:
             of_points = self.points.weights * self.points.observed
             self.points.add_forces(of_points, forces)
@@ -240,11 +250,41 @@ class DataTerm(NamedTuple):
             np.add.at(matrices, where, block)
 
 
+# Weak references to the last precision and to its weights, with the unit.
+_last: list[tuple[weakref.ref[Any], weakref.ref[Any], float]] = []
+
+
+def _weights_of(precision: Float64Array, unit: float) -> Planes:
+    """Return a precision as packed planes; those of the same array are computed only once."""
+    for known, made, its_unit in _last:
+        weights: Planes | None = made()
+        if known() is precision and its_unit == unit and weights is not None:
+            return weights
+    grid, axes = precision.shape[:-2], precision.shape[-1]
+    pairs = packed_axes(axes)
+    weights = np.zeros((len(pairs), *(size + 4 for size in grid)))
+    for sites, planes in _blocks(grid):
+        for plane, (i, j) in zip(weights, pairs, strict=True):
+            np.divide(precision[sites][..., i, j], unit, out=plane[planes])
+    _last[:] = [(weakref.ref(precision), weakref.ref(weights), unit)]
+    return weights
+
+
+def _blocks(grid: tuple[int, ...]) -> Iterator[tuple[slice, tuple[slice, ...]]]:
+    """Yield the index of each block of sites along the first axis, and its index in planes."""
+    step = max(1, _BLOCK_SIZE // math.prod(grid[1:]))
+    across = (slice(2, -2),) * (len(grid) - 1)
+    for begin in range(0, grid[0], step):
+        past = min(begin + step, grid[0])
+        yield slice(begin, past), (slice(begin + 2, past + 2), *across)
+
+
 def are_same(one: DataTerm | None, other: DataTerm | None) -> bool:
     """Return whether two data terms have the same matrix; their observations may differ."""
     if one is None or other is None:
         return one is other
-    same = one.weights is other.weights or np.array_equal(one.weights, other.weights)
+    own, weights = one.weights, other.weights
+    same = own is weights or all(map(are_equal, own, weights))
     if one.points is None or other.points is None:
         return same and one.points is other.points
     return (

@@ -20,6 +20,7 @@ import scipy
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 
@@ -66,9 +67,7 @@ class HeldTissue(NamedTuple):
             return False
         if not self.covers(problem.tissue, problem.known):
             return False
-        if self.precision is None or problem.precision is None:
-            return self.precision is problem.precision
-        return np.array_equal(self.precision, problem.precision)
+        return are_equal(self.precision, problem.precision)
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
         """Return whether the tissue is the same, and `held` includes all checked constraints.

@@ -254,6 +254,17 @@ def test_data_that_leave_a_motion_free_are_refused():
         solve(Problem(none, none, np.ones((6, 6)), precision=normals), backend="cpu")
 
 
+def test_problems_with_equal_tensors_share_them_unless_tissue_differs():
+    none, m, hole = np.zeros((8, 8, 2)), np.ones((8, 8)), np.ones((8, 8))
+    hole[3, 3] = 0
+    data = tensors(np.random.default_rng(0), (8, 8), 2, 1.0)
+    first = Problem(none, none, m, precision=data)
+    assert Problem(none + 1, none, m, precision=data).precision is first.precision
+    data[4, 4] *= 2
+    assert np.array_equal(Problem(none, none, m, precision=data).precision, data)
+    assert not Problem(none, none, hole, precision=data).precision[3, 3].any()
+
+
 @pytest.mark.parametrize("prior", [SeilerPrior(), NeoHookeanPrior()])
 def test_models_without_a_data_term_refuse_it(prior):
     none = np.zeros((6, 6, 2))

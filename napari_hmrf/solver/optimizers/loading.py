@@ -90,7 +90,7 @@ def with_data(
     """
     if data is None:
         return LoadForces(pulls, energy)
-    forces, own = data.load(host.planes(problem.observed) / problem.unit)
+    forces, own = data.load(problem.observed, problem.unit)
     return LoadForces(forces if pulls is None else forces + pulls, energy + own)
 
 
