@@ -141,129 +141,78 @@ def relaxed(first, second, inverse, weight, mixed, i, j):
     )
 
 
+@callee
+def _interpolate_row(near, far, inverse, line):
+    """Interpolate one row of a component of a coarse correction, with 0 where it is fixed."""
+    for j in range((len(line) - 3) // 2):
+        here = float32(0.5) * (near[j + 2] + far[j + 2])
+        between = float32(0.5) * here + float32(0.25) * (near[j + 3] + far[j + 3])
+        line[2 * j + 2] = here if inverse[2 * j + 2] > float32(0) else float32(0)
+        line[2 * j + 3] = between if inverse[2 * j + 3] > float32(0) else float32(0)
+
+
 @shared
-def _product(tensor, x, y, z):
-    """Return the product of a packed tensor and a vector."""
-    a, b, c, d, e, f = tensor
-    return a * x + d * y + e * z, d * x + b * y + f * z, e * x + f * y + c * z
+def _product_line(weight, mixed, own, other, out):
+    for x in range(len(out)):
+        out[x] = weight[x] * own[x] + mixed[x] * other[x]
+
+
+@shared
+def _subtract_line(own, inverse, mixed, force, other, out):
+    for x in range(len(out)):
+        out[x] += own[x] - (inverse[x] * force[x] + mixed[x] * other[x])
 
 
 @parallel
-def add_relaxed(correction, inverse, weight, mixed, out):
-    """Add an interpolated correction, multiplied by T, to `out`."""
+def add_relaxed(coarse, inverse, weight, mixed, out):
+    """Interpolate the coarse correction of an image, multiply it by T, and add it to `out`."""
     for n in prange(out.shape[1] - 4):
-        i = n + 2
-        for j in range(2, out.shape[2] - 2):
-            x, y = correction[0, i, j], correction[1, i, j]
-            if len(out) == 2:
-                x, y = relaxed(x, y, inverse, weight, mixed, i, j)
-                out[0, i, j] += x
-                out[1, i, j] += y
-            else:
-                z = correction[2, i, j]
-                p, q, r = _product(_packed(weight, mixed, 0, i, j), x, y, z)
-                p, q, r = _product(_packed(inverse, mixed, 3, i, j), p, q, r)
-                out[0, i, j] += x - p
-                out[1, i, j] += y - q
-                out[2, i, j] += z - r
+        i, near = np.int64(n) + 2, np.int64(n) // 2 + 2
+        far = near + np.int64(n) % 2
+        # The interpolated correction u, and W u. Loops that write a single line vectorize.
+        u, force = np.zeros((2, out.shape[2]), out.dtype), np.zeros((2, out.shape[2]), out.dtype)
+        for k in range(2):
+            _interpolate_row(coarse[k, near], coarse[k, far], inverse[k, i], u[k])
+        for k in range(2):
+            _product_line(weight[k, i], mixed[0, i], u[k], u[1 - k], force[k])
+        for k in range(2):
+            _subtract_line(u[k], inverse[k, i], mixed[1, i], force[k], force[1 - k], out[k, i])
 
 
-@parallel
-def filter_rest(inverse, weight, mixed, rest):
-    """Multiply the residual of a volume by T^T, in place."""
-    for n in prange(rest.shape[1] - 4):
-        i = n + 2
-        for j in range(2, rest.shape[2] - 2):
-            x, y, z = rest[0, i, j], rest[1, i, j], rest[2, i, j]
-            p, q, r = _product(_packed(inverse, mixed, 3, i, j), x, y, z)
-            p, q, r = _product(_packed(weight, mixed, 0, i, j), p, q, r)
-            rest[0, i, j] = x - p
-            rest[1, i, j] = y - q
-            rest[2, i, j] = z - r
+# Coarse levels
 
 
 @shared
-def _packed(diagonal, others, first, i, j):
-    """Return a tensor at a site of a volume; its other components begin at plane `first`."""
-    return (
-        diagonal[0, i, j],
-        diagonal[1, i, j],
-        diagonal[2, i, j],
-        others[first, i, j],
-        others[first + 1, i, j],
-        others[first + 2, i, j],
-    )
-
-
-@shared
-def _limited(data, diagonal, i, j):
-    """Return W T at a site, with the mean of the diagonal for D; 0 where there is no tissue."""
-    if len(diagonal) == 3:
-        mean = (diagonal[0, i, j] + diagonal[1, i, j] + diagonal[2, i, j]) / 3.0
-    else:
-        mean = (diagonal[0, i, j] + diagonal[1, i, j]) / 2.0
+def _limited(data, mean, i, j):
+    """Return W T at a site, with D = mean, which is positive."""
     a, b, c, d, e, f = _tensor(data, i, j)
-    if mean > 0:
-        # W T = D (1 - T) with T = (1 + W / D)^-1
-        a, b, c, d, e, f = _inverse(
-            1 + a / mean, 1 + b / mean, 1 + c / mean, d / mean, e / mean, f / mean
-        )
-    else:
-        a, b, c, d, e, f = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
+    scale = 1 / mean
+    # W T = D (1 - T) with T = (1 + W / D)^-1
+    a, b, c, d, e, f = _inverse(
+        1 + scale * a, 1 + scale * b, 1 + scale * c, scale * d, scale * e, scale * f
+    )
     return mean * (1 - a), mean * (1 - b), mean * (1 - c), -mean * d, -mean * e, -mean * f
 
 
-@shared
-def _add_limited(data, diagonal, i, j, share, sums):
-    """Add W T of a site, multiplied by `share`, to the sums of the six components."""
-    a, b, c, d, e, f = _limited(data, diagonal, i, j)
-    sums[0] += share * a
-    sums[1] += share * b
-    sums[2] += share * c
-    sums[3] += share * d
-    sums[4] += share * e
-    sums[5] += share * f
-
-
-@callee
-def _write(sums, out, i, j):
-    """Write the sums of the six components to the planes of a coarse site."""
-    out[0, i, j], out[1, i, j] = sums[0], sums[1]
-    if len(out) == 3:
-        out[2, i, j] = sums[3]
-    else:
-        for k in range(2, 6):
-            out[k, i, j] = sums[k]
-
-
 @parallel
-def coarsen_image(data, diagonal, out):
-    """Compute the tensors of the next coarser level of an image."""
-    for n in prange(out.shape[1] - 4):
-        sums = np.zeros(6)
-        for m in range(out.shape[2] - 4):
-            sums[:] = 0
-            for down in range(-1, 2):
-                for right in range(-1, 2):
-                    share = 1.0 / ((1 + abs(down)) * (1 + abs(right)))
-                    i, j = 2 * np.int64(n) + 2 + down, 2 * m + 2 + right
-                    _add_limited(data, diagonal, i, j, share, sums)
-            _write(sums, out, np.int64(n) + 2, m + 2)
+def limit(data, diagonal, weight, mixed):
+    """Write W T to `weight` and `mixed`, with the mean of the diagonal for D; 0 in void.
 
-
-@parallel
-def coarsen_volume(data, diagonal, out):
-    """Compute the tensors of the next coarser level of a volume."""
-    for n in prange(out.shape[1] - 4):
-        sums = np.zeros(6)
-        for m in range(out.shape[2] - 4):
-            for o in range(out.shape[3] - 4):
-                sums[:] = 0
-                for back in range(-1, 2):
-                    z = 2 * np.int64(n) + 2 + back
-                    for down in range(-1, 2):
-                        for right in range(-1, 2):
-                            share = 1.0 / ((1 + abs(back)) * (1 + abs(down)) * (1 + abs(right)))
-                            i, j = 2 * m + 2 + down, 2 * o + 2 + right
-                            _add_limited(data[:, z], diagonal[:, z], i, j, share, sums)
-                _write(sums, out[:, np.int64(n) + 2], m + 2, o + 2)
+    The sum over the fine sites around a coarse site, as for forces, is the tensor of that site.
+    """
+    count = len(diagonal)
+    for n in prange(diagonal.shape[1] - 4):
+        i = np.int64(n) + 2
+        for j in range(2, diagonal.shape[2] - 2):
+            mean = float64(diagonal[0, i, j]) + float64(diagonal[1, i, j])
+            if count == 3:
+                mean += float64(diagonal[2, i, j])
+            mean /= count
+            a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            if mean > 0:
+                a, b, c, d, e, f = _limited(data, mean, i, j)
+            weight[0, i, j], weight[1, i, j] = float32(a), float32(b)
+            mixed[0, i, j] = float32(d)
+            if count == 3:
+                weight[2, i, j] = float32(c)
+                mixed[1, i, j], mixed[2, i, j] = float32(e), float32(f)

@@ -34,34 +34,41 @@ from napari_hmrf.solver.backends.cpu.vectors import restrict_row, row_product
 
 
 @callee
-def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
+def _apply_row(d, lame, inverse, data, shape, i, span, carry, out_row, out_col):
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     start, past = max(span[0], 0), span[1]
     left = left_of(rows, moduli, shape, start + 1)
     for k in range(past - start):
         j = start + k + 2
         row, col, left = row_force(rows, moduli, shape, carry, left, j)
+        if data is not None:
+            x, y = d[0, i, j], d[1, i, j]
+            row += data[0, i, j] * x + data[2, i, j] * y
+            col += data[2, i, j] * x + data[1, i, j] * y
         out_row[j] = row if inverse[0, i, j] > float32(0) else float32(0)
         out_col[j] = col if inverse[1, i, j] > float32(0) else float32(0)
 
 
 @alone
-def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
+def apply_part(d, lame, inverse, data, shape, spans, out, row_totals, first, last):
     """Compute the rows `first` to `last` (exclusive) of `apply`."""
     carry, unused = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
         row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (unused[0], unused[1])
-        _apply_row(d, lame, inverse, shape, i + 2, reach(spans, i), carry, row, col)
+        _apply_row(d, lame, inverse, data, shape, i + 2, reach(spans, i), carry, row, col)
         if i >= first:
             row_totals[i] = row_product(d, out, i + 2)
 
 
 @parallel
-def apply(d, lame, inverse, shape, spans, out, row_totals, count):
-    """Write A d to `out`, or 0 at fixed components; store d . A d per row in `row_totals`."""
+def apply(d, lame, inverse, data, shape, spans, out, row_totals, count):
+    """Write A d to `out`, or 0 at fixed components; store d . A d per row in `row_totals`.
+
+    `data` contains the tensors of the data term, in double precision, or is None.
+    """
     for number in prange(count):
         first, last = part(number, count, len(spans))
-        apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
+        apply_part(d, lame, inverse, data, shape, spans, out, row_totals, first, last)
 
 
 @callee

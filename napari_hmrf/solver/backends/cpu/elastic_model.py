@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import (
     assembly,
-    data_weights,
     elastic,
     elastic_exact,
     forces,
@@ -154,17 +153,17 @@ class CpuElasticLevel(SmallLevel):
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
-        about = direction, self.lame, self.moving, self.shape, self.reach, image, self._rows
+        about = self.lame, self.moving, self.exact_data, self.shape, self.reach, image, self._rows
         if self.together is None:
-            elastic.apply(*about, self.parts)
+            elastic.apply(direction, *about, self.parts)
         else:  # on a small level, waking other threads takes longer than the loop
-            elastic.apply_part(*about, 0, len(self.reach))
-        return float(self._rows.sum()) + self.add_data(direction, self.moving, image)
+            elastic.apply_part(direction, *about, 0, len(self.reach))
+        return float(self._rows.sum()) + self.add_points(direction, self.moving, image)
 
     def coarsen_data(self, coarse: CpuElasticLevel) -> None:
         """Compute the tensors of the data term on the next coarser level."""
         assembly.diagonal(self.lame, self.shape, self.inverse)
-        data_weights.coarsen_image(self._coarsened_data(), self.inverse, coarse.data)
+        self._restrict_data(coarse)
 
 
 def _cycle(shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: Vector) -> None:
@@ -284,15 +283,16 @@ class CpuElasticModel(HostModel):
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (most, squares) = self.levels[0], self._rows
-        if finest.data is not None:
+        if finest.points is not None:
             load = np.zeros(d.shape) if load is None else load.copy()
-            finest.add_data(d, None, load, -1.0)
+            finest.add_points(d, None, load, -1.0)
         given = (d, 0.0) if load is None else (load, 1.0)
         elastic_exact.balance(
             d,
             *given,
             self._exact_lame,
             finest.moving,
+            finest.exact_data,
             self._exact_shape,
             finest.reach,
             1 / unit,
@@ -317,8 +317,9 @@ class CpuElasticModel(HostModel):
     def work(self, d: Planes) -> tuple[float, float]:
         """Return the elastic energy and the norm of the forces."""
         finest, (products, squares) = self.levels[0], self._rows
-        elastic_exact.work(d, self._exact_lame, self._exact_shape, products, squares, finest.parts)
-        if finest.data is not None:
+        about = self._exact_lame, finest.exact_data, self._exact_shape
+        elastic_exact.work(d, *about, products, squares, finest.parts)
+        if finest.points is not None:
             forces = self.pull(d)
             return -float((forces * d).sum()) / 2, float(np.linalg.norm(forces))
         return float(products.sum()) / 2, math.sqrt(squares.sum())

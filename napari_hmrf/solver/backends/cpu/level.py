@@ -124,6 +124,18 @@ class CpuLevel:
         flat[: len(sums), at] += (sums * mean / np.maximum(sums + mean, _TINY)).astype(np.float32)
         return data
 
+    def _restrict_data(self, coarse: Self) -> None:
+        """Compute the tensors of the next coarser level, with `inverse` as the diagonal."""
+        assert self.weight is not None
+        assert self.mixed is not None
+        assert coarse.data is not None
+        # The springs of this level are not set yet, so that their arrays can store W T.
+        axes = len(self.grid)
+        arrays = self._coarsened_data(), self.inverse, self.weight, self.mixed
+        data_weights.limit(*map(rows, arrays))
+        self._restrict(self.weight, coarse.data[:axes])
+        self._restrict(self.mixed, coarse.data[axes:])
+
     def _hold_data(self) -> None:
         """Make the data term the only springs of the finest level, if there is a data term."""
         if self.data is not None:
@@ -210,19 +222,22 @@ class CpuLevel:
         """Add the interpolated correction of the next coarser level to the free components."""
         vectors.interpolate(coarse, fine, inverse)
 
+    @staticmethod
+    def _add_relaxed(
+        coarse: Vector, inverse: Vector, weight: Vector, mixed: Vector, out: Vector
+    ) -> None:
+        """Add the interpolated correction, filtered for the data term (`data_weights`)."""
+        data_weights.add_relaxed(coarse, inverse, weight, mixed, out)
+
     def _add_coarse(self, coarse: Vector) -> None:
         """Add the interpolated correction of the next coarser level, filtered if there are data."""
         if self.mixed is None:
             self._interpolate(coarse, self.correction, self.inverse)
             return
-        # `_other` can store it: the next step has no momentum and does not read `_other`.
-        self._other.fill(0)
-        self._interpolate(coarse, self._other, self.inverse)
         assert self.weight is not None
         smoother = self.point_smoother
         out = self.correction if smoother is None else np.zeros_like(self.correction)
-        arrays = self._other, self.inverse, self.weight, self.mixed, out
-        data_weights.add_relaxed(*map(rows, arrays))
+        self._add_relaxed(coarse, self.inverse, self.weight, self.mixed, out)
         if smoother is not None:
             smoother.subtract(smoother.moved(out), out)
             self.correction += out

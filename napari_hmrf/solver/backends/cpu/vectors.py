@@ -104,7 +104,7 @@ def restrict_row(above, here, below, coarse):
 def restrict(fine, coarse):
     """Apply the transpose of `interpolate`; coarse site i coincides with fine site 2 i."""
     for i in prange(coarse.shape[1] - 4):
-        for component in range(2):
+        for component in range(len(coarse)):
             restrict_row(
                 fine[component, 2 * i + 1],
                 fine[component, 2 * i + 2],

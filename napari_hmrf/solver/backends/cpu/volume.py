@@ -202,6 +202,66 @@ def _mixed_forces(forces, d, mixed):
         force_2[x] += mixed_02[x] * d_0[x] + mixed_12[x] * d_1[x]
 
 
+@shared
+def _filter_block(forces, d, load, inverse, weight, mixed, block, out):
+    """Compute the residual, filtered for the data term; see `data_weights`."""
+    force_0, force_1, force_2 = forces
+    d_0, d_1, d_2 = d
+    load_0, load_1, load_2 = load
+    inverse_0, inverse_1, inverse_2 = inverse
+    weight_0, weight_1, weight_2 = weight
+    mixed_01, mixed_02, mixed_12 = mixed
+    block_01, block_02, block_12 = block
+    out_0, out_1, out_2 = out
+    for x in range(len(d_0)):
+        i, j, k = d_0[x], d_1[x], d_2[x]
+        row = load_0[x] - (force_0[x] + weight_0[x] * i + mixed_01[x] * j + mixed_02[x] * k)
+        col = load_1[x] - (force_1[x] + mixed_01[x] * i + weight_1[x] * j + mixed_12[x] * k)
+        end = load_2[x] - (force_2[x] + mixed_02[x] * i + mixed_12[x] * j + weight_2[x] * k)
+        i = inverse_0[x] * row + block_01[x] * col + block_02[x] * end
+        j = block_01[x] * row + inverse_1[x] * col + block_12[x] * end
+        k = block_02[x] * row + block_12[x] * col + inverse_2[x] * end
+        row -= weight_0[x] * i + mixed_01[x] * j + mixed_02[x] * k
+        col -= mixed_01[x] * i + weight_1[x] * j + mixed_12[x] * k
+        end -= mixed_02[x] * i + mixed_12[x] * j + weight_2[x] * k
+        out_0[x] = row if inverse_0[x] > float32(0) else row - row
+        out_1[x] = col if inverse_1[x] > float32(0) else col - col
+        out_2[x] = end if inverse_2[x] > float32(0) else end - end
+
+
+@callee
+def _leave_part(d, tissue, weight, mixed, load, inverse, spans, out, first, last):
+    lame, share, shape = tissue
+    lines, rows, planes = scratch(d)
+    for z in range(max(first - 1, 0) + 2, last + 2):
+        rows.fill(0)
+        for y in range(2, d.shape[2] - 2):
+            begin, past = _reach(spans, z, y)
+            for x in range(begin, past, BLOCK):
+                end = min(x + BLOCK, past)
+                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+                if z >= first + 2:
+                    _filter_block(
+                        (force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)),
+                        _three(d, 0, z, y, x, end),
+                        _three(load, 0, z, y, x, end),
+                        _three(inverse, 0, z, y, x, end),
+                        _three(weight, 0, z, y, x, end),
+                        _three(mixed, 0, z, y, x, end),
+                        _three(mixed, 3, z, y, x, end),
+                        _three(out, 0, z, y, x, end),
+                    )
+
+
+@parallel
+def filtered_rest(d, load, lame, share, inverse, weight, mixed, shape, spans, out, count):
+    """Write the residual load - (A + W) d, filtered for the data term (`data_weights`)."""
+    for number in prange(count):
+        first, last = part(number, count, d.shape[1] - 4)
+        tissue = lame, share, shape
+        _leave_part(d, tissue, weight, mixed, load, inverse, spans, out, first, last)
+
+
 @callee
 def _rest_part(d, tissue, weights, mixed, loads, inverse, spans, out, first, last):
     lame, share, shape = tissue
@@ -277,8 +337,20 @@ def _work_line(force, d):
     return product, square
 
 
+@shared
+def _tensor_forces(forces, d, weight):
+    """Add the forces of the diagonal of W, in place."""
+    force_0, force_1, force_2 = forces
+    d_0, d_1, d_2 = d
+    weight_0, weight_1, weight_2 = weight
+    for x in range(len(d_0)):
+        force_0[x] += weight_0[x] * d_0[x]
+        force_1[x] += weight_1[x] * d_1[x]
+        force_2[x] += weight_2[x] * d_2[x]
+
+
 @callee
-def _work_part(d, lame, share, shape, products, squares, first, last):
+def _work_part(d, lame, share, data, shape, products, squares, first, last):
     lines, rows, planes = scratch(d)
     for z in range(max(first - 1, 0) + 2, last + 2):
         rows.fill(0)
@@ -287,6 +359,11 @@ def _work_part(d, lame, share, shape, products, squares, first, last):
                 end = min(x + BLOCK, d.shape[3] - 2)
                 block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
                 if z >= first + 2:
+                    if data is not None:
+                        three = force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
+                        along = _three(d, 0, z, y, x, end)
+                        _tensor_forces(three, along, _three(data, 0, z, y, x, end))
+                        _mixed_forces(three, along, _three(data, 3, z, y, x, end))
                     for k in range(3):
                         product, square = _work_line(force_of(lines, k), d[k, z, y, x:end])
                         products[z - 2] += product
@@ -294,11 +371,14 @@ def _work_part(d, lame, share, shape, products, squares, first, last):
 
 
 @parallel
-def work(d, lame, share, shape, products, squares, count):
-    """Add d . A d and ||A d||^2 of each plane to `products` and `squares`."""
+def work(d, lame, share, data, shape, products, squares, count):
+    """Add d . A d and ||A d||^2 of each plane to `products` and `squares`.
+
+    `data` contains the tensors of the data term, which are part of A, or is None.
+    """
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
-        _work_part(d, lame, share, shape, products, squares, first, last)
+        _work_part(d, lame, share, data, shape, products, squares, first, last)
 
 
 # Transfer between levels
@@ -318,7 +398,7 @@ def restrict(fine, coarse):
     for n in prange(coarse.shape[1] - 4):
         lines = np.empty((3, fine.shape[3]), dtype=fine.dtype)
         z = 2 * np.int64(n) + 2
-        for k in range(3):
+        for k in range(len(coarse)):
             for m in range(coarse.shape[2] - 4):
                 for row in range(3):
                     y = 2 * m + 1 + row
@@ -352,6 +432,52 @@ def interpolate(coarse, fine, inverse):
                 one, other = coarse[k, near, left], coarse[k, near, right]
                 third, last = coarse[k, far, left], coarse[k, far, right]
                 _interpolate_row(one, other, third, last, inverse[k, z, y], line, fine[k, z, y])
+
+
+@shared
+def _add_relaxed_line(lines, inverse, weight, mixed, block, out):
+    """Multiply an interpolated correction by T (`data_weights`), and add it to `out`."""
+    line_0, line_1, line_2 = lines
+    inverse_0, inverse_1, inverse_2 = inverse
+    weight_0, weight_1, weight_2 = weight
+    mixed_01, mixed_02, mixed_12 = mixed
+    block_01, block_02, block_12 = block
+    out_0, out_1, out_2 = out
+    for x in range(len(out_0)):
+        i, j, k = line_0[x], line_1[x], line_2[x]
+        row = weight_0[x] * i + mixed_01[x] * j + mixed_02[x] * k
+        col = mixed_01[x] * i + weight_1[x] * j + mixed_12[x] * k
+        end = mixed_02[x] * i + mixed_12[x] * j + weight_2[x] * k
+        out_0[x] += i - (inverse_0[x] * row + block_01[x] * col + block_02[x] * end)
+        out_1[x] += j - (block_01[x] * row + inverse_1[x] * col + block_12[x] * end)
+        out_2[x] += k - (block_02[x] * row + block_12[x] * col + inverse_2[x] * end)
+
+
+@parallel
+def add_relaxed(coarse, inverse, weight, mixed, out):
+    """Interpolate a coarse correction, filter it for the data term, and add it to `out`."""
+    for number in prange(out.shape[1] - 4):
+        n, past = np.int64(number), out.shape[3]
+        line = np.empty(coarse.shape[3], dtype=out.dtype)
+        lines = np.empty((3, past), dtype=out.dtype)
+        near, z = n // 2 + 2, n + 2
+        far = near + n % 2
+        for m in range(out.shape[2] - 4):
+            left, y = m // 2 + 2, m + 2
+            right = left + m % 2
+            lines.fill(0)
+            for k in range(3):
+                one, other = coarse[k, near, left], coarse[k, near, right]
+                third, last = coarse[k, far, left], coarse[k, far, right]
+                _interpolate_row(one, other, third, last, inverse[k, z, y], line, lines[k])
+            _add_relaxed_line(
+                (lines[0], lines[1], lines[2]),
+                _three(inverse, 0, z, y, 0, past),
+                _three(weight, 0, z, y, 0, past),
+                _three(mixed, 0, z, y, 0, past),
+                _three(mixed, 3, z, y, 0, past),
+                _three(out, 0, z, y, 0, past),
+            )
 
 
 # Parameters of the tissue on each level

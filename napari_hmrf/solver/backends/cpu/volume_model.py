@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
-from napari_hmrf.solver.backends.cpu import data_weights, hexahedra, vectors, volume
+from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
@@ -84,6 +84,12 @@ class VolumeLevel(CpuLevel):
     @staticmethod
     def _interpolate(coarse: Vector, fine: Vector, inverse: Vector) -> None:
         volume.interpolate(coarse, fine, inverse)
+
+    @staticmethod
+    def _add_relaxed(
+        coarse: Vector, inverse: Vector, weight: Vector, mixed: Vector, out: Vector
+    ) -> None:
+        volume.add_relaxed(coarse, inverse, weight, mixed, out)
 
 
 class CpuVolumeLevel(VolumeLevel):
@@ -165,11 +171,12 @@ class CpuVolumeLevel(VolumeLevel):
             self._restrict_with_points(coarse)
             return
         # `_other` can store the residual: the next step has no momentum and does not read `_other`.
-        self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
-        if self.mixed is not None:
-            assert self.weight is not None
-            arrays = self.inverse, self.weight, self.mixed, self._other
-            data_weights.filter_rest(*map(rows, arrays))
+        if self.mixed is None:
+            self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
+        else:
+            tissue, weights = (self.lame, self.share), (self.inverse, self.weight, self.mixed)
+            about = *tissue, *weights, self.shape, self.reach
+            volume.filtered_rest(self.correction, self.load, *about, self._other, self.parts)
         self._restrict(self._other, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
@@ -188,7 +195,7 @@ class CpuVolumeLevel(VolumeLevel):
     def coarsen_data(self, coarse: CpuVolumeLevel) -> None:
         """Compute the tensors of the data term on the next coarser level."""
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
-        data_weights.coarsen_volume(self._coarsened_data(), self.inverse, coarse.data)
+        self._restrict_data(coarse)
 
 
 class CpuVolumeModel(HostModel):
@@ -261,11 +268,14 @@ class CpuVolumeModel(HostModel):
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (share, shape) = self.levels[0], self._exact
-        if finest.data is not None:
+        if finest.points is not None:
             load = np.zeros(d.shape) if load is None else load.copy()
-            finest.add_data(d, None, load, -1.0)
+            finest.add_points(d, None, load, -1.0)
         given = (d, 0.0) if load is None else (load, 1.0)
-        about = finest.lame, share, finest.inverse, finest.inverse, 0.0, None, shape, finest.reach
+        data, weights = finest.exact_data, (finest.inverse, 0.0, None)
+        if data is not None:
+            weights = data[:3], 1.0, data[3:]
+        about = finest.lame, share, finest.inverse, *weights, shape, finest.reach
         volume.rest(d, *given, *about, 1 / unit, self._rest, finest.parts)
         most, square = finest.weigh(self._rest, self._rest)
         return most, math.sqrt(square)
@@ -287,8 +297,9 @@ class CpuVolumeModel(HostModel):
         """Return the elastic energy and the norm of the forces."""
         finest, (share, shape) = self.levels[0], self._exact
         products, squares = np.zeros((2, self.shape[0]))
-        volume.work(d, finest.lame, share, shape, products, squares, finest.parts)
-        if finest.data is not None:
+        about = finest.lame, share, finest.exact_data, shape
+        volume.work(d, *about, products, squares, finest.parts)
+        if finest.points is not None:
             forces = self.pull(d)
             return -float((forces * d).sum()) / 2, float(np.linalg.norm(forces))
         return float(products.sum()) / 2, math.sqrt(squares.sum())
