@@ -9,19 +9,27 @@ from typing import Any
 import numpy as np
 from napari.layers import Labels
 
-from napari_hmrf.layers.image_choice import is_photograph
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.layers.slice_view import View, fits, frame_of, layer_extents, plane_shape
 from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
-from napari_hmrf.tissue.material_presets import PLAIN, PRESETS
+from napari_hmrf.tissue.drawing import Drawing, Stroke
+from napari_hmrf.tissue.material_presets import Palette, Preset
 from napari_hmrf.tissue.usual_lengths import usual_step
 
 #: Largest number of pixels in a new Labels layer; for a larger image, the layer covers one slice.
 _LARGEST = 2**30
 
 
-def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View) -> tuple[Any, Any]:
+def add_missing(
+    viewer: Any,
+    image: Any,
+    tissue: Any,
+    boundary: Any,
+    view: View,
+    preset: Preset,
+    drawing: Drawing,
+) -> tuple[Any, Any]:
     """Add the missing layers for painting, and select a brush in one of the layers.
 
     Unpainted pixels are normal tissue. The first label of the boundary holds tissue in place, and
@@ -34,6 +42,10 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
     tissue, boundary : napari.layers.Layer or None
         Chosen layers, which may belong to another image.
     view : View
+    preset : Preset
+        Materials of a new tissue layer: those with which the drawing paints without a layer.
+    drawing : Drawing
+        Drawing, which may paint rigid tissue. A new layer then lists this tissue, too.
 
     Returns
     -------
@@ -50,8 +62,8 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
     )
     layers, blank = viewer.layers, partial(_blank, image, view)
     if not has_tissue:
-        preset = PLAIN if is_photograph(image) else PRESETS[0]
-        materials = (Material(0, UNPAINTED, preset.materials[0].stiffness), *preset.materials)
+        first = Material(0, UNPAINTED, preset.materials[0].stiffness)
+        materials = (first, *preset.materials, *_painted_rows(drawing, preset))
         tissue = blank("Tissue", layer_metadata(TISSUE, materials, preset.unit), opacity=0.4)
         # Insert below the boundary, which must stay visible.
         layers.insert(layers.index(boundary) if has_boundary else len(layers), tissue)
@@ -69,6 +81,13 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
     if isinstance(first, Labels):
         first.selected_label, first.mode = 2 if first is tissue else 1, "paint"
     return tissue, boundary
+
+
+def _painted_rows(drawing: Drawing, preset: Preset) -> tuple[Material, ...]:
+    """Return the materials that a drawing paints and a preset does not list, such as bone."""
+    listed = {0, *(row.label for row in preset.materials)}
+    painted = {mark.label for mark in drawing.marks if isinstance(mark, Stroke)} - listed
+    return tuple(row for row in Palette.of_preset(preset).materials if row.label in painted)
 
 
 def _blank(image: Any, view: View, name: str, description: dict[str, Any], **look: Any) -> Labels:

@@ -285,7 +285,8 @@ class SoftTissue(DockValues):
             raise HmrfError(messages.WELCOME)
         by_brightness = self.curve is not None
         chosen = (self.image if by_brightness else self.tissue, self.boundary)
-        made = add_missing(self._viewer, self.image, *chosen, self._form.view())
+        preset, drawing = self._form.motion.fields.preset.value, self.drawing
+        made = add_missing(self._viewer, self.image, *chosen, self._form.view(), preset, drawing)
         with self._binding.automatically():  # undo would not remove the layers
             self.tissue, self.boundary = BRIGHTNESS if by_brightness else made[0], made[1]
         painted = (f"'{layer.name}'" for layer in made if isinstance(layer, Labels))

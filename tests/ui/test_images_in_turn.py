@@ -7,7 +7,10 @@ from napari_hmrf.contributions import phantom_layers, volume_layers
 from napari_hmrf.data import head_phantom
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.samples.phantoms import phantom
+from napari_hmrf.study.ground import build_problem
+from napari_hmrf.tissue.boundary_rules import default_rigid
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
+from napari_hmrf.tissue.material_presets import PLAIN, Palette
 from napari_hmrf.ui.messages import CHOOSE
 from tests.support.docks import open_sample, quick
 from tests.support.screen import Screen
@@ -218,6 +221,25 @@ def test_a_message_names_the_new_layers_to_paint_on(viewer, widget):
     widget.image = viewer.layers["photo"]
     Screen(widget).press("New tissue layer")
     assert widget.status.startswith("Paint in 'Tissue [1]' and 'Boundary [1]': click a row")
+
+
+def test_painted_tissue_stays_the_same_in_a_new_tissue_layer(viewer, widget, settle):
+    picture = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
+    widget.image = viewer.add_image(picture, rgb=True, name="photo")
+    names = {row.name: row.label for row in Palette.of_preset(PLAIN).materials}
+    stiff, bone = (
+        Stroke("tissue", (((row, 6.0), (row, 18.0)),), 2.0, label=names[name])
+        for row, name in ((5.0, "stiff"), (14.0, default_rigid(9).name))
+    )
+    widget.model = "elastic"
+    widget.drawing = Drawing((stiff, bone, Arrow((10, 12), (0, 2), 2.0)))
+    settle(widget)
+    before = build_problem(widget.study).problem.stiffness
+    Screen(widget).press("New tissue layer")
+    settle(widget)
+    after = build_problem(widget.study).problem.stiffness
+    np.testing.assert_allclose(after, before)
+    assert np.isinf(after).any()
 
 
 def test_a_drawing_is_displayed_again_with_its_image(viewer, widget, settle):
