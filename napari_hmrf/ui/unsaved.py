@@ -8,6 +8,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -202,9 +203,11 @@ class Unsaved(QObject):
                 self._controller.form.motion.fields.offer_presets(study.tissue.preset)
             if study.motion.drawing.marks and not self._controller.refresh():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
+            if solution is not None:  # known before the drawing starts a solve
+                shown = dock.study
+                motion = replace(shown.motion, drawing=study.motion.drawing)
+                self._controller.engine.deliver_again(replace(shown, motion=motion), solution)
             dock.drawing = study.motion.drawing
-            if solution is not None:
-                self._controller.engine.deliver_again(dock.study, solution)
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
             brightness.visible = False  # would tint the deformed image
         overlay = self._controller.form.result.overlay
