@@ -5,7 +5,8 @@
 Features of the two pictures are matched to obtain landmarks. Each landmark is left out once and
 predicted from the other landmarks by an affine map, by thin-plate splines, and by elastic tissue
 with the other landmarks as observations after the affine map. The observations are prescribed
-exactly or with a limited force, which is chosen by cross-validation without the predicted landmark.
+exactly, with a limited force, or with a standard deviation. The force, or the typical strain of the
+tissue, is chosen by cross-validation without the predicted landmark.
 Then the landmarks are predicted by two registrations of the whole pictures: SimpleITK's demons, and
 elastic tissue with the demons field as observations at the edges of the picture only. Prints the
 errors in pixels for all landmarks and by location, and the similarity of neighbouring landmarks
@@ -121,8 +122,8 @@ class _Uncertain:
         self._before: Solution | None = None
 
     def __call__(self, at: Points, to: Points) -> Callable[[Points], Points]:
-        straight, last = _affine(at, to), np.array(self._shape) - 1
-        points = np.clip(_in_field(at), 0, last)
+        straight = _affine(at, to)
+        points = _inside_field(at, self._shape)
         rest = (to - straight(at)) / _STEP
         marks = Landmarks(points, points + rest, sd=_NOISE, scale=self._scale)
         none, spacing = np.zeros((*self._shape, 2)), (_STEP, _STEP)
@@ -130,21 +131,21 @@ class _Uncertain:
         optimizer = Multigrid(_NEAR)
         solution = solve(problem, ElasticPrior(0.3), optimizer=optimizer, initial=self._before)
         self._before = solution
-        return lambda x: straight(x) + solution.at(np.clip(_in_field(x), 0, last))
+        return lambda x: straight(x) + solution.at(_inside_field(x, self._shape))
 
 
 def _smooth(shape: tuple[int, int]) -> Fit:
     """Return the fit of a smoothing spline inside the picture."""
     tissue = np.ones(tuple(size // _STEP for size in shape))
-    last, spacing = np.array(tissue.shape) - 1, (_STEP, _STEP)
+    spacing = (_STEP, _STEP)
 
     def fit(at: Points, to: Points) -> Callable[[Points], Points]:
-        points = np.clip(_in_field(at), 0, last)
+        points = _inside_field(at, tissue.shape)
         marks = Landmarks(points, points + (to - at) / _STEP, sd=_NOISE)
         field = spline(marks, tissue, spacing=spacing)
 
         def goes(places: Points) -> Points:
-            before = np.clip(_in_field(places), 0, last)
+            before = _inside_field(places, tissue.shape)
             return places + (moved_points(before, field, spacing=spacing) - before) * _STEP
 
         return goes
@@ -198,6 +199,11 @@ def _told_apart(fit: Fit, at: Points, to: Points) -> float:
 def _in_field(points: Points) -> Points:
     """Convert points from pixels of the pictures to pixels of the field."""
     return (points + 0.5) / _STEP - 0.5
+
+
+def _inside_field(points: Points, shape: tuple[int, ...]) -> Points:
+    """Convert points to pixels of the field, and move points outside it to its edge."""
+    return np.clip(_in_field(points), 0, np.array(shape) - 1)
 
 
 def left_out(

@@ -31,6 +31,7 @@ from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
+from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.growth import slabs
 from napari_hmrf.solver.problem import Problem
@@ -255,11 +256,7 @@ class _Responses:
             and np.array_equal(marks.sd, others.sd)
             and np.array_equal(own.stiffness, problem.stiffness)
             and np.array_equal(own.known, problem.known)
-            and (
-                own.precision is problem.precision
-                if own.precision is None or problem.precision is None
-                else np.array_equal(own.precision, problem.precision)
-            )
+            and are_equal(own.precision, problem.precision)
         )
 
     @property

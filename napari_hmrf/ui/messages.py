@@ -12,6 +12,7 @@ from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.model_names import ModelName
@@ -149,7 +150,7 @@ def can_unfold(done: CompleteResult) -> bool:
 def has_stopped(done: CompleteResult) -> bool:
     """Return whether the budget of the optimizer ended the solve."""
     solution = done.moved.solution
-    return solution is not None and solution.reach is not None and solution.reach.stopped
+    return solution is not None and live_solver.has_stopped(solution)
 
 
 def marks_of(outputs: Outputs) -> dict[Mark, int]:

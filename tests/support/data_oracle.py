@@ -46,15 +46,12 @@ def interpolation(points, grid) -> sp.csr_array:
     return sp.coo_array((values, (rows, cols)), (len(points) * axes, np.prod(grid) * axes)).tocsr()
 
 
-def posterior_mean(problem, prior) -> np.ndarray:
-    """Return the field of least energy, in the unit of the problem; prescribed where c = 1."""
-    matrix = elastic_matrix(problem, prior)
-    has_elements = matrix.diagonal() > 0
-    y, axes = problem.observed.astype(float).ravel(), len(problem.shape)
-    load = np.zeros(y.size)
+def with_data(problem, matrix, load) -> tuple[sp.csr_array, np.ndarray]:
+    """Add the precision and the landmarks of a problem to a matrix and a load."""
     if problem.precision is not None:
+        axes = len(problem.shape)
         data = sp.block_diag(list(problem.precision.reshape(-1, axes, axes)), format="csr")
-        matrix, load = matrix + data, load + data @ y
+        matrix, load = matrix + data, load + data @ problem.observed.astype(float).ravel()
     if problem.landmarks is not None:
         marks = problem.landmarks
         weights = marks.scale.energy(problem.stiffness, problem.spacing) / marks.sd.ravel() ** 2
@@ -62,6 +59,16 @@ def posterior_mean(problem, prior) -> np.ndarray:
         at = interpolation(marks.points, problem.shape)
         matrix = matrix + at.T @ sp.diags_array(weights) @ at
         load = load + at.T @ (weights * moves)
+    return matrix, load
+
+
+def posterior_mean(problem, prior) -> np.ndarray:
+    """Return the field of least energy, in the unit of the problem; prescribed where c = 1."""
+    matrix = elastic_matrix(problem, prior)
+    has_elements = matrix.diagonal() > 0
+    y = problem.observed.astype(float).ravel()
+    load = np.zeros(y.size)
+    matrix, load = with_data(problem, matrix, load)
     held = problem.confidence.ravel() == 1
     field, free = np.where(held, y, 0.0), ~held & has_elements
     matrix = matrix.tocsr()
@@ -108,14 +115,7 @@ def posterior_mean_with_drift(problem, prior) -> tuple[np.ndarray, np.ndarray]:
     grown = None if given is None else given.growth
     if given is not None:
         load = load + to_force * load_of(grown, given.force).forces.ravel()
-    if problem.precision is not None:
-        data = sp.block_diag(list(problem.precision.reshape(-1, axes, axes)), format="csr")
-        matrix, load = matrix + data, load + data @ y
-    weights = marks.scale.energy(problem.stiffness, problem.spacing) / marks.sd.ravel() ** 2
-    moves = ((marks.targets - marks.points) * problem.spacing).ravel()
-    at = interpolation(marks.points, problem.shape)
-    matrix = matrix + at.T @ sp.diags_array(weights) @ at
-    load = load + at.T @ (weights * moves)
+    matrix, load = with_data(problem, matrix, load)
     held = problem.confidence.ravel() == 1
     free = ~held & has_elements
     to_energy = to_force * problem.unit
