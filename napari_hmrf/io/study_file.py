@@ -33,6 +33,7 @@ from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.ground import build_problem, solve_study
+from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
@@ -336,6 +337,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
             "weight": list(motion.weight),
             "typical_strain": motion.typical_strain,
             "drift": bool(motion.drift),
+            "measured": None if motion.measured is None else dict(motion.measured.record),
         },
         "prior": _prior_as_dict(study.prior),
         "optimizer": study.optimizer.parameters,
@@ -358,6 +360,8 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "boundary_labels": motion.labels,
         "observed": motion.observed,
         "counts": motion.confidence,
+        "measured": None if motion.measured is None else motion.measured.displacement,
+        "precision": None if motion.measured is None else motion.measured.packed(),
         "image": image if content.image else None,
         "labels": pictures.labels,
     }
@@ -403,6 +407,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 weight=_LENGTHS.validate_python(motion.get("weight", ())),
                 typical_strain=float(motion.get("typical_strain", StrainScale.strain)),
                 drift=bool(motion.get("drift", False)),
+                measured=_measured_in(motion.get("measured"), arrays),
             ),
             prior=_prior_from_dict(header["prior"], arrays.get("poisson")),
             optimizer=optimizer_from_dict(header["optimizer"]),
@@ -446,6 +451,13 @@ def _prior_from_dict(values: Mapping[str, Any], poisson: Any) -> Prior:
     return prior_from_dict(values, poisson)
 
 
+def _measured_in(record: Any, arrays: array_file.Arrays) -> MeasuredMotion | None:
+    """Return the measured motion of a file; None if there is none."""
+    if record is None:
+        return None
+    return MeasuredMotion.from_packed(arrays["measured"], arrays["precision"], dict(record))
+
+
 def _name_in(kept: Any) -> str:
     """Return the name of a part of a study, which earlier versions stored in a mapping."""
     return str(kept["name"] if isinstance(kept, Mapping) else kept)
@@ -482,6 +494,8 @@ STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
         "boundary_labels": Kind(LABEL_TYPES, (2, 3), optional=True),
         "observed": Kind(_NUMBERS, (3, 4), optional=True),
         "counts": Kind(_NUMBERS, (2, 3, 4), optional=True),
+        "measured": Kind(("<f4",), (3, 4), optional=True),
+        "precision": Kind(("<f4",), (3, 4), optional=True),
         "image": Kind(_NUMBERS, (2, 3, 4), optional=True),
         "labels": Kind(LABEL_TYPES, (2, 3), optional=True),
     }

@@ -279,6 +279,37 @@ def _blocks(grid: tuple[int, ...]) -> Iterator[tuple[slice, tuple[slice, ...]]]:
         yield slice(begin, past), (slice(begin + 2, past + 2), *across)
 
 
+def combined_data(
+    one: tuple[npt.NDArray[Any], npt.NDArray[Any] | None],
+    other: tuple[npt.NDArray[Any], npt.NDArray[Any]],
+    known: npt.NDArray[np.bool_],
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Return the observed displacement and the precision of two data terms together.
+
+    Parameters
+    ----------
+    one : tuple
+        Observed displacement of a problem, shape ([D,] H, W, n), and its precision, shape
+        ([D,] H, W, n, n), or None.
+    other : tuple
+        Displacement and precision of further observations.
+    known : ndarray of bool, shape ([D,] H, W, n)
+        Components with a confidence. Further observations of these sites are ignored.
+    """
+    (y, first), (z, second) = one, other
+    adds = np.asarray(second.any(axis=(-2, -1)) & ~known.any(axis=-1))
+    observed = np.where(adds[..., None], z, y)
+    if first is None:
+        return observed, np.where(adds[..., None, None], second, 0)
+    whole = first + np.where(adds[..., None, None], second, 0)
+    both = adds & first.any(axis=(-2, -1))
+    forces = np.einsum("kij,kj->ki", first[both], y[both])
+    forces += np.einsum("kij,kj->ki", second[both], z[both])
+    # A sum of tensors may be singular; it then observes the other directions only.
+    observed[both] = np.einsum("kij,kj->ki", np.linalg.pinv(whole[both], hermitian=True), forces)
+    return observed, whole
+
+
 def are_same(one: DataTerm | None, other: DataTerm | None) -> bool:
     """Return whether two data terms have the same matrix; their observations may differ."""
     if one is None or other is None:

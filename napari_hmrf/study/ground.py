@@ -18,6 +18,7 @@ from napari_hmrf.errors import ArgumentError, LayerError, ProblemError
 from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, missing_constraint
+from napari_hmrf.solver.data_term import combined_data
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
@@ -26,6 +27,7 @@ from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_
 from napari_hmrf.solver.real_arrays import first_index, how_many
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
+from napari_hmrf.solver.uncertain_landmarks import typical_stiffness
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.landmark_data import (
     landmark_data,
@@ -216,6 +218,8 @@ class Ground:
             held = (canvas.confidence > 0) | canvas.slides[..., None]
             if marks:
                 held |= sites_of(points, m.shape)
+            if self.study.motion.measured is not None:
+                held |= self.study.motion.measured.sites[..., None]
             at_rest = scraps(m > 0, held)
             if at_rest.any():
                 m = np.where(at_rest, np.float32(0), m)
@@ -224,6 +228,12 @@ class Ground:
             refuse_sliding(self.study, canvas.slides)
             y, precision = sliding_data(canvas.observed, canvas.slides, m, spacing)
             motion = self.study.motion
+            if motion.measured is not None:
+                refuse_measurement(self.study)
+                own = self.typical_stiffness * motion.measured.precision
+                y, precision = combined_data(
+                    (y, precision), (motion.measured.displacement, own), canvas.confidence > 0
+                )
             landmarks = landmark_data(
                 marks, points, m, self.body, spacing, motion.typical_strain, bool(motion.drift)
             )
@@ -237,6 +247,11 @@ class Ground:
                 landmarks=landmarks,
             )
         return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study)
+
+    @property
+    def typical_stiffness(self) -> float:
+        """Stiffness to which the precision of measured motion is relative."""
+        return typical_stiffness(self.stiffness[self.body])
 
     def _loads(self, labels: npt.NDArray[Any], m: FloatArray) -> Loads | None:
         """Return the loads due to growth, surface forces and weight; None if there are none."""
@@ -310,6 +325,22 @@ def _no_landmark_data(study: Study, count: int) -> LayerError:
         f"has {pairs} with an uncertainty (±), for the elastic model only. Use this "
         "model (`model='elastic'`), or set ± to 0 (`sd=0`).",
     )
+
+
+def refuse_measurement(study: Study) -> None:
+    """Raise an error if a study has measured motion, and its model does not support it.
+
+    Raises
+    ------
+    ProblemError
+        If the model is not the elastic model.
+    """
+    if study.motion.measured is not None and not isinstance(study.prior, ElasticPrior):
+        raise ProblemError(
+            "registration",
+            f"is not supported by the model '{study.model_name}'. Use the elastic model "
+            "(`model='elastic'`), or remove the registration (`measured=None`).",
+        )
 
 
 def refuse_sliding(study: Study, slides: npt.NDArray[np.bool_] | bool) -> None:

@@ -26,6 +26,7 @@ from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import checked_spacing, grid_in_words, whole_numbers
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
+from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, is_by_name, parts_of
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark, Stroke
@@ -365,6 +366,9 @@ class Motion:
     confidence : ndarray, shape ([D,] H, W) or ([D,] H, W, n), optional
         Confidence in the observed displacement, from 0 (none) to 1 (certain), as in a `Problem`.
         Required with `observed`.
+    measured : MeasuredMotion, optional
+        Measured displacements that tissue follows as far as its stiffness allows, for example of a
+        registration; for the elastic model only. Other motion takes precedence.
     drawing : Drawing
         Arrows, landmarks and brush strokes.
     weight : tuple of float
@@ -395,6 +399,7 @@ class Motion:
     weight: tuple[float, ...] = ()
     typical_strain: float = StrainScale.strain
     drift: bool = False
+    measured: MeasuredMotion | None = None
 
     def __post_init__(self) -> None:
         is_flag = isinstance(self.hold_edge, bool | np.bool_)
@@ -404,6 +409,10 @@ class Motion:
         rules = tuple_of(BoundaryRule, "rules", self.rules, '(BoundaryRule(1, "fixed"),)')
         object.__setattr__(self, "rules", rules)
         require_kind(Drawing, "drawing", self.drawing, "Drawing((Arrow(...),))")
+        if self.measured is not None:
+            require_kind(
+                MeasuredMotion, "measured", self.measured, "registration.motion().measured"
+            )
         axes = len(self.weight) if isinstance(self.weight, Sized) else 1
         along = reals(self.weight, axes)
         requirement = "a finite number along each axis, such as (0.01, 0)"
@@ -422,6 +431,7 @@ class Motion:
             "edge held" if self.hold_edge else "",
             f"labels, {len(self.rules)} rules" if self.labels is not None else "",
             "observed" if self.observed is not None else "",
+            "measured" if self.measured is not None else "",
             repr(self.drawing) if self.drawing.marks else "",
             f"weight {self.weight}" if any(self.weight) else "",
             ""
@@ -553,6 +563,7 @@ class Study:
             ("boundary", self.motion.labels, [needed]),
             ("observed", self.motion.observed, [along_axes]),
             ("confidence", self.motion.confidence, [needed, along_axes]),
+            ("measured motion", self.motion.measured, [along_axes]),
         ):
             if part is not None and tuple(part.shape) not in shapes:
                 raise ProblemError(
@@ -596,7 +607,8 @@ class Study:
     def moves(self) -> bool:
         """True if the study prescribes any motion or load in addition to a fixed edge."""
         motion = self.motion
-        given = (motion.drawing.marks, motion.labels is not None, motion.observed is not None)
+        fields = motion.labels, motion.observed, motion.measured
+        given = (motion.drawing.marks, *(each is not None for each in fields))
         return any(given) or self.bears_loads
 
     @property

@@ -39,6 +39,7 @@ ROOMS = (
     {"layers"},
     {"samples", "augmentation"},
     {"io"},
+    {"registration"},
     {"study"},
     {"tissue", "field"},
     {"solver"},

@@ -1,0 +1,122 @@
+"""Rigid or affine alignment of two images with SimpleITK, before tissue is deformed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.extras import how_to_install
+
+Kind = Literal["rigid", "affine"]
+Float64Array = npt.NDArray[np.float64]
+
+#: Number of brightness classes of the mutual information, and fraction of pixels that are compared.
+_CLASSES, _SHARE = 32, 0.2
+#: Largest number of steps on each level.
+_ITERATIONS = 200
+
+
+def align(
+    kind: Kind,
+    fixed: npt.NDArray[np.float32],
+    moving: npt.NDArray[np.float32],
+    *,
+    spacing: Sequence[float],
+    moving_spacing: Sequence[float],
+    masks: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]],
+) -> Float64Array:
+    """Return the map from positions in the fixed image to positions in the moving image.
+
+    Maximises the mutual information of both images, which need not have the same contrast. The
+    iteration starts with the centres of mass of both images at the same position.
+
+    Parameters
+    ----------
+    kind : {"rigid", "affine"}
+    fixed, moving : ndarray, shape (H, W) or (D, H, W)
+    spacing, moving_spacing : sequence of float
+        Size of a pixel of each image along each axis.
+    masks : tuple of ndarray of bool
+        Pixels of `fixed` and `moving` that count.
+
+    Returns
+    -------
+    ndarray, shape (n + 1, n + 1)
+        Homogeneous matrix, for coordinates in the unit of the spacing and in the order of the axes;
+        the first pixel of each image is at the origin.
+
+    Raises
+    ------
+    HmrfError
+        If SimpleITK is not installed, or the images could not be aligned.
+    """
+    sitk: Any
+    try:
+        import SimpleITK as sitk  # optional: SimpleITK
+    except ImportError:
+        raise HmrfError(
+            f"a {kind} alignment requires SimpleITK: {how_to_install('medical')}. Or pass the "
+            "matrix of the alignment"
+        ) from None
+    images = []
+    for pixels, sizes in ((fixed, spacing), (moving, moving_spacing)):
+        image = sitk.GetImageFromArray(pixels)
+        image.SetSpacing([float(size) for size in reversed(sizes)])
+        images.append(image)
+    counted = []
+    for mask, image in zip(masks, images, strict=True):
+        each = sitk.GetImageFromArray(mask.astype(np.uint8))
+        each.CopyInformation(image)
+        counted.append(each)
+    axes = fixed.ndim
+    if kind == "affine":
+        start = sitk.AffineTransform(axes)
+    else:
+        start = sitk.Euler2DTransform() if axes == 2 else sitk.Euler3DTransform()
+    transform = sitk.CenteredTransformInitializer(
+        *images, start, sitk.CenteredTransformInitializerFilter.MOMENTS
+    )
+    method = sitk.ImageRegistrationMethod()
+    method.SetMetricAsMattesMutualInformation(_CLASSES)
+    method.SetMetricSamplingStrategy(method.REGULAR)
+    method.SetMetricSamplingPercentage(_SHARE)
+    method.SetMetricFixedMask(counted[0])
+    method.SetMetricMovingMask(counted[1])
+    method.SetInterpolator(sitk.sitkLinear)
+    method.SetOptimizerAsRegularStepGradientDescent(
+        learningRate=1.0, minStep=1e-4, numberOfIterations=_ITERATIONS
+    )
+    method.SetOptimizerScalesFromPhysicalShift()
+    factors = [size for size in (8, 4, 2, 1) if max(fixed.shape) / size >= 32 or size == 1]
+    method.SetShrinkFactorsPerLevel(factors)
+    method.SetSmoothingSigmasPerLevel([size / 2 if size > 1 else 0 for size in factors])
+    method.SmoothingSigmasAreSpecifiedInPhysicalUnitsOff()
+    method.SetInitialTransform(transform, inPlace=True)
+    try:
+        method.Execute(*(sitk.Cast(image, sitk.sitkFloat32) for image in images))
+    except RuntimeError as error:
+        raise HmrfError(
+            f"the images could not be aligned ({_reason(error)}). Align them before, or pass the "
+            "matrix of the alignment"
+        ) from error
+    return _matrix(transform.TransformPoint, axes)
+
+
+def _matrix(transform: object, axes: int) -> Float64Array:
+    """Return the matrix of an affine map of points (x, y[, z]), for points in axis order."""
+    assert callable(transform)
+    origin = np.array(transform((0.0,) * axes))
+    columns = [np.array(transform(tuple(unit))) - origin for unit in np.eye(axes)]
+    matrix = np.eye(axes + 1)
+    matrix[:axes, :axes] = np.stack(columns, axis=1)[::-1, ::-1]
+    matrix[:axes, axes] = origin[::-1]
+    return matrix
+
+
+def _reason(error: RuntimeError) -> str:
+    """Return the last line of an error of SimpleITK."""
+    return str(error).strip().splitlines()[-1].strip().rstrip(".")

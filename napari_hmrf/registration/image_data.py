@@ -1,0 +1,254 @@
+"""Two images as observations of the displacement.
+
+Where two images show the same tissue, their brightness differs by
+
+    r(X) = F(X) - M(X + d(X)),
+
+where F and M are the images after a local normalization. To first order in a change of the
+displacement, r decreases by ``g . change``, where g is the gradient of the image. The energy
+
+    1/2 sum over sites of  w (r - g . change)^2
+
+is therefore quadratic in the displacement, and a data term of a `Problem` with the precision
+``W = w g g^T``. A single pixel observes the displacement along its gradient only. A window around
+each site collects the observations of its neighbours, as in the method of Lucas and Kanade (1981).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+FloatArray = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
+Checkpoint = Callable[[], None]
+
+# The settings were chosen on two random deformations of a brain and then fixed; the errors of other
+# deformations are in docs/validation/registration.md. Lengths are in pixels of the level.
+
+#: Standard deviation of the window of the local normalization.
+_NORMALIZATION = 1.7
+#: Contrast added to the local contrast, as a fraction of the brightness range of the image. Weaker
+#: structures count as noise.
+_LEAST_CONTRAST = 0.05
+#: Standard deviation of the window that collects observations.
+_WINDOW = 2.5
+#: Difference of normalized brightness at which the weight of a pixel is halved (Cauchy weights), so
+#: that structures without counterpart have little effect.
+_OUTLIER = 1.0
+#: Precision along directions in which the images show nothing, relative to the mean precision. It
+#: limits the step of an iteration there (Levenberg and Marquardt).
+_DAMPING = 1e-3
+# Fraction of pixels whose brightness is outside of the range of an image.
+_BEYOND_RANGE = 0.01
+_TINY = 1e-12
+
+
+class LinearImages(NamedTuple):
+    """Images as a data term, linear around a displacement.
+
+    Attributes
+    ----------
+    precision : ndarray, shape (H, W, 2, 2) or (D, H, W, 3, 3), float32
+        W, relative to the typical stiffness of the tissue.
+    observed : ndarray, shape (H, W, 2) or (D, H, W, 3)
+        Displacement at the minimum of the data term at each site, in the unit of the spacing.
+    residual : float
+        Root mean square of the difference of normalized brightness.
+    similarity : float
+        Correlation of the normalized images, at most 1.
+    """
+
+    precision: FloatArray
+    observed: FloatArray
+    residual: float
+    similarity: float
+
+
+class ImageLevel:
+    """Two images on the grid of one level, normalized.
+
+    Parameters
+    ----------
+    fixed, moving : ndarray, shape (H, W) or (D, H, W)
+        Images on the finest grid.
+    counted : tuple of ndarray of bool
+        Masks of the pixels of `fixed` and `moving` that count.
+    step : int
+        Size of a pixel of the level, in pixels of the images.
+    spacing : tuple of float
+        Size of a pixel of the images along each axis.
+    checkpoint : callable
+        Called between the steps; it may raise an error to cancel the computation.
+    """
+
+    def __init__(
+        self,
+        fixed: FloatArray,
+        moving: FloatArray,
+        counted: tuple[BoolArray, BoolArray],
+        step: int,
+        spacing: tuple[float, ...],
+        checkpoint: Checkpoint,
+    ) -> None:
+        self.spacing = tuple(step * size for size in spacing)
+        self._checkpoint = checkpoint
+        self._fixed, self._counted = _normalized(fixed, counted[0], step, checkpoint)
+        self._moving, self._known = _normalized(moving, counted[1], step, checkpoint)
+        self._slopes = self._gradient(self._fixed)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the grid of the level."""
+        return self._fixed.shape
+
+    def warped(self, displacement: npt.NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
+        """Return M(X + d(X)), and the fraction of each pixel that counts in both images."""
+        places = [
+            np.asarray(at + displacement[..., axis] / size, np.float32)
+            for axis, (at, size) in enumerate(
+                zip(np.ogrid[tuple(slice(n) for n in self.shape)], self.spacing, strict=True)
+            )
+        ]
+        images = self._moving, self._known
+        warped, known = _parallel(lambda image: _sampled(image, places, self._checkpoint), images)
+        return warped, known * self._counted
+
+    def agreement(self, displacement: npt.NDArray[np.floating]) -> tuple[float, float]:
+        """Return the residual and the similarity of the images at a displacement."""
+        warped, weight = self.warped(displacement)
+        return self._agreement(warped, weight)
+
+    def _agreement(self, warped: FloatArray, weight: FloatArray) -> tuple[float, float]:
+        residual = float(np.sqrt(_mean((self._fixed - warped) ** 2, weight)))
+        return residual, _correlation(self._fixed, warped, weight)
+
+    def linear(self, displacement: npt.NDArray[np.floating], smoothness: float) -> LinearImages:
+        """Return the data term of the images, linear around a displacement.
+
+        Parameters
+        ----------
+        displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
+        smoothness : float
+            Weight of the elastic energy relative to that of the images.
+        """
+        warped, weight = self.warped(displacement)
+        self._checkpoint()
+        difference = (self._fixed - warped) * (weight > 0)
+        residual, similarity = self._agreement(warped, weight)
+        weight = weight / (1 + (difference / _OUTLIER) ** 2)
+        # The mean of both gradients halves the error of the linear approximation.
+        slopes = [
+            (own + other) / 2
+            for own, other in zip(self._slopes, self._gradient(warped), strict=True)
+        ]
+        axes, scale = len(self.shape), float(np.prod(self.spacing)) / smoothness
+        pairs = [(i, j) for i in range(axes) for j in range(i, axes)]
+
+        def collected(pair: tuple[int, int]) -> FloatArray:
+            one, other = slopes[pair[0]], (*slopes, difference)[pair[1]]
+            return _smoothed(weight * one * other, _WINDOW, self._checkpoint)
+
+        sums = _parallel(collected, [*pairs, *((axis, axes) for axis in range(axes))])
+        precision = np.empty((*self.shape, axes, axes))
+        for (i, j), found in zip(pairs, sums, strict=False):
+            precision[..., i, j] = precision[..., j, i] = scale * found
+        self._checkpoint()
+        diagonal = [precision[..., axis, axis] for axis in range(axes)]
+        for own in diagonal:
+            own += _DAMPING * max(float(np.mean(diagonal)), _TINY) * (weight > 0)
+        observed = np.empty((*self.shape, axes), np.float32)
+        step = _solved(precision, [scale * found for found in sums[len(pairs) :]])
+        for axis, own in enumerate(step):
+            observed[..., axis] = displacement[..., axis] + own
+        return LinearImages(precision.astype(np.float32), observed, residual, similarity)
+
+    def _gradient(self, image: FloatArray) -> list[FloatArray]:
+        self._checkpoint()
+        slopes = np.gradient(image, *self.spacing)
+        return [np.asarray(slope, np.float32) for slope in slopes]
+
+
+def _normalized(
+    image: FloatArray, counted: BoolArray, step: int, checkpoint: Checkpoint
+) -> tuple[FloatArray, FloatArray]:
+    """Return an image of a level, with mean 0 and contrast 1 around each pixel, and its weights.
+
+    Pixels that do not count have no effect on the others.
+    """
+    low, high = np.quantile(image[counted], (_BEYOND_RANGE, 1 - _BEYOND_RANGE))
+    scaled = np.where(counted, (image - low) / max(float(high - low), _TINY), 0)
+    share = counted.astype(np.float32)
+    every = (slice(None, None, step),) * image.ndim
+    if step > 1:
+        width = step / 2
+        scaled = _smoothed(scaled.astype(np.float32), width, checkpoint)[every]
+        share = _smoothed(share, width, checkpoint)[every]
+    scaled, share = np.ascontiguousarray(scaled, np.float32), np.ascontiguousarray(share)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return _smoothed(values, _NORMALIZATION, checkpoint)
+
+    whole, first, second = _parallel(mean, (share, scaled, scaled**2 / np.maximum(share, _TINY)))
+    whole = np.maximum(whole, _TINY)
+    average = first / whole
+    contrast = np.sqrt(np.maximum(second / whole - average**2, 0))
+    normalized = (scaled / np.maximum(share, _TINY) - average) / (contrast + _LEAST_CONTRAST)
+    inside = share > 0.5
+    return np.where(inside, normalized, 0).astype(np.float32), inside.astype(np.float32)
+
+
+def _solved(matrix: npt.NDArray[np.float64], right: list[Any]) -> list[npt.NDArray[np.float64]]:
+    """Solve a symmetric system of two or three equations at each site; 0 where it is singular."""
+    a = np.moveaxis(matrix, (-2, -1), (0, 1))
+    axes = len(right)
+    if axes == 2:
+        cofactors = [[a[1, 1], -a[0, 1]], [-a[0, 1], a[0, 0]]]
+    else:
+        cofactors = [[np.zeros(())] * 3 for _ in range(3)]
+        for i in range(3):
+            for j in range(i, 3):
+                (p, q), (r, s) = ((i + 1) % 3, (i + 2) % 3), ((j + 1) % 3, (j + 2) % 3)
+                cofactors[i][j] = cofactors[j][i] = a[p, r] * a[q, s] - a[p, s] * a[q, r]
+    whole = sum(a[0, j] * cofactors[0][j] for j in range(axes))
+    safe = np.where(whole > 0, whole, np.inf)
+    return [sum(cofactors[i][j] * right[j] for j in range(axes)) / safe for i in range(axes)]
+
+
+def _sampled(image: FloatArray, places: list[FloatArray], checkpoint: Checkpoint) -> FloatArray:
+    """Interpolate an image linearly, a few rows or planes at a time; 0 outside of the image."""
+    out = np.empty(places[0].shape, np.float32)
+    rows = max(1, 2**20 // max(out[0].size, 1))
+    for begin in range(0, len(out), rows):
+        checkpoint()
+        part = slice(begin, begin + rows)
+        at = [place[part] for place in places]
+        ndimage.map_coordinates(image, at, output=out[part], order=1, mode="constant")
+    return out
+
+
+def _smoothed(image: FloatArray, width: float, checkpoint: Checkpoint) -> FloatArray:
+    checkpoint()
+    smoothed: FloatArray = ndimage.gaussian_filter(image, width, mode="nearest", truncate=3)
+    return smoothed
+
+
+def _parallel(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+    """Apply a function to items on several threads; SciPy's filters release the lock of Python."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(function, items))
+
+
+def _mean(values: FloatArray, weight: FloatArray) -> float:
+    return float((values * weight).sum(dtype=np.float64) / max(float(weight.sum()), _TINY))
+
+
+def _correlation(one: FloatArray, other: FloatArray, weight: FloatArray) -> float:
+    sizes = _mean(one**2, weight) * _mean(other**2, weight)
+    return _mean(one * other, weight) / max(float(np.sqrt(sizes)), _TINY)

@@ -1,0 +1,411 @@
+"""Gauss-Newton iteration over levels that moves the tissue of a problem until two images match.
+
+Each step replaces the images by a quadratic data term around the current displacement
+(`image_data`), adds it to the problem, and solves the problem. The first levels have large pixels,
+so that large displacements are found first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from napari_hmrf.errors import Cancelled
+from napari_hmrf.field.deformation import smallest_determinant
+from napari_hmrf.registration.image_data import (
+    BoolArray,
+    Checkpoint,
+    FloatArray,
+    ImageLevel,
+    LinearImages,
+)
+from napari_hmrf.registration.rigid_bodies import turned, with_rigid_held
+from napari_hmrf.solver.data_term import combined_data
+from napari_hmrf.solver.loads import Loads
+from napari_hmrf.solver.neighbours import in_elements
+from napari_hmrf.solver.optimizers import Monitor, Multigrid
+from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solve import CancelFlag, Progress, solve
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
+
+#: Weight of the elastic energy of tissue of typical stiffness, relative to that of the images.
+SMOOTHNESS = 0.02
+#: Number of steps on the finest level, on the level before it, and on coarser levels.
+_STEPS = (2, 3, 4)
+#: Smallest number of pixels along the longest axis of the coarsest level.
+_LEAST_PIXELS = 24
+#: Largest number of levels.
+_MOST_LEVELS = 5
+#: Tolerance of a solve, in pixels of the level; the tolerance of the last solve.
+_TOLERANCE, _LAST_TOLERANCE = 0.02, 1e-3
+#: Jacobian determinant of a site below which the images count less around it.
+_LEAST_JACOBIAN = 0.1
+#: Factor by which the images count less where tissue would fold, and largest number of repetitions.
+_WEAKER, _REPEATS = 0.25, 6
+# Precision that marks tissue of a coarse level as observed, before the images are known.
+_PLACEHOLDER = 1e-12
+#: Number of bisections that shorten a step if tissue folds for another reason.
+_BISECTIONS = 12
+
+
+@dataclass(frozen=True)
+class Step:
+    """Record of one step of a registration.
+
+    Attributes
+    ----------
+    spacing : tuple of float
+        Size of a pixel of the level along each axis.
+    residual : float
+        Root mean square of the difference of normalized brightness before the step.
+    similarity : float
+        Correlation of the locally normalized images before the step, at most 1.
+    change : float
+        Largest change of the displacement in this step, in the unit of the spacing.
+    least_jacobian : float
+        Smallest Jacobian determinant at a site after the step; above 0 without folds.
+    """
+
+    spacing: tuple[float, ...]
+    residual: float
+    similarity: float
+    change: float
+    least_jacobian: float
+
+
+class Match(NamedTuple):
+    """Motion of a problem that matches two images.
+
+    Attributes
+    ----------
+    solution : Solution
+        Solution of the last problem: the tissue, its constraints and the images.
+    images : LinearImages
+        Data term of the images in the last problem, relative to the typical stiffness.
+    residual, similarity : float
+        As in a `Step`, after the last step.
+    history : tuple of Step
+    """
+
+    solution: Solution
+    images: LinearImages
+    residual: float
+    similarity: float
+    history: tuple[Step, ...]
+
+
+Show = Callable[[Solution, Step], None]
+
+
+class Images(NamedTuple):
+    """Two images on the grid of a problem, with masks of the pixels that count."""
+
+    fixed: FloatArray
+    moving: FloatArray
+    counted: tuple[BoolArray, BoolArray]
+
+
+def match(
+    problem: Problem,
+    prior: ElasticPrior,
+    images: Images,
+    *,
+    unit: float,
+    smoothness: float = 1.0,
+    start: npt.NDArray[np.floating] | None = None,
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+    show: Show | None = None,
+) -> Match:
+    """Move the tissue of a problem until the fixed image matches the moving image.
+
+    Parameters
+    ----------
+    problem : Problem
+        Tissue with its constraints, loads and landmarks. A precision of the problem has no effect
+        on levels with larger pixels.
+    prior : ElasticPrior
+    images : Images
+    unit : float
+        Typical stiffness of the tissue.
+    smoothness : float
+        Weight of the elastic energy, relative to the usual weight.
+    start : ndarray, shape (H, W, 2) or (D, H, W, 3), optional
+        Displacement from which the iteration starts, on the finest level only; by default, the
+        iteration starts at zero on the coarsest level.
+    progress, cancel
+        As in `solve`.
+    show : callable, optional
+        Called with the solution of each step, on its level, and its record.
+
+    Returns
+    -------
+    Match
+
+    Raises
+    ------
+    Cancelled
+        If `cancel` was set.
+    ProblemError, ConvergenceError
+        As for `solve`.
+    """
+
+    def checkpoint() -> None:
+        if cancel is not None and cancel.is_set():
+            raise Cancelled
+
+    levels = _schedule(problem.shape) if start is None else ((1, _STEPS[0]),)
+    report = _Report(problem.shape, levels, progress)
+    history: list[Step] = []
+    displacement = start
+    for size, count in levels:
+        pair = ImageLevel(*images, size, problem.spacing, checkpoint)
+        base, nu = _on_level(problem, size), _prior_on_level(prior, size)
+        displacement = _interpolated(displacement, base.shape, checkpoint)
+        for number in range(count):
+            last = size == 1 and number == count - 1
+            report.begin(size, number)
+            data = pair.linear(displacement, smoothness * SMOOTHNESS)
+            tolerance = _LAST_TOLERANCE if last else _TOLERANCE
+            step = _StepSolver(base, nu, unit, tolerance, report.within, cancel)
+            solution, data = step.without_folds(displacement, data)
+            change = float(np.abs(solution.displacement - displacement).max())
+            displacement = solution.displacement
+            history.append(
+                Step(base.spacing, data.residual, data.similarity, change, step.least_jacobian)
+            )
+            report.end()
+            if show is not None:
+                show(solution, history[-1])
+            checkpoint()
+    assert displacement is not None
+    return Match(solution, data, *pair.agreement(displacement), tuple(history))
+
+
+def _schedule(shape: Sequence[int]) -> tuple[tuple[int, int], ...]:
+    """Return the pixel size and the number of steps of each level, from coarse to fine."""
+    levels = []
+    for number in range(_MOST_LEVELS):
+        size = 2**number
+        if number and max(shape) / size < _LEAST_PIXELS:
+            break
+        levels.append((size, _STEPS[min(number, len(_STEPS) - 1)]))
+    return tuple(reversed(levels))
+
+
+class _Report:
+    """Progress of all steps, weighted by their numbers of pixels."""
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        levels: Sequence[tuple[int, int]],
+        progress: Progress | None,
+    ) -> None:
+        self._axes, self._progress = len(shape), progress
+        self._whole = sum(count * self._cost(size) for size, count in levels)
+        self._done, self._size, self._message = 0.0, 1, ""
+
+    def _cost(self, size: int) -> float:
+        return float(size) ** -self._axes
+
+    def begin(self, size: int, number: int) -> None:
+        """Report the start of a step on the level with pixels of the given size."""
+        self._size = size
+        at = "" if size == 1 else f" at 1/{size} of the resolution"
+        self._message = f"registering{at}, step {number + 1}"
+        self._send(0.0)
+
+    def within(self, monitor: Monitor) -> None:
+        """Report the progress of the solve of the current step."""
+        self._send(monitor.fraction)
+
+    def end(self) -> None:
+        """Report the end of a step."""
+        self._done += self._cost(self._size)
+        self._send(0.0)
+
+    def _send(self, fraction: float) -> None:
+        if self._progress is not None:
+            done = self._done + 0.9 * fraction * self._cost(self._size)
+            self._progress(Monitor(self._message, min(done / self._whole, 1.0)))
+
+
+class _StepSolver:
+    """Solver of one step: the problem of a level together with the data term of the images."""
+
+    def __init__(
+        self,
+        base: Problem,
+        prior: ElasticPrior,
+        unit: float,
+        tolerance: float,
+        progress: Progress,
+        cancel: CancelFlag | None,
+    ) -> None:
+        self._base, self._prior, self._unit = base, prior, unit
+        self._optimizer = Multigrid(tolerance)
+        self._progress, self._cancel = progress, cancel
+        self.least_jacobian = 1.0
+
+    def without_folds(
+        self, before: npt.NDArray[np.floating], data: LinearImages
+    ) -> tuple[Solution, LinearImages]:
+        """Return the solution, and the data term, which is weaker where tissue would fold.
+
+        Parameters
+        ----------
+        before : ndarray, shape (H, W, 2) or (D, H, W, 3)
+            Displacement before the step, without folds.
+        data : LinearImages
+        """
+        for repeat in range(_REPEATS):
+            solution = self._solve(data)
+            least = self._determinants(solution.displacement)
+            crushed = least < _LEAST_JACOBIAN
+            if not crushed.any() or repeat == _REPEATS - 1:
+                break
+            around = ndimage.binary_dilation(crushed, iterations=2)
+            factor = np.where(around, np.float32(_WEAKER), np.float32(1))[..., None, None]
+            data = data._replace(precision=data.precision * factor)
+        if (least <= 0).any():
+            solution = self._shortened(solution, before)
+            least = self._determinants(solution.displacement)
+        self.least_jacobian = float(np.nanmin(least, initial=1.0))
+        return solution, data
+
+    def _solve(self, data: LinearImages) -> Solution:
+        base = self._base
+        observed, precision = combined_data(
+            (base.observed, base.precision),
+            (data.observed, self._unit * data.precision),
+            base.known,
+        )
+        problem = Problem(
+            observed,
+            base.confidence,
+            base.stiffness,
+            spacing=base.spacing,
+            loads=base.loads,
+            precision=precision,
+            landmarks=base.landmarks,
+        )
+        solution = solve(
+            problem,
+            self._prior,
+            optimizer=self._optimizer,
+            progress=self._progress,
+            cancel=self._cancel,
+            rest_loose=True,
+        )
+        if not base.rigid.any():
+            return solution
+        # The solver rotates rigid tissue to first order. An exact rotation replaces it.
+        exact = turned(solution.displacement, base.stiffness, base.spacing)
+        held = with_rigid_held(problem, exact)
+        return solve(
+            held,
+            self._prior,
+            optimizer=self._optimizer,
+            progress=self._progress,
+            cancel=self._cancel,
+            rest_loose=True,
+        )
+
+    def _determinants(self, displacement: npt.NDArray[np.floating]) -> FloatArray:
+        return smallest_determinant(displacement, self._base.spacing, self._base.tissue)
+
+    def _shortened(self, solution: Solution, before: npt.NDArray[np.floating]) -> Solution:
+        """Return the longest part of a step that does not fold tissue, by bisection."""
+        change = solution.displacement - before
+        low, high = 0.0, 1.0
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            folds = (self._determinants(before + middle * change) <= 0).any()
+            low, high = (low, middle) if folds else (middle, high)
+        part = (before + low * change).astype(solution.displacement.dtype)
+        return replace(solution, displacement=part)
+
+
+def _on_level(problem: Problem, size: int) -> Problem:
+    """Return a problem with the sites of a coarser level, every `size` sites along each axis.
+
+    Values are those of the nearest site, as in the paper; they are never averaged.
+    """
+    if size == 1:
+        return problem
+    axes = len(problem.shape)
+    every = (slice(None, None, size),) * axes
+    loads, m = problem.loads, problem.stiffness[every]
+    if loads is not None:
+        growth, force = (
+            None if each is None else scale * each[every]
+            for each, scale in ((loads.growth, 1.0), (loads.force, float(size) ** axes))
+        )
+        loads = Loads(growth=growth, force=force)
+    # Without its data, the problem may be without constraints; the images complete it.
+    return Problem(
+        problem.observed[every],
+        problem.confidence[every],
+        m,
+        spacing=[size * each for each in problem.spacing],
+        loads=loads,
+        precision=np.where(m > 0, _PLACEHOLDER, 0.0),
+        landmarks=_landmarks_on_level(problem.landmarks, m, size),
+    )
+
+
+def _landmarks_on_level(
+    landmarks: Landmarks | None, m: npt.NDArray[Any], size: int
+) -> Landmarks | None:
+    """Return the landmarks that lie between sites of tissue of a level; None if there are none."""
+    if landmarks is None:
+        return None
+    last = np.array(m.shape) - 1
+    points = np.clip(landmarks.points / size, 0, last)
+    corner, _ = corners_of(points, m.shape)
+    inside = in_elements(m)[tuple(corner.T)]
+    if not inside.any():
+        return None
+    steps = (landmarks.targets - landmarks.points)[inside] / size
+    points = points[inside]
+    return Landmarks(
+        points,
+        points + steps,
+        sd=landmarks.sd[inside],
+        scale=landmarks.scale,
+        drift=landmarks.drift,
+    )
+
+
+def _prior_on_level(prior: ElasticPrior, size: int) -> ElasticPrior:
+    if not isinstance(prior.poisson, np.ndarray):
+        return prior
+    every = (slice(None, None, size),) * prior.poisson.ndim
+    return replace(prior, poisson=prior.poisson[every])
+
+
+def _interpolated(
+    displacement: npt.NDArray[np.floating] | None, shape: tuple[int, ...], checkpoint: Checkpoint
+) -> npt.NDArray[np.floating]:
+    """Return a displacement of the next coarser level, or of the same level, on a level."""
+    axes = len(shape)
+    if displacement is None:
+        return np.zeros((*shape, axes), np.float32)
+    if displacement.shape[:-1] == shape:
+        return displacement
+    at = np.meshgrid(*(np.arange(n, dtype=np.float32) / 2 for n in shape), indexing="ij")
+    out = np.empty((*shape, axes), np.float32)
+    for axis in range(axes):
+        checkpoint()
+        ndimage.map_coordinates(
+            displacement[..., axis], at, output=out[..., axis], order=1, mode="nearest"
+        )
+    return out

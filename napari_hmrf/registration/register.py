@@ -1,0 +1,353 @@
+"""Registration of two images: checks of the input, alignment and matching."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from napari_hmrf.arguments import is_one_of, real, refuse_unless, require_kind
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.brightness import luminance
+from napari_hmrf.field.warp import Spacing
+from napari_hmrf.registration.alignment import align
+from napari_hmrf.registration.image_data import BoolArray, FloatArray
+from napari_hmrf.registration.matching import SMOOTHNESS, Images, Match, Show, match
+from napari_hmrf.registration.result import Registration
+from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.problem import Problem, as_numbers, as_stiffness, checked_spacing
+from napari_hmrf.solver.solve import CancelFlag, Progress
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, typical_stiffness
+
+Float64Array = npt.NDArray[np.float64]
+
+# Precision that marks all tissue as observed, before the images are known.
+_PLACEHOLDER = 1e-12
+#: Stiffness with which the tissue around a site holds it, relative to its Young's modulus.
+_COUPLING = 6.0
+#: Factor of the variance, by number of axes, chosen on the same deformations as other settings.
+_NOISE = {2: 0.1, 3: 1.5}
+
+
+def register(
+    fixed: npt.ArrayLike,
+    moving: npt.ArrayLike,
+    *,
+    spacing: Spacing,
+    moving_spacing: Spacing | None = None,
+    stiffness: npt.ArrayLike | None = None,
+    masks: npt.ArrayLike | tuple[npt.ArrayLike | None, npt.ArrayLike | None] | None = None,
+    landmarks: Landmarks | None = None,
+    initial: str | npt.ArrayLike | Registration | None = None,
+    smoothness: float = 1.0,
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+) -> Registration:
+    """Find the displacement of elastic tissue between two images.
+
+    The tissue of the fixed image moves until the moved image looks like the moving image. The
+    brightness of both images is normalized locally, so that a different brightness, contrast, or
+    bias does not matter; images of different modalities are not supported. Nothing folds.
+
+    Parameters
+    ----------
+    fixed, moving : array_like, shape (H, W) or (D, H, W)
+        Images of the same tissue; colour images have 3 or 4 channels in addition. Pixels that are
+        NaN do not count. The displacement is defined on the grid of `fixed`.
+    spacing : float or sequence of float
+        Size of a pixel of `fixed` along each axis.
+    moving_spacing : float or sequence of float, optional
+        Size of a pixel of `moving`; by default `spacing`. The first pixels of both images are at
+        the same position.
+    stiffness : array_like, shape (H, W) or (D, H, W), optional
+        Young's modulus of the tissue of `fixed`, as in a `Problem`: 0 is void, which does not move,
+        and ``inf`` is rigid tissue, which turns and shifts as a whole. Only ratios matter. By
+        default, all pixels are tissue of the same stiffness.
+    masks : array_like of bool, or tuple of two arrays, optional
+        Pixels of `fixed` that count, or of `fixed` and `moving`; None for all pixels. Tissue that
+        is missing in one image, such as a tumour after surgery, should not count.
+    landmarks : Landmarks, optional
+        Points of `fixed` with their positions in `moving` after the alignment, as in a `Problem`.
+    initial : {"rigid", "affine"}, array_like or Registration, optional
+        Alignment of the images before the tissue deforms: computed by SimpleITK, or a homogeneous
+        matrix, shape (n + 1, n + 1), from positions in `fixed` to positions in `moving`, in the
+        unit of the spacing. A registration of the same images continues from its alignment and its
+        displacement. By default, the images are not aligned.
+    smoothness : float
+        Weight of the elastic energy, relative to the usual weight. A larger weight leads to smaller
+        strains.
+    progress, cancel
+        As in `solve`.
+
+    Returns
+    -------
+    Registration
+
+    Raises
+    ------
+    ProblemError
+        If an input is invalid; the message names the input and a remedy.
+    ArgumentError
+        If an argument has the wrong type.
+    HmrfError
+        If an alignment requires SimpleITK, which is not installed.
+    Cancelled
+        If `cancel` was set before the work was done.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scipy import ndimage
+    >>> from napari_hmrf import warp
+    >>> from napari_hmrf.registration import register
+    >>> before = ndimage.gaussian_filter(np.random.default_rng(0).random((64, 64)), 2)
+    >>> shift = np.zeros((64, 64, 2))
+    >>> shift[..., 1] = 3
+    >>> after = warp(before, shift, spacing=1)
+    >>> found = register(before, after, spacing=1)
+    >>> np.round(found.displacement[32, 32]).tolist()
+    [0.0, 3.0]
+    """
+    first, second = _as_grey("fixed", fixed), _as_grey("moving", moving)
+    axes = first.ndim
+    if second.ndim != axes:
+        raise ProblemError(
+            "moving",
+            f"has {second.ndim} axes, but fixed has {axes}. Pass two images or two volumes.",
+        )
+    sizes = checked_spacing(spacing, axes)
+    own_sizes = sizes if moving_spacing is None else checked_spacing(moving_spacing, axes)
+    refuse_unless(0 < real(smoothness) < math.inf, "smoothness", smoothness, "a positive number")
+    if landmarks is not None:
+        require_kind(Landmarks, "landmarks", landmarks, "Landmarks(points, targets, sd=1)")
+    m = np.ones(first.shape, np.float32) if stiffness is None else as_stiffness(stiffness)
+    if m.shape != first.shape:
+        raise ProblemError(
+            "stiffness",
+            f"has shape {m.shape}, but fixed has shape {first.shape}. Pass the stiffness of each "
+            "pixel of fixed.",
+        )
+    counted = _counted(masks, first, second)
+    first, second = (np.where(np.isfinite(each), each, 0) for each in (first, second))
+    matrix, start = _initial(initial, first, second, sizes, own_sizes, counted)
+    images = on_grid(first, second, counted, sizes, own_sizes, matrix)
+    _check_contrast(images)
+    problem = Problem(
+        np.zeros((*m.shape, axes), np.float32),
+        np.zeros((*m.shape, axes), np.float32),
+        m,
+        spacing=sizes,
+        precision=np.where(m > 0, _PLACEHOLDER * typical_stiffness(m), 0),
+        landmarks=landmarks,
+    )
+    return registered(
+        problem,
+        ElasticPrior(0.0),
+        images,
+        unit=typical_stiffness(m),
+        matrix=matrix,
+        moving_spacing=own_sizes,
+        smoothness=smoothness,
+        start=start,
+        progress=progress,
+        cancel=cancel,
+    )
+
+
+def registered(
+    problem: Problem,
+    prior: ElasticPrior,
+    images: Images,
+    *,
+    unit: float,
+    matrix: Float64Array,
+    moving_spacing: tuple[float, ...],
+    smoothness: float = 1.0,
+    start: npt.NDArray[np.floating] | None = None,
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+    show: Show | None = None,
+) -> Registration:
+    """Match the images on the grid of a problem, and return the registration.
+
+    Parameters
+    ----------
+    problem, prior, images, unit, smoothness, start, progress, cancel, show
+        As in `match`.
+    matrix, moving_spacing
+        As in a `Registration`.
+    """
+    found = match(
+        problem,
+        prior,
+        images,
+        unit=unit,
+        smoothness=smoothness,
+        start=start,
+        progress=progress,
+        cancel=cancel,
+        show=show,
+    )
+    return Registration(
+        solution=found.solution,
+        matrix=matrix,
+        moving_spacing=moving_spacing,
+        observed=found.images.observed,
+        precision=found.images.precision,
+        residual=found.residual,
+        similarity=found.similarity,
+        sd=_standard_deviation(found, smoothness),
+        history=found.history,
+        prior=prior,
+    )
+
+
+def on_grid(
+    fixed: FloatArray,
+    moving: FloatArray,
+    counted: tuple[BoolArray, BoolArray],
+    spacing: tuple[float, ...],
+    moving_spacing: tuple[float, ...],
+    matrix: Float64Array,
+) -> Images:
+    """Return both images on the grid of the fixed image, after an alignment.
+
+    Parameters
+    ----------
+    fixed, moving : ndarray, shape (H, W) or (D, H, W)
+    counted : tuple of ndarray of bool
+        Masks of the pixels of `fixed` and `moving` that count.
+    spacing, moving_spacing : tuple of float
+    matrix : ndarray, shape (n + 1, n + 1)
+        As in a `Registration`.
+    """
+    axes = fixed.ndim
+    turn = matrix[:axes, :axes] * np.asarray(spacing) / np.asarray(moving_spacing)[:, None]
+    shift = matrix[:axes, axes] / np.asarray(moving_spacing)
+    same = np.array_equal(turn, np.eye(axes)) and not shift.any()
+    if same and moving.shape == fixed.shape:
+        return Images(fixed, moving, counted)
+
+    def aligned(image: npt.NDArray[Any], order: int) -> npt.NDArray[np.float32]:
+        out = np.empty(fixed.shape, np.float32)
+        ndimage.affine_transform(
+            image.astype(np.float32), turn, shift, output=out, order=order, mode="constant"
+        )
+        return out
+
+    # Cubic interpolation blurs the image less, but must not reach beyond pixels that count.
+    known = aligned(counted[1], 1) > 0.999
+    return Images(fixed, aligned(moving, 3), (counted[0], known))
+
+
+def _standard_deviation(found: Match, smoothness: float) -> float:
+    """Return the standard deviation of the displacement, from the residual and the precision.
+
+    The covariance at a site is about the inverse of the precision of the images and of the tissue
+    around the site, times the variance of the normalized brightness.
+    """
+    precision = found.images.precision
+    axes, spacing = precision.shape[-1], found.solution.spacing
+    seen = precision[precision.any(axis=(-2, -1))].astype(np.float64)
+    if not len(seen):
+        return math.inf
+    coupling = _COUPLING * math.prod(spacing) ** (1 - 2 / axes)
+    covariance = np.linalg.inv(seen + coupling * np.eye(axes))
+    variance = _NOISE[axes] * found.residual**2 / (smoothness * SMOOTHNESS)
+    return math.sqrt(variance * float(np.trace(covariance, axis1=1, axis2=2).mean()) / axes)
+
+
+def _initial(
+    initial: str | npt.ArrayLike | Registration | None,
+    fixed: FloatArray,
+    moving: FloatArray,
+    spacing: tuple[float, ...],
+    moving_spacing: tuple[float, ...],
+    counted: tuple[BoolArray, BoolArray],
+) -> tuple[Float64Array, npt.NDArray[np.floating] | None]:
+    """Return the alignment and the initial displacement, or None if there is none."""
+    axes = fixed.ndim
+    if initial is None:
+        return np.eye(axes + 1), None
+    if isinstance(initial, Registration):
+        if initial.displacement.shape[:-1] != fixed.shape:
+            raise ProblemError(
+                "initial",
+                f"is a registration of images of shape {initial.displacement.shape[:-1]}, but "
+                f"fixed has shape {fixed.shape}. Pass a registration of the same images.",
+            )
+        return initial.matrix, initial.displacement
+    if isinstance(initial, str):
+        known = is_one_of(initial, ("rigid", "affine"))
+        refuse_unless(known, "initial", initial, '"rigid", "affine" or a matrix')
+        kind: Any = initial
+        return align(
+            kind,
+            fixed,
+            moving,
+            spacing=spacing,
+            moving_spacing=moving_spacing,
+            masks=counted,
+        ), None
+    matrix = np.array(as_numbers("initial", initial), dtype=np.float64)
+    valid = matrix.shape == (axes + 1, axes + 1) and np.isfinite(matrix).all()
+    if not valid or abs(np.linalg.det(matrix)) < 1e-9:
+        raise ProblemError(
+            "initial",
+            f"has shape {matrix.shape} or is not invertible. Pass a homogeneous matrix of shape "
+            f"{(axes + 1, axes + 1)} from positions in fixed to positions in moving.",
+        )
+    return matrix, None
+
+
+def _as_grey(name: str, image: npt.ArrayLike) -> FloatArray:
+    pixels = as_numbers(name, image)
+    if pixels.ndim in (3, 4) and pixels.shape[-1] in (3, 4) and min(pixels.shape[:-1]) > 4:
+        pixels = luminance(pixels)
+    if pixels.ndim not in (2, 3) or min(pixels.shape) < 2:
+        raise ProblemError(
+            name,
+            f"has shape {pixels.shape}. Pass an image (H, W) or a volume (D, H, W) with at least "
+            "two pixels along each axis.",
+        )
+    return pixels.astype(np.float32)
+
+
+def _counted(masks: Any, fixed: FloatArray, moving: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Return the masks of the pixels that count, with the shapes of the images."""
+    both = masks if isinstance(masks, tuple) and len(masks) == 2 else (masks, None)
+    counted = []
+    for name, mask, image in zip(("fixed", "moving"), both, (fixed, moving), strict=True):
+        known = np.isfinite(image)
+        if mask is not None:
+            given = as_numbers("masks", mask).astype(bool)
+            if given.shape != image.shape:
+                raise ProblemError(
+                    "masks",
+                    f"has shape {given.shape} for {name}, which has shape {image.shape}. Pass a "
+                    "mask with one value for each pixel.",
+                )
+            known &= given
+        if not known.any():
+            raise ProblemError(
+                "masks", f"exclude all pixels of {name}. Pass masks that are True somewhere."
+            )
+        counted.append(known)
+    return counted[0], counted[1]
+
+
+def _check_contrast(images: Images) -> None:
+    """Raise an error for an image without structure, which cannot be registered."""
+    pairs = zip(("fixed", "moving"), (images.fixed, images.moving), images.counted, strict=True)
+    for name, image, mask in pairs:
+        if not mask.any():
+            raise ProblemError(
+                name, "and the other image have no common pixels after the alignment. Check it."
+            )
+        if np.ptp(image[mask]) == 0:
+            raise ProblemError(
+                name, "has the same brightness everywhere. Choose an image that shows structure."
+            )

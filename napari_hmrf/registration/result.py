@@ -1,0 +1,169 @@
+"""Result of a registration: motion between two images, and its data for further edits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.inverse_field import Inverse, inverse_displacement
+from napari_hmrf.field.resample import sampled
+from napari_hmrf.registration.matching import Step
+from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.measured_motion import MeasuredMotion
+from napari_hmrf.study.study import Motion
+
+Float64Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Motion of the tissue of the fixed image to its position in the moving image.
+
+    Attributes
+    ----------
+    solution : Solution
+        Displacement field on the grid of the fixed image: tissue at X moves to X + d(X). Without
+        an alignment, the same tissue is at X + d(X) in the moving image.
+    matrix : ndarray, shape (n + 1, n + 1)
+        Alignment: homogeneous matrix from moved positions to positions in the moving image, in the
+        unit of the spacing. The identity if the images were not aligned.
+    moving_spacing : tuple of float
+        Size of a pixel of the moving image along each axis.
+    observed : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
+        Displacement that the images observe at each site.
+    precision : ndarray, shape (H, W, 2, 2) or (D, H, W, 3, 3), float32
+        Precision of `observed`, relative to the typical stiffness of the tissue.
+    residual : float
+        Root mean square of the difference of locally normalized brightness.
+    similarity : float
+        Correlation of the locally normalized images, at most 1.
+    sd : float
+        Suggested standard deviation of each component of the displacement in the tissue, in the
+        unit of the spacing, from the residual and the precision; about right on average, but not at
+        each site.
+    history : tuple of Step
+        Record of each step.
+    prior : ElasticPrior
+        Prior of the tissue.
+    """
+
+    solution: Solution
+    matrix: Float64Array
+    moving_spacing: tuple[float, ...]
+    observed: npt.NDArray[np.float32]
+    precision: npt.NDArray[np.float32]
+    residual: float
+    similarity: float
+    sd: float
+    history: tuple[Step, ...]
+    prior: ElasticPrior
+
+    def __repr__(self) -> str:
+        before = self.history[0].similarity if self.history else self.similarity
+        return (
+            f"Registration({self.solution!r}, similarity {before:.2f} before and "
+            f"{self.similarity:.2f} after, sd {self.sd:.2g}, {self.folds} folds)"
+        )
+
+    @property
+    def displacement(self) -> npt.NDArray[np.floating]:
+        """Displacement of the fixed image's tissue, shape ([D,] H, W, n), as in a `Solution`."""
+        return self.solution.displacement
+
+    @cached_property
+    def inverse(self) -> Inverse:
+        """Inverse of the displacement, and its error: from moved positions to their origins."""
+        here = self.solution
+        return inverse_displacement(here.displacement, spacing=here.spacing, tissue=here.tissue)
+
+    @cached_property
+    def folds(self) -> int:
+        """Number of sites at which the displacement folds tissue."""
+        return self.solution.count_folds()
+
+    def move(self, points: npt.ArrayLike) -> Float64Array:
+        """Return the positions of points of the fixed image in the moving image.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, n)
+            Positions in pixels of the fixed image.
+
+        Returns
+        -------
+        ndarray, shape (N, n), float64
+            Positions in pixels of the moving image.
+
+        Raises
+        ------
+        ProblemError
+            As for `Solution.move`.
+        """
+        return self._in_moving(self.solution.move(points, extend=True))
+
+    def resample(self, moving: npt.ArrayLike, *, order: int = 1, fill: float = 0) -> Any:
+        """Move an image from the grid of the moving image to that of the fixed image.
+
+        The result looks like the fixed image, or, for labels of the moving image and ``order=0``,
+        contains the labels of the fixed image.
+
+        Parameters
+        ----------
+        moving : array_like
+            Image on the grid of the moving image, optionally with colour channels.
+        order : int
+            Order of the interpolating spline, from 0 (nearest neighbour) to 5.
+        fill : float
+            Value of pixels whose tissue is outside of the moving image.
+
+        Returns
+        -------
+        ndarray
+            Image on the grid of the fixed image, with the dtype of `moving`.
+
+        Raises
+        ------
+        ProblemError
+            If the image is not numeric or has another number of axes.
+        """
+        image, shape = as_numbers("moving", moving), self.solution.tissue.shape
+        axes = len(shape)
+        if image.ndim not in (axes, axes + 1):
+            raise ProblemError(
+                "moving",
+                f"has shape {image.shape}, but the registration has {axes} axes. Pass an image on "
+                "the grid of the moving image.",
+            )
+        sites = np.moveaxis(np.indices(shape, dtype=np.float64), 0, -1)
+        places = self._in_moving(sites + self.displacement / np.asarray(self.solution.spacing))
+        last = np.array(image.shape[:axes]) - 1
+        outside = ((places < -0.5) | (places > last + 0.5)).any(axis=-1)
+        resampled = sampled(image, np.clip(places, 0, last), order)
+        resampled[outside] = fill
+        return resampled
+
+    def motion(self) -> Motion:
+        """Return the motion of a study that moves the tissue as the images do.
+
+        The study may be edited: tissue that is pulled, held or made rigid moves the tissue around
+        it, as far as the images allow.
+        """
+        return Motion(measured=MeasuredMotion(self.observed, self.precision))
+
+    def _in_moving(self, pixels: Float64Array) -> Float64Array:
+        """Convert positions in pixels of the fixed image to pixels of the moving image."""
+        axes = pixels.shape[-1]
+        if np.array_equal(self.matrix, np.eye(axes + 1)) and (
+            self.moving_spacing == self.solution.spacing
+        ):
+            return pixels
+        lengths = pixels * np.asarray(self.solution.spacing)
+        moved = lengths @ self.matrix[:axes, :axes].T + self.matrix[:axes, axes]
+        return np.asarray(moved / np.asarray(self.moving_spacing))

@@ -1,0 +1,97 @@
+"""Measured motion of a study: displacements with a precision at each site, as of a registration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.data_term import packed_axes
+from napari_hmrf.solver.real_arrays import as_float32, check_finite
+
+FloatArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredMotion:
+    """Measured displacements, with a precision at each site.
+
+    Tissue follows the measurement as far as its stiffness and the other motion of the study allow.
+    Unlike `Motion.observed`, a measurement never holds tissue exactly.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape ([D,] H, W, n), float32
+        Measured material displacement y, in the order of the axes and in the unit of the grid.
+    precision : ndarray, shape ([D,] H, W, n, n), float32
+        Precision W of the displacement, relative to the typical stiffness of the tissue: the energy
+        ``1/2 (d - y)^T W (d - y)`` is added to that of tissue of stiffness 1. Unit as for a
+        `Problem`.
+    record : mapping
+        Origin of the measurement, in JSON types, such as the name of the second image.
+
+    Raises
+    ------
+    ProblemError
+        If the shapes do not match, or a value is not finite.
+    """
+
+    displacement: FloatArray
+    precision: FloatArray
+    record: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("displacement", "precision"):
+            array = as_float32(f"measured {name}", getattr(self, name))
+            check_finite(f"measured {name}", array)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        axes = self.displacement.shape[-1] if self.displacement.ndim else 0
+        needed = (*self.displacement.shape, axes)
+        if self.displacement.ndim != axes + 1 or self.precision.shape != needed:
+            raise ProblemError(
+                "measured motion",
+                f"has displacements of shape {self.displacement.shape} and a precision of shape "
+                f"{self.precision.shape}. Pass shapes ([D,] H, W, n) and ([D,] H, W, n, n).",
+            )
+
+    def __repr__(self) -> str:
+        sites = int(np.count_nonzero(self.sites))
+        return f"MeasuredMotion({sites:,} sites)"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the displacement."""
+        return self.displacement.shape
+
+    @property
+    def sites(self) -> npt.NDArray[np.bool_]:
+        """Mask of the sites with a measurement, shape ([D,] H, W)."""
+        return np.asarray(self.precision.any(axis=(-2, -1)))
+
+    def packed(self) -> FloatArray:
+        """Return the precision without its symmetric half, shape (n (n + 1) / 2, [D,] H, W)."""
+        pairs = packed_axes(self.precision.shape[-1])
+        return np.stack([self.precision[..., i, j] for i, j in pairs])
+
+    @classmethod
+    def from_packed(
+        cls, displacement: FloatArray, packed: FloatArray, record: Mapping[str, Any]
+    ) -> MeasuredMotion:
+        """Return the motion of a displacement and the result of `packed`."""
+        axes = displacement.shape[-1]
+        pairs = packed_axes(axes)
+        if packed.shape != (len(pairs), *displacement.shape[:-1]):
+            raise ProblemError(
+                "measured motion",
+                f"has displacements of shape {displacement.shape} and a packed precision of shape "
+                f"{packed.shape}. Use a file that this package has written.",
+            )
+        precision = np.empty((*displacement.shape, axes), np.float32)
+        for plane, (i, j) in zip(packed, pairs, strict=True):
+            precision[..., i, j] = precision[..., j, i] = plane
+        return cls(displacement, precision, record)
