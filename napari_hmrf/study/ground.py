@@ -51,7 +51,7 @@ from napari_hmrf.tissue.boundary_rules import (
     unlisted,
 )
 from napari_hmrf.tissue.drawing import Canvas, Drawing
-from napari_hmrf.tissue.material_presets import OTHER, Palette
+from napari_hmrf.tissue.material_presets import OTHER, Palette, typical_stiffness
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
 from napari_hmrf.tissue.sliding import sliding_data
@@ -531,7 +531,7 @@ def _refuse_other_axes(study: Study) -> None:
 def _tissue_of(study: Study) -> Ground:
     """Return the ground of a study with its tissues, but without boundary conditions."""
     tissue, image, shape, prior = study.tissue, study.pictures.image, study.grid.shape, study.prior
-    palette, notes = Palette.of_preset(tissue.preset, relative=False), [*study.notes]
+    palette, notes = Palette.of_preset(tissue.preset), [*study.notes]
     labels, around = np.full(shape, OTHER, dtype=np.int32), np.zeros(shape, dtype=bool)
     if tissue.labels is not None:
         known, name = tissue.materials, study.named("tissue", "image")
@@ -564,8 +564,10 @@ def _tissue_of(study: Study) -> Ground:
     else:
         around = around if image is None else dark_border(image, len(shape))
         m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
-        palette = Palette.of_preset(tissue.preset)
         labels = np.where(around, OTHER, palette.unpainted_label).astype(np.int32)
+    if tissue.stiffness is not None or tissue.curve is not None:
+        unit = tissue.unit or (tissue.curve.unit if tissue.curve is not None else "")
+        palette = Palette.of_preset(tissue.preset, typical_stiffness(m), unit)
     base = Canvas.blank(shape, study.grid.spacing, labels)
     return Ground(study, base, m, prior, (m > 0) & ~around, palette, tuple(notes))
 

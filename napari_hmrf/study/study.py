@@ -237,7 +237,9 @@ class Tissue:
     record : mapping
         Origin of the tissue map, in JSON types; stored with a solution.
     preset : Preset, optional
-        Tissues for brushes if there is no table; by default the first preset.
+        Tissues for brushes if there is no table; by default the first preset. Only the ratios of
+        their stiffnesses matter: the first tissue is as stiff as typical tissue, which has the
+        median stiffness, or 1 without a stiffness or a curve.
     unit : str
         Unit of stiffness. It does not affect the displacement, which depends only on ratios.
     without_border : bool

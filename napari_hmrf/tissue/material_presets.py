@@ -23,6 +23,8 @@ FloatArray = npt.NDArray[np.float32]
 #: Label of pixels that have a stiffness but no row in the table.
 OTHER = -1
 _VOID = Material(0, "no tissue", 0.0)
+#: Number of pixels above which a median is computed from some of the pixels.
+_LARGEST = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,8 @@ class Palette:
     unit : str
         Unit of stiffness; "" if it is unknown.
     unit_stiffness : float
-        Stiffness in the palette that corresponds to a stiffness of 1 in the painted image.
+        Stiffness in the palette that corresponds to a stiffness of 1 in the painted image. It is
+        not 1 only if unpainted tissue has no stiffness of its own.
     is_table : bool
         True if the palette is the table of the tissue layer, False if it is a preset.
     """
@@ -146,16 +149,24 @@ class Palette:
     is_table: bool = False
 
     @classmethod
-    def of_preset(cls, preset: Preset | None = None, relative: bool = True) -> Palette:
+    def of_preset(
+        cls, preset: Preset | None = None, typical: float | None = None, unit: str = ""
+    ) -> Palette:
         """Create a palette from the tissues of a preset, a void material and a rigid material.
+
+        Only the ratios between the stiffnesses of the preset matter: its first deformable tissue is
+        as stiff as typical unpainted tissue.
 
         Parameters
         ----------
         preset : Preset, optional
             Preset; the default is the first preset.
-        relative : bool
-            If True, the stiffness of the first deformable tissue corresponds to a stiffness of 1
-            in the painted image, which is the stiffness of unpainted tissue.
+        typical : float, optional
+            Stiffness of typical unpainted tissue; see `typical_stiffness`. The palette then has the
+            stiffnesses that are painted, rounded to three digits. By default, unpainted tissue has
+            a stiffness of 1, and the palette has the stiffnesses of the preset.
+        unit : str
+            Unit of `typical`.
 
         Returns
         -------
@@ -166,7 +177,12 @@ class Palette:
         rows = (*([] if 0 in listed else [_VOID]), *preset.materials)
         first = next(row.stiffness for row in rows if row.is_deformable)
         rigid = default_rigid(max(row.label for row in rows) + 1)
-        return cls((*rows, rigid), preset.unit, first if relative else 1.0)
+        if typical is None:
+            return cls((*rows, rigid), preset.unit, first)
+        scaled = (
+            replace(row, stiffness=float(f"{row.stiffness / first * typical:.3g}")) for row in rows
+        )
+        return cls((*scaled, rigid), unit)
 
     @property
     def unpainted_label(self) -> int:
@@ -206,3 +222,17 @@ class Palette:
             same = np.unique(ratios[(m > 0) & np.isfinite(m)])
             prior = replace(prior, poisson=float(same[0]) if len(same) == 1 else ratios)
         return m, prior
+
+
+def typical_stiffness(m: FloatArray) -> float:
+    """Return the median stiffness of the deformable tissue; 1 if there is no such tissue.
+
+    Parameters
+    ----------
+    m : ndarray, shape ([D,] H, W), float32
+        Stiffness of each pixel; in a large image, only some rows and columns are used.
+    """
+    step = max(1, int((m.size / _LARGEST) ** (1 / m.ndim)))
+    some = m[(slice(None, None, step),) * m.ndim]
+    tissue = some[(some > 0) & np.isfinite(some)]
+    return float(np.median(tissue)) if tissue.size else 1.0

@@ -30,7 +30,7 @@ from napari_hmrf import (
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue import StiffnessCurve
-from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.tissue.material_presets import PLAIN, PRESETS
 
 SHAPE = (20, 26)
 GRID = Grid(SHAPE, (0.5, 0.8), "mm")
@@ -145,15 +145,36 @@ def test_later_parts_of_a_motion_override_earlier_parts():
     assert not np.delete(stated.observed[0], 5, axis=0).any()
 
 
-def test_a_tissue_stroke_scales_the_stiffness_by_the_ratio_of_its_preset():
+RAMP = np.linspace(100, 300, 20 * 26).reshape(SHAPE)
+
+
+@pytest.mark.parametrize(
+    ("tissue", "typical"),
+    [
+        (Tissue(), 1),
+        (Tissue(curve=StiffnessCurve(((100, 1), (200, 2), (300, 4)))), 2),
+        (Tissue(stiffness=np.where(RAMP < 180, 0, np.where(RAMP < 200, 3e3, 5e3))), 5000),
+        (Tissue(stiffness=np.full(SHAPE, np.inf)), 1),
+    ],
+    ids=["image", "curve", "stiffness", "rigid"],
+)
+def test_a_tissue_stroke_scales_typical_stiffness_by_the_ratio_of_its_preset(tissue, typical):
     tissues = PRESETS[0].materials
     usual = next(row for row in tissues if row.is_deformable)
     other = next(row for row in tissues if row.is_deformable and row.stiffness != usual.stiffness)
     stroke = Stroke("tissue", (((10.0, 12.0),),), 2.0, label=other.label)
     motion = Motion(hold_edge=True, drawing=Drawing((*PULL.marks, stroke)))
-    found = build_problem(pulled(tissue=Tissue(), motion=motion)).problem.stiffness
-    assert found[10, 12] == pytest.approx(other.stiffness / usual.stiffness)
-    assert found[1, 1] == 1
+    ground = Ground.of(pulled(tissue=tissue, motion=motion, pictures=Pictures(RAMP)))
+    found = ground.statement().problem.stiffness
+    assert found[10, 12] == pytest.approx(typical * other.stiffness / usual.stiffness)
+    assert found[1, 1] == ground.stiffness[1, 1]
+
+
+def test_a_palette_lists_the_stiffness_that_it_paints_on_measured_tissue():
+    measured = Tissue(stiffness=np.full(SHAPE, 1200.0), preset=PLAIN, unit="Pa")
+    palette = Ground.of(Study(GRID, measured)).palette
+    assert palette.unit == "Pa"
+    assert [row.stiffness for row in palette.materials] == [0, 1200, 240, 6000, np.inf]
 
 
 @pytest.mark.parametrize(

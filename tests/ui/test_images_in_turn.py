@@ -242,6 +242,34 @@ def test_painted_tissue_stays_the_same_in_a_new_tissue_layer(viewer, widget, set
     assert np.isinf(after).any()
 
 
+def test_painted_tissue_stays_stiffer_or_softer_than_tissue_from_brightness(viewer, widget, settle):
+    picture = np.random.default_rng(0).integers(0, 255, (24, 26, 3)).astype(np.uint8)
+    widget.image = viewer.add_image(picture, rgb=True, name="photo")
+    names = {row.name: row.label for row in Palette.of_preset(PLAIN).materials}
+    strokes = {
+        name: Stroke("tissue", (((row, 6.0), (row, 20.0)),), 2.0, label=names[name])
+        for row, name in ((4.0, "stiff"), (11.0, "soft"), (18.0, default_rigid(9).name))
+    }
+    widget.model = "elastic"
+    widget.drawing = Drawing((*strokes.values(), Arrow((11, 23), (0, 2), 2.0)))
+    settle(widget)
+    before = build_problem(widget.study).problem.stiffness
+    Screen(widget).press("Tissue from brightness")
+    settle(widget)
+    after = build_problem(widget.study).problem.stiffness
+    stiff, soft, bone = (before == value for value in (5, np.float32(0.2), np.inf))
+    around = after[before == 1]
+    assert after[stiff].min() > around.max()
+    assert after[soft].max() < around.min()
+    assert np.isinf(after[bone]).all()
+    material = widget.fields.material.native
+    said = [material.itemText(at) for at in range(material.count())]
+    assert f"stiff ({after[stiff][0]:g})" in said
+    widget.undo()
+    settle(widget)
+    np.testing.assert_array_equal(build_problem(widget.study).problem.stiffness, before)
+
+
 def test_a_drawing_is_displayed_again_with_its_image(viewer, widget, settle):
     image, *_ = brain(viewer)
     settle(widget)

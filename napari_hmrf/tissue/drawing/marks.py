@@ -238,7 +238,7 @@ class Stroke(_Checked):
         For "confidence": fraction of the radius, from 0 to 1, over which the confidence of the
         stroke fades into the confidence of earlier marks.
     label : int
-        For "tissue": label of the tissue.
+        For "tissue": label of the tissue in the table or, without a table, in the preset.
     components : {"both", "row", "col"}
         Components that the mark prescribes; earlier marks determine the other components.
 

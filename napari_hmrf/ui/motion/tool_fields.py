@@ -82,10 +82,14 @@ class ToolFields(Container):
         self.preset = menu(
             "tissues of",
             {each: each.name for each in (*PRESETS, PLAIN)},
-            "Tissues to paint with, because the tissue layer has no table; unpainted pixels are "
-            "the first of these tissues",
+            "Tissues to paint with, because the tissue has no table. The first of these tissues is "
+            "as stiff as unpainted tissue, or as its median where stiffness varies. The other "
+            "stiffnesses keep their ratios to the first",
         )
-        tip = "Tissue to paint, from the table of the tissue layer or from the presets"
+        tip = (
+            "Tissue to paint, from the table of the tissue layer or from the presets. In brackets: "
+            "its stiffness"
+        )
         self.material = ComboBox(choices=[], label="new tissue", tooltip=tip)
         for choices in (self.preset, self.components):
             narrow(choices)
