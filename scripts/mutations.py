@@ -242,8 +242,8 @@ MUTATIONS = (
     Mutation("tissue/usual_lengths.py", "shorter / 16", "shorter / 8", "ui/motion/test_pull.py"),
     Mutation(
         "tissue/material_presets.py",
-        "stiffness_image(now, self.materials)[0] / np.float32(self.unit_stiffness)",
-        "stiffness_image(now, self.materials)[0] * np.float32(self.unit_stiffness)",
+        "stiffness_image(now, rows)[0] / np.float32(self.unit_stiffness)",
+        "stiffness_image(now, rows)[0] * np.float32(self.unit_stiffness)",
         "study/test_study.py",
     ),
     Mutation(

@@ -49,6 +49,8 @@ _HUES = (
     (0.95, 0.9, 0.26), (0.0, 0.45, 0.70), (0.84, 0.37, 0.0), (0.6, 0.95, 0.6), (0.5, 0.3, 0.9),
     (0.95, 0.7, 0.8), (0.3, 0.85, 0.85),
 )  # fmt: skip
+#: Colour of painted tissue that is not in the palette.
+_UNKNOWN: Colour = (0.5, 0.5, 0.5)
 #: Pixel value of the first painted tissue, and number of pixel values for tissues.
 _TISSUE, _TISSUES = 64, 128
 #: Opacity of actions, and of painted tissue.
@@ -109,7 +111,7 @@ def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Colour]:
     ):  # the user may have switched to an Image layer
         colours = {row.label: layer.get_color(row.label) for row in palette.materials}
         return {
-            label: (0.5, 0.5, 0.5) if colour is None else _colour(colour)
+            label: _UNKNOWN if colour is None else _colour(colour)
             for label, colour in colours.items()
         }
     rows = [row for row in palette.materials if row.stiffness > 0]
@@ -140,6 +142,7 @@ def _colours(tissues: tuple[tuple[float, ...], ...]) -> CyclicLabelColormap:
     colours = np.zeros((256, 4))
     for action, kind in KINDS.items():
         colours[kind] = (*COLOURS[action], _OPACITY)
+    colours[_TISSUE : _TISSUE + _TISSUES] = (*_UNKNOWN, _TISSUE_OPACITY)
     for label, *colour in tissues:
         colours[_TISSUE + int(label) % _TISSUES] = (*colour, _TISSUE_OPACITY)
     return CyclicLabelColormap(colors=colours)

@@ -79,7 +79,8 @@ class Request:
     drawing : Drawing, optional
         Drawn and painted marks, which take precedence; None if there is no drawing.
     preset : Preset, optional
-        Tissues that can be painted if the tissue layer has no table.
+        Tissues that can be painted if the tissue layer has no table. With a table, materials
+        of strokes with a label that the table lacks.
     without_border : bool
         True if unlabelled pixels in the dark border of the image are not tissue.
     curve : StiffnessCurve, optional
@@ -112,7 +113,8 @@ class Request:
         view : View
             Visible slice.
         preset : Preset, optional
-            Tissues that can be painted if the tissue layer has no table.
+            Tissues that can be painted if the tissue layer has no table. With a table, materials
+            of strokes with a label that the table lacks.
         """
         choice = model.choice
         tissue, boundary = choice.tissue_layer, choice.boundary
@@ -235,6 +237,7 @@ class _Reader:
             return Tissue(
                 labels=self._slice(layer),
                 materials=rows,
+                preset=request.preset,
                 unit=unit,
                 record=tissue_record(layer, rows),
                 without_border=request.without_border,

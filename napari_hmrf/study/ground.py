@@ -43,14 +43,16 @@ from napari_hmrf.study.without_effect import (
     rows_without_effect,
 )
 from napari_hmrf.tissue.boundary_rules import (
+    Material,
     boundary_images,
     default_material,
     default_rule,
     poisson_image,
     stiffness_image,
+    stiffness_in_words,
     unlisted,
 )
-from napari_hmrf.tissue.drawing import Canvas, Drawing
+from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.material_presets import OTHER, Palette, typical_stiffness
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
@@ -286,6 +288,18 @@ class Ground:
         drawing, tissue = self.study.motion.drawing, statement.problem.tissue | statement.at_rest
         return tuple(marks_without_effect(drawing, tissue, self.base))
 
+    def _assumed_tissues(self) -> list[str]:
+        """Return clauses about painted tissues that are not in the palette."""
+        marks, unit = self.study.motion.drawing.marks, self.palette.unit
+        painted = [
+            mark.label for mark in marks if isinstance(mark, Stroke) and mark.action == "tissue"
+        ]
+        return [
+            f"painted tissue {row.label} is not listed: '{row.name}' "
+            f"({stiffness_in_words(row.stiffness, unit)}) is assumed"
+            for row in self.palette.assumed(painted)
+        ]
+
     def unused(self, statement: Statement) -> tuple[str, ...]:
         """Return clauses about rules and growth that have no effect.
 
@@ -300,6 +314,7 @@ class Ground:
         """Return clauses for the user about the interpretation of a problem."""
         motion, problem = self.study.motion, statement.problem
         notes = [*self.notes]
+        notes += self._assumed_tissues()
         notes += self.idle_marks(statement)
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
@@ -541,14 +556,17 @@ def _tissue_of(study: Study) -> Ground:
             "assumed"
             for row in new
         ]
-        palette = Palette((*known, *new), tissue.unit, is_table=True)
-        labels, rows = tissue.labels.astype(np.int32), palette.materials
+        labels, rows = tissue.labels.astype(np.int32), (*known, *new)
         m = stiffness_image(tissue.labels, rows)
         if tissue.without_border and image is not None:
             air = dark_border(image, len(shape)) & (tissue.labels == 0)
             m = np.where(air, np.float32(0), m)
         if isinstance(prior, Elastic):
             prior = replace(prior, poisson=poisson_image(tissue.labels, rows))
+        spare: tuple[Material, ...] = ()
+        if tissue.preset is not None:
+            spare = Palette.of_preset(tissue.preset, typical_stiffness(m)).materials
+        palette = Palette(rows, tissue.unit, is_table=True, spare=spare)
     elif tissue.stiffness is not None:
         m = as_stiffness(tissue.stiffness)
     elif tissue.curve is not None:

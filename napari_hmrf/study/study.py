@@ -239,7 +239,8 @@ class Tissue:
     preset : Preset, optional
         Tissues for brushes if there is no table; by default the first preset. Only the ratios of
         their stiffnesses matter: the first tissue is as stiff as typical tissue, which has the
-        median stiffness, or 1 without a stiffness or a curve.
+        median stiffness, or 1 without a stiffness or a curve. With a table, materials of strokes
+        with a label that the table lacks.
     unit : str
         Unit of stiffness. It does not affect the displacement, which depends only on ratios.
     without_border : bool

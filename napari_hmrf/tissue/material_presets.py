@@ -14,9 +14,11 @@ from napari_hmrf.resources import resource_folder
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.tissue.boundary_rules import (
     Material,
+    default_material,
     default_rigid,
     poisson_image,
     stiffness_image,
+    unlisted,
 )
 
 FloatArray = npt.NDArray[np.float32]
@@ -141,12 +143,16 @@ class Palette:
         not 1 only if unpainted tissue has no stiffness of its own.
     is_table : bool
         True if the palette is the table of the tissue layer, False if it is a preset.
+    spare : tuple of Material
+        Materials for painted labels that are not in `materials`, such as those of a preset beside a
+        table.
     """
 
     materials: tuple[Material, ...]
     unit: str = ""
     unit_stiffness: float = 1.0
     is_table: bool = False
+    spare: tuple[Material, ...] = ()
 
     @classmethod
     def of_preset(
@@ -189,6 +195,18 @@ class Palette:
         """Label of the first deformable material, for unpainted tissue without a table."""
         return next(row.label for row in self.materials if row.is_deformable)
 
+    def assumed(self, labels: npt.ArrayLike) -> tuple[Material, ...]:
+        """Return materials for the labels that are not in the palette.
+
+        Strokes have such labels if they were painted before another source of stiffness was chosen.
+        The material is that of `spare`, or else a copy of the first deformable material.
+        """
+        spare = {row.label: row for row in self.spare}
+        missing = unlisted(labels, self.materials)
+        return tuple(
+            spare.get(label) or default_material(label, self.materials) for label in missing
+        )
+
     def painted(
         self, labels: npt.NDArray[Any], before: npt.NDArray[Any], m: FloatArray, prior: Prior
     ) -> tuple[FloatArray, Prior]:
@@ -214,11 +232,11 @@ class Palette:
         if not changed.any():
             return m, prior
         now = labels[changed][None]
-        m = m.copy()
-        m[changed] = stiffness_image(now, self.materials)[0] / np.float32(self.unit_stiffness)
+        m, rows = m.copy(), (*self.materials, *self.assumed(now))
+        m[changed] = stiffness_image(now, rows)[0] / np.float32(self.unit_stiffness)
         if isinstance(prior, Elastic):
             ratios = np.broadcast_to(np.asarray(prior.poisson, dtype=np.float32), m.shape).copy()
-            ratios[changed] = np.broadcast_to(poisson_image(now, self.materials), now.shape)[0]
+            ratios[changed] = np.broadcast_to(poisson_image(now, rows), now.shape)[0]
             same = np.unique(ratios[(m > 0) & np.isfinite(m)])
             prior = replace(prior, poisson=float(same[0]) if len(same) == 1 else ratios)
         return m, prior

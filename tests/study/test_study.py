@@ -145,6 +145,7 @@ def test_later_parts_of_a_motion_override_earlier_parts():
     assert not np.delete(stated.observed[0], 5, axis=0).any()
 
 
+GEL = (Material(1, "gel", 6.0),)
 RAMP = np.linspace(100, 300, 20 * 26).reshape(SHAPE)
 
 
@@ -175,6 +176,29 @@ def test_a_palette_lists_the_stiffness_that_it_paints_on_measured_tissue():
     palette = Ground.of(Study(GRID, measured)).palette
     assert palette.unit == "Pa"
     assert [row.stiffness for row in palette.materials] == [0, 1200, 240, 6000, np.inf]
+
+
+@pytest.mark.parametrize(
+    ("tissue", "label", "stiffness", "said"),
+    [
+        (
+            Tissue(labels=np.ones(SHAPE, int), materials=GEL, preset=PLAIN),
+            3,
+            30,
+            "'stiff' (30 kPa)",
+        ),
+        (Tissue(labels=np.ones(SHAPE, int), materials=GEL), 3, 6, "'tissue 3' (6 kPa)"),
+        (Tissue(stiffness=np.full(SHAPE, 6.0)), 9, 6, "'tissue 9' (6 kPa)"),
+    ],
+    ids=["preset", "table", "stiffness"],
+)
+def test_a_stroke_of_an_unlisted_tissue_has_an_assumed_stiffness(tissue, label, stiffness, said):
+    stroke = Stroke("tissue", (((10.0, 12.0),),), 2.0, label=label)
+    motion = Motion(hold_edge=True, drawing=Drawing((*PULL.marks, stroke)))
+    ground = Ground.of(pulled(tissue=replace(tissue, unit="kPa"), motion=motion))
+    stated = ground.statement()
+    assert stated.problem.stiffness[10, 12] == stiffness
+    assert f"{said} is assumed" in ground.notes_on(stated)[0]
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,10 @@ import pytest
 from napari_hmrf.contributions import phantom_layers, volume_layers
 from napari_hmrf.data import head_phantom
 from napari_hmrf.layers.compat import camera_of
+from napari_hmrf.layers.metadata import TISSUE, layer_metadata
 from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.study.ground import build_problem
-from napari_hmrf.tissue.boundary_rules import default_rigid
+from napari_hmrf.tissue.boundary_rules import Material, default_rigid
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.tissue.material_presets import PLAIN, Palette
 from napari_hmrf.ui.messages import CHOOSE
@@ -268,6 +269,27 @@ def test_painted_tissue_stays_stiffer_or_softer_than_tissue_from_brightness(view
     widget.undo()
     settle(widget)
     np.testing.assert_array_equal(build_problem(widget.study).problem.stiffness, before)
+
+
+def test_painted_tissue_remains_stiff_or_rigid_in_tissue_from_labels(viewer, widget, settle):
+    picture = np.random.default_rng(0).integers(0, 255, (20, 24)).astype(np.uint8)
+    widget.image = viewer.add_image(picture, name="photo")
+    stiff, bone = (
+        Stroke("tissue", (((row, 6.0), (row, 18.0)),), 2.0, label=label)
+        for row, label in ((5.0, 3), (14.0, 4))
+    )
+    widget.model = "elastic"
+    widget.drawing = Drawing((stiff, bone, Arrow((10, 12), (0, 2), 2.0)))
+    rows = (Material(0, "gel", 10.0), Material(1, "jelly", 8.0))
+    labels = np.zeros((20, 24), np.uint8)
+    labels[:, :4] = 1
+    table = layer_metadata(TISSUE, rows, "kPa")
+    widget.tissue = viewer.add_labels(labels, name="organs", metadata=table)
+    widget.deform()
+    settle(widget)
+    stiffness = build_problem(widget.study).problem.stiffness
+    assert (stiffness[5, 12], stiffness[14, 12]) == (50, np.inf)
+    assert "Painted tissue 3 is not listed: 'stiff' (50 kPa) is assumed" in widget.warning
 
 
 def test_a_drawing_is_displayed_again_with_its_image(viewer, widget, settle):

@@ -33,6 +33,10 @@ def test_a_few_folded_pixels_cause_no_warning_and_more_do(folds, marks):
             "label 3 of 'Tissue' is not in the table: stiffness 1 is assumed",
             "Label 3 is not in the table",
         ),
+        (
+            "painted tissue 9 is not listed: 'tissue 9' (20 kPa) is assumed",
+            "Painted tissue 9 is not listed",
+        ),
         ("the arrow at (1, 2) is outside tissue and has no effect", "The arrow has no effect"),
         (
             "3 strokes are outside the image and have no effect, the first at (1, 2)",
