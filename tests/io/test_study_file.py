@@ -46,7 +46,7 @@ from napari_hmrf.fields import is_study_file
 from napari_hmrf.io.material_tables import read_preset
 from napari_hmrf.io.tables import read_materials
 from napari_hmrf.landmarks import read_points
-from napari_hmrf.tissue import StiffnessCurve
+from napari_hmrf.tissue import PRESETS, StiffnessCurve
 from tests.support.opengl import has_opengl
 
 SHAPE = (20, 24)
@@ -96,8 +96,10 @@ def by_labels():
 
 def by_curve():
     curve = StiffnessCurve(((0.0, 1.0), (255.0, 10.0)), void_below=0.5)
-    motion = Motion(hold_edge=True, drawing=PULL)
-    return Study(GRID, Tissue(curve=curve), motion, pictures=Pictures(picture(), name="t1"))
+    stiff = Stroke("tissue", (((14, 6), (14, 14)),), 1.5, label=3)
+    motion = Motion(hold_edge=True, drawing=Drawing((*PULL.marks, stiff)))
+    tissue = Tissue(curve=curve, preset=PRESETS[1])
+    return Study(GRID, tissue, motion, pictures=Pictures(picture(), name="t1"))
 
 
 def by_arrays():

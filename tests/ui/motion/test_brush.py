@@ -270,6 +270,7 @@ def test_each_kind_of_stroke_has_its_own_colour():
     for colour, expected in zip(seen, COLOURS.values(), strict=True):
         assert colour[:3] == pytest.approx(expected, abs=0.01)
     assert layer.get_color(number_of("tissue", label=7))[:3] == pytest.approx(colours[7], abs=0.01)
+    assert layer.get_color(number_of("tissue", label=9))[3], "paint of unlisted tissue is invisible"
 
 
 def test_a_painted_region_that_moves_is_dragged_to_its_target(brush, drag, model):
