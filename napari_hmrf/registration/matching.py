@@ -49,7 +49,8 @@ _TOLERANCE, _LAST_TOLERANCE = 0.02, 1e-3
 _LEAST_JACOBIAN = 0.1
 #: Factor by which the images count less where tissue would fold, and largest number of repetitions.
 _WEAKER, _REPEATS = 0.25, 6
-# Precision that marks tissue of a coarse level as observed, before the images are known.
+# Precision, relative to the typical stiffness, that marks tissue as observed before the data term
+# of the images is known, so that a problem without other constraints is valid.
 _PLACEHOLDER = 1e-12
 #: Number of bisections that shorten a step if tissue folds for another reason.
 _BISECTIONS = 12
@@ -89,6 +90,8 @@ class Match(NamedTuple):
         Solution of the last problem: the tissue, its constraints and the images.
     images : LinearImages
         Data term of the images in the last problem, relative to the typical stiffness.
+    similarity_before : float
+        Similarity on the finest level without any motion.
     residual, similarity : float
         As in a `Step`, after the last step.
     history : tuple of Step
@@ -96,6 +99,7 @@ class Match(NamedTuple):
 
     solution: Solution
     images: LinearImages
+    similarity_before: float
     residual: float
     similarity: float
     history: tuple[Step, ...]
@@ -186,7 +190,30 @@ def match(
                 show(solution, history[-1])
             checkpoint()
     assert displacement is not None
-    return Match(solution, data, *pair.agreement(displacement), tuple(history))
+    _, before = pair.agreement(np.zeros_like(displacement))
+    return Match(solution, data, before, *pair.agreement(displacement), tuple(history))
+
+
+def placeholder(tissue: BoolArray, unit: float = 1.0) -> FloatArray:
+    """Return a precision that stands for that of the images in a problem for `match`.
+
+    Parameters
+    ----------
+    tissue : ndarray of bool, shape (H, W) or (D, H, W)
+    unit : float
+        Typical stiffness of the tissue.
+    """
+    diagonal = np.where(tissue[..., None], np.float32(unit * _PLACEHOLDER), np.float32(0))
+    return diagonal[..., None] * np.eye(tissue.ndim, dtype=np.float32)
+
+
+def _own_precision(problem: Problem, unit: float) -> npt.NDArray[np.float64] | None:
+    """Return the precision of a problem without placeholders; None if it has no other precision."""
+    precision = problem.precision
+    if precision is None:
+        return None
+    own = np.abs(precision).max(axis=(-2, -1)) > 2 * unit * _PLACEHOLDER
+    return np.where(own[..., None, None], precision, 0) if own.any() else None
 
 
 def _schedule(shape: Sequence[int]) -> tuple[tuple[int, int], ...]:
@@ -251,6 +278,7 @@ class _StepSolver:
         cancel: CancelFlag | None,
     ) -> None:
         self._base, self._prior, self._unit = base, prior, unit
+        self._own = _own_precision(base, unit)
         self._optimizer = Multigrid(tolerance)
         self._progress, self._cancel = progress, cancel
         self.least_jacobian = 1.0
@@ -284,7 +312,7 @@ class _StepSolver:
     def _solve(self, data: LinearImages) -> Solution:
         base = self._base
         observed, precision = combined_data(
-            (base.observed, base.precision),
+            (base.observed, self._own),
             (data.observed, self._unit * data.precision),
             base.known,
         )
@@ -350,14 +378,13 @@ def _on_level(problem: Problem, size: int) -> Problem:
             for each, scale in ((loads.growth, 1.0), (loads.force, float(size) ** axes))
         )
         loads = Loads(growth=growth, force=force)
-    # Without its data, the problem may be without constraints; the images complete it.
     return Problem(
         problem.observed[every],
         problem.confidence[every],
         m,
         spacing=[size * each for each in problem.spacing],
         loads=loads,
-        precision=np.where(m > 0, _PLACEHOLDER, 0.0),
+        precision=placeholder(m > 0),
         landmarks=_landmarks_on_level(problem.landmarks, m, size),
     )
 

@@ -15,7 +15,7 @@ from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.warp import Spacing
 from napari_hmrf.registration.alignment import align
 from napari_hmrf.registration.image_data import BoolArray, FloatArray
-from napari_hmrf.registration.matching import SMOOTHNESS, Images, Match, Show, match
+from napari_hmrf.registration.matching import SMOOTHNESS, Images, Match, Show, match, placeholder
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, as_numbers, as_stiffness, checked_spacing
@@ -24,8 +24,6 @@ from napari_hmrf.solver.uncertain_landmarks import Landmarks, typical_stiffness
 
 Float64Array = npt.NDArray[np.float64]
 
-# Precision that marks all tissue as observed, before the images are known.
-_PLACEHOLDER = 1e-12
 #: Stiffness with which the tissue around a site holds it, relative to its Young's modulus.
 _COUPLING = 6.0
 #: Factor of the variance, by number of axes, chosen on the same deformations as other settings.
@@ -134,13 +132,13 @@ def register(
     first, second = (np.where(np.isfinite(each), each, 0) for each in (first, second))
     matrix, start = _initial(initial, first, second, sizes, own_sizes, counted)
     images = on_grid(first, second, counted, sizes, own_sizes, matrix)
-    _check_contrast(images)
+    check_contrast(images)
     problem = Problem(
         np.zeros((*m.shape, axes), np.float32),
         np.zeros((*m.shape, axes), np.float32),
         m,
         spacing=sizes,
-        precision=np.where(m > 0, _PLACEHOLDER * typical_stiffness(m), 0),
+        precision=placeholder(m > 0, typical_stiffness(m)),
         landmarks=landmarks,
     )
     return registered(
@@ -198,6 +196,7 @@ def registered(
         observed=found.images.observed,
         precision=found.images.precision,
         residual=found.residual,
+        similarity_before=found.similarity_before,
         similarity=found.similarity,
         sd=_standard_deviation(found, smoothness),
         history=found.history,
@@ -339,7 +338,7 @@ def _counted(masks: Any, fixed: FloatArray, moving: FloatArray) -> tuple[BoolArr
     return counted[0], counted[1]
 
 
-def _check_contrast(images: Images) -> None:
+def check_contrast(images: Images) -> None:
     """Raise an error for an image without structure, which cannot be registered."""
     pairs = zip(("fixed", "moving"), (images.fixed, images.moving), images.counted, strict=True)
     for name, image, mask in pairs:

@@ -42,8 +42,8 @@ class Registration:
         Precision of `observed`, relative to the typical stiffness of the tissue.
     residual : float
         Root mean square of the difference of locally normalized brightness.
-    similarity : float
-        Correlation of the locally normalized images, at most 1.
+    similarity_before, similarity : float
+        Correlation of the locally normalized images before and after the motion, at most 1.
     sd : float
         Suggested standard deviation of each component of the displacement in the tissue, in the
         unit of the spacing, from the residual and the precision; about right on average, but not at
@@ -60,15 +60,15 @@ class Registration:
     observed: npt.NDArray[np.float32]
     precision: npt.NDArray[np.float32]
     residual: float
+    similarity_before: float
     similarity: float
     sd: float
     history: tuple[Step, ...]
     prior: ElasticPrior
 
     def __repr__(self) -> str:
-        before = self.history[0].similarity if self.history else self.similarity
         return (
-            f"Registration({self.solution!r}, similarity {before:.2f} before and "
+            f"Registration({self.solution!r}, similarity {self.similarity_before:.2f} before and "
             f"{self.similarity:.2f} after, sd {self.sd:.2g}, {self.folds} folds)"
         )
 

@@ -11,6 +11,7 @@ import scipy
 
 from napari_hmrf.field.frame import Frame, as_tuples
 from napari_hmrf.field.volume_preview import CutPlane
+from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Mark
 from napari_hmrf.tissue.drawing.marks import Point
@@ -65,6 +66,8 @@ class CoarseGrid:
         if motion.labels is not None:  # the filter preserves thin labels, so shells stay closed
             painted = scipy.ndimage.maximum_filter(motion.labels, self.step)
             motion = replace(motion, labels=painted)
+        if motion.measured is not None:
+            motion = replace(motion, measured=self._measured(motion.measured))
         return replace(
             study,
             grid=replace(grid, shape=shape, spacing=spacing, place=self._place(grid.place)),
@@ -72,6 +75,13 @@ class CoarseGrid:
             motion=self._sampled(replace(motion, drawing=self.drawing(motion.drawing)), len(shape)),
             pictures=self._sampled(study.pictures, len(shape)),
         )
+
+    def _measured(self, measured: MeasuredMotion) -> MeasuredMotion:
+        """Return measured motion on this grid; a site counts as much as the pixels around it."""
+        axes = measured.displacement.ndim - 1
+        every = (slice(None, None, self.step),) * axes
+        precision = np.float32(self.step**axes) * measured.precision[every]
+        return MeasuredMotion(measured.displacement[every], precision, measured.record)
 
     def _place(self, place: Frame | None) -> Frame | None:
         """Return the place of this grid, given the place of the full grid."""

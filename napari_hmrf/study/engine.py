@@ -205,8 +205,9 @@ class Engine:
         window = self._rendering.show(drawing)
         if self._overlay is not None and grid.step == 1:
             self._over = self._overlay(ground, drawing, canvas, window, self._over)
+        measured = study.motion.measured is not None
         moves = drawing.marks or study.bears_loads or canvas.observed.any()
-        if not (cold_start or moves):
+        if not (cold_start or moves or measured):
             raise _StillError
         stated = replace(ground.statement(canvas, drawing), optimizer=study.optimizer)
         self._request = replace(self._request, stated=stated)

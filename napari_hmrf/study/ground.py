@@ -53,7 +53,7 @@ from napari_hmrf.tissue.boundary_rules import (
     unlisted,
 )
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
-from napari_hmrf.tissue.material_presets import OTHER, Palette, typical_stiffness
+from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
 from napari_hmrf.tissue.sliding import sliding_data
@@ -343,18 +343,18 @@ def _no_landmark_data(study: Study, count: int) -> LayerError:
 
 
 def refuse_measurement(study: Study) -> None:
-    """Raise an error if a study has measured motion, and its model does not support it.
+    """Raise an error if the model of a study does not support measured motion.
 
     Raises
     ------
     ProblemError
         If the model is not the elastic model.
     """
-    if study.motion.measured is not None and not isinstance(study.prior, ElasticPrior):
+    if not isinstance(study.prior, ElasticPrior):
         raise ProblemError(
             "registration",
             f"is not supported by the model '{study.model_name}'. Use the elastic model "
-            "(`model='elastic'`), or remove the registration (`measured=None`).",
+            "(`model='elastic'`), or undo the registration (`measured=None`).",
         )
 
 

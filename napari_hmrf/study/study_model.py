@@ -21,6 +21,7 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.edit_history import DEPTH, EditHistory
+from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.models import (
     SolverDetails,
     details_of,
@@ -34,9 +35,12 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
-#: Kinds of parts: the drawing of a slice; the tables of a Labels layer; the stiffness curve of an
-#: image; the choices for an image; its tissue model; and strokes of napari's brush in a layer.
-Kind = Literal["drawing", "image", "tissue", "boundary", "curve", "choice", "model", "paint"]
+#: Kinds of parts: the drawing and the measured motion of a slice; the tables of a Labels layer; the
+#: stiffness curve of an image; the choices for an image; its tissue model; and strokes of napari's
+#: brush in a layer.
+Kind = Literal[
+    "drawing", "measured", "image", "tissue", "boundary", "curve", "choice", "model", "paint"
+]
 #: Kinds of tables; the table of an image is always empty.
 TableKind = Literal["image", "tissue", "boundary"]
 #: Value of `ImageChoice.tissue` if stiffness is computed from brightness by the image's curve.
@@ -71,7 +75,7 @@ class Part(NamedTuple):
         Owner of the part: an image, a Labels layer, or None. The parts of a removed layer are
         dropped.
     place : hashable
-        Slice of a drawing; None for other parts.
+        Slice of a drawing or of measured motion; None for other parts.
     """
 
     kind: Kind
@@ -389,10 +393,33 @@ class StudyModel(EditHistory):
         if self.drawing_in_progress:
             self.cancel()
 
+    # Measured motion
+
+    @property
+    def measured_part(self) -> Part:
+        """Key of the measured motion of the selected slice."""
+        return self.slice._replace(kind="measured")
+
+    def set_measured(self, measured: MeasuredMotion | None, word: str = "") -> None:
+        """Change the measured motion of the selected slice as a step named `word`.
+
+        Without a word, the change is no step.
+        """
+        part = self.measured_part
+        self.setdefault(part, None)
+        self._set(part, measured, word)
+
+    def register(self, measured: MeasuredMotion) -> None:
+        """Set the measured motion of a registration and release the edge, as one step."""
+        part, chosen = self.measured_part, Part("choice", self.image)
+        self.setdefault(part, None)
+        free = replace(self.setdefault(chosen, ImageChoice()), hold_edge=False)
+        self.do_all({part: measured, chosen: free}, "registered the images")
+
     # Common
 
     def reset(self) -> None:
-        """Remove the drawing and restore the default settings, as one step.
+        """Remove the drawing and the registration, and restore the default settings, as one step.
 
         The chosen layers, their tables and the device are kept. The edge is fixed only if there is
         no boundary layer, as for a new image.
@@ -404,6 +431,8 @@ class StudyModel(EditHistory):
         chosen, model_part = Part("choice", self.image), self.model_part
         values: dict[Part, Any] = {self.slice: Drawing(), chosen: usual, model_part: usual_model}
         before = {self.slice: self.drawing, chosen: choice, model_part: model}
+        if self.get(self.measured_part) is not None:
+            values[self.measured_part] = None
         for part, value in before.items():
             self.setdefault(part, value)
         self.do_all(values, "reset the study")

@@ -25,8 +25,6 @@ FloatArray = npt.NDArray[np.float32]
 #: Label of pixels that have a stiffness but no row in the table.
 OTHER = -1
 _VOID = Material(0, "no tissue", 0.0)
-#: Number of pixels above which a median is computed from some of the pixels.
-_LARGEST = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -240,17 +238,3 @@ class Palette:
             same = np.unique(ratios[(m > 0) & np.isfinite(m)])
             prior = replace(prior, poisson=float(same[0]) if len(same) == 1 else ratios)
         return m, prior
-
-
-def typical_stiffness(m: FloatArray) -> float:
-    """Return the median stiffness of the deformable tissue; 1 if there is no such tissue.
-
-    Parameters
-    ----------
-    m : ndarray, shape ([D,] H, W), float32
-        Stiffness of each pixel; in a large image, only some rows and columns are used.
-    """
-    step = max(1, int((m.size / _LARGEST) ** (1 / m.ndim)))
-    some = m[(slice(None, None, step),) * m.ndim]
-    tissue = some[(some > 0) & np.isfinite(some)]
-    return float(np.median(tissue)) if tissue.size else 1.0

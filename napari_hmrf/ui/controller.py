@@ -228,6 +228,29 @@ class Controller:
             self.pointer.display.arrows.keep(self.pointer.drawing)
             self.engine.complete()
 
+    def follow_edit(self) -> None:
+        """Read the study again and solve it, even if *Live* is off."""
+        if self.refresh() and (study := self.study) is not None:
+            self._follow(study)
+
+    def refuse(self, error: Exception) -> None:
+        """Report why a request cannot be carried out."""
+        self.refusal.emit(messages.in_short(error))
+        # A warning disappears by itself; an error would remain beside the next valid result.
+        show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
+        show(messages.in_short(error))
+
+    def is_current(self, study: Study) -> bool:
+        """Return whether a study is on the visible slice or volume of the chosen image."""
+        return self.study is not None and self.study.grid == study.grid
+
+    def show_again(self) -> None:
+        """Show the latest result, or the undeformed image, in place of unfinished work."""
+        if self._latest_here is not None:
+            self._show_latest()
+        elif self.study is not None:
+            self._show(None)
+
     def show_before(self, before: bool) -> None:
         """Show the undeformed image, or show the deformed image again."""
         result = self.pointer.display.result
@@ -418,10 +441,7 @@ class Controller:
 
     def _refuse(self, error: Exception) -> None:
         self._stop()
-        self.refusal.emit(messages.in_short(error))
-        # A warning disappears by itself; an error would remain beside the next valid result.
-        show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
-        show(messages.in_short(error))
+        self.refuse(error)
         self.finished.emit(None)
 
     def _stop(self) -> None:

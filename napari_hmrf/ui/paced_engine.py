@@ -94,6 +94,10 @@ class PacedEngine:
         """Progress of the solve, or of the job that the solve is waiting for."""
         return self._engine.monitor
 
+    def report(self, monitor: Monitor) -> None:
+        """Record the progress of other work on the compute thread, from any thread."""
+        self._engine.report(monitor)
+
     def rehearse(self, study: Study) -> None:
         """Load or compile the code for the first pull and stroke in background trial runs."""
         image, engine = study.pictures.image, self._engine

@@ -35,6 +35,7 @@ from napari_hmrf.ui.motion.carry_over import CarryOver
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.patient_sides import PatientSides
+from napari_hmrf.ui.registering import Registering
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.second_image import SecondImage
@@ -125,6 +126,8 @@ class SoftTissue(DockValues):
         self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
         self._introduction = Introduction(self.native, controller, self._guide, self._on_sample)
         self._second = SecondImage(viewer, self._view, controller, undo.model)
+        self._registering = Registering(controller, undo.model)
+        self._registering.message.connect(partial(self._guide.show_message, why="step"))
         self._sides = PatientSides(viewer, form.image)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
         self.fields, self.more = form.motion.fields, self._view.more
@@ -192,7 +195,7 @@ class SoftTissue(DockValues):
     @property
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
-        return self._controller.busy or self._view.busy
+        return self._controller.busy or self._view.busy or self._registering.busy
 
     @property
     def tool(self) -> str:
@@ -455,7 +458,15 @@ class SoftTissue(DockValues):
             self._controller.clear()
             self._pointer.leave()
             self._view.rest()
-        parts = (self._second, self._sides, self._view, self._unsaved, self._watch, self._guide)
+        parts = (
+            self._second,
+            self._registering,
+            self._sides,
+            self._view,
+            self._unsaved,
+            self._watch,
+            self._guide,
+        )
         for part in (*parts, self._controller, self._binding, self._form):
             part.release()
         self._pointer.end()

@@ -61,7 +61,13 @@ class StudyReader:
         """
         model = self._model.model
         study = study_from_layers(request, self._copies)
-        motion = replace(study.motion, typical_strain=model.strain, drift=model.drift)
+        place = SlicePlace.of(study.grid.known_place)
+        motion = replace(
+            study.motion,
+            typical_strain=model.strain,
+            drift=model.drift,
+            measured=self._model.get(Part("measured", request.layers[0], place)),
+        )
         return replace(study, motion=motion, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:

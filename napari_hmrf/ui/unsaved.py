@@ -199,6 +199,9 @@ class Unsaved(QObject):
                 place = SlicePlace(frame.plane, (0,) * first.ndim)
                 self._undo.go_to(Part("drawing", first, place), turn=True)
             self._model.restore(study, layers)
+            if study.motion.measured is not None:
+                self._controller.refresh()  # selects the slice
+                self._model.set_measured(study.motion.measured)
             if study.tissue.preset is not None:
                 self._controller.form.motion.fields.offer_presets(study.tissue.preset)
             if study.motion.drawing.marks and not self._controller.refresh():

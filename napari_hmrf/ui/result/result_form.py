@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QProxyStyle, QPushButton, QSlider, QStyle
 from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.ui.forms import FixedText, Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
+from napari_hmrf.ui.registration_form import RegistrationForm
 from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, overlay_choices
 
 #: Key that shows the undeformed image while it is pressed.
@@ -52,6 +53,8 @@ class ResultForm(Container):
         Section with the second image and the known field; hidden if there is nothing to choose.
     reference, second : LayerChoice
         Known field and second image.
+    registration : RegistrationForm
+        Controls that register the image to the second image.
     differences : Prose
         Difference between the result and the known field.
     files : Container
@@ -117,7 +120,10 @@ class ResultForm(Container):
         )
         self.files = row(self.keep, self.save)
         self.files.native.layout().addWidget(self.more)
-        self.comparison = Container(widgets=[self.second, self.reference, self.differences])
+        self.registration = RegistrationForm()
+        self.comparison = Container(
+            widgets=[self.second, self.registration, self.reference, self.differences]
+        )
         slider = Container(widgets=[self.slider], labels=False)
         top, overlay = row(self.play, slider, self.before), Container(widgets=[self.overlay])
         texts = Container(widgets=[self.how_far, self.landmarks], labels=False)

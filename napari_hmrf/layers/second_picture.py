@@ -1,0 +1,109 @@
+"""Second image of a study, interpolated on the grid of the study."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from napari_hmrf.errors import LayerError
+from napari_hmrf.field.brightness import luminance
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.layers.slice_view import View, frame_of, full_resolution, layer_extents
+from napari_hmrf.registration.study_registration import SecondPicture
+
+#: Distance from the outermost pixel centres, in pixels, up to which an image covers a position.
+_MARGIN = 0.5
+# Largest distance of positions from pixel centres that counts as rounding, in pixels.
+_SAME = 1e-3
+
+
+def second_picture(
+    layer: Any, frame: Frame, shape: tuple[int, ...], view: View | None = None
+) -> SecondPicture:
+    """Return the brightness of an image layer at the sites of a study.
+
+    The positions of both images in the world decide which pixels belong together.
+
+    Parameters
+    ----------
+    layer : napari.layers.Image
+        Image on any grid. Along axes that the study lacks, such as time, the visible position
+        counts.
+    frame : Frame
+        Place of the study.
+    shape : tuple of int
+        Grid of the study.
+    view : View, optional
+        View that shows the visible position.
+
+    Returns
+    -------
+    SecondPicture
+
+    Raises
+    ------
+    LayerError
+        If the image has other units or lacks an axis of the study, or does not cover its grid.
+    """
+    data = full_resolution(layer)
+    extents = layer_extents(layer)
+    linear, origin = _to_pixels(layer, frame, view)
+    ends = np.array(np.meshgrid(*((0, size - 1) for size in shape), indexing="ij"))
+    corners = linear @ ends.reshape(len(shape), -1) + origin[:, None]
+    low = np.floor(corners.min(axis=1) + _SAME).astype(int)
+    high = np.ceil(corners.max(axis=1) - _SAME).astype(int) + 1
+    box = tuple(
+        slice(min(max(first, 0), size - 1), max(min(past, size), 1))
+        for first, past, size in zip(low, high, extents, strict=True)
+    )
+    pixels = np.asarray(data[box])
+    pixels = (luminance(pixels) if layer.rgb else pixels).astype(np.float32)
+    sites = np.indices(shape, dtype=np.float32).reshape(len(shape), -1)
+    places = linear.astype(np.float32) @ sites + origin.astype(np.float32)[:, None]
+    last = np.array(extents)[:, None] - 1
+    known = ((places >= -_MARGIN) & (places <= last + _MARGIN)).all(axis=0)
+    if not known.any():
+        raise LayerError(
+            layer,
+            "does not cover the image that is deformed. Move it there (layer controls > transform, "
+            "or its scale and translate), or choose another image.",
+        )
+    places -= np.array([part.start for part in box], np.float32)[:, None]
+    valid = np.isfinite(pixels)
+    sampled = ndimage.map_coordinates(
+        np.where(valid, pixels, 0), places, order=1, mode="nearest", output=np.float32
+    )
+    if not valid.all():
+        covered = ndimage.map_coordinates(valid.astype(np.float32), places, order=1, mode="nearest")
+        known &= covered > 1 - _SAME
+    return SecondPicture(sampled.reshape(shape), known.reshape(shape), str(layer.name))
+
+
+def _to_pixels(
+    layer: Any, frame: Frame, view: View | None
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the matrix and the offset from sites of a frame's slice to pixels of a layer."""
+    own = frame_of(layer, view)
+    transform = frame.from_pixels_of(own)
+    if transform is None:
+        raise LayerError(
+            layer, "has different units from the image that is deformed. Use the same units."
+        )
+    lead, lacking = max(own.ndim - frame.ndim, 0), max(frame.ndim - own.ndim, 0)
+    if min(frame.plane) < lacking:
+        raise LayerError(
+            layer, f"has {own.ndim} axes only, so it cannot show the whole volume. Choose a volume."
+        )
+    index = np.array(own.index[:lead], np.float64)
+    matrix = transform[lacking:, lead:-1]
+    offset = transform[lacking:, -1] + transform[lacking:, :lead] @ index
+    back = np.linalg.inv(matrix)
+    start = np.array(frame.index, np.float64)
+    start[list(frame.plane)] = 0
+    linear = back[:, [axis - lacking for axis in frame.plane]]
+    origin = back @ (start[lacking:] - offset)
+    leading = np.zeros((lead, len(frame.plane)))
+    return np.concatenate([leading, linear]), np.concatenate([index, origin])

@@ -1,0 +1,189 @@
+"""Registration of the image to the second image, in the window."""
+
+from __future__ import annotations
+
+import threading
+from functools import partial
+from typing import Any
+
+import numpy as np
+from psygnal import Signal
+
+from napari_hmrf.field.resample import on_finer_grid
+from napari_hmrf.layers.painted_overlay import ShownDeformation
+from napari_hmrf.layers.second_picture import second_picture
+from napari_hmrf.registration.alignment import Kind
+from napari_hmrf.registration.matching import Step
+from napari_hmrf.registration.study_registration import (
+    RegisteredStudy,
+    SecondPicture,
+    register_study,
+)
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.engine import Deformation
+from napari_hmrf.study.measured_motion import MeasuredMotion
+from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_model import Part, StudyModel
+from napari_hmrf.ui.background_jobs import BackgroundJobs
+from napari_hmrf.ui.controller import Controller
+from napari_hmrf.ui.events import EventConnections
+from napari_hmrf.ui.gui_thread import GuiThread
+from napari_hmrf.ui.registration_form import RegistrationForm
+
+_JOB = "registration"
+#: Message after a registration of a study whose edge was fixed.
+_DONE = (
+    "Registered. The outer edge is no longer fixed, because the images show how it moves. To fix "
+    "it, tick 'Fix outer edge'."
+)
+
+
+class Registering:
+    """Registration of the chosen image to the second image, as one undo step.
+
+    The registration runs on the compute thread. The image follows after each level. Edits during
+    the registration have their effect when it has ended.
+
+    Parameters
+    ----------
+    controller : Controller
+    model : StudyModel
+        Model that receives the measured motion.
+    """
+
+    #: Emitted with a message about the registration.
+    message = Signal(str)
+
+    def __init__(self, controller: Controller, model: StudyModel) -> None:
+        self._controller, self._model = controller, model
+        self._form: RegistrationForm = controller.form.result.registration
+        self._jobs = BackgroundJobs(self._refuse)
+        self._gui = GuiThread()
+        # Flag that cancels the current job.
+        self._cancel = threading.Event()
+        footer = controller.form.footer
+        self._form.register.changed.connect(self._start)
+        self._form.remove.changed.connect(self._remove)
+        footer.cancel.changed.connect(self.cancel)
+        self._connections = EventConnections(
+            (model.changed, self._on_changed),
+            (controller.slice_changed, self._show),
+            (controller.form.result.second.changed, self._show),
+            (controller.form.model.changed, self._show),
+        )
+        self._show()
+
+    @property
+    def busy(self) -> bool:
+        """True while a registration is running."""
+        return self._jobs.busy()
+
+    def cancel(self, *_: Any) -> None:
+        """Stop the registration; nothing is changed."""
+        if self.busy:
+            self._cancel.set()
+            self._jobs.cancel()
+            self._controller.progress.stop()
+            self._show()
+            self._controller.show_again()
+            self.message.emit("The registration was cancelled; nothing was changed.")
+
+    def release(self) -> None:
+        """Stop all work, and disconnect from all events."""
+        self._cancel.set()
+        self._jobs.release()
+        self._gui.release()
+        self._connections.release()
+
+    def _start(self, *_: Any) -> None:
+        """Read the study and the second image, and register them in the background."""
+        form, second = self._controller.form, self._controller.form.result.second.value
+        if self.busy or second is None or not self._controller.refresh():
+            return
+        study = self._controller.study
+        assert study is not None
+        try:
+            picture = second_picture(second, study.grid.known_place, study.grid.shape, form.view())
+        except Exception as error:  # noqa: BLE001 - a layer may raise anything
+            self._controller.refuse(error)
+            return
+        self._cancel = threading.Event()
+        work = partial(self._run, study, picture, self._form.alignment.value, self._cancel)
+        self._controller.engine.cancel()
+        self._jobs.submit(_JOB, work, self._finish)
+        self._controller.progress.start("Registering", at_once=True)
+        self._show()
+
+    def _run(
+        self, study: Study, second: SecondPicture, alignment: Kind | None, cancel: threading.Event
+    ) -> RegisteredStudy:
+        """Register the study on the compute thread."""
+
+        def show(solution: Solution, step: Step) -> None:
+            self._gui.submit(partial(self._follow, self._followed(study, solution), cancel))
+
+        return register_study(
+            study,
+            second,
+            alignment=alignment,
+            progress=self._controller.engine.report,
+            cancel=cancel,
+            checkpoint=compute_thread.check_cancelled,
+            show=show,
+        )
+
+    def _followed(self, study: Study, solution: Solution) -> Deformation:
+        """Return the image of a study as moved by the solution of a level."""
+        size = round(solution.spacing[0] / study.grid.spacing[0])
+        tissue = np.ones(study.grid.shape, np.bool_)
+        finer = solution if size == 1 else on_finer_grid(solution, tissue, size)
+        image = study.pictures.image
+        moved = None if image is None else finer.warp(image)
+        return Deformation(study, solution=finer, image=moved)
+
+    def _follow(self, moved: Deformation, cancel: threading.Event) -> None:
+        """Show the image as the registration has moved it so far."""
+        if self.busy and not cancel.is_set() and self._controller.is_current(moved.study):
+            self._controller.pointer.show(ShownDeformation(moved))
+
+    def _finish(self, found: RegisteredStudy) -> None:
+        """Store the measured motion, as one step, and deliver the result."""
+        self._controller.progress.stop()
+        measured = found.study.motion.measured
+        assert measured is not None
+        study = self._controller.study
+        if study is None or study.grid != found.study.grid:
+            self._show()
+            return
+        # Delivered only if nothing was edited since: the inputs are compared.
+        self._controller.engine.deliver_again(found.study, found.registration.solution)
+        self._model.register(measured)
+        self.message.emit(_DONE if found.edge_was_fixed else "")
+        self._show()
+
+    def _remove(self, *_: Any) -> None:
+        self._model.set_measured(None, "removed the registration")
+
+    def _on_changed(self, part: Part, *_: Any) -> None:
+        if part == self._model.measured_part:
+            self._controller.follow_edit()
+            self._show()
+
+    def _refuse(self, sentence: str) -> None:
+        self._controller.progress.stop()
+        self._show()
+        self._controller.show_again()
+        self.message.emit(f"The images were not registered. {sentence}")
+
+    def _show(self, *_: Any) -> None:
+        """Enable the buttons, and describe the registration of the visible slice."""
+        form = self._controller.form
+        measured: MeasuredMotion | None = self._model.get(self._model.measured_part)
+        second = form.result.second.value
+        self._form.show(
+            measured,
+            second_name="" if second is None else str(second.name),
+            is_elastic=self._model.model.name == "elastic",
+            is_busy=self.busy,
+        )

@@ -1,0 +1,97 @@
+"""Form for the registration of the image to the second image."""
+
+from __future__ import annotations
+
+import importlib.util
+
+from magicgui.widgets import Container, PushButton
+
+from napari_hmrf.registration.alignment import Kind
+from napari_hmrf.study.measured_motion import MeasuredMotion
+from napari_hmrf.ui.forms import Prose, menu, narrow, row
+
+_ALIGNMENTS: dict[Kind | None, str] = {
+    None: "as placed",
+    "rigid": "shift and turn",
+    "affine": "shift, turn, stretch",
+}
+_ABOUT = (
+    "Move the tissue until the image looks like the second image. Tissue that is held, pulled or "
+    "rigid, and landmarks, have their effect. The outer edge is no longer fixed. Undo restores the "
+    "state before."
+)
+_CHOOSE = "Choose a second image first: a later image of the same tissue, of the same kind"
+_ELASTIC = "Choose the model 'elastic' first (under 'Model'); other models do not support this"
+_ALIGN = (
+    "Position of the second image before tissue moves: as the viewer shows it; or shifted and "
+    "turned, or also stretched, to fit. This is no motion of the tissue."
+)
+
+
+class RegistrationForm(Container):
+    """Controls that register the image to the second image, and describe the registration.
+
+    Attributes
+    ----------
+    alignment : ComboBox
+        Alignment of the second image before the registration.
+    register, remove : PushButton
+        Buttons that register the images, and remove the registration.
+    """
+
+    def __init__(self) -> None:
+        self.alignment = menu("second image", _ALIGNMENTS, _ALIGN)
+        narrow(self.alignment)
+        self.register = PushButton(text="Register")
+        self.remove = PushButton(
+            text="Remove", tooltip="Remove the registration; the marks are kept"
+        )
+        self._text = Prose()
+        if importlib.util.find_spec("SimpleITK") is None:
+            self.alignment.enabled = False
+            self.alignment.tooltip = 'Requires SimpleITK: pip install "simpleitk"'
+        buttons, aligned = row(self.register, self.remove), Container(widgets=[self.alignment])
+        super().__init__(widgets=[aligned, buttons, self._text], labels=False)
+        for part in (self, buttons, aligned):
+            part.margins = (0, 0, 0, 0)
+
+    def show(
+        self,
+        measured: MeasuredMotion | None,
+        *,
+        second_name: str,
+        is_elastic: bool,
+        is_busy: bool,
+    ) -> None:
+        """Enable the controls, and describe the registration.
+
+        Parameters
+        ----------
+        measured : MeasuredMotion or None
+            Result of the registration of the visible slice; None if there is none.
+        second_name : str
+            Name of the second image; "" if none is chosen.
+        is_elastic : bool
+            True if the model supports a registration.
+        is_busy : bool
+            True while a registration is running.
+        """
+        self.register.text = "Register again" if measured is not None else "Register"
+        self.register.enabled = bool(second_name) and is_elastic and not is_busy
+        self.register.tooltip = _ABOUT if is_elastic else _ELASTIC
+        if not second_name:
+            self.register.tooltip = _CHOOSE
+        self.remove.enabled = measured is not None and not is_busy
+        self._text.value = _described(measured)
+
+
+def _described(measured: MeasuredMotion | None) -> str:
+    """Describe a registration; "" if there is none."""
+    if measured is None:
+        return ""
+    record = measured.record
+    name, before, after = (record.get(key) for key in ("second image", "before", "similarity"))
+    text = f"Registered to '{name}'." if name else "Registered."
+    if isinstance(before, float) and isinstance(after, float):
+        text += f" Agreement {100 * before:.0f} % before, {100 * after:.0f} % now."
+    return text
