@@ -23,6 +23,7 @@ from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_here
+from napari_hmrf.solver.staged_progress import StagedProgress
 
 #: Tolerance of a live solution, in pixels; smaller errors are not visible.
 TOLERANCE = 0.01
@@ -312,10 +313,11 @@ class LiveSolver:
             if known is not None and known.is_answer:
                 self._deliver_known(turn, known)
                 return
-            solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
+            progress = None if self._progress is None else StagedProgress(self._progress)
+            solve = partial(self._solve, problem, prior, edit.backend, progress, stop=turn)
             optimizer = edit.optimizer
             for stage in self._previews(problem, prior, optimizer) if edit.preview else ():
-                preview = solve(stage)
+                preview = solve(stage, is_preview=True)
                 if preview.reach is not None and not has_stopped(preview):
                     break  # the budget of the preview was sufficient
                 self._deliver_update(turn, problem, preview, final=False)
@@ -354,14 +356,18 @@ class LiveSolver:
         problem: Problem,
         prior: Prior,
         backend: str,
+        progress: StagedProgress | None,
         optimizer: Optimizer,
         *,
         stop: CancelFlag,
+        is_preview: bool = False,
     ) -> Solution:
         """Solve with a warm start and store the solution for the next solve."""
+        if progress is not None:
+            progress.begin(preview=is_preview)
         earlier = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
         initial = [solution for solution in earlier if not _is_crushed(solution)] or None
-        solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
+        solution = run_here(problem, prior, optimizer, backend, progress, stop, initial)
         self._earlier.add(problem, solution)
         return solution
 

@@ -37,6 +37,7 @@ from napari_hmrf.solver.preparation import loop_watch, prepare, provide_loops
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
+from napari_hmrf.solver.staged_progress import StagedProgress
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.solver.volume_memory import check_memory
 from napari_hmrf.solver.warm_start import Initial, combine_solutions
@@ -91,7 +92,8 @@ def solve(
         otherwise, and logs the choice once. Volumes require compute shaders (OpenGL 4.3) or the
         loops.
     progress : callable, optional
-        Called on the caller's thread with a `Monitor`: a message and the completed fraction. If
+        Called on the caller's thread with a `Monitor`: a message and the completed fraction, which
+        never decreases, except that reports of the compiler have a fraction of their own. If
         `progress` is None, a solve that waits for the compiler logs a warning. Compilation takes
         minutes, once per machine.
     cancel : threading.Event or similar, optional
@@ -293,6 +295,7 @@ def run_here(
     """
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
+    progress = None if progress is None else StagedProgress(progress)
     with compute_thread.unless(cancel.is_set):
         if not has_drift(problem, prior):
             return _solution_of(problem, prior, optimizer, backend, progress, initial)

@@ -95,12 +95,17 @@ def test_the_progress_of_a_solve_with_growth_or_a_far_pull_never_decreases(exact
 def test_a_live_solve_shows_how_far_it_got_until_it_is_done(exact_budget, monkeypatch):
     monkeypatch.setattr(live_solver, "_PREVIEW_BUDGETS", (1.0, 3.0, 9.0, 1e6))
     updates: list[Update] = []
-    with LiveSolver(updates.append, PRIOR, backend="cpu") as live:
+    done: list[float] = []
+    with LiveSolver(
+        updates.append, PRIOR, backend="cpu", progress=lambda said: done.append(said.fraction)
+    ) as live:
         live.optimizer = Multigrid(0.01, budget=None)
         live.submit(dragged())
         assert live.wait(100)
     *previews, last = updates
     assert len(previews) == 2
+    assert done == sorted(done), "the progress decreased after a preview"
+    assert sum(fraction < 1 for fraction in done) > len(done) / 2
     assert not any(update.final for update in previews)
     assert all(update.solution.count_folds() == 0 for update in previews)
     assert last.final
