@@ -42,6 +42,7 @@ TERMS: dict[str, Term] = {
         "--materials with growth",
         "",
     ),
+    "budget": Term("--budget", "press 'Continue'"),
     "overwrite=True": Term("--force", ""),
     "forward=True": Term("--forward", ""),
     "number": Term("--slice", ""),

@@ -59,7 +59,7 @@ def shortfall(reach: Reach | None, unit: str) -> str:
         clauses.append(f"only {reach.grown:.0%} of the growth was possible: there is no more room")
     if reach is not None and reach.where is not None:
         cause = (
-            "the largest work was used up"
+            "the solve stopped before the tissue was fully there"
             if reach.stopped
             else "tissue could not move all the way without folding"
         )
@@ -73,6 +73,8 @@ def shortfall(reach: Reach | None, unit: str) -> str:
             f"{cause}: pixels may still be {reach.unbalanced:.3g} {unit} from equilibrium, most at "
             f"{reach.unbalanced_at}"
         )
+    if clauses and reach is not None and reach.stopped:
+        clauses.append("to go on, allow more work (`budget`)")
     return "; ".join(clauses)
 
 

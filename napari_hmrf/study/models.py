@@ -114,8 +114,8 @@ class SolverDetails:
     budget: float = _form_field(
         Multigrid.budget,
         "largest work",
-        "Work after which a solve of large motion ends, in solves of linear elasticity.\n"
-        "It then shows the best motion so far, and says what is missing.",
+        "Work after which a solve of large motion stops, in solves of linear elasticity.\n"
+        "It then shows the best motion so far and what is missing; 'Continue' goes on.",
         choices=[*((f"{times:g} linear solves", times) for times in WORK_STEPS), ("no limit", 0.0)],
     )
     device: str = _form_field(

@@ -69,8 +69,8 @@ class Footer(QWidget):
         super().__init__()
         self.deform = PushButton(
             text=DEFORM,
-            tooltip="Compute the motion of the tissue from scratch, to the tolerance. If the "
-            "largest work is not enough for that, the earlier result is kept.",
+            tooltip="Compute the motion of the tissue from scratch, to the tolerance. If this "
+            "stops before the tissue is fully there, the earlier result is kept.",
         )
         self.cancel = PushButton(text="Cancel", tooltip="Stop computing; nothing is changed")
         self.cancel.enabled = False

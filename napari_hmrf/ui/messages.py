@@ -18,6 +18,7 @@ from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.solver.staged_progress import COMPILING
 from napari_hmrf.study.landmark_data import uncertain_landmarks
 from napari_hmrf.wording import in_words_of
 
@@ -32,7 +33,10 @@ CHANGED = "The inputs have changed since the last result. Press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result is still shown."
 #: Message after a solve from a cold start that used up its budget.
-KEPT_RESULT = "Kept the earlier result: the largest work was used up."
+KEPT_RESULT = (
+    "Kept the earlier result, because a solve from scratch stopped before the tissue was fully "
+    "there. To solve further, choose a larger 'largest work' under 'Advanced'."
+)
 BEHIND = (
     "Cancelled: the picture and the warnings do not include the last edits. Press Deform to update "
     "them."
@@ -80,11 +84,13 @@ CONTINUE = "Continue"
 ABOUT_OFFERS = {
     "": "",
     OFFER: "Solve with the model 'large motion', in which tissue never folds",
-    CONTINUE: "Set a larger 'largest work' under 'Advanced', and continue from this result",
+    CONTINUE: "Continue from this result; this sets a larger 'largest work' under 'Advanced'",
 }
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
-#: Prefixes of progress messages that are shown to the user unchanged: waiting and compiling.
-_WAITS = ("waiting for", "compiling", "starting to compile")
+#: Progress while the overlay of a result is drawn, once its other layers have changed.
+OVERLAY = Monitor("drawing the overlay", 1.0)
+#: Prefixes of progress messages that are shown to the user unchanged.
+_SHOWN = ("waiting for", *COMPILING, "drawing the")
 _WARNINGS: dict[Mark, str] = {
     "folds": "the tissue folds over itself, which real tissue cannot do. Move the tissue less; far "
     "from held tissue, a wider patch or boundary also helps.",
@@ -99,6 +105,7 @@ _LABELS = (
     ("most of the boundary is so thin", "The boundary is too thin"),
     (r"at .*, tissue that is held or moved in two", "Held and moved tissue touch"),
     ("tissue could not move all the way", "Some tissue stays short of its target"),
+    ("the solve stopped before", "Stopped before tissue was fully there"),
     (r"\d+ boundary pixels? \w+ held exactly", "Uncertain tissue is held exactly"),
     (r"(label \d+) of .* is not in the table", r"\1 is not in the table"),
     (r"(the \w+) at .* has no effect", r"\1 has no effect"),
@@ -194,10 +201,10 @@ def in_short(error: Exception) -> str:
 
 def progress(monitor: Monitor, work: str = "Deforming") -> str:
     """Describe the progress in plain words; `monitor` has the technical description."""
-    if monitor.message.startswith(_WAITS):
+    if monitor.message.startswith(_SHOWN):
         return f"{work}: {monitor.message}."
-    percent = round(100 * monitor.fraction)  # at 100 % the result must still be drawn
-    return f"{work} ... {percent} %" if 0 < percent < 100 else f"{work} ..."
+    percent = min(round(100 * monitor.fraction), 99)  # the solve has not ended yet
+    return f"{work} ... {percent} %" if percent > 0 else f"{work} ..."
 
 
 def describe_hidden_paint(hidden: Sequence[Any]) -> str:

@@ -1,4 +1,4 @@
-"""Notes on the shortcomings of a result, in Python and in the shell."""
+"""Notes on the shortcomings of a result, in Python, in the shell and in the window."""
 
 from dataclasses import replace
 
@@ -8,6 +8,9 @@ from napari_hmrf import Arrow, BoundaryRule, Drawing, Grid, Motion, Study, Tissu
 from napari_hmrf.cases import Case
 from napari_hmrf.io.case import solve_case
 from napari_hmrf.io.study_file import replay, write_study
+from napari_hmrf.solver.caveats import shortfall
+from napari_hmrf.solver.optimizers.base import Reach
+from napari_hmrf.wording import in_words_of
 
 SHAPE = 20, 24
 
@@ -67,3 +70,13 @@ def test_a_note_states_how_far_large_motion_falls_short():
     assert solution.reach.part < 1
     (said,) = notes_with(solution.notes, "could not move all the way")
     assert f"{solution.reach.missing:.3g} mm" in said
+
+
+def test_a_solve_that_stopped_says_how_to_go_on_in_the_terms_of_the_interface():
+    stopped = Reach(0.5, part=0.4, missing=3.0, where=(5, 6), sites=9, stopped=True)
+    said = shortfall(stopped, "mm")
+    assert said.startswith("the solve stopped before the tissue was fully there: 9 pixels stay")
+    assert said.endswith("allow more work (`budget`)")
+    assert in_words_of("shell", said).endswith("allow more work (--budget)")
+    assert in_words_of("window", said).endswith("allow more work (press 'Continue')")
+    assert "more work" not in shortfall(replace(stopped, stopped=False), "mm")

@@ -30,6 +30,10 @@ def test_a_few_folded_pixels_cause_no_warning_and_more_do(folds, marks):
             "Some tissue stays short of its target",
         ),
         (
+            "the solve stopped before the tissue was fully there: 9 pixels stay short",
+            "Stopped before tissue was fully there",
+        ),
+        (
             "label 3 of 'Tissue' is not in the table: stiffness 1 is assumed",
             "Label 3 is not in the table",
         ),
