@@ -38,6 +38,8 @@ from napari_hmrf.tissue.drawing.marks import Point
 
 _log = logging.getLogger("napari_hmrf")
 Array = npt.NDArray[Any]
+#: Progress while a solution is drawn, once the solve has ended.
+DRAWING = Monitor("drawing the result", 1.0)
 #: Pictures that are warped with the tissue.
 Pictures = tuple[Picture, ...]
 #: Callback that updates the pictures of the drawing. Its arguments are the ground, the drawing, the
@@ -139,6 +141,7 @@ class Engine:
         """
         if cold_start:
             self.cancel()
+        if not self._live.busy:
             self._reached = Monitor("reading the layers", 0.0)
         self._live.optimizer, self._live.backend = study.optimizer, backend
         state = partial(self._state, study, cold_start, preview)
@@ -236,6 +239,8 @@ class Engine:
         assert self._request is not None
         request = replace(self._request, generation=update.number, is_earlier=update.is_earlier)
         error, latest = update.error, self.latest
+        if update.final and error is None:
+            self.report(DRAWING)
         if update.solution is not None or isinstance(error, _StillError):
             moved, error = self._try_to_move(request, update.solution)
             if error is None:

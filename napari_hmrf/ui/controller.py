@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import weakref
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -109,7 +110,15 @@ class Controller:
         self._failure = self._report = self._last_message = ""
         self._refresh_timer = single_shot(native, 0, self.refresh)
         self._complete_timer = single_shot(native, _REST, self.complete)
-        self.progress = SolveProgress(native, form.footer, self.engine)
+        #: Returns True while the overlay of the result is drawn.
+        self.is_drawing_overlay: Callable[[], bool] = lambda: False
+        self.progress = SolveProgress(
+            native,
+            form.footer,
+            self.engine,
+            lambda: self._is_working,
+            lambda: self.is_drawing_overlay(),
+        )
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         form.footer.live.changed.connect(self.schedule_refresh)
         pointer.drawn.connect(self._on_drawn)
@@ -146,10 +155,15 @@ class Controller:
     @property
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
+        looking, shown = self._refresh_timer.isActive(), self.progress.active
+        return looking or shown or self._is_working or self.engine.at_work
+
+    @property
+    def _is_working(self) -> bool:
+        """True from the submission of a study until the layers of its result have changed."""
         # During a drag, the layers of a complete result are not drawn.
         resting = self._complete_timer.isActive() and not self.pointer.tool.is_dragging
-        looking, shown = self._refresh_timer.isActive(), self.progress.active
-        return looking or resting or shown or self.engine.at_work
+        return resting or self.engine.busy or self.engine.completing
 
     @property
     def fresh(self) -> bool:
@@ -200,7 +214,7 @@ class Controller:
 
     def cancel(self) -> None:
         """Cancel all work; the dock is idle immediately, even if a solve is still stopping."""
-        settling, going_on = self.settling, self.engine.busy
+        settling, going_on = self.settling, self._is_working
         self.engine.cancel()
         self._submitted = None
         if settling or going_on:
@@ -371,6 +385,7 @@ class Controller:
         self._results[self.source] = done
         self._report = messages.report(done)
         self._show(done)
+        self.progress.restart()
         self.chip.refresh()
         settled = self.settling
         if settled:

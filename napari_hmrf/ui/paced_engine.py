@@ -85,6 +85,11 @@ class PacedEngine:
         return self._engine.busy
 
     @property
+    def completing(self) -> bool:
+        """True while `complete` creates layers."""
+        return self._jobs.busy("layers")
+
+    @property
     def at_work(self) -> bool:
         """True if a computation is running or pending."""
         return self.busy or self._jobs.busy()

@@ -114,6 +114,7 @@ class SoftTissue(DockValues):
         self._controller = controller = Controller(self.native, viewer, *inputs)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
+        controller.is_drawing_overlay = lambda: self._view.is_drawing_overlay
         form.image.changed.connect(self._view.select_image)
         self._guide = Guide(viewer, controller, undo)
         self._carry_over = CarryOver(

@@ -1,8 +1,9 @@
-"""Progress of a solve, shown in the dock if the solve takes a long time."""
+"""Progress of a solve and of its drawing, shown in the dock if the work takes a long time."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from psygnal import Signal
 from qtpy.QtWidgets import QWidget
@@ -27,13 +28,26 @@ class SolveProgress:
         The dock.
     footer : Footer
     engine : PacedEngine
+    is_working : callable
+        Returns True until the layers of the result have changed; until then, the work can be
+        cancelled.
+    is_drawing_overlay : callable
+        Returns True while the overlay of the result is drawn, which cannot be cancelled.
     """
 
     #: Emitted with a progress message; "" when the work has ended.
     doing = Signal(str)
 
-    def __init__(self, native: QWidget, footer: Footer, engine: PacedEngine) -> None:
+    def __init__(
+        self,
+        native: QWidget,
+        footer: Footer,
+        engine: PacedEngine,
+        is_working: Callable[[], bool],
+        is_drawing_overlay: Callable[[], bool],
+    ) -> None:
         self._footer, self._engine = footer, engine
+        self._is_working, self._is_drawing_overlay = is_working, is_drawing_overlay
         self._work = ""
         self._since = 0.0
         self._at_once = False
@@ -53,7 +67,7 @@ class SolveProgress:
             Name of the task, such as "Deforming".
         at_once : bool
             If True, progress is shown immediately until `stop` is called. Otherwise, progress is
-            shown only if a picture takes a long time, until the engine is idle.
+            shown only if a picture takes a long time, until the result is drawn.
         """
         if at_once or not self._engine.busy:
             self.restart()
@@ -78,11 +92,12 @@ class SolveProgress:
         self._timer.stop()
 
     def _update(self) -> None:
-        if not (self._engine.busy or self._at_once):
+        working = self._at_once or self._is_working()
+        if not (working or self._is_drawing_overlay()):
             self._timer.stop()
             self.stop()
         elif self._at_once or time.monotonic() - self._since > _PATIENCE:
-            monitor = self._engine.monitor
-            self._footer.cancel.enabled = True
+            monitor = self._engine.monitor if working else messages.OVERLAY
+            self._footer.cancel.enabled = working
             self.doing.emit(messages.progress(monitor, self._work))
             self._footer.explain(monitor.message)

@@ -1,6 +1,7 @@
 """Tests of the dock *Soft tissue*: painting, tables, Deform, messages and cancellation."""
 
 import re
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from qtpy.QtWidgets import QApplication, QLabel, QLineEdit
 
 from napari_hmrf import (
     ICM,
+    Arrow,
     Drawing,
     ElasticPrior,
     HmrfError,
@@ -775,6 +777,7 @@ def test_progress_is_described_with_a_percentage_or_the_state_of_compiling():
     compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
     edit = "Updating"
     assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit} ... 60 %"
+    assert progress(Monitor("cycle 9, 0.0009 px to go", 1.0), edit) == f"{edit} ... 99 %"
     assert progress(compiling) == "Deforming: compiling loops (3 of 10), about 18 s left."
 
 
@@ -794,6 +797,80 @@ def test_progress_is_shown_in_per_cent_with_details_in_the_tool_tip(widget, smal
         )
     )
     widget.cancel()
+
+
+@pytest.fixture
+def slow_layers(monkeypatch):
+    """Make the layers of a result wait until the event is set."""
+    from napari_hmrf.ui import paced_engine
+
+    go, complete = threading.Event(), paced_engine.complete_result
+
+    def wait_and_complete(*arguments):
+        assert go.wait(LONG)
+        return complete(*arguments)
+
+    monkeypatch.setattr(paced_engine, "complete_result", wait_and_complete)
+    yield go
+    go.set()
+
+
+def test_progress_is_shown_until_the_layers_of_an_edit_have_changed(
+    widget, small_sample, run, wait_for, slow_layers
+):
+    slow_layers.set()
+    small_sample(viewer_of(widget))
+    run(widget)
+    slow_layers.clear()
+    cancel = Screen(widget).button("Cancel")
+    widget.live = True
+    widget.drawing = Drawing((Arrow((10, 12), (2, 0), 2),))
+    wait_for(lambda: widget.status == "Updating: drawing the result.")
+    assert cancel.isEnabled()
+    slow_layers.set()
+    wait_for(lambda: not widget.busy)
+    assert "drawing" not in widget.status
+    assert not cancel.isEnabled()
+
+
+def test_cancel_also_stops_the_drawing_of_a_result(
+    widget, small_sample, run, wait_for, slow_layers, at_rest
+):
+    slow_layers.set()
+    small_sample(viewer_of(widget))
+    run(widget)
+    slow_layers.clear()
+    before = widget.solution
+    widget.live = True
+    widget.drawing = Drawing((Arrow((10, 12), (2, 0), 2),))
+    wait_for(lambda: widget.status == "Updating: drawing the result.")
+    Screen(widget).press("Cancel")
+    assert "Cancelled" in widget.status
+    slow_layers.set()
+    at_rest()
+    assert widget.solution is before
+
+
+def test_progress_is_shown_while_an_overlay_is_drawn_but_cannot_be_cancelled(
+    widget, small_sample, run, wait_for, monkeypatch
+):
+    from napari_hmrf.ui.result import result_view
+
+    go, draw = threading.Event(), result_view.overlay_of
+
+    def wait_and_draw(*arguments):
+        assert go.wait(LONG)
+        return draw(*arguments)
+
+    monkeypatch.setattr(result_view, "overlay_of", wait_and_draw)
+    small_sample(viewer_of(widget))
+    widget._form.result.overlay.value = "magnitude"
+    run(widget)
+    wait_for(lambda: widget.status == "Deforming: drawing the overlay.")
+    assert not Screen(widget).button("Cancel").isEnabled()
+    go.set()
+    wait_for(lambda: not widget.busy)
+    assert "drawing" not in widget.status
 
 
 def test_painted_labels_are_checked_on_the_compute_thread(

@@ -92,6 +92,11 @@ class ResultView:
         return self._jobs.busy() or self.more.busy
 
     @property
+    def is_drawing_overlay(self) -> bool:
+        """True while the chosen overlay, or the difference that it shows, is being drawn."""
+        return self._jobs.busy("overlay") or self._jobs.busy("comparison")
+
+    @property
     def before(self) -> bool:
         """True if the undeformed image is shown; always False without a result."""
         return self.shown is not None and self.shown.layers.is_before
