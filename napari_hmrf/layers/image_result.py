@@ -366,7 +366,8 @@ class Result:
                     hide_in_list(self._viewer, layer)
                 if made.kind == "vectors":
                     outline_arrows(self._viewer, layer)
-                corner = "top_right"
+                # The title is above the legend. If the canvas is narrow, the title loses its end.
+                corner = "top_left"
                 if is_scale:
                     layer.colorbar.position, layer.colorbar.visible = corner, True
                 if part in ("overlay", CONFIDENCE):

@@ -540,6 +540,7 @@ def test_the_canvas_names_the_quantity_and_unit_of_an_overlay(look, set_to):
         pytest.skip("napari before 0.9 draws no layer names on the canvas")
     assert layer.name_overlay.visible
     assert layer.name_overlay.position == layer.colorbar.position
+    assert layer.name_overlay.position == "top_left", "a narrow canvas cuts the beginning"
     set_to(look, overlay="observed")
     assert viewer_of(look).layers["MR given motion, paper"].name_overlay.visible
 
