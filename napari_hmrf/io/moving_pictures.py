@@ -18,6 +18,7 @@ from napari_hmrf.errors import CANNOT_SAVE, FileFormatError, HmrfError, ProblemE
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.field.moved_pictures import MovedPictures
+from napari_hmrf.io.film_overlay import FilmOverlay
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
 
@@ -76,6 +77,35 @@ def write_movie(
     OSError
         If the file cannot be written.
     """
+    return write_film(
+        path, solution, image, frames=frames, per_second=per_second, number=number, axis=axis
+    )
+
+
+def write_film(
+    path: str | os.PathLike[str],
+    solution: Solution,
+    image: npt.ArrayLike,
+    *,
+    frames: int = 24,
+    per_second: int = 12,
+    number: int | None = None,
+    axis: int = 0,
+    overlay: FilmOverlay | None = None,
+) -> Path:
+    """Write an animation of an image, with an overlay and its legend if one is given.
+
+    Parameters
+    ----------
+    path, solution, image, frames, per_second, number, axis
+        As for `write_movie`, which raises the same errors.
+    overlay : FilmOverlay, optional
+
+    Returns
+    -------
+    Path
+        The written file.
+    """
     target = Path(checked_path(path))
     require_kind(Solution, "solution", solution, "the result of solve()")
     if target.suffix.lower() not in MOVING_SUFFIXES:
@@ -105,7 +135,14 @@ def write_movie(
     spacing = solution.spacing
     if len(spacing) == 3:
         spacing = (*spacing[:axis], *spacing[axis + 1 :])
-    forward_frames = _square_pixels(_to_bytes(np.stack(pictures)), spacing)
+    forward_frames = _to_bytes(np.stack(pictures))
+    rows, cols = forward_frames.shape[1:3]
+    if overlay is not None:
+        plane = None if number is None else (axis, number)
+        forward_frames, lines = overlay.blend(forward_frames, steps, plane)
+    forward_frames = _square_pixels(forward_frames, spacing)
+    if overlay is not None:
+        forward_frames = overlay.finish(forward_frames, lines, (rows, cols))
     loop = np.concatenate([forward_frames, forward_frames[-2:0:-1]])
     if target.suffix.lower() == ".gif":
         write_whole(target, _encode_gif(loop, per_second))

@@ -18,9 +18,10 @@ from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.io.apply import FieldFile, write_field_file
 from napari_hmrf.io.figures import write_result_pictures
-from napari_hmrf.io.moving_pictures import write_movie
+from napari_hmrf.io.moving_pictures import write_film
 from napari_hmrf.io.tables import forces_in_words, measurements_in_words, write_measurements
 from napari_hmrf.layers.field_layer import MOVED, can_move, picture_of, prepare_move, tissue_labels
+from napari_hmrf.layers.film_colours import film_overlay
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData, stiffness_unit
 from napari_hmrf.layers.screen_directions import directions_of
@@ -38,6 +39,7 @@ from napari_hmrf.ui.result.result_messages import (
     NO_IMAGE,
     NO_RESULT,
     SAVING,
+    film_content,
     saved,
 )
 
@@ -49,8 +51,14 @@ _FILMS = "Films (*.gif *.mp4)"
 _BACK = "Moves images in SimpleITK, ANTs, elastix, Slicer: maps deformed to original positions"
 _FORTH = "Moves points. Maps original to deformed positions; the file records the direction"
 _GIFS = "GIFs (*.gif)"
-_GIF = "Animation that repeats forever: the image deforms and returns; for web pages and slides"
-_FILM = "Film of the image as it deforms and returns: .gif, or .mp4 with imageio-ffmpeg"
+_GIF = (
+    "Animation that repeats forever: the image deforms and returns, with the visible overlay and "
+    "its legend; for web pages and slides"
+)
+_FILM = (
+    "Film of the image as it deforms and returns, with the visible overlay and its legend: .gif, "
+    "or .mp4 with imageio-ffmpeg"
+)
 _WITH_IT = (
     "New layer, moved with the tissue. In a volume at the same position, only the slice of this "
     "result moves. In films, channels and stacks without units, all slices move."
@@ -159,7 +167,7 @@ class ResultMenu:
     def save_film(self, path: str | Path) -> None:
         """Write a film of the image, or of the visible slice of a volume, moving back and forth.
 
-        See `write_movie` for the file formats.
+        The film shows the visible overlay and its legend. See `write_movie` for the file formats.
 
         Raises
         ------
@@ -170,15 +178,21 @@ class ResultMenu:
         shown = self._shown
         if shown.image is None:
             raise HmrfError(NO_IMAGE)
-        place = {}
+        options: dict[str, Any] = {}
         if len(shown.answer.shape) == 3:
             if self._viewer.dims.ndisplay != 2:
                 raise HmrfError(FLAT_FILM)
             axis, number = plane_shown(shown.answer.frame, View.of(self._viewer.dims))
-            place = {"axis": axis, "number": number}
-        work = partial(write_movie, path, shown.answer.solution, shown.image, **place)
+            options = {"axis": axis, "number": number}
+        layer, content = shown.layers.layer("overlay"), ""
+        if shown.overlay is not None and layer is not None and layer.visible:
+            options["overlay"] = film_overlay(shown.overlay, layer, shown.answer.solution)
+            content = film_content(str(layer.name), options["overlay"] is not None)
+        work = partial(write_film, path, shown.answer.solution, shown.image, **options)
         self._show_message("Saving the film ...")
-        self._jobs.submit(f"{path}", work, lambda file: self._show_message(f"Saved {file.name}."))
+        self._jobs.submit(
+            f"{path}", work, lambda file: self._show_message(f"Saved {file.name}{content}.")
+        )
 
     def save_gif(self, path: str | Path) -> None:
         """Write a looping GIF; see `save_film`. The suffix .gif is added if it is missing."""

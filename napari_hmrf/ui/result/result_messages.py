@@ -120,3 +120,8 @@ def arrow_scale(times: float) -> str:
 def saved(paths: Sequence[Path]) -> str:
     """Return a message with the names and the folder of the written pictures."""
     return f"Saved in {paths[0].parent}: {', '.join(path.name for path in paths)}."
+
+
+def film_content(overlay: str, is_included: bool) -> str:
+    """Return a clause about the visible overlay, and whether the saved film includes it."""
+    return f" with the overlay '{overlay}'" if is_included else f" without '{overlay}'"

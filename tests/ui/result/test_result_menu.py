@@ -371,6 +371,55 @@ def test_the_menu_saves_a_looping_gif_named_after_the_image(
         assert (film.n_frames > 10, film.info["loop"]) == (True, 0)
 
 
+@pytest.mark.parametrize("extent", ["slice", "volume"])
+def test_a_film_shows_the_visible_overlay_with_its_legend(result, wait_for, tmp_path, extent):
+    dock, _ = result(more=(6,))
+    dock.extent = extent
+    dock.deform()
+    wait_for(lambda: not dock.busy)
+
+    def film_with(overlay):
+        dock.overlay = overlay
+        wait_for(lambda: not dock.busy)
+        dock.more.save_film(tmp_path / "gel.gif")
+        wait_for(lambda: not dock.busy)
+        with Picture.open(tmp_path / "gel.gif") as film:
+            film.seek(12)
+            return np.asarray(film.convert("RGB")).astype(int)
+
+    plain = film_with("nothing")
+    assert dock.status == "Saved gel.gif."
+    assert not np.ptp(plain, axis=-1).any(), "the image is not grey"
+    strained = film_with("equivalent")
+    assert " with the overlay 'MR equivalent" in dock.status
+    rows, cols = (size * 12 for size in plain.shape[:2])  # enlarged for the legend
+    above, beside = strained.shape[0] - rows, strained.shape[1] - cols
+    assert min(above, beside) > 10
+    assert np.ptp(strained[above:, :cols], axis=-1).any(), "the strain is not shown"
+    assert np.ptp(strained[above:, cols:], axis=-1).any(), "the colour bar is not shown"
+    assert strained[:above].max() > 200, "the title is not shown"
+
+
+@pytest.mark.parametrize("overlay", ["grid", "labels"])
+def test_a_film_shows_an_overlay_without_a_scale(result, wait_for, tmp_path, overlay):
+    dock, _ = result()
+    dock.overlay = overlay
+    wait_for(lambda: not dock.busy)
+    dock.more.save_film(tmp_path / "gel.gif")
+    wait_for(lambda: not dock.busy)
+    with Picture.open(tmp_path / "gel.gif") as film:
+        assert np.ptp(np.asarray(film.convert("RGB")).astype(int), axis=-1).max() > 50
+
+
+def test_a_film_without_the_visible_overlay_says_so(result, wait_for, tmp_path):
+    dock, _ = result()
+    dock.overlay = "observed"
+    wait_for(lambda: not dock.busy)
+    dock.more.save_film(tmp_path / "gel.gif")
+    wait_for(lambda: not dock.busy)
+    assert dock.status == "Saved gel.gif without 'MR given motion, elastic'."
+
+
 @pytest.mark.parametrize(("order", "size"), [((0, 1, 2), (24, 20)), ((1, 0, 2), (24, 6))])
 def test_the_film_of_a_volume_shows_the_visible_slice(result, wait_for, tmp_path, order, size):
     dock, viewer = result(more=(6,))
