@@ -162,7 +162,8 @@ class ExtentChoice(ComboBox):
             label="deform",
             choices=[("this slice", "slice"), ("the whole volume", "volume")],
             tooltip="this slice: only the visible slice is deformed, which is fast.\n"
-            "the whole volume: tissue moves in all three directions.",
+            "the whole volume: tissue moves in all three directions.\n"
+            "Each slice and the volume have marks and a saved study of their own.",
         )
         self.visible = False
 

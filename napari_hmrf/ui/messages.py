@@ -218,7 +218,35 @@ def describe_image_choice(image: Any, hidden: Sequence[Any]) -> str:
     return _NO_IMAGE if image is None else names and _HIDDEN.format(image.name, names)
 
 
-def saved_study(name: str, solved: bool, pairs: str) -> str:
-    """Return a message about a saved study, and about landmarks that are missing from its file."""
-    apart = f" It lacks the landmarks of '{pairs}': press 'Use as landmarks'." if pairs else ""
-    return f"Saved {name}{'' if solved else ' without a field: press Deform to get one'}.{apart}"
+def saved_study(
+    name: str, extent: str, solved: bool, pairs: str, unsaved: Sequence[str] = ()
+) -> str:
+    """Return a message about a saved study, and about content that is missing from its file.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file.
+    extent : str
+        Name of the slice or of the volume; "" for an image without slices.
+    solved : bool
+        True if the file contains a field.
+    pairs : str
+        Name of the layer of landmarks that are missing from the file, or "".
+    unsaved : sequence of str
+        Names of other slices of the image, or of its volume, with unsaved changes.
+    """
+    saved = f"the study of {extent} as {name}" if extent else name
+    parts = [f"Saved {saved}{'' if solved else ' without a field: press Deform to get one'}."]
+    if pairs:
+        parts.append(f"It lacks the landmarks of '{pairs}': press 'Use as landmarks'.")
+    if unsaved:
+        parts.append(f"Not saved yet: {', '.join(unsaved)}. Each has a file of its own.")
+    return " ".join(parts)
+
+
+def extent_name(slice_name: str) -> str:
+    """Return the name of a slice, such as "z = 12", or of the volume ("") in a sentence."""
+    if not slice_name:
+        return "the whole volume"
+    return slice_name if slice_name.startswith("slice") else f"the slice {slice_name}"

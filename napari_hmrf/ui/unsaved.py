@@ -144,9 +144,17 @@ class Unsaved(QObject):
         """Save the current study, with its field if the field is up to date."""
         solution, study = self._dock.solution if self._controller.fresh else None, self._dock.study
         written = write_study(path, study, solution, overlay=self._overlay)
-        apart = self._landmarks_apart(study)
-        self._dock.show_message(messages.saved_study(written.name, solution is not None, apart))
-        self._drop_recovery(self._model.slice, written)
+        apart, here = self._landmarks_apart(study), self._model.slice
+        has_slices = self._controller.form.extent.has_slices
+        extent = messages.extent_name(study.grid.known_place.slice_seen) if has_slices else ""
+        others = [
+            messages.extent_name(part.place.name)
+            for part in self._work.slices
+            if part.layer is here.layer and part != here and part.place is not None
+        ]
+        solved = solution is not None
+        self._dock.show_message(messages.saved_study(written.name, extent, solved, apart, others))
+        self._drop_recovery(here, written)
         return written
 
     @property

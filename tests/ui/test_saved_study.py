@@ -86,7 +86,7 @@ def test_a_study_is_opened_as_it_was_saved(make_dock, wait_for, tmp_path):
     first.drawing, first.model, first.plane = DRAWING, "elastic", "strain"
     wait_for(lambda: not first.busy)
     path = first.save_study(tmp_path / "case")
-    assert first.status == "Saved case.study."
+    assert first.status == "Saved the study of slice 1 as case.study."
     other = ViewerModel()
     second = make_dock(other)
     second.open_study(path)

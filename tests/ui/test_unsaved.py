@@ -260,6 +260,24 @@ def test_one_answer_saves_a_slice_and_its_volume(
     assert flat.motion.drawing == OTHER
 
 
+def test_a_message_names_the_extent_of_a_saved_study_and_what_is_not_saved(
+    window, at_rest, tmp_path
+):
+    _, dock = window()
+    dock.drawing = DRAWING
+    dock.extent = "volume"
+    at_rest()
+    dock.drawing = Drawing((Arrow(at=(1, 30, 30), by=(0.0, 2.0, 5.0), radius=0.5),))
+    dock.save_study(tmp_path / "all.study")
+    assert dock.status.startswith("Saved the study of the whole volume as all.study")
+    assert dock.status.endswith("Not saved yet: slice 1. Each has a file of its own.")
+    dock.extent = "slice"
+    at_rest()
+    dock.save_study(tmp_path / "flat.study")
+    assert dock.status.startswith("Saved the study of slice 1 as flat.study")
+    assert "Not saved yet" not in dock.status
+
+
 def test_one_answer_saves_slices_of_two_orientations(
     window, press_close, at_rest, tmp_path, monkeypatch
 ):
