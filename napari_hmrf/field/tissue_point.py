@@ -186,7 +186,12 @@ def first_tissue(
 
 
 def at_point(
-    unit: str, probe: Probe, ways: Directions, more: Sequence[str] = (), percent: int = _FULL
+    unit: str,
+    probe: Probe,
+    ways: Directions,
+    more: Sequence[str] = (),
+    percent: int = _FULL,
+    held: float = 0.0,
 ) -> str:
     """Describe the deformation at a point in one line for the status bar.
 
@@ -204,6 +209,8 @@ def at_point(
     percent : int
         Percentage of the deformation in the displayed image. If it is below 100, the line starts
         with a remark that the values are those at 100 %.
+    held : float
+        Confidence with which the position of this tissue is given; 0 if the tissue is free.
 
     Returns
     -------
@@ -212,8 +219,14 @@ def at_point(
     step = tuple(rounded(part) for part in ways.to_display(probe.displacement))
     length = rounded(probe.length)
     size = "volume" if len(probe.displacement) == 3 else "area"
+    distance = f"{length:g} {unit}" + (f" ({ways.step(step)})" if length else "")
+    motion = f"moves {distance}"
+    if held >= 1:
+        motion = f"held here, moved {distance}" if length else "held in place"
+    elif held > 0:
+        motion = f"held with confidence {held:.2g}, {motion}"
     parts = [
-        f"moves {length:g} {unit}" + (f" ({ways.step(step)})" if length else ""),
+        motion,
         f"{size} change x {probe.jacobian:.3f}" + (_FOLDS if probe.jacobian <= 0 else ""),
     ]
     line = ", ".join([*parts, *filter(None, more)])

@@ -108,7 +108,10 @@ class UnderCursor:
                 is_fold = bool(np.isinf(strain))
                 more.insert(0, f"{title}: folded" if is_fold else f"{title} {rounded(strain):g} %")
         percent = 0 if shown.layers.is_before else shown.percent
-        return at_point(answer.unit, probe, ways, more, percent)
+        problem = answer.problem
+        # Tissue is free if any of its components is free.
+        held = 0.0 if problem is None else float(problem.confidence[probe.site].min())
+        return at_point(answer.unit, probe, ways, more, percent, held)
 
     def append_to_status(self, *_: Any) -> None:
         """Append the values under the cursor to napari's latest status text."""

@@ -640,6 +640,28 @@ def test_lengths_in_the_status_bar_are_rounded_to_significant_digits():
     assert said(-12.345, 0.0067) == "moves 12.3 px (12.3 up, 0.01 right), area change x 1.000"
 
 
+@pytest.mark.parametrize(
+    ("held", "moved", "said"),
+    [
+        (0.0, 2.32, "moves 2.32 px (2.32 right)"),
+        (1.0, 2.32, "held here, moved 2.32 px (2.32 right)"),
+        (1.0, 0.0, "held in place"),
+        (0.5, 2.32, "held with confidence 0.5, moves 2.32 px (2.32 right)"),
+    ],
+)
+def test_the_status_bar_says_how_tissue_is_held(held, moved, said):
+    probe = Probe((3, 4), (0.0, moved), moved, 1.0, 0.0)
+    line = at_point("px", probe, Directions(), held=held)
+    assert line == f"{said}, area change x 1.000"
+
+
+def test_the_status_bar_says_that_the_tissue_under_the_cursor_is_held(look):
+    line_at = look._view.cursor.line_at
+    assert line_at((10, 2)).startswith("held in place")
+    assert line_at((10, 23.49)).startswith("held here, moved 3 px (3 right)")
+    assert line_at((10, 12)).startswith("moves ")
+
+
 def test_the_status_bar_reads_the_origin_of_the_displayed_tissue(look, set_to):
     # The right border of the tissue was displaced by 3 px to the right.
     found = look.at((10, 23.49))
