@@ -11,7 +11,7 @@ from typing import Any
 import numpy.typing as npt
 from psygnal import Signal
 
-from napari_hmrf.field.animation import Moment, Motion
+from napari_hmrf.field.animation import MARKS, Moment, Motion
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.layers.field_layer import picture_of, source_of
@@ -19,6 +19,7 @@ from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import look_of
 from napari_hmrf.layers.result_layers import Overlay, PlacedSolution
+from napari_hmrf.layers.thick_marks import half_widths, thickened
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.result.result_messages import FULL
@@ -67,7 +68,10 @@ class MovingLayers:
 
     def __init__(self, viewer: Any, arrows: Any, answer: PlacedSolution, layers: Result) -> None:
         self.arrows, self.answer, self.layers = arrows, answer, layers
+        self._viewer = viewer
         self.overlay: Overlay | None = None
+        # Extent of the marks in the layer at 100 %, as returned by `half_widths`.
+        self._widths: tuple[int, ...] = ()
         self.source = source_of(viewer.layers, answer)
         self.image: npt.NDArray[Any] | None = None
         self.motion = Motion(answer.solution)
@@ -102,8 +106,31 @@ class MovingLayers:
             self.layers.drop("overlay")
             self.motion = Motion(solution, self.image)
         else:
-            self.layers.put("overlay", made.layer, self.source, show)
+            thick = made.layer._replace(data=self._visible(made.layer.data))
+            self._widths = half_widths(self._viewer, self.answer.frame)
+            self.layers.put("overlay", thick, self.source, show)
             self.motion = made.motion(solution, self.image)
+
+    def _visible(self, pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the pixels of an overlay; marks are thick enough to be seen."""
+        if not self.has_marks:
+            return pixels
+        return thickened(pixels, half_widths(self._viewer, self.answer.frame))
+
+    @property
+    def has_marks(self) -> bool:
+        """True if the overlay marks single sites."""
+        return self.overlay is not None and self.overlay.name in MARKS
+
+    def refresh_marks(self) -> None:
+        """Adapt the marks to the zoom at 100 %; at other percentages, the next picture does."""
+        made, layer = self.overlay, self.layers.layer("overlay")
+        widths = half_widths(self._viewer, self.answer.frame)
+        if not self.has_marks or made is None or layer is None or self.percent != FULL:
+            return
+        if widths != self._widths:
+            self._widths = widths
+            layer.data = thickened(made.layer.data, widths)
 
     def ready(self) -> bool:
         """Add the layer of the moving image, if needed; return whether any layer can move."""
@@ -122,7 +149,7 @@ class MovingLayers:
         if moment.image is not None:
             parts["image"] = frame.put_image(moment.image)
         if moment.overlay is not None:
-            parts["overlay"] = frame.put_image(moment.overlay)
+            parts["overlay"] = self._visible(frame.put_image(moment.overlay))
         if moment.grid is not None:
             parts["overlay"] = frame.put_vectors(moment.grid)
         self.layers.show_part(percent, parts)
@@ -155,6 +182,7 @@ class MovingLayers:
         """Draw the arrows at 100 %, because the other layers are at 100 % again."""
         self.percent = FULL
         self.draw_arrows(FULL)
+        self.refresh_marks()
 
 
 class Player:

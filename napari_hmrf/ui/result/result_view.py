@@ -10,6 +10,7 @@ from psygnal import Signal
 
 from napari_hmrf.errors import naming
 from napari_hmrf.field.comparison import Comparison, compare
+from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.field_layer import can_be_source, field_of, result_of, source_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import metadata_of
@@ -17,7 +18,7 @@ from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.still_paint import layer_painted, put_brush_away
 from napari_hmrf.ui.background_jobs import BackgroundJobs
-from napari_hmrf.ui.events import EventConnections
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
@@ -25,6 +26,9 @@ from napari_hmrf.ui.result.moving_layers import MovingLayers, Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_menu import ResultMenu
 from napari_hmrf.ui.result.scale_key import ScaleKey
+
+#: Time without a change of the zoom after which marks are drawn again, in milliseconds.
+_ZOOM_REST = 100
 
 
 class ResultView:
@@ -72,7 +76,11 @@ class ResultView:
         self.player.playing_changed.connect(
             lambda playing: setattr(form.play, "text", PAUSE if playing else PLAY)
         )
+        self._zoom_timer = single_shot(native, _ZOOM_REST, self._on_zoomed)
         self._events = EventConnections(
+            (camera_of(viewer).events.zoom, self._on_zoom),
+            (viewer.dims.events.order, self._on_zoom),
+            (viewer.dims.events.ndisplay, self._on_zoom),
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.selection.events.active, self._on_active),
@@ -295,6 +303,15 @@ class ResultView:
         if self._form.slider.value != words.FULL:
             self.player.show(self._form.slider.value)
         self.cursor.refresh()
+
+    def _on_zoom(self, *_: Any) -> None:
+        if self.shown is not None and self.shown.has_marks:
+            self._zoom_timer.start()
+
+    def _on_zoomed(self) -> None:
+        """Draw marks at least a few screen pixels wide at the new zoom."""
+        if self.shown is not None:
+            self.shown.refresh_marks()
 
     # Percentage
 

@@ -21,7 +21,7 @@ from napari_hmrf.field.strain import fold_mask, green_lagrange_strain
 from napari_hmrf.field.tissue_point import Probe, at_point
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
-from napari_hmrf.layers.compat import scale_bar_of
+from napari_hmrf.layers.compat import camera_of, scale_bar_of
 from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
@@ -569,6 +569,25 @@ def test_folds_are_reported_and_marked(widget, small_sample, run, set_to):
     assert "Colours end" not in widget._form.result.how_far.value
     np.testing.assert_allclose(layer.colormap.low_color, (0, 0.314, 1, 1), atol=0.01)
     assert layer.colormap.map(np.array([1.0]))[0, :3] == pytest.approx((0.5, 0.23, 0.03), abs=0.05)
+
+
+def test_folds_are_visible_at_a_low_zoom(widget, small_sample, run, set_to, wait_for):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
+    widget.settings = replace(widget.settings, sweeps=60)
+    run(widget)
+    set_to(widget, overlay="folds")
+    (layer,) = (each for each in viewer.layers if "folds" in each.name)
+    exact = layer.data.copy()
+    camera_of(viewer).zoom = 0.5
+    wait_for(lambda: layer.data.sum() > exact.sum())
+    assert layer.data[exact > 0].all()
+    set_to(widget, percent=60)
+    set_to(widget, percent=100)
+    assert layer.data.sum() > exact.sum()
+    camera_of(viewer).zoom = 10
+    wait_for(lambda: np.array_equal(layer.data, exact))
 
 
 def test_folds_are_drawn_and_named_as_folds_instead_of_strain(widget, small_sample, run, set_to):
