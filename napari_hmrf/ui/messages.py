@@ -105,7 +105,7 @@ _LABELS = (
     ("most of the boundary is so thin", "The boundary is too thin"),
     (r"at .*, tissue that is held or moved in two", "Held and moved tissue touch"),
     ("tissue could not move all the way", "Some tissue stays short of its target"),
-    ("the solve stopped before", "Stopped before tissue was fully there"),
+    ("the solve stopped before", "Tissue is not fully there yet"),
     (r"\d+ boundary pixels? \w+ held exactly", "Uncertain tissue is held exactly"),
     (r"(label \d+) of .* is not in the table", r"\1 is not in the table"),
     (r"(the \w+) at .* has no effect", r"\1 has no effect"),

@@ -31,7 +31,7 @@ def test_a_few_folded_pixels_cause_no_warning_and_more_do(folds, marks):
         ),
         (
             "the solve stopped before the tissue was fully there: 9 pixels stay short",
-            "Stopped before tissue was fully there",
+            "Tissue is not fully there yet",
         ),
         (
             "label 3 of 'Tissue' is not in the table: stiffness 1 is assumed",
