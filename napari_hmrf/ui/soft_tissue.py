@@ -39,7 +39,7 @@ from napari_hmrf.ui.registering import Registering
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.second_image import SecondImage
-from napari_hmrf.ui.unsaved import Unsaved
+from napari_hmrf.ui.unsaved import Unsaved, guard_windows
 from napari_hmrf.ui.viewer_watch import ViewerWatch
 
 
@@ -449,12 +449,13 @@ class SoftTissue(DockValues):
 
     def on_window(self, window: Any) -> None:
         """Connect to the napari window that the dock was added to."""
-        window.installEventFilter(self._unsaved)
+        guard_windows()
         self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:
         """Release all parts after the dock was closed or its window was deleted."""
         if closed:
+            self._unsaved.keep_now()
             self._controller.cancel()
             self._controller.clear()
             self._pointer.leave()

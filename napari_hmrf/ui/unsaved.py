@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 import re
+import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,14 @@ from typing import Any, Literal, Protocol
 from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
-from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox, QSizePolicy, QWidget
+from qtpy.QtWidgets import (
+    QApplication,
+    QFileDialog,
+    QMainWindow,
+    QMessageBox,
+    QSizePolicy,
+    QWidget,
+)
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import SlicePlace
@@ -56,6 +64,8 @@ _REST = 1000
 _WRAPPED = 20
 #: `Unsaved` instances of all open docks.
 _all: weakref.WeakSet[Unsaved] = weakref.WeakSet()
+#: Unsaved work of each viewer that has or had a dock.
+_works: weakref.WeakKeyDictionary[Any, UnsavedWork] = weakref.WeakKeyDictionary()
 
 
 class Dock(Protocol):
@@ -101,10 +111,8 @@ class Dock(Protocol):
         """Start drawing if the study has marks."""
 
 
-class Unsaved(QObject):
+class Unsaved:
     """Manager that saves and opens the studies of a dock, and protects unsaved work.
-
-    If a script closes the viewer, no prompt is shown.
 
     Parameters
     ----------
@@ -121,7 +129,6 @@ class Unsaved(QObject):
     """
 
     def __init__(self, dock: Dock, viewer: Any, controller: Controller, attempt: Attempt) -> None:
-        super().__init__(dock.native)
         self.prompt: Prompt = self._show_prompt
         self._try = attempt
         self._dock, self._viewer, self._controller = dock, viewer, controller
@@ -132,6 +139,12 @@ class Unsaved(QObject):
         self._connections = EventConnections((self._model.changed, self._on_edited))
         dock.insert(0, RecoveryNotice(lambda file: attempt(partial(self._open_recovered, file))))
         _all.add(self)
+        _works[viewer] = self._work
+
+    @property
+    def viewer(self) -> Any:
+        """Viewer of the dock."""
+        return self._viewer
 
     @property
     def has_work(self) -> bool:
@@ -250,27 +263,6 @@ class Unsaved(QObject):
 
     # Before the window closes
 
-    def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Handle the closing of a napari window before napari does."""
-        if event.type() != QEvent.Type.Close or self not in _all:
-            return False
-        if watched.findChild(QtViewer).isHidden():
-            # A script is closing the window, or napari is quitting: too late for a prompt.
-            if QThread.currentThread().loopLevel() == 0:
-                self._discard()
-            return False
-        is_quitting_napari = is_quitting(watched)
-        unsaved = [each for each in _all if each.has_work and (is_quitting_napari or each is self)]
-        if not all(each.may_close() for each in unsaved):
-            stop_quitting(watched)
-            event.ignore()
-            return True
-        if unsaved and event.spontaneous():
-            event.ignore()  # napari would show its own prompt, too
-            QTimer.singleShot(0, watched.close)
-            return True
-        return False
-
     def may_close(self) -> bool:
         """Show the prompt about unsaved work; return whether the window may close."""
         slices, paths = self._work.slices, self._work.paths
@@ -281,7 +273,7 @@ class Unsaved(QObject):
             + (f" Saving replaces {' and '.join(replaced)}." if replaced else "")
         )
         if answer == "discard":
-            self._discard()
+            self.discard()
         elif answer == "save":
             for part in self._work.slices:
                 self._save_slice(part)
@@ -308,7 +300,8 @@ class Unsaved(QObject):
         )
         return answers.get(answer, "cancel")
 
-    def _discard(self) -> None:
+    def discard(self) -> None:
+        """Discard all unsaved work, with its recovery files."""
         for part in {*self._work.slices, *self._work.saved_files}:
             self._drop_recovery(part)
 
@@ -316,11 +309,16 @@ class Unsaved(QObject):
 
     def _keep(self) -> None:
         """Write the current slice to a recovery file, once no edit is in progress."""
-        slice_part = self._model.slice
         is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
         if is_pressed or self._model.in_progress is not None or self._writer.is_alive():
             self._keep_timer.start()
-        elif slice_part not in self._work.slices:
+        else:
+            self._write_recovery()
+
+    def _write_recovery(self) -> None:
+        """Write the recovery file of the current slice, or delete it if all edits were undone."""
+        slice_part = self._model.slice
+        if slice_part not in self._work.slices:
             self._drop_recovery(slice_part)  # all edits were undone
         else:
             try:
@@ -342,11 +340,92 @@ class Unsaved(QObject):
         self._work.saved_files[slice_part] = recovery.claim(file)
         self._dock.show_marks()
 
+    def keep_now(self) -> None:
+        """Write the recovery file of the latest edits, before the dock closes."""
+        if self._keep_timer.isActive():
+            self._model.end()
+            if self._writer.is_alive():
+                self._writer.join()
+            self._write_recovery()
+
     def release(self) -> None:
         """Disconnect from edits after the dock was closed or its window was deleted."""
         _all.discard(self)
         self._connections.release()
         self._keep_timer.stop()
+
+
+class CloseGuard(QObject):
+    """Event filter of all napari windows: prompts about unsaved work before a window closes.
+
+    A window can quit napari even if it has no dock, and work remains unsaved after its dock was
+    closed. The prompt is therefore shown for windows without a dock, too. If a script closes a
+    viewer, no prompt is shown.
+    """
+
+    def __init__(self) -> None:
+        app = QApplication.instance()
+        super().__init__(app)
+        app.focusWindowChanged.connect(self.watch)  # windows that are opened later
+
+    def watch(self, *_: Any) -> None:
+        """Filter the events of all windows before napari handles them."""
+        for window, _viewer in _windows():
+            window.installEventFilter(self)
+
+    def eventFilter(self, watched: Any, event: Any) -> bool:
+        """Handle the closing of a napari window before napari does."""
+        if event.type() != QEvent.Type.Close:
+            return False
+        canvas = watched.findChild(QtViewer)
+        if canvas.isHidden():
+            # `Viewer.close` was called, by a script or because napari is quitting. The layers were
+            # removed, so it is too late for a prompt; the recovery files remain.
+            if _is_script():
+                for each in [each for each in _all if each.viewer is canvas.viewer]:
+                    each.discard()
+            return False
+        quitting = is_quitting(watched)
+        closing = [viewer for window, viewer in _windows() if quitting or window is watched]
+        unsaved = [viewer for viewer in closing if viewer in _works and _works[viewer].slices]
+        if not all(_unsaved_of(viewer).may_close() for viewer in unsaved):
+            stop_quitting(watched)
+            event.ignore()
+            return True
+        if unsaved and event.spontaneous():
+            event.ignore()  # napari would show its own prompt, too
+            QTimer.singleShot(0, watched.close)
+            return True
+        return False
+
+
+_guard: CloseGuard | None = None
+
+
+def guard_windows() -> None:
+    """Prompt about unsaved work before any napari window closes."""
+    global _guard
+    _guard = _guard or CloseGuard()
+    _guard.watch()
+
+
+def _windows() -> Iterator[tuple[QMainWindow, Any]]:
+    """Iterate over the windows of napari, with their viewers."""
+    for window in QApplication.topLevelWidgets():
+        if isinstance(window, QMainWindow) and (canvas := window.findChild(QtViewer)) is not None:
+            yield window, canvas.viewer
+
+
+def _unsaved_of(viewer: Any) -> Unsaved:
+    """Return the instance of an open dock; if all docks of the viewer were closed, open one."""
+    if all(each.viewer is not viewer for each in _all):
+        viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
+    return next(each for each in _all if each.viewer is viewer)
+
+
+def _is_script() -> bool:
+    """Return whether a script is running, with neither an event loop nor an interactive prompt."""
+    return QThread.currentThread().loopLevel() == 0 and not hasattr(sys, "ps1")
 
 
 class RecoveryNotice(Container):

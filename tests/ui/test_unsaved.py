@@ -13,7 +13,7 @@ import pytest
 from napari.components import ViewerModel
 from napari.settings import get_settings
 from qtpy.QtCore import QEvent, QFile, QObject, QSettings, Qt
-from qtpy.QtWidgets import QFileDialog, QLabel, QMessageBox
+from qtpy.QtWidgets import QApplication, QFileDialog, QLabel, QMessageBox
 
 from napari_hmrf import (
     Arrow,
@@ -311,6 +311,56 @@ def test_only_the_window_with_edits_asks_and_quitting_asks_before_any_window_clo
     assert press_close(first)
     assert len(mine.questions) == 2
     assert other.questions == []
+
+
+def test_quitting_from_a_window_without_the_dock_asks_first(
+    window, make_napari_viewer, wait_for, at_rest
+):
+    _, dock = window(shown=True)
+    dock.drawing = DRAWING
+    other = make_napari_viewer(show=True).window._qt_window
+    other.activateWindow()
+    wait_for(lambda: QApplication.focusWindow() is other.windowHandle())
+    asked = Answers(dock, "cancel")
+    other.close(quit_app=True)
+    at_rest()
+    assert len(asked.questions) == 1
+    assert other.isVisible()
+    assert dock.drawing == DRAWING
+
+
+def test_closing_the_dock_writes_its_work_and_closing_the_window_asks_for_it(
+    window, press_close, at_rest, wait_for, monkeypatch
+):
+    viewer, dock = window()
+    door, native = dock.door, viewer.window._qt_window
+    dock.drawing = DRAWING
+    viewer.window.remove_dock_widget(dock.native)
+    wait_for(lambda: len(autosaved_files()) == 1)
+    asked, answers = [], QMessageBox.StandardButton
+    monkeypatch.setattr(
+        QMessageBox, "question", lambda *given: (asked.append(given[2]), answers.Discard)[1]
+    )
+    native.close()
+    at_rest()
+    assert len(asked) == door.passed == 1
+    assert "'MR slice 1'" in asked[0]
+    assert not autosaved_files()
+
+
+def test_work_of_a_viewer_closed_at_a_prompt_can_be_recovered(
+    window, wait_for, at_rest, monkeypatch
+):
+    viewer, dock = window()
+    dock.drawing = DRAWING
+    at_rest.until(lambda: len(autosaved_files()) == 1)
+    asked = Answers(dock)
+    dock.door.remove()
+    monkeypatch.setattr(sys, "ps1", ">>> ", raising=False)
+    viewer.close()
+    assert asked.questions == []
+    (file,) = autosaved_files()
+    assert read_study(file).study.motion.drawing == DRAWING
 
 
 def test_the_question_has_three_answers(window, press_close, monkeypatch):
