@@ -17,6 +17,12 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.form_binding import FormBinding
 
+#: Attributes of a `Request` that define each part of a study.
+_FIELDS: dict[str, tuple[str, ...]] = {
+    "motion": ("boundary", "rules", "confidence"),
+    "tissue": ("tissue", "materials", "curve"),
+}
+
 
 class StudyReader:
     """Reader of the study defined by the layers and choices of a dock.
@@ -46,10 +52,7 @@ class StudyReader:
             If neither an image nor tissue labels are chosen.
         """
         request = self._binding.request()
-        layer = request.layers[0]
-        place = SlicePlace.of(frame_of(layer, request.view))
-        drawing = self._model.get(Part("drawing", layer, place), Drawing())
-        return replace(request, drawing=drawing)
+        return replace(request, drawing=self._model.get(_slice_of(request), Drawing()))
 
     def read(self, request: Request) -> Study:
         """Read the study of a request, with the chosen model and solver settings.
@@ -70,6 +73,43 @@ class StudyReader:
         )
         return replace(study, motion=motion, prior=model.prior, optimizer=model.optimizer)
 
+    def read_partly(self, last: Study | None) -> Study | None:
+        """Read the selected slice, and take the parts that cannot be read from an earlier study.
+
+        Parameters
+        ----------
+        last : Study or None
+            Last study that was read, with the current drawing of the selected slice.
+
+        Returns
+        -------
+        Study or None
+            None if the image cannot be read, and there is no earlier study.
+        """
+        try:
+            request = self.request()
+            if _slice_of(request) != self._model.slice:
+                return last  # a slice is displayed that could not be selected
+        except Exception:  # noqa: BLE001 - a layer may raise anything
+            return last
+        for without in ((), ("motion",), ("tissue",), ("motion", "tissue")):
+            left: dict[str, Any] = {name: None for part in without for name in _FIELDS[part]}
+            some = replace(request, **left)
+            if not some.layers:
+                continue
+            try:
+                study = self.read(some)
+            except Exception:  # noqa: BLE001 - a layer may raise anything
+                continue
+            if without and last is not None and last.grid == study.grid:
+                if "tissue" in without:
+                    study = replace(study, tissue=last.tissue, pictures=last.pictures)
+                if "motion" in without:
+                    study = replace(study, motion=last.motion)
+                study = replace(study, names={**last.names, **study.names})
+            return study
+        return last
+
     def first_curve(self) -> StiffnessCurve:
         """Return a first guess of the curve that maps the brightness of the slice to stiffness.
 
@@ -86,3 +126,9 @@ class StudyReader:
     def invalidate(self) -> None:
         """Discard all layer copies, because a script may have changed an array in place."""
         self._copies.invalidate()
+
+
+def _slice_of(request: Request) -> Part:
+    """Return the key of the drawing of a request."""
+    layer = request.layers[0]
+    return Part("drawing", layer, SlicePlace.of(frame_of(layer, request.view)))

@@ -321,11 +321,13 @@ class Unsaved:
         if slice_part not in self._work.slices:
             self._drop_recovery(slice_part)  # all edits were undone
         else:
+            study = self._controller.reader.read_partly(self._controller.study)
+            if study is None:
+                return
             try:
-                study = self._dock.study
                 file = self._work.saved_files.get(slice_part) or recovery.new_file(folder())
-            except (HmrfError, ValueError, OSError):
-                return  # the current state cannot be saved: keep the earlier file
+            except OSError:
+                return
             self._work.saved_files[slice_part] = file
             self._writer = threading.Thread(
                 target=_write, args=(file, study, self._overlay), daemon=True

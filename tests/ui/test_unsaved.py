@@ -446,6 +446,33 @@ def test_edits_are_autosaved_but_not_during_a_drag(window, at_rest, wait_for):
     at_rest.until(lambda: not autosaved_files())
 
 
+def test_edits_of_a_study_that_cannot_be_solved_are_autosaved(dock_beside, at_rest):
+    viewer = ViewerModel()
+    dock = dock_beside(viewer)
+    viewer.add_image(np.full((64, 64), 100, np.uint8), name="photo")
+    at_rest()
+    dock.make_layers()
+    at_rest()
+    tissue, boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
+    viewer.layers.selection.active = tissue
+    tissue.fill((5, 5), 2)
+    at_rest()
+    tissue.translate = (3, 3)
+    at_rest()
+    assert "not on the grid" in dock.status
+    dock.drawing = DRAWING
+    viewer.layers.selection.active = boundary
+    boundary.fill((5, 5), 1)
+
+    def autosaved():
+        return read_study(autosaved_files()[0]).study
+
+    at_rest.until(lambda: autosaved_files() and (autosaved().motion.labels == 1).all())
+    study = autosaved()
+    assert study.motion.drawing == DRAWING
+    assert (study.tissue.labels == 2).all(), "the last valid tissue is missing"
+
+
 CRASHED = """
 import sys
 import numpy as np
