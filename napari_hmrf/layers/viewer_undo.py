@@ -11,6 +11,7 @@ from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.layers.compat import paint_steps, unwrapped
+from napari_hmrf.layers.image_choice import uncover
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, store_table
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
@@ -52,12 +53,12 @@ class ViewerUndo:
         viewer.layers.events.removed.connect(self._on_removed)
 
     def undo(self) -> None:
-        """Undo the last step, and show its slice."""
+        """Undo the last step, and show its image and slice."""
         if not self._undo_older_paint("undo", self.model.next_undo):
             self._report("undo", "Undid", self.model.undo(), "There is nothing to undo.")
 
     def redo(self) -> None:
-        """Redo the most recently undone step, and show its slice."""
+        """Redo the most recently undone step, and show its image and slice."""
         if not self._undo_older_paint("redo", self.model.next_redo):
             self._report("redo", "Redid", self.model.redo(), "There is nothing to redo.")
 
@@ -67,7 +68,7 @@ class ViewerUndo:
         A step that changes another image than `image` is named with that image.
         """
         undo, redo = self.model.next_undo, self.model.next_redo
-        first, second = _tip("undo", undo, image), _tip("redo", redo, image)
+        first, second = self._tip("undo", undo, image), self._tip("redo", redo, image)
         return f"{first} (Ctrl+Z)", f"{second} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: object) -> None:
@@ -135,11 +136,15 @@ class ViewerUndo:
         return has_paint
 
     def _report(self, name: str, what: str, step: Step | None, nothing: str) -> None:
-        """Report an undone or redone step and show its slice; for paint, use napari's history."""
+        """Report an undone or redone step and show its image; for paint, use napari's history."""
         if step is not None and isinstance(part := step.part, Part):
             # napari stores at most 100 strokes, so the stroke may no longer be available.
             if part.kind == "paint" and paint_steps(part.layer, name):
                 _repeat(part.layer, name)
+            image = self.model.image_of(part)
+            if image is not None and image is not self.model.image:
+                self.model.select(image)
+                uncover(self._viewer, image)
             self.go_to(part)
             what += self._of_image(part)
         self.message.emit(nothing if step is None else f"{what}: {step.word}.", step)
@@ -147,8 +152,16 @@ class ViewerUndo:
     def _of_image(self, part: Part) -> str:
         """Return a phrase with the name of the image if several images were edited, or ""."""
         images = {each.layer for each in self.model.parts if each.kind == "drawing" and each.layer}
-        said = len(images) > 1 and part.kind in ("drawing", "choice")
-        return f" on '{part.layer.name}'" if said and part.layer else ""
+        image = self.model.image_of(part)
+        return f" on '{image.name}'" if len(images) > 1 and image is not None else ""
+
+    def _tip(self, what: str, step: Step | None, image: Any) -> str:
+        if step is None:
+            return f"Nothing to {what}"
+        part = step.part
+        own = self.model.image_of(part) if isinstance(part, Part) else None
+        where = f" on '{own.name}'" if own is not None and own is not image else ""
+        return f"{what.capitalize()}{where}: {step.word}"
 
     def go_to(self, part: Part, turn: bool = False) -> None:
         """Show the slice of a part.
@@ -191,15 +204,6 @@ def _repeat(layer: Any, name: str) -> None:
     if not layer.visible:
         layer.visible = True
     getattr(layer, name)()
-
-
-def _tip(what: str, step: Step | None, image: Any) -> str:
-    if step is None:
-        return f"Nothing to {what}"
-    part, where = step.part, ""
-    if isinstance(part, Part) and part.kind in ("drawing", "choice"):
-        where = f" on '{part.layer.name}'" if part.layer and part.layer is not image else ""
-    return f"{what.capitalize()}{where}: {step.word}"
 
 
 def undo_of(viewer: Any) -> ViewerUndo:

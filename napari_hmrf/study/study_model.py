@@ -316,6 +316,21 @@ class StudyModel(EditHistory):
             replace(choice, details=replace(choice.details, device=device)), step=False
         )
 
+    def image_of(self, part: Part) -> Any:
+        """Return the image that a part belongs to, or None.
+
+        A layer of several images, such as a tissue layer, belongs to the selected image if that
+        image uses the layer.
+        """
+        if part.kind not in ("tissue", "boundary", "paint"):
+            return part.layer
+        choices = [self.image, *(each.layer for each in self.parts if each.kind == "choice")]
+        for image in choices:
+            choice: ImageChoice = self.get(Part("choice", image), ImageChoice())
+            if part.layer in choice.layers:
+                return image
+        return None
+
     # Tissue and boundary
 
     def table(self, kind: TableKind, layer: Hashable) -> RowTable[Any] | None:

@@ -1,5 +1,7 @@
 """Tests of several images in one viewer, each with its own layers, settings and drawing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -214,6 +216,24 @@ def test_undo_on_another_image_shows_that_image(viewer, widget, settle):
     assert first[0].visible
     assert not second[0].visible
     assert widget.status.startswith(f"Undid on '{first[0].name}': replaced the drawing.")
+
+
+def test_undo_of_a_table_or_a_model_of_another_image_shows_that_image(viewer, widget, settle):
+    (first, tissue, *_), (second, *_) = brain(viewer), brain(viewer)
+    widget.image = first
+    settle(widget)
+    widget.model = "elastic"
+    widget.materials = [replace(row, stiffness=7.0) for row in widget.materials]
+    settle(widget)
+    undo = Screen(widget).button("Undo")
+    for word in (f"changed the table of '{tissue.name}'", "chose another model"):
+        widget.image = second
+        settle(widget)
+        assert undo.toolTip() == f"Undo on '{first.name}': {word} (Ctrl+Z)"
+        widget.undo()
+        settle(widget)
+        assert widget.image is first
+        assert first.visible
 
 
 def test_a_message_names_the_new_layers_to_paint_on(viewer, widget):
