@@ -15,6 +15,8 @@ from napari_hmrf.layers.slice_view import View, fits, full_resolution
 
 #: Blending modes in which an image hides the layers below it.
 _OPAQUE = ("opaque", "translucent", "translucent_no_depth")
+#: Attributes that define the position of a layer, besides its units.
+_POSITION = ("scale", "translate", "rotate", "shear", "affine")
 #: Number of points along each axis at which the visibility of an image is checked.
 _SAMPLES = 5
 
@@ -54,6 +56,17 @@ def is_photograph(image: Any) -> bool:
     if has_unit or role_of(image) is not None:
         return False
     return bool(image.rgb) or (image.ndim == 2 and full_resolution(image).dtype == np.uint8)
+
+
+def is_same_image(layer: Any, image: Any) -> bool:
+    """Return whether a layer is an image with the pixels and the position of another image."""
+    if not isinstance(layer, Image) or layer.multiscale or image.multiscale:
+        return False
+    return (
+        (layer.rgb, layer.data.shape, layer.units) == (image.rgb, image.data.shape, image.units)
+        and all(np.array_equal(getattr(layer, name), getattr(image, name)) for name in _POSITION)
+        and np.array_equal(layer.data, image.data)
+    )
 
 
 def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> list[Any]:

@@ -37,6 +37,7 @@ from napari_hmrf.io.study_file import (
     write_study,
 )
 from napari_hmrf.layers.compat import is_quitting, slice_hidden, stop_quitting
+from napari_hmrf.layers.image_choice import is_same_image
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
 from napari_hmrf.layers.unsaved_work import UnsavedWork
@@ -106,6 +107,9 @@ class Dock(Protocol):
 
     def show_message(self, message: str) -> None:
         """Show a message."""
+
+    def fit_view(self) -> None:
+        """Fit all layers into the canvas."""
 
     def show_marks(self) -> None:
         """Start drawing if the study has marks."""
@@ -205,14 +209,23 @@ class Unsaved:
         self._add(path)
         self._drop_recovery(self._model.slice, Path(path))
 
-    def _add(self, path: str | Path) -> None:
-        """Add the content of a file to the viewer, without undo steps for its layers."""
+    def _add(self, path: str | Path, reuse: bool = False) -> None:
+        """Add the content of a file to the viewer, without undo steps for its layers.
+
+        If `reuse` is True, an open image without a drawing is used instead of an equal image of
+        the file.
+        """
         (study, solution), dock = read_study(path), self._dock
         if solution is not None:
             self._controller.engine.start_from(solution)
         layers = study_layers(study)
+        if reuse and "image" in layers:
+            layers["image"] = self._undrawn_image(layers["image"]) or layers["image"]
         with self._binding.automatically():
             for layer in layers.values():
+                if layer in self._viewer.layers:
+                    layer.visible = True
+                    continue
                 slice_hidden(self._viewer, layer)
                 self._viewer.add_layer(layer)
             if (frame := study.grid.place) is not None:
@@ -237,6 +250,16 @@ class Unsaved:
         overlay = self._controller.form.result.overlay
         if (name := overlay_named_in(path)) in overlay.choices:
             overlay.value = name
+        dock.fit_view()
+
+    def _undrawn_image(self, image: Any) -> Any:
+        """Return an open image that equals a layer and has no drawing, or None."""
+        parts = [each for each in self._model.parts if each.kind == "drawing"]
+        drawn = {each.layer for each in parts if self._model.get(each).marks}
+        for layer in self._viewer.layers:
+            if layer not in drawn and is_same_image(layer, image):
+                return layer
+        return None
 
     def _on_edited(self, part: Part, _: object, before: object) -> None:
         model = self._model
@@ -336,7 +359,7 @@ class Unsaved:
 
     def _open_recovered(self, file: Path) -> None:
         """Open a recovery file of a terminated process, and keep it until the work is saved."""
-        self._add(file)
+        self._add(file, reuse=True)
         slice_part = self._model.slice
         self._work.note(slice_part)
         self._work.saved_files[slice_part] = recovery.claim(file)

@@ -64,7 +64,11 @@ class Dock(Container):
         """Fit the image into the remaining canvas, if the whole image was visible before."""
         self._arrival_timer.start()
         if sees_all(self._viewer):
-            self._fit_timer.start()
+            self.fit_view()
+
+    def fit_view(self) -> None:
+        """Fit all layers into the canvas, once the canvas has its final size."""
+        self._fit_timer.start()
 
     def on_window(self, window: QMainWindow) -> None:
         """Respond to docking in a napari window."""

@@ -31,6 +31,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.tissue import StiffnessCurve
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import dock_in
+from tests.support.person import Person
 from tests.support.screen import Screen
 
 SHAPE = (36, 44)
@@ -341,6 +342,26 @@ def test_opening_a_study_file_in_napari_fills_the_dock(make_napari_viewer, at_re
     assert dock.image is viewer.layers["photo"]
     assert dock.drawing == DRAWING
     assert Screen(dock).button("Save study ...").isEnabled()
+
+
+@pytest.mark.parametrize("has_dock", [True, False])
+def test_the_whole_image_of_an_opened_study_is_visible(
+    make_napari_viewer, at_rest, tmp_path, has_dock
+):
+    image = np.tile(np.arange(240, dtype=np.uint8), (200, 1))
+    pull = Drawing((Arrow(at=(100, 100), by=(5, 10), radius=8),))
+    study = Study(Grid((200, 240), (1, 1)), motion=Motion(drawing=pull), pictures=Pictures(image))
+    path = write_study(tmp_path / "case", study)
+    viewer = make_napari_viewer(show=True)
+    viewer.window.resize(1380, 860)
+    if has_dock:
+        dock_in(viewer)
+        at_rest(thread=False)
+    viewer.open(path, plugin="napari-hmrf")
+    at_rest(thread=False)
+    person = Person(viewer, None)
+    for corner in ((-0.5, -0.5), (199.5, 239.5)):
+        assert person.canvas.rect().contains(person.where(*corner))
 
 
 def test_a_message_reports_landmarks_that_were_not_imported_before_saving(make_dock, tmp_path):

@@ -559,6 +559,28 @@ def left_behind(monkeypatch):
     return left
 
 
+@pytest.mark.parametrize("drawn", [False, True], ids=["unused", "with a drawing"])
+def test_recovered_work_uses_an_open_image_without_a_drawing(
+    dock_beside, wait_for, left_behind, drawn
+):
+    pixels = np.arange(64 * 64, dtype=np.uint16).reshape(64, 64)
+    pictures = Pictures(image=pixels, name="photo")
+    left_behind(Study(Grid((64, 64), (1, 1)), motion=Motion(drawing=DRAWING), pictures=pictures))
+    viewer = ViewerModel()
+    viewer.add_image(pixels + np.uint16(1), name="other")
+    image = viewer.add_image(pixels, name="photo")
+    dock = dock_beside(viewer)
+    if drawn:
+        dock.drawing = OTHER
+    Screen(dock).press("Open it")
+    wait_for(lambda: not dock.busy)
+    assert dock.drawing == DRAWING
+    assert (dock.image is image) == (not drawn)
+    dock.image = image
+    wait_for(lambda: not dock.busy)
+    assert dock.drawing == (OTHER if drawn else DRAWING)
+
+
 @pytest.mark.parametrize(
     ("name", "lines"), [("Brain", 3), ("a_scan_of_a_knee" * 6, 8)], ids=["short", "long"]
 )
