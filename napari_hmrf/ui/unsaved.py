@@ -318,6 +318,9 @@ class Unsaved:
         button = QMessageBox.StandardButton
         answers: dict[Any, Answer] = {button.Save: "save", button.Discard: "discard"}
         offered = button.Save | button.Discard | button.Cancel
+        window = self._dock.native.window()  # may be behind the window that quits napari
+        window.raise_()
+        window.activateWindow()
         answer = QMessageBox.question(
             self._dock.native, "Soft tissue", question, offered, button.Save
         )
