@@ -104,8 +104,6 @@ class SoftTissue(DockValues):
         viewer, undo = self._viewer, undo_of(self._viewer)
         self.study_model: StudyModel = undo.model
         self._added_landmarks: tuple[Landmark, ...] = ()
-        # True if a tool was activated automatically and has not been used yet.
-        self._unused = False
         self._form = form = DockForm(self, viewer)
         remember(form.model.in_detail["device"])
         self._binding = FormBinding(viewer, form)
@@ -251,7 +249,7 @@ class SoftTissue(DockValues):
     def show_marks(self) -> None:
         """Start drawing if the study has marks, which are visible only then."""
         if self.drawing.marks:
-            self._unused = self.start()
+            self.start()
 
     def deform(self) -> None:
         """Solve the study from a cold start.
@@ -389,7 +387,6 @@ class SoftTissue(DockValues):
             table.picked.connect(self.hand_brush)
             table.changed.connect(self._on_table)
         pointer.changed.connect(self._show_tool)
-        pointer.action_started.connect(partial(setattr, self, "_unused", False))
         controller.finished.connect(self._on_finished)
         self._view.message.connect(self.show_message)
         self._watch.first_image_ready.connect(self._on_first)
@@ -422,14 +419,10 @@ class SoftTissue(DockValues):
     # Buttons and events
 
     def _on_tool(self, name: str) -> None:
-        """Switch to the tool of a button, or stop drawing if the tool is already in use."""
-        unused, self._unused = self._unused, False
-        if self.active and self.tool == name and not unused:
-            self.stop()
-        else:
-            self.tool = name
-            if not self.active:
-                self.start()
+        """Switch to the tool of a button, and draw with it."""
+        self.tool = name
+        if not self.active:
+            self.start()
         self._show_tool()
 
     def _on_table(self, is_automatic: bool) -> None:
@@ -476,7 +469,7 @@ class SoftTissue(DockValues):
 
     def _on_first(self) -> None:
         if self.docked:
-            self._unused = self.start()
+            self.start()
 
     def _on_sample(self) -> bool:
         """Start drawing on a sample, if the dock is in a window; return whether the mouse draws."""

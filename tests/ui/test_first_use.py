@@ -57,14 +57,21 @@ def slide(widget, part):
     QTest.mouseClick(slider, LEFT, Qt.KeyboardModifier.NoModifier, place)
 
 
-def test_the_first_press_of_an_automatically_activated_pull_leaves_it_active(
-    pulling_beside, settle, click
-):
-    _, widget = pulling_beside
-    click(widget, "Pull")
-    assert widget.active, "the press suggested by the message deactivated the tool"
-    click(widget, "Pull")
-    assert not widget.active, "the second press did not deactivate the tool"
+@pytest.mark.parametrize("title", ["Pull", "Hold", "Confidence"])
+def test_pressing_a_tool_again_leaves_it_active(pulling_beside, at_rest, click, title):
+    person, widget = pulling_beside
+    button = Screen(widget).button(title)
+    key = button.toolTip().rstrip(")")[-1]
+    for press in (
+        lambda: click(widget, title),
+        lambda: QTest.keyClick(button, Qt.Key.Key_Space),
+        lambda: person.key(Qt.Key(ord(key))),
+    ):
+        for _ in range(2):
+            press()
+            at_rest.pass_through()
+            assert widget.active
+            assert button.isChecked()
 
 
 @pytest.mark.parametrize("sample", ["brain", "growth"])
@@ -139,13 +146,6 @@ def test_escape_cancels_a_drag_before_the_tissue_is_ready(open_beside, busy_thre
     settle(widget)
     person.release(34, 34)
     assert not widget.drawing.marks
-
-
-def test_a_press_deactivates_pull_after_it_was_used(pulling_beside, settle, click):
-    person, widget = pulling_beside
-    person.drag((30, 30), (30, 36))
-    click(widget, "Pull")
-    assert not widget.active
 
 
 def test_controls_of_the_result_show_a_result_hidden_for_painting(deformed, settle, click):
