@@ -188,6 +188,12 @@ class PushTool(BrushTool):
         """True while a stroke is painted; the drag of a stroke follows the screen."""
         return self._grip is None
 
+    @property
+    def pulled(self) -> Point | None:
+        """Displacement of the painted tissue that is being dragged; None while painting."""
+        stroke = self.stroke
+        return None if stroke is None or self._grip is None else stroke.by
+
     def _begin(self, point: Point, settings: ToolSettings) -> None:
         """Begin dragging the selected stroke if the point is on the stroke, else begin painting."""
         self._grip, stroke = None, self._stroke_at(self._place(point))

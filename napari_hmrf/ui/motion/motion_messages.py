@@ -83,6 +83,11 @@ def grown(amount: float, unit: str, is_pulled: bool = False) -> str:
     return f"This {noun} {way} by {abs(amount):.3g} {unit}{still}."
 
 
+def pulling(distance: float, unit: str) -> str:
+    """Return a message about the distance of a drag that is in progress."""
+    return f"Pulling {distance:.3g} {unit}"
+
+
 def covered(other: str) -> str:
     """Return a message that another layer covers the image, with a remedy."""
     return f"'{other}' covers the image: hide '{other}', or choose it as the image."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import partial
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple
 from psygnal import Signal
 
 from napari_hmrf.field.frame import SlicePlace
+from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.line_of_sight import LineOfSight
 from napari_hmrf.layers.paint_layer import tissue_colours
@@ -80,6 +82,8 @@ class Pointer:
     message = Signal(str)
     #: Emitted with the reason why an action of a tool has no effect.
     refusal = Signal(str)
+    #: Emitted with the distance of the drag in progress; "" shows the result again.
+    pulled = Signal(str)
     #: Emitted when a new action begins and earlier messages are out of date.
     action_started = Signal()
 
@@ -98,6 +102,8 @@ class Pointer:
         # Drags that began before the tissue was ready, and True while the last one continues.
         self._early_drags: list[EarlyDrag] = []
         self._is_early = False
+        # Drawing before the drag.
+        self._undragged = Drawing()
         # True once the user has pressed the mouse button on the image.
         self._is_used = False
         undo.message.connect(self._on_step)
@@ -146,6 +152,7 @@ class Pointer:
         self._model.select_slice(None if study is None else image, place)
         self.display.select_slice(study, image, bool(self.drawing.marks))
         self.tool = self._create_tool(type(self.tool))
+        self.pulled.emit("")
         self.draw()
 
     def select_tool(self, name: str) -> None:
@@ -303,6 +310,7 @@ class Pointer:
         if other is not None:
             self.message.emit(motion_messages.covered(other.name))
             return
+        self._undragged = self.drawing
         message = self.tool.press(point, reach, self._fields.settings, moved.origin_of)
         if self.tool.is_dragging:
             self._show_settings()
@@ -333,8 +341,13 @@ class Pointer:
         if self._is_early:
             self._early_drags[-1].points.append(point)
             return
+        before = self.drawing
         self.tool.move(point)
         self._show_stroke(at_once=False)
+        moved, by = self.display.moved, self.tool.pulled
+        if moved is not None and by is not None and self.drawing is not before:
+            far = as_seen(math.hypot(*by), moved.study.grid.spacing)
+            self.pulled.emit(motion_messages.pulling(far, self._fields.unit))
 
     def takes_wheel_at(self, point: Point | None = None) -> bool:
         """Return whether the tool uses the mouse wheel at a point on tissue, or anywhere."""
@@ -379,6 +392,8 @@ class Pointer:
             self.refusal.emit(str(error))
         self._show_cursor()
         if was_dragging:
+            if self.drawing == self._undragged:
+                self.pulled.emit("")
             if self._lacks_motion:
                 self.refusal.emit(motion_messages.NO_MOTION)
                 message = None
@@ -403,6 +418,7 @@ class Pointer:
             self._early_drags.clear()
             self.message.emit(motion_messages.CANCELLED)
         elif self.tool.cancel():
+            self.pulled.emit("")
             self.message.emit(motion_messages.CANCELLED)
         else:
             self.tool.select(None)
@@ -500,6 +516,8 @@ class Pointer:
     def _show_error(self, state: ShownDeformation) -> None:
         error = state.moved.error
         assert error is not None
+        if not self.tool.is_dragging:
+            self.pulled.emit("")
         self._in_error = self.active
         if self.tool.stroke is None:
             self.display.show_painted(state)

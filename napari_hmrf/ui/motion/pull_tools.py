@@ -57,6 +57,14 @@ class PullTool(Tool):
         mark = super().mark
         return mark if isinstance(mark, Arrow | Landmark) else None
 
+    @property
+    def pulled(self) -> Point | None:
+        """Displacement of the mark that is being dragged, or None."""
+        mark = self.mark if self.is_dragging else None
+        if isinstance(mark, Landmark):
+            mark = mark.arrow(self._spacing)
+        return None if mark is None else mark.by
+
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:

@@ -196,6 +196,11 @@ class Tool(ABC):
         """Message that replaces the errors of an unfinished drag; "" shows the errors."""
         return ""
 
+    @property
+    def pulled(self) -> Point | None:
+        """Displacement of the tissue that is being dragged; None if no tissue is dragged."""
+        return None
+
     def cursor(self, settings: ToolSettings) -> float | None:
         """Return the radius of the circle around the pointer, or None if there is no circle.
 

@@ -61,6 +61,8 @@ class ResultView:
         #: Difference between the result and its reference, or None.
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer, lambda: self.shown)
+        # Distance of a drag, shown until the next result is drawn; "" shows the result.
+        self._pulled = ""
         self.key = ScaleKey(viewer, lambda: self.shown)
         self.key.length_changed.connect(self._show_distance)
         self.player = Player(native, self._jobs, lambda: self.shown)
@@ -124,6 +126,7 @@ class ResultView:
         """Select the result that is stored in an arrow layer."""
         before = self.shown
         answer, shown = None if arrows is None else result_of(arrows), None
+        self._pulled = ""
         if answer is not None:
             shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
         other = before is None or shown is None or shown.layers is not before.layers
@@ -164,6 +167,12 @@ class ResultView:
         """Play back and forth between 0 and 100 % until `player.stop` is called."""
         if self._can_move():
             self.player.play()
+
+    def show_pulled(self, text: str) -> None:
+        """Show the distance of a drag until the next result is drawn; "" shows the result."""
+        if text != self._pulled:
+            self._pulled = text
+            self._show_distance()
 
     def rest(self) -> None:
         """Restore the layers and remove the key binding, because the dock is closing."""
@@ -380,7 +389,7 @@ class ResultView:
                 text = ". ".join(filter(None, (text, words.arrow_scale(shown.times_as_long))))
             if shown.overlay is not None and percent == words.FULL and not is_before:
                 text = ". ".join(filter(None, (text.rstrip("."), shown.overlay.beyond)))
-        self._form.how_far.show_text(text)
+        self._form.how_far.show_text(self._pulled or text)
         self._form.differences.show_text(difference)
 
     # Buttons and events

@@ -114,6 +114,7 @@ def test_the_wheel_and_the_keys_move_dragged_tissue_in_depth(beside, settle):
     person, widget = beside
     person.press(*MIDDLE)
     person.wheel(2)
+    assert "Pulling 2 px" in Screen(widget).words
     person.key(Qt.Key.Key_Down)
     person.move(MIDDLE[0], 12.5, 13.5)
     assert not person.viewer.layers["Motion"].mouse_zoom
@@ -123,6 +124,8 @@ def test_the_wheel_and_the_keys_move_dragged_tissue_in_depth(beside, settle):
     assert person.viewer.layers["Motion"].mouse_zoom
     person.wheel(3)
     assert only(widget).by == pytest.approx((1, 1, 0)), "the wheel moves tissue without a drag"
+    widget.undo()
+    assert not widget.drawing.marks, "a drag with turns of the wheel is several undo steps"
 
 
 def test_the_end_of_an_arrow_can_be_grabbed_again(beside, settle):

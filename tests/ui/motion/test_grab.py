@@ -11,6 +11,7 @@ from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.person import CTRL, SHIFT, by_name, only, settle_moves
+from tests.support.pulling import pull
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
 
@@ -45,6 +46,28 @@ def test_tissue_follows_the_mouse_during_a_drag(pulling, settle, qtbot):
     assert person.viewer.layers.selection.active.name == "Motion"
     assert by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"] is not None
     assert widget.study_model.next_undo.word == "drew an arrow"
+
+
+def test_the_distance_of_a_drag_is_shown_until_its_result_is_drawn(open_beside, settle):
+    person, widget = open_beside(scale=(0.5, 0.5), units=("mm", "mm"))
+    screen = Screen(pull(widget, settle))
+    person.press(15, 15)
+    assert "Pulling" not in screen.words
+    person.move(15, 16)
+    assert "Pulling 1 mm" in screen.words
+    person.move(16.5, 17)
+    settle(widget)
+    assert "Pulling 2.5 mm" in screen.words
+    person.release(16.5, 17)
+    settle(widget)
+    assert "100 %: tissue moved up to 2.5 mm" in screen.words
+    person.press(16.5, 17)
+    person.move(18, 19)
+    assert "Pulling 5 mm" in screen.words
+    assert "moved up to" not in screen.words
+    person.key(Qt.Key.Key_Escape)
+    assert "moved up to 2.5 mm" in screen.words
+    assert "Pulling" not in screen.words
 
 
 def test_an_arrow_is_dragged_by_its_head_or_its_base(pulling_beside, settle):
