@@ -238,6 +238,8 @@ class GrowTool(BrushTool):
 
     #: True while the wheel, rather than a drag, changes the growth.
     _is_turning = False
+    #: Visible point at which the wheel was turned last.
+    _turned_at: Point = ()
     #: Present displacements along the stroke that is being painted.
     _steps: tuple[Point, ...] = ()
 
@@ -295,18 +297,28 @@ class GrowTool(BrushTool):
             the drawing is then unchanged.
         """
         at = origin(point)
-        if at is None or not self._is_inside(point) or (self.is_dragging and not self._is_turning):
-            return False
         mark = self.mark if self._is_turning else None
-        if mark is None or not covers(mark, at, self._spacing):
-            self.release()
-            mark = self._begin_turning(at, point, settings)
+        # The tissue under a resting pointer may leave a patch that shrinks.
+        if mark is None or not self._is_resting(point, mark.radius):
+            if at is None or not self._is_inside(point):
+                return False
+            if self.is_dragging and not self._is_turning:
+                return False
+            if mark is None or not covers(mark, at, self._spacing):
+                self.release()
+                mark = self._begin_turning(at, point, settings)
+        self._turned_at = point
         step = float(f"{mark.radius * _NOTCH:.2g}")
         amount = round(mark.amount + notches * step, 9)
         if mark.lines == ((mark.lines[0][0],),):  # a disc or a ball, which must not vanish
             amount = max(amount, -_MOST_SHRINKAGE * mark.radius)
         self._replace(replace(mark, amount=amount))
         return True
+
+    def _is_resting(self, point: Point, radius: float) -> bool:
+        """Return whether the pointer has not moved since the last turn of the wheel."""
+        moved = math.hypot(*between(self._turned_at, point, self._spacing))
+        return moved < _STEP * radius
 
     def _begin_turning(self, at: Point, point: Point, settings: ToolSettings) -> Mark:
         """Select the patch at an undeformed position, or add a patch that does not grow yet.

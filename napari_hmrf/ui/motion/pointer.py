@@ -96,7 +96,10 @@ class Pointer:
         # Text overlay in a corner of the canvas, and the text last written there by this object.
         self._corner, self._in_corner = text_of(viewer), ""
         self._draw_timer = single_shot(native, _AHEAD, self.draw)
-        self._wheel_timer = single_shot(native, _WHEEL_REST, self.release)
+        # The undo step of the wheel ends after a rest and all pending turns of the wheel, which may
+        # have waited for a repaint.
+        self._wheel_end = single_shot(native, 0, self.release)
+        self._wheel_timer = single_shot(native, _WHEEL_REST, self._wheel_end.start)
         self.tissue: Any = None
         self._in_error = False
         # Drags that began before the tissue was ready, and True while the last one continues.
@@ -373,6 +376,7 @@ class Pointer:
             self.refusal.emit(str(error))
             return
         if has_grown and (mark := self.tool.mark) is not None:
+            self._wheel_end.stop()
             self._wheel_timer.start()
             self._show_settings()
             self._show_cursor()
@@ -382,6 +386,7 @@ class Pointer:
     def release(self) -> None:
         """End the drag of the tool."""
         self._wheel_timer.stop()
+        self._wheel_end.stop()
         self.display.arrows.end_drag()
         self._is_early = False
         was_dragging, message = self.tool.is_dragging, None

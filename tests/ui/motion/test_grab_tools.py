@@ -18,6 +18,8 @@ from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.ui.events import single_shot
+from napari_hmrf.ui.motion import pointer
 from napari_hmrf.ui.motion.motion_messages import NO_WAY, OPEN, OUTSIDE
 from napari_hmrf.ui.motion.tool import Tool
 from napari_hmrf.ui.motion.tools import BY_NAME
@@ -816,6 +818,44 @@ def test_the_wheel_grows_and_shrinks_tissue_in_one_undo_step(pulling_beside, set
         assert only(widget).amount == amount
     widget.undo()
     assert not widget.drawing.marks
+
+
+def test_turns_of_the_wheel_during_a_long_repaint_are_one_undo_step(
+    monkeypatch, open_beside, settle, wait_for
+):
+    monkeypatch.setattr(pointer, "_WHEEL_REST", 0)
+    person, widget = open_beside()
+    widget.tool = "expand"
+    widget.start()
+    settle(widget)
+    # Both the end of the rest and a turn of the wheel wait for the event loop.
+    pending = single_shot(None, 0, lambda: person.turn_wheel(32, 32))
+    person.turn_wheel(32, 32)
+    pending.start()
+    wait_for(lambda: not (pending.isActive() or widget.study_model.drawing_in_progress))
+    assert only(widget).amount > 0
+    widget.undo()
+    assert not widget.drawing.marks
+
+
+def test_turns_of_the_wheel_at_the_rim_of_a_patch_are_one_undo_step(
+    monkeypatch, open_beside, settle, wait_for
+):
+    monkeypatch.setattr(pointer, "_WHEEL_REST", LONG_MS)
+    person, widget = open_beside()
+    widget.tool = "expand"
+    widget.drawing = before = Drawing((Stroke("expand", (((32, 32),),), 8.0, amount=0.4),))
+    widget.start()
+    settle(widget)
+    seen = []
+    widget.deformation_changed.connect(seen.append)
+    for turn in range(8):
+        person.turn_wheel(32, 40, -1)
+        wait_for(lambda turn=turn: len(seen) > turn)
+    assert only(widget).amount == pytest.approx(-2.8)
+    widget.tool = "pull"
+    widget.undo()
+    assert widget.drawing == before
 
 
 @pytest.mark.parametrize("key", [Qt.Key.Key_G, Qt.Key.Key_L])
