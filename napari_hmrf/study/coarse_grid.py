@@ -13,7 +13,7 @@ from napari_hmrf.field.frame import Frame, as_tuples
 from napari_hmrf.field.volume_preview import CutPlane
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Study
-from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Mark
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 
 
@@ -107,10 +107,12 @@ class CoarseGrid:
         return Drawing(tuple(map(self._mark, drawing.marks)))
 
     def _mark(self, mark: Mark) -> Mark:
-        if isinstance(mark, Arrow):
-            return replace(mark, at=self.down(mark.at))
-        if isinstance(mark, Landmark):
-            return replace(mark, source=self.down(mark.source), target=self.down(mark.target))
+        if not isinstance(mark, Stroke):
+            motion = mark.motion and mark.motion.scaled(1 / self.step)
+            if isinstance(mark, Arrow):
+                return replace(mark, at=self.down(mark.at), motion=motion)
+            source, target = self.down(mark.source), self.down(mark.target)
+            return replace(mark, source=source, target=target, motion=motion)
         lines = tuple(tuple(map(self.down, line)) for line in mark.lines)
         return replace(mark, lines=lines)
 

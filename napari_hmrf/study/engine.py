@@ -402,6 +402,16 @@ class Deformation:
             return points
         return self._points.after(points / self.grid.step) * self.grid.step
 
+    def motion_of(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return the displacements of undeformed points, (N, n) in pixels; NaN outside tissue."""
+        moved = (self.moved_positions(points) - points) * self.study.grid.spacing
+        if self.solution is not None:
+            tissue = self.solution.tissue
+            sites = np.rint(points / self.grid.step).astype(int)
+            sites = np.clip(sites, 0, np.array(tissue.shape) - 1)
+            moved[~tissue[tuple(sites.T)]] = np.nan
+        return moved
+
     @cached_property
     def _points(self) -> Points:
         assert self.solution is not None

@@ -168,14 +168,14 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         is_prescribed = moves.any(axis=-1, keepdims=True)
         y[where] = np.float32(mark.amount) * moves[:, components]
         if isinstance(mark, Arrow) or mark.action == "move":
-            y[where] += is_prescribed * np.asarray(mark.by[components], dtype=np.float32)
+            y[where] += is_prescribed * _steps(mark, box, where)[:, components]
         c[where] = mark.confidence * is_prescribed
         if isinstance(mark, Arrow):  # the centre moves as far as without growth
             middle = [round(x) - side.start for x, side in zip(mark.at, box, strict=True)]
             centre = tuple(slice(max(x, 0), max(x + 1, 0)) for x in middle)
             y[centre], c[centre] = mark.by[components], mark.confidence
     elif isinstance(mark, Arrow) or mark.action == "move":
-        y[where], c[where] = mark.by[components], mark.confidence
+        y[where], c[where] = _steps(mark, box, where)[:, components], mark.confidence
     elif mark.action == "pin":
         y[where], c[where] = 0, mark.confidence
     elif mark.action == "free":
@@ -197,6 +197,14 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         kinds[where] = 0
     elif mark.action != "confidence":  # confidence does not change the kind
         kinds[where] = KINDS[mark.action]
+
+
+def _steps(mark: Arrow | Stroke, box: Box, where: npt.NDArray[np.bool_]) -> FloatArray:
+    """Return the displacement of each pixel of a mask in a box, without the growth of the mark."""
+    motion = mark.motion if isinstance(mark, Arrow) else None
+    if motion is None:
+        return np.asarray(mark.by, dtype=np.float32)[np.newaxis]
+    return motion.on(box)[where].astype(np.float32)
 
 
 def _stop_sliding(canvas: Canvas, box: Box, where: npt.NDArray[np.bool_]) -> None:

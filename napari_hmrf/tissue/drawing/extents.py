@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
-from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Point
+from napari_hmrf.tissue.drawing.marks import Components, Landmark, Mark, Point, Stroke
+from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 
 #: Axis of the volume that a mark of one component prescribes.
 _AXES: dict[Components, int] = {"row": 1, "col": 2}
@@ -59,7 +61,8 @@ class SliceInVolume:
         if components != "both":
             axis = self.axes[0 if components == "row" else 1]
             components = next((name for name, at in _AXES.items() if at == axis), "both")
-        return _converted(mark, self._raise(self.index), self._raise(0.0), components)
+        motion = partial(PatchMotion.to_volume, axes=self.axes, index=self.index)
+        return _converted(mark, self._raise(self.index), self._raise(0.0), motion, components)
 
     def to_slice(self, mark: Mark) -> Mark | None:
         """Return a mark of the volume as a mark of the slice, without motion across the slice.
@@ -78,7 +81,8 @@ class SliceInVolume:
             if axis not in self.axes:
                 return None
             components = "row" if axis == self.axes[0] else "col"
-        return _converted(mark, self._lower, self._lower, components)
+        motion = partial(PatchMotion.to_slice, axes=self.axes, index=self.index)
+        return _converted(mark, self._lower, self._lower, motion, components)
 
     def _raise(self, depth: float) -> Callable[[Point], Point]:
         def raised(place: Point) -> Point:
@@ -99,13 +103,17 @@ def _converted(
     mark: Mark,
     place: Callable[[Point], Point],
     step: Callable[[Point], Point],
+    motion: Callable[[PatchMotion], PatchMotion],
     components: Components,
 ) -> Mark:
     """Return a mark with converted positions and displacements."""
-    if isinstance(mark, Landmark):
-        return replace(mark, source=place(mark.source), target=place(mark.target))
-    if isinstance(mark, Arrow):
-        return replace(mark, at=place(mark.at), by=step(mark.by), components=components)
+    if not isinstance(mark, Stroke):
+        of_patch = None if mark.motion is None else motion(mark.motion)
+        if isinstance(mark, Landmark):
+            source, target = place(mark.source), place(mark.target)
+            return replace(mark, source=source, target=target, motion=of_patch)
+        at, by = place(mark.at), step(mark.by)
+        return replace(mark, at=at, by=by, components=components, motion=of_patch)
     lines = tuple(tuple(map(place, line)) for line in mark.lines)
     by = step(mark.by) if mark.action == "move" else mark.by
     return replace(mark, lines=lines, by=by, components=components)

@@ -17,6 +17,7 @@ import numpy as np
 
 from napari_hmrf.arguments import is_one_of, is_whole, real, reals, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 
 Point = tuple[float, ...]
 #: Components of a displacement that a mark prescribes; in a volume, "both" means all three.
@@ -61,6 +62,10 @@ def _spread(value: Any) -> float | None:
     return 0.0 if value is None else _number(0, _LARGEST)(value)
 
 
+def _motion(value: Any) -> PatchMotion | None:
+    return value if isinstance(value, PatchMotion) else PatchMotion(**value)
+
+
 _LARGEST = sys.float_info.max
 _SHARE = (_number(0, 1), "a value from 0 to 1")
 _PLACE = (_place, "finite numbers: (row, col), or (plane, row, col) in a volume")
@@ -80,6 +85,7 @@ _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "label": (lambda value: int(value) if is_whole(value) else None, "a whole number"),
     "action": _one_of(get_args(Action)),
     "components": _one_of(get_args(Components)),
+    "motion": (_motion, "a PatchMotion"),
 }
 
 
@@ -104,7 +110,8 @@ class _Checked:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            object.__setattr__(self, name, _checked(name, value))
+            if value is not None or name != "motion":
+                object.__setattr__(self, name, _checked(name, value))
         if not (self.confidence or self._may_doubt):
             raise ProblemError("drawing", "has a mark with a confidence of 0. Remove the mark.")
         if len({len(place) for place in self._places}) > 1:
@@ -117,7 +124,10 @@ class _Checked:
     @property
     def _places(self) -> tuple[Point, ...]:
         """Positions and displacements, which must all have the same number of axes."""
-        return tuple(value for name, value in vars(self).items() if _VALUES[name] is _PLACE)
+        motion = getattr(self, "motion", None)
+        starts = () if motion is None else (motion.start,)
+        places = (value for name, value in vars(self).items() if _VALUES[name] is _PLACE)
+        return (*places, *starts)
 
 
 @dataclass(frozen=True)
@@ -141,6 +151,10 @@ class Arrow(_Checked):
         Growth of the patch: distance by which its outline also moves outward, in the unit of the
         pixel spacing; a negative value shrinks the patch. The centre moves by `by`, and the tissue
         between the centre and the rim is not observed.
+    motion : PatchMotion, optional
+        Displacement of each pixel of the patch, in place of `by`, which is then the displacement of
+        the centre. A click with the tool *Pull* holds displaced tissue in this way. By default, the
+        whole patch moves by `by`.
 
     Raises
     ------
@@ -154,6 +168,7 @@ class Arrow(_Checked):
     confidence: float = 1.0
     components: Components = "both"
     amount: float = 0.0
+    motion: PatchMotion | None = None
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
@@ -174,7 +189,7 @@ class Landmark(_Checked):
     ----------
     source, target : tuple of float
         Position before and after the motion, (row, col) or (plane, row, col) in pixels.
-    radius, confidence, amount
+    radius, confidence, amount, motion
         As for an `Arrow`; without effect if `sd` is above 0.
     sd : float
         Standard deviation of the difference between target and source, in the unit of the pixel
@@ -195,6 +210,7 @@ class Landmark(_Checked):
     confidence: float = 1.0
     amount: float = 0.0
     sd: float = 0.0
+    motion: PatchMotion | None = None
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
@@ -204,7 +220,8 @@ class Landmark(_Checked):
     def arrow(self, spacing: Iterable[float]) -> Arrow:
         """Return the landmark as an arrow, with its displacement in the unit of `spacing`."""
         by = between(self.source, self.target, spacing)
-        return Arrow(self.source, by, self.radius, self.confidence, amount=self.amount)
+        size, sure = self.radius, self.confidence
+        return Arrow(self.source, by, size, sure, amount=self.amount, motion=self.motion)
 
 
 @dataclass(frozen=True)
@@ -311,6 +328,8 @@ def mark_as_dict(mark: Mark) -> dict[str, Any]:
     values = asdict(mark)
     if not isinstance(mark, Stroke) and not mark.amount:
         del values["amount"]  # earlier versions read arrows and landmarks without growth
+    if not isinstance(mark, Stroke) and mark.motion is None:
+        del values["motion"]  # earlier versions read patches that move as a block
     if isinstance(mark, Landmark) and not mark.sd:
         del values["sd"]  # earlier versions read exact landmarks
     return {"kind": type(mark).__name__.lower(), **values}

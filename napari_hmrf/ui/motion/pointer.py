@@ -314,6 +314,7 @@ class Pointer:
             self.message.emit(motion_messages.covered(other.name))
             return
         self._undragged = self.drawing
+        self.tool.present = moved.motion_of
         message = self.tool.press(point, reach, self._fields.settings, moved.origin_of)
         if self.tool.is_dragging:
             self._show_settings()

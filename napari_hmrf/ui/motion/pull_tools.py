@@ -9,9 +9,11 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 
 from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
+from napari_hmrf.tissue.drawing.canvas import box_of, is_empty
 from napari_hmrf.tissue.drawing.drawing import Hit, ends_of
 from napari_hmrf.tissue.drawing.growth import patch_at
-from napari_hmrf.tissue.drawing.marks import COMPONENTS, Point, between, grows
+from napari_hmrf.tissue.drawing.marks import COMPONENTS, Point, between, grows, is_painted
+from napari_hmrf.tissue.drawing.patch_motion import present_motion
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.tool import (
     LandmarkSettings,
@@ -33,7 +35,7 @@ class PullTool(Tool):
     title = "Pull"
     key = "G"
     fields: ClassVar[tuple[str, ...]] = ("radius", "confidence", "components")
-    hint = "Drag tissue to pull it, or click to hold a patch where its middle is now."
+    hint = "Drag tissue to pull it, or click to hold a patch as it is now."
     grabs_ends = True
 
     #: Dragged end of the mark.
@@ -71,6 +73,7 @@ class PullTool(Tool):
         """Begin dragging an end of a mark, or tissue; see `Tool.press`.
 
         A new mark starts at the undeformed position of the tissue and ends at the visible position.
+        Until it is dragged, it holds each pixel of its patch at its present displacement.
         """
         self.release()
         drawing, at = self._model.drawing, origin(point)
@@ -83,7 +86,7 @@ class PullTool(Tool):
             word = "pulled a growing patch"
         elif at is not None:
             hit = Hit(len(drawing.marks), "head")
-            drawing = drawing.with_mark(self._new_mark(at, point, settings))
+            drawing = drawing.with_mark(self._held(self._new_mark(at, point, settings)))
             word = f"drew {name_of(drawing.marks[hit.number])}"
         else:
             self.select(None)
@@ -106,7 +109,8 @@ class PullTool(Tool):
         if mark is not None:
             head, base = ends_of(mark, self._spacing)
             ends = (base, to) if self._part == "head" else (to, head)
-            self._replace(self._with_ends(mark, *ends))
+            # A dragged patch moves as a block.
+            self._replace(self._with_ends(replace(mark, motion=None), *ends))
 
     def release(self) -> str | None:
         """End the drag as one undo step, which has another name after a click."""
@@ -118,6 +122,13 @@ class PullTool(Tool):
         is_click = self.is_dragging and self.mark == self._pressed
         is_new = bool(self._model.end_drawing(self._click_step if is_click else ""))
         return is_click and is_new
+
+    def _held(self, mark: Arrow | Landmark) -> Arrow | Landmark:
+        """Return a mark that holds its patch as it is now."""
+        box = box_of(mark, self._spacing, tuple(slice(0, size) for size in self._shape))
+        if is_empty(box) or not is_painted(mark):
+            return mark
+        return replace(mark, motion=present_motion(box, self._spacing, self.present))
 
     def _grown_patch(self, at: Point, settings: ToolSettings) -> int | None:
         """Find the round patch whose growth a new mark at an undeformed position would hide."""

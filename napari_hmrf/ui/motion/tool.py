@@ -6,10 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import ClassVar, TypedDict, cast
 
+import numpy as np
+
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Components, Point
+from napari_hmrf.tissue.drawing.patch_motion import PresentMotion
 
 #: Function that maps a visible point to its undeformed position, or to None outside tissue.
 Origin = Callable[[Point], Point | None]
@@ -72,6 +75,8 @@ class Tool(ABC):
         Instructions, shown in the tooltip of the button and in the status.
     flat_hint : str
         More instructions, for the 2-D view only.
+    present : callable
+        Present motion of the tissue, which a click keeps; see `PresentMotion`.
     takes_wheel : bool
         True if the mouse wheel over tissue changes a mark, instead of the zoom.
     """
@@ -96,6 +101,8 @@ class Tool(ABC):
         self._spacing = tuple(map(float, spacing))
         self._shape = shape
         self._selected: int | None = None
+        #: Motion of the tissue at the button press, which a click keeps.
+        self.present: PresentMotion = np.zeros_like
         # Drawing that the number of the selected mark refers to.
         self._numbered = Drawing()
 

@@ -93,6 +93,28 @@ def test_a_drag_on_moved_tissue_pulls_the_displayed_tissue(pulling_beside, settl
     assert widget.study_model.next_undo.word == "held tissue"
 
 
+@pytest.mark.parametrize("key", [Qt.Key.Key_G, Qt.Key.Key_L])
+def test_a_click_beside_the_fixed_edge_moves_no_tissue(pulling_beside, settle, key):
+    person, widget = pulling_beside
+    person.drag((30, 14), (30, 22))
+    settle(widget)
+    before = widget.solution.displacement
+    person.key(key)
+    person.key(Qt.Key.Key_Escape)  # so that the new radius does not change the arrow
+    widget.fields.radius.value = 8.0
+    place = 30, 6 + before[30, 6, 1]
+    person.drag(place, place)
+    settle(widget)
+    held = widget.drawing.marks[1]
+    assert np.ptp(before[26:35, 0:11, 1]) > 2, "the tissue at the edge moves as a block"
+    assert widget.solution.displacement == pytest.approx(before, abs=0.03)
+    assert "folds" not in widget.warning
+    widget.fields.confidence.value = 0.9
+    assert widget.drawing.marks[1].motion == held.motion
+    person.drag(place, (32, place[1]))
+    assert widget.drawing.marks[1].motion is None, "a dragged patch does not move as a block"
+
+
 @bare
 def test_keys_remove_undo_and_redo_an_arrow(pulling, settle):
     person, widget = pulling
