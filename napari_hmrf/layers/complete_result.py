@@ -50,8 +50,9 @@ def complete_result(
     if isinstance(stated.prior, Elastic):
         forces = partial(held_forces, stated.problem, solved, stated.prior)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces)
-    # The warning chip reports folds.
-    caveats = shortcomings(solved, study.grid.unit, folds=0, problem=stated.problem)
+    caveats = [*shortcomings(solved, study.grid.unit, outputs.folds, stated.problem)]
+    if outputs.folds:
+        del caveats[0]  # the warning chip reports the number of folds
     # A ground may be older than the drawing.
     notes = (*caveats, *replace(ground, study=study).notes_on(stated))
     return CompleteResult(moved, outputs, tuple(filter(None, notes)))

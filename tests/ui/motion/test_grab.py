@@ -115,6 +115,19 @@ def test_a_click_beside_the_fixed_edge_moves_no_tissue(pulling_beside, settle, k
     assert widget.drawing.marks[1].motion is None, "a dragged patch does not move as a block"
 
 
+def test_a_pull_at_the_fixed_edge_reports_folds_and_their_cause(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.drag((3, 30), (3, 42))
+    settle(widget)
+    assert "folds: show" in Screen(widget).button("⚠").text()
+    assert "tissue that is held or moved in two different ways touches" in widget.warning
+    assert widget.warning.count("folds over itself") == 1
+    widget.undo()
+    person.drag((30, 30), (30, 33))
+    settle(widget)
+    assert not widget.warning
+
+
 @bare
 def test_keys_remove_undo_and_redo_an_arrow(pulling, settle):
     person, widget = pulling
