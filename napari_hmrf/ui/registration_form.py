@@ -37,21 +37,23 @@ class RegistrationForm(Container):
         Alignment of the second image before the registration.
     register, remove : PushButton
         Buttons that register the images, and remove the registration.
+    description : Prose
+        Name of the second image, and agreement before and after.
     """
 
     def __init__(self) -> None:
-        self.alignment = menu("second image", _ALIGNMENTS, _ALIGN)
+        self.alignment = menu("align first", _ALIGNMENTS, _ALIGN)
         narrow(self.alignment)
         self.register = PushButton(text="Register")
         self.remove = PushButton(
-            text="Remove", tooltip="Remove the registration; the marks are kept"
+            text="Unregister", tooltip="Remove the registration; the marks are kept"
         )
-        self._text = Prose()
+        self.description = Prose()
         if importlib.util.find_spec("SimpleITK") is None:
             self.alignment.enabled = False
             self.alignment.tooltip = 'Requires SimpleITK: pip install "simpleitk"'
         buttons, aligned = row(self.register, self.remove), Container(widgets=[self.alignment])
-        super().__init__(widgets=[aligned, buttons, self._text], labels=False)
+        super().__init__(widgets=[aligned, buttons, self.description], labels=False)
         for part in (self, buttons, aligned):
             part.margins = (0, 0, 0, 0)
 
@@ -82,7 +84,7 @@ class RegistrationForm(Container):
         if not second_name:
             self.register.tooltip = _CHOOSE
         self.remove.enabled = measured is not None and not is_busy
-        self._text.value = _described(measured)
+        self.description.show_text(_described(measured))
 
 
 def _described(measured: MeasuredMotion | None) -> str:
@@ -93,5 +95,6 @@ def _described(measured: MeasuredMotion | None) -> str:
     name, before, after = (record.get(key) for key in ("second image", "before", "similarity"))
     text = f"Registered to '{name}'." if name else "Registered."
     if isinstance(before, float) and isinstance(after, float):
-        text += f" Agreement {100 * before:.0f} % before, {100 * after:.0f} % now."
+        shares = (f"{100 * max(value, 0.0):.0f} %" for value in (before, after))
+        text += " Agreement {} before, {} now.".format(*shares)
     return text

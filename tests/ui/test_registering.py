@@ -1,0 +1,166 @@
+"""Registration of two images in the window, by its buttons."""
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from scipy import ndimage
+
+from napari_hmrf import Arrow, Drawing, read_study, warp
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.support.screen import Screen
+
+SHAPE = (64, 72)
+SIZE = (0.5, 0.5)
+
+
+def texture(seed, shape=SHAPE):
+    image = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=shape), 2)
+    return (255 * (image - image.min()) / np.ptp(image)).astype(np.float32)
+
+
+def bend(shape=SHAPE, size=1.0):
+    place = np.indices(shape) / np.reshape(np.array(shape) - 1, (-1, *(1,) * len(shape)))
+    wave = np.prod(np.sin(np.pi * place), axis=0)
+    return size * np.stack([wave * (-1) ** axis for axis in range(len(shape))], axis=-1)
+
+
+def pair_of(shape, size):
+    before, truth = texture(0, shape), bend(shape)
+    return before, warp(before, truth, spacing=size), truth
+
+
+@pytest.fixture
+def window(qtbot, wait_for):
+    """Return a function that opens two images of one tissue in a dock."""
+
+    def make(shape=SHAPE, **second):
+        size = (0.5,) * len(shape)
+        before, after, truth = pair_of(shape, size)
+        viewer = ViewerModel()
+        place = {"scale": size, "units": ("mm",) * len(shape)}
+        first = viewer.add_image(before, name="before", **place)
+        dock = SoftTissue(viewer)
+        qtbot.addWidget(dock.native)
+        after = viewer.add_image(after, name="after", visible=False, **{**place, **second})
+        dock.image = first
+        dock.compare_with = after
+        wait_for(lambda: not dock.busy)
+        return dock, truth
+
+    return make
+
+
+def error(dock, truth):
+    inside = (slice(6, -6),) * (truth.ndim - 1)
+    return np.linalg.norm(dock.solution.displacement - truth, axis=-1)[inside].mean()
+
+
+def register(dock, wait_for):
+    Screen(dock).press("Register")
+    wait_for(lambda: not dock.busy and dock.study.motion.measured is not None)
+    wait_for(lambda: not dock.busy and dock.solution is not None)
+
+
+def test_a_press_moves_the_tissue_to_the_second_image(window, wait_for):
+    dock, truth = window()
+    assert dock.study.motion.hold_edge
+    register(dock, wait_for)
+    assert error(dock, truth) < 0.1
+    assert not dock.study.motion.hold_edge, "a fixed edge would contradict the images"
+    assert "outer edge is no longer fixed" in dock.status
+    assert "Registered to 'after'. Agreement" in Screen(dock).words
+
+
+def test_undo_removes_the_registration_and_fixes_the_edge_again(window, wait_for):
+    dock, truth = window()
+    register(dock, wait_for)
+    dock.undo()
+    wait_for(lambda: not dock.busy and dock.solution is None)
+    assert dock.study.motion.hold_edge
+    assert dock.study.motion.measured is None
+    dock.redo()
+    wait_for(lambda: not dock.busy and dock.solution is not None)
+    assert error(dock, truth) < 0.1
+    Screen(dock).press("Unregister")
+    wait_for(lambda: not dock.busy and dock.solution is None)
+
+
+def test_a_pull_corrects_the_registration(window, wait_for):
+    dock, truth = window()
+    register(dock, wait_for)
+    dock.drawing = Drawing((Arrow((32.0, 36.0), (0.0, -2.0), radius=2.0),))
+    wait_for(lambda: not dock.busy and dock.solution.displacement[32, 36, 1] < -1.9)
+    far = np.linalg.norm(dock.solution.displacement - truth, axis=-1)
+    assert far[8:16, 8:16].mean() < 0.1, "tissue far from the pull follows the images as before"
+
+
+def test_held_tissue_stays_while_the_rest_is_registered(window, wait_for):
+    dock, truth = window()
+    dock.drawing = Drawing((Arrow((32.0, 36.0), (0.0, 0.0), radius=2.0),))
+    wait_for(lambda: not dock.busy)
+    register(dock, wait_for)
+    assert np.abs(dock.solution.displacement[32, 36]).max() < 1e-3
+    far = np.linalg.norm(dock.solution.displacement - truth, axis=-1)
+    assert far[8:20, 8:20].mean() < 0.1
+
+
+def test_a_registered_study_is_saved_and_opened_again(window, wait_for, tmp_path, qtbot):
+    dock, _ = window()
+    register(dock, wait_for)
+    solution = dock.solution
+    path = dock.save_study(tmp_path / "registered")
+    assert read_study(path).study.motion.measured is not None
+    other = SoftTissue(ViewerModel())
+    qtbot.addWidget(other.native)
+    other.open_study(path)
+    wait_for(lambda: not other.busy and other.solution is not None)
+    assert np.array_equal(other.solution.displacement, solution.displacement)
+    assert "Registered to 'after'" in Screen(other).words
+
+
+def test_an_image_on_another_grid_is_registered_by_its_place(window, wait_for):
+    _, after, truth = pair_of(SHAPE, SIZE)
+    finer = ndimage.zoom(after, 2, order=1, grid_mode=True, mode="nearest")
+    dock, _ = window()
+    viewer = dock._viewer
+    place = {"scale": (0.25, 0.25), "translate": (-0.125, -0.125), "units": ("mm", "mm")}
+    dock.compare_with = viewer.add_image(finer, name="finer", visible=False, **place)
+    register(dock, wait_for)
+    assert error(dock, truth) < 0.15
+
+
+def test_a_volume_is_registered(window, wait_for):
+    dock, truth = window((24, 28, 32))
+    Screen(dock).choose("the whole volume")
+    wait_for(lambda: not dock.busy)
+    register(dock, wait_for)
+    assert error(dock, truth) < 0.2
+
+
+def test_cancel_stops_a_registration_and_changes_nothing(window, wait_for):
+    dock, _ = window((24, 28, 32))
+    Screen(dock).choose("the whole volume")
+    wait_for(lambda: not dock.busy)
+    Screen(dock).press("Register")
+    Screen(dock).press("Cancel")
+    assert "cancelled" in dock.status
+    wait_for(lambda: not dock.busy)
+    assert dock.study.motion.measured is None
+    assert dock.study.motion.hold_edge
+
+
+def test_a_second_image_elsewhere_is_refused(window):
+    dock, _ = window(translate=(1000.0, 0.0))
+    Screen(dock).press("Register")
+    assert "'after' does not cover the image" in dock.status
+    assert not dock.busy
+
+
+def test_the_button_says_what_it_needs(window, wait_for):
+    dock, _ = window()
+    button = Screen(dock).button("Register")
+    assert "looks like the second image" in button.toolTip()
+    Screen(dock).choose("large motion: never folds")
+    wait_for(lambda: not dock.busy)
+    assert not button.isEnabled()
+    assert "elastic" in button.toolTip()
