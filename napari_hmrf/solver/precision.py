@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import weakref
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,8 @@ MAX_PRECISION = 1e6
 # Weak reference to the last tensors. Later problems with equal tensors use the same array, so that
 # comparisons by identity usually suffice.
 _last: list[weakref.ref[Any]] = []
+# Number of sites that are checked at once, so that temporary arrays stay in the cache.
+_BLOCK_SIZE = 16384
 # Largest asymmetry, and largest negative minor, relative to the largest component of the tensor.
 _ROUNDING = 1e-5
 
@@ -63,28 +67,16 @@ def checked_precision(
             f"has shape {given.shape}, but stiffness has shape {grid}. Pass one number, or an "
             f"array of shape {grid}, {(*grid, axes)} (diagonal) or {(*grid, axes, axes)} (tensor).",
         )
-    if given.ndim == axes + 2:
-        tensor = given
-        size = np.abs(tensor).max(axis=(-2, -1))
-        askew = np.abs(tensor - tensor.swapaxes(-1, -2)).max(axis=(-2, -1)) > _ROUNDING * size
-        if askew.any():
-            raise ProblemError(
-                "precision",
-                f"is not symmetric at {first_index(askew)}. Pass a symmetric tensor at each site.",
-            )
-        tensor = (tensor + tensor.swapaxes(-1, -2)) / 2
-    else:
-        tensor = np.zeros((*grid, axes, axes))
+    tensor = given if given.ndim == axes + 2 else np.zeros((*grid, axes, axes))
+    if tensor is not given:
         for axis in range(axes):
             tensor[..., axis, axis] = given[..., axis] if given.ndim == axes + 1 else given
-    tensor[~tissue] = 0
-    negative = _is_indefinite(tensor)
-    if negative.any():
-        raise ProblemError(
-            "precision",
-            f"is not positive semidefinite at {first_index(negative)}: it would push tissue away "
-            "from the observation. Pass tensors whose eigenvalues are all 0 or above.",
-        )
+    step = max(1, _BLOCK_SIZE // math.prod(grid[1:]))
+    for begin in range(0, grid[0], step):
+        block = slice(begin, begin + step)
+        part = tensor[block]
+        part[~tissue[block]] = 0
+        _check_tensors(part, begin)
     if not tensor.any():
         return None
     if last is not None and are_equal(last, tensor):
@@ -104,19 +96,65 @@ def are_equal(one: npt.NDArray[Any] | None, other: npt.NDArray[Any] | None) -> b
     return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)
 
 
-def _is_indefinite(tensor: Float64Array) -> npt.NDArray[np.bool_]:
-    """Return a mask of tensors with a negative principal minor beyond rounding."""
-    axes = tensor.shape[-1]
-    size = np.abs(tensor).max(axis=(-2, -1))
-    indefinite = np.zeros(tensor.shape[:-2], np.bool_)
+def _check_tensors(tensors: Float64Array, begin: int) -> None:
+    """Make tensors symmetric in place, and raise an error if they are asymmetric or indefinite.
+
+    Differences up to rounding are accepted.
+
+    Parameters
+    ----------
+    tensors : ndarray, shape (h, W, 2, 2) or (d, H, W, 3, 3)
+    begin : int
+        Index of the first row or plane, for the message.
+    """
+    axes = tensors.shape[-1]
+    size = np.abs(tensors[..., 0, 0])
+    for i, j in product(range(axes), repeat=2):
+        np.maximum(size, np.abs(tensors[..., i, j]), out=size)
+    askew = np.zeros(size.shape, np.bool_)
+    for i, j in combinations(range(axes), 2):
+        one, other = tensors[..., i, j], tensors[..., j, i]
+        askew |= np.abs(one - other) > _ROUNDING * size
+        tensors[..., i, j] = tensors[..., j, i] = (one + other) / 2
+    if askew.any():
+        raise ProblemError(
+            "precision",
+            f"is not symmetric at {_index_of(askew, begin)}. Pass a symmetric tensor at each site.",
+        )
+    negative = _is_indefinite(tensors, size)
+    if negative.any():
+        raise ProblemError(
+            "precision",
+            f"is not positive semidefinite at {_index_of(negative, begin)}: it would push tissue "
+            "away from the observation. Pass tensors whose eigenvalues are all 0 or above.",
+        )
+
+
+def _index_of(mask: npt.NDArray[np.bool_], begin: int) -> tuple[int, ...]:
+    first, *others = first_index(mask)
+    return first + begin, *others
+
+
+def _is_indefinite(tensors: Float64Array, size: Float64Array) -> npt.NDArray[np.bool_]:
+    """Return a mask of tensors with a negative principal minor beyond rounding.
+
+    Parameters
+    ----------
+    tensors : ndarray, shape (..., n, n)
+    size : ndarray
+        Largest component of each tensor.
+    """
+    axes = tensors.shape[-1]
+    least = -_ROUNDING * size
+    a = [[np.ascontiguousarray(tensors[..., i, j]) for j in range(axes)] for i in range(axes)]
+    indefinite = np.zeros(size.shape, np.bool_)
     for i in range(axes):
-        own = tensor[..., i, i]
-        indefinite |= own < -_ROUNDING * size
+        indefinite |= a[i][i] < least
         for j in range(i):
-            across = tensor[..., i, j]
-            minor = own * tensor[..., j, j] - across**2
-            indefinite |= minor < -_ROUNDING * size**2
+            indefinite |= a[i][i] * a[j][j] - a[i][j] ** 2 < least * size
     if axes == 3:
-        whole = np.linalg.det(tensor)
-        indefinite |= whole < -_ROUNDING * size**3
+        whole = a[0][0] * (a[1][1] * a[2][2] - a[1][2] ** 2)
+        whole -= a[0][1] * (a[0][1] * a[2][2] - a[1][2] * a[0][2])
+        whole += a[0][2] * (a[0][1] * a[1][2] - a[1][1] * a[0][2])
+        indefinite |= whole < least * size**2
     return indefinite

@@ -424,7 +424,7 @@ def _check_precision(
     """Raise an error for a precision so large that the observation should be prescribed."""
     stiffest = float(m.max(where=np.isfinite(m), initial=0.0)) or 1.0
     unit = stiffest * math.prod(pixel) ** ((m.ndim - 2) / m.ndim)
-    largest = float(np.abs(weight).max())
+    largest = max(float(weight.max()), -float(weight.min()))
     if largest > MAX_PRECISION * unit:
         raise ProblemError(
             "precision",
