@@ -183,8 +183,8 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
     Parameters
     ----------
     solution : Solution
-        Solution on an image, (h, w).
-    tissue : ndarray of bool, shape (H, W)
+        Solution on the coarser grid, ([d,] h, w).
+    tissue : ndarray of bool, shape ([D,] H, W)
         Tissue on the finer grid.
     step : int
         Distance between neighbouring sites of the solution along each axis, in pixels.
@@ -192,10 +192,10 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
     Returns
     -------
     Solution
-        Solution on the finer grid, (H, W).
+        Solution on the finer grid, ([D,] H, W).
     """
     parts = np.moveaxis(solution.displacement, -1, 0)
-    scale, shape = (1 / step, 1 / step), tissue.shape
+    scale, shape = (1 / step,) * tissue.ndim, tissue.shape
     finer = [
         scipy.ndimage.affine_transform(part, scale, output_shape=shape, order=1, mode="nearest")
         for part in parts

@@ -35,7 +35,8 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 
-#: Weight of the elastic energy of tissue of typical stiffness, relative to that of the images.
+#: Weight of the elastic energy of tissue of typical stiffness, relative to that of the images. It
+#: applies to tissue that is stretched along one axis only, whatever its Poisson's ratio.
 SMOOTHNESS = 0.02
 #: Number of steps on the finest level, on the level before it, and on coarser levels.
 _STEPS = (2, 3, 4)
@@ -90,6 +91,8 @@ class Match(NamedTuple):
         Solution of the last problem: the tissue, its constraints and the images.
     images : LinearImages
         Data term of the images in the last problem, relative to the typical stiffness.
+    weight : float
+        Weight of the elastic energy, by which the data term is divided.
     similarity_before : float
         Similarity on the finest level without any motion.
     residual, similarity : float
@@ -99,6 +102,7 @@ class Match(NamedTuple):
 
     solution: Solution
     images: LinearImages
+    weight: float
     similarity_before: float
     residual: float
     similarity: float
@@ -165,6 +169,7 @@ def match(
         if cancel is not None and cancel.is_set():
             raise Cancelled
 
+    weight = smoothness * SMOOTHNESS / _uniaxial_modulus(prior, len(problem.shape))
     levels = _schedule(problem.shape) if start is None else ((1, _STEPS[0]),)
     report = _Report(problem.shape, levels, progress)
     history: list[Step] = []
@@ -176,7 +181,7 @@ def match(
         for number in range(count):
             last = size == 1 and number == count - 1
             report.begin(size, number)
-            data = pair.linear(displacement, smoothness * SMOOTHNESS)
+            data = pair.linear(displacement, weight)
             tolerance = _LAST_TOLERANCE if last else _TOLERANCE
             step = _StepSolver(base, nu, unit, tolerance, report.within, cancel)
             solution, data = step.without_folds(displacement, data)
@@ -191,7 +196,18 @@ def match(
             checkpoint()
     assert displacement is not None
     _, before = pair.agreement(np.zeros_like(displacement))
-    return Match(solution, data, before, *pair.agreement(displacement), tuple(history))
+    return Match(solution, data, weight, before, *pair.agreement(displacement), tuple(history))
+
+
+def _uniaxial_modulus(prior: ElasticPrior, axes: int) -> float:
+    """Return the stiffness of tissue strained along one axis, relative to Young's modulus.
+
+    Nearly incompressible tissue resists such a strain more, and would smooth the motion more.
+    """
+    nu = float(np.median(prior.poisson))
+    if axes == 2 and prior.plane == "stress":
+        return 1 / (1 - nu**2)
+    return (1 - nu) / ((1 + nu) * (1 - 2 * nu))
 
 
 def placeholder(tissue: BoolArray, unit: float = 1.0) -> FloatArray:
@@ -239,6 +255,7 @@ class _Report:
         self._axes, self._progress = len(shape), progress
         self._whole = sum(count * self._cost(size) for size, count in levels)
         self._done, self._size, self._message = 0.0, 1, ""
+        self._shown = 0.0
 
     def _cost(self, size: int) -> float:
         return float(size) ** -self._axes
@@ -262,7 +279,9 @@ class _Report:
     def _send(self, fraction: float) -> None:
         if self._progress is not None:
             done = self._done + 0.9 * fraction * self._cost(self._size)
-            self._progress(Monitor(self._message, min(done / self._whole, 1.0)))
+            # A solve may report a smaller fraction when it begins another stage.
+            self._shown = max(self._shown, min(done / self._whole, 1.0))
+            self._progress(Monitor(self._message, self._shown))
 
 
 class _StepSolver:

@@ -15,7 +15,7 @@ from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.warp import Spacing
 from napari_hmrf.registration.alignment import align
 from napari_hmrf.registration.image_data import BoolArray, FloatArray
-from napari_hmrf.registration.matching import SMOOTHNESS, Images, Match, Show, match, placeholder
+from napari_hmrf.registration.matching import Images, Match, Show, match, placeholder
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, as_numbers, as_stiffness, checked_spacing
@@ -198,7 +198,7 @@ def registered(
         residual=found.residual,
         similarity_before=found.similarity_before,
         similarity=found.similarity,
-        sd=_standard_deviation(found, smoothness),
+        sd=_standard_deviation(found),
         history=found.history,
         prior=prior,
     )
@@ -242,7 +242,7 @@ def on_grid(
     return Images(fixed, aligned(moving, 3), (counted[0], known))
 
 
-def _standard_deviation(found: Match, smoothness: float) -> float:
+def _standard_deviation(found: Match) -> float:
     """Return the standard deviation of the displacement, from the residual and the precision.
 
     The covariance at a site is about the inverse of the precision of the images and of the tissue
@@ -255,7 +255,7 @@ def _standard_deviation(found: Match, smoothness: float) -> float:
         return math.inf
     coupling = _COUPLING * math.prod(spacing) ** (1 - 2 / axes)
     covariance = np.linalg.inv(seen + coupling * np.eye(axes))
-    variance = _NOISE[axes] * found.residual**2 / (smoothness * SMOOTHNESS)
+    variance = _NOISE[axes] * found.residual**2 / found.weight
     return math.sqrt(variance * float(np.trace(covariance, axis1=1, axis2=2).mean()) / axes)
 
 

@@ -38,7 +38,7 @@ class RegistrationForm(Container):
     register, remove : PushButton
         Buttons that register the images, and remove the registration.
     description : Prose
-        Name of the second image, and agreement before and after.
+        Name of the second image, and agreement before and after; the caller places it.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class RegistrationForm(Container):
             self.alignment.enabled = False
             self.alignment.tooltip = 'Requires SimpleITK: pip install "simpleitk"'
         buttons, aligned = row(self.register, self.remove), Container(widgets=[self.alignment])
-        super().__init__(widgets=[aligned, buttons, self.description], labels=False)
+        super().__init__(widgets=[aligned, buttons], labels=False)
         for part in (self, buttons, aligned):
             part.margins = (0, 0, 0, 0)
 

@@ -129,8 +129,8 @@ def test_an_image_on_another_grid_is_registered_by_its_place(window, wait_for):
     assert error(dock, truth) < 0.15
 
 
-def test_a_volume_is_registered(window, wait_for):
-    dock, truth = window((24, 28, 32))
+def test_a_volume_is_registered_over_several_levels(window, wait_for):
+    dock, truth = window((24, 28, 50))
     Screen(dock).choose("the whole volume")
     wait_for(lambda: not dock.busy)
     register(dock, wait_for)

@@ -121,8 +121,9 @@ class ResultForm(Container):
         self.files = row(self.keep, self.save)
         self.files.native.layout().addWidget(self.more)
         self.registration = RegistrationForm()
+        compared = self.reference, self.differences
         self.comparison = Container(
-            widgets=[self.second, self.registration, self.reference, self.differences]
+            widgets=[self.second, self.registration, self.registration.description, *compared]
         )
         slider = Container(widgets=[self.slider], labels=False)
         top, overlay = row(self.play, slider, self.before), Container(widgets=[self.overlay])
