@@ -272,7 +272,7 @@ def test_a_message_names_the_extent_of_a_saved_study_and_what_is_not_saved(
     assert dock.status.startswith("Saved the study of the whole volume as all.study")
     assert dock.status.endswith("Not saved yet: slice 1. Each has a file of its own.")
     dock.extent = "slice"
-    at_rest()
+    at_rest.until(lambda: not dock.busy)
     dock.save_study(tmp_path / "flat.study")
     assert dock.status.startswith("Saved the study of slice 1 as flat.study")
     assert "Not saved yet" not in dock.status
