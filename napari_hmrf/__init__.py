@@ -22,18 +22,19 @@ problem is being edited. A `Solution` evaluates and exports its displacement fie
 `warp`, `at`, `jacobian`, `strain`, `measure` and `export`. The names of functions that read files
 begin with ``read_``, and those of functions that write files begin with ``write_``.
 
-===================== ==========================================================================
-package               contents
-===================== ==========================================================================
-napari_hmrf           problems, studies, models, solvers, results, errors
-napari_hmrf.fields    image warping, strain, folds, inverse fields, field files, movies
-napari_hmrf.tissue    materials with published stiffness; stiffness from labels and intensities
-napari_hmrf.loads     growth, weight, pressure, traction, reaction forces
-napari_hmrf.landmarks landmark files
-napari_hmrf.cases     batches of cases, solved in parallel
-napari_hmrf.random    random deformations for data augmentation and registration validation
-napari_hmrf.data      phantoms and reference solutions
-===================== ==========================================================================
+======================== =========================================================================
+package                  contents
+======================== =========================================================================
+napari_hmrf              problems, studies, models, solvers, results, errors
+napari_hmrf.fields       image warping, strain, folds, inverse fields, field files, movies
+napari_hmrf.tissue       materials with published stiffness; stiffness from labels and intensities
+napari_hmrf.loads        growth, weight, pressure, traction, reaction forces
+napari_hmrf.landmarks    landmark files
+napari_hmrf.cases        batches of cases, solved in parallel
+napari_hmrf.random       random deformations for data augmentation and registration validation
+napari_hmrf.registration registration of two images, with elastic tissue between them
+napari_hmrf.data         phantoms and reference solutions
+======================== =========================================================================
 
 For more, see ``help(napari_hmrf.solve_study)``, ``help(napari_hmrf.Study)`` and
 ``help(napari_hmrf.fields)``, and the folders ``examples`` and ``docs`` of the repository. To use
@@ -110,7 +111,16 @@ __all__ = [
 ]
 
 #: Names of the public submodules; each submodule is imported on first access.
-_PACKAGES = ("cases", "data", "fields", "landmarks", "loads", "random", "tissue")
+_PACKAGES = (
+    "cases",
+    "data",
+    "fields",
+    "landmarks",
+    "loads",
+    "random",
+    "registration",
+    "tissue",
+)
 
 
 def __getattr__(name: str) -> Any:

@@ -17,5 +17,6 @@ edited as a study::
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.registration.register import register
 from napari_hmrf.registration.result import Registration
+from napari_hmrf.study.measured_motion import MeasuredMotion
 
-__all__ = ["Registration", "Step", "register"]
+__all__ = ["MeasuredMotion", "Registration", "Step", "register"]

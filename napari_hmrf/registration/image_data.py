@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
@@ -229,13 +229,13 @@ def _sampled(image: FloatArray, places: list[FloatArray], checkpoint: Checkpoint
         checkpoint()
         part = slice(begin, begin + rows)
         at = [place[part] for place in places]
-        ndimage.map_coordinates(image, at, output=out[part], order=1, mode="constant")
+        scipy.ndimage.map_coordinates(image, at, output=out[part], order=1, mode="constant")
     return out
 
 
 def _smoothed(image: FloatArray, width: float, checkpoint: Checkpoint) -> FloatArray:
     checkpoint()
-    smoothed: FloatArray = ndimage.gaussian_filter(image, width, mode="nearest", truncate=3)
+    smoothed: FloatArray = scipy.ndimage.gaussian_filter(image, width, mode="nearest", truncate=3)
     return smoothed
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.deformation import smallest_determinant
@@ -319,7 +319,7 @@ class _StepSolver:
             crushed = least < _LEAST_JACOBIAN
             if not crushed.any() or repeat == _REPEATS - 1:
                 break
-            around = ndimage.binary_dilation(crushed, iterations=2)
+            around = scipy.ndimage.binary_dilation(crushed, iterations=2)
             factor = np.where(around, np.float32(_WEAKER), np.float32(1))[..., None, None]
             data = data._replace(precision=data.precision * factor)
         if (least <= 0).any():
@@ -451,7 +451,7 @@ def _interpolated(
     out = np.empty((*shape, axes), np.float32)
     for axis in range(axes):
         checkpoint()
-        ndimage.map_coordinates(
+        scipy.ndimage.map_coordinates(
             displacement[..., axis], at, output=out[..., axis], order=1, mode="nearest"
         )
     return out

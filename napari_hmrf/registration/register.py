@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from napari_hmrf.arguments import is_one_of, real, refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
@@ -232,7 +232,7 @@ def on_grid(
 
     def aligned(image: npt.NDArray[Any], order: int) -> npt.NDArray[np.float32]:
         out = np.empty(fixed.shape, np.float32)
-        ndimage.affine_transform(
+        scipy.ndimage.affine_transform(
             image.astype(np.float32), turn, shift, output=out, order=order, mode="constant"
         )
         return out

@@ -14,6 +14,7 @@ PACKAGES = {
         "napari_hmrf.landmarks",
         "napari_hmrf.loads",
         "napari_hmrf.random",
+        "napari_hmrf.registration",
         "napari_hmrf.tissue",
     )
 }
