@@ -25,6 +25,7 @@ from napari_hmrf.io.case_tables import read_cases
 from napari_hmrf.io.images import read_image
 from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.overwriting import refuse_overwriting
+from napari_hmrf.io.registration_files import RegistrationCase, register_files
 from napari_hmrf.io.results import image_of, labels_in, measured
 from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.io.study_file import read_study, replay
@@ -232,6 +233,38 @@ def _solve(options: argparse.Namespace) -> int:
         )
     print(f"solved: {_in_shell(solved.solution)}")
     for note in solved.notes:
+        _note(note)
+    written = ", ".join(sorted(path.name for path in options.out.iterdir()))
+    print(f"in {options.out}: {written}")
+    return 0
+
+
+def _register(options: argparse.Namespace) -> int:
+    if options.landmark_sd is not None and options.landmarks is None:
+        raise HmrfError("--landmark-sd requires --landmarks. Give --landmarks, or leave it out.")
+    case = RegistrationCase(
+        fixed=options.fixed,
+        moving=options.moving,
+        labels=options.labels,
+        materials=options.materials,
+        maps=tuple(options.maps),
+        mask=options.mask,
+        moving_mask=options.moving_mask,
+        landmarks=options.landmarks,
+        landmark_sd=options.landmark_sd,
+        alignment=options.alignment,
+        smoothness=options.smoothness,
+    )
+    with _shown_progress() as progress:
+        found = register_files(case, options.out, overwrite=options.force, progress=progress)
+    report = found.report
+    folds = "1 fold" if report["folds"] == 1 else f"{report['folds']} folds"
+    sd = "" if report["sd"] is None else f", sd {report['sd']:g} {report['unit']}"
+    print(
+        f"registered: similarity {report['similarity_before']:.2f} before and "
+        f"{report['similarity_after']:.2f} after{sd}, {folds}, {report['seconds']:.1f} s"
+    )
+    for note in found.notes:
         _note(note)
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")
@@ -471,6 +504,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "materials": _materials,
     "measure": _measure,
     "play": _show_result_in_napari,
+    "register": _register,
     "replay": _replay,
     "selftest": _selftest,
     "solve": _solve,

@@ -12,6 +12,7 @@ from napari_hmrf.io.option_types import (
     energy_option,
     lengths_option,
     poisson_option,
+    positive_option,
     size_option,
 )
 from napari_hmrf.samples.demo import SAMPLE_SIZE
@@ -135,6 +136,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
         "Include the output in bug reports. It contains no names of folders or users.",
     )
     _add_solve(commands)
+    _add_register(commands)
     _add_result_commands(commands)
     _add_many_commands(commands)
     _add_truth(commands)
@@ -319,6 +321,69 @@ def _add_solve(commands: Commands) -> None:
         "sign: --weight=-0.01/0",
     )
     _add_backend(solve)
+
+
+def _add_register(commands: Commands) -> None:
+    register = commands.add(
+        "register",
+        "Find the displacement of elastic tissue between two images.",
+        "napari-hmrf register before.nii.gz after.nii.gz --rigid -o out",
+        "The tissue of FIXED moves until it looks like MOVING. The folder contains the study, the "
+        "deformed image, the other image on the grid of FIXED, the change of size, a field for ITK "
+        "and a report. Both images must have the same modality.",
+    )
+    register.add_argument("fixed", type=Path, metavar="FIXED", help="image or volume")
+    register.add_argument(
+        "moving", type=Path, metavar="MOVING", help="image or volume of the same tissue"
+    )
+    register.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
+    )
+    _add_force(register)
+    alignment = register.add_mutually_exclusive_group()
+    for kind, motion in (("rigid", "shift and turn"), ("affine", "shift, turn, scale and shear")):
+        alignment.add_argument(
+            f"--{kind}",
+            action="store_const",
+            const=kind,
+            dest="alignment",
+            help=f"first {motion} the whole image with SimpleITK (default: the images are used at "
+            "their positions in world coordinates)",
+        )
+    _add_tissue(register)
+    register.add_argument(
+        "--mask",
+        type=Path,
+        metavar="IMAGE",
+        help="pixels of FIXED that count: those that are not 0 (default: all)",
+    )
+    register.add_argument(
+        "--moving-mask",
+        type=Path,
+        metavar="IMAGE",
+        help="pixels of MOVING that count: those that are not 0 (default: all)",
+    )
+    register.add_argument(
+        "--landmarks",
+        type=Path,
+        metavar="CSV",
+        help="pairs of landmarks in the columns of BigWarp: first the position in FIXED, then that "
+        "in MOVING; a further column may contain standard deviations",
+    )
+    register.add_argument(
+        "--landmark-sd",
+        type=positive_option,
+        metavar="SD",
+        help="standard deviation of landmarks without one, in the unit of FIXED (default: a pixel)",
+    )
+    register.add_argument(
+        "--smoothness",
+        type=positive_option,
+        default=1.0,
+        metavar="S",
+        help="weight of the elastic energy, relative to the usual weight (default: %(default)g); "
+        "a larger weight leads to smaller strains",
+    )
 
 
 def _add_result(command: argparse.ArgumentParser) -> None:

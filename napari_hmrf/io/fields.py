@@ -160,12 +160,7 @@ def write_field(
         If the file cannot be written.
     """
     target = Path(checked_path(path))
-    suffix = next((each for each in FIELD_SUFFIXES if target.name.lower().endswith(each)), "")
-    if not suffix:
-        raise FileFormatError(
-            f"{target.name}: fields cannot be written in this format. Use one of the suffixes "
-            f"{', '.join(FIELD_SUFFIXES)}."
-        )
+    suffix = _suffix_of(target)
     if forward and suffix == _NO_METADATA:
         raise FileFormatError(
             f"{target.name}: this format does not store the direction of a field, so a forward "
@@ -174,19 +169,85 @@ def write_field(
     _refuse_ambiguous_name(target, suffix)
     require_flag("forward", forward)
     require_simpleitk()
-    d = as_field(displacement).astype(np.float64)
+    d, size = _checked_field(displacement, spacing)
     n = d.shape[-1]
+    back, residual = d, 0.0
+    if not forward:
+        back, residual = inverse_displacement(d, spacing=tuple(size[-n:]), tissue=tissue)
+    _write_vectors(target, suffix, back, size, origin, direction, forward=forward)
+    return residual
+
+
+def write_mapping(
+    path: str | os.PathLike[str],
+    displacement: npt.ArrayLike,
+    *,
+    spacing: Sequence[float],
+    origin: Sequence[float] | None = None,
+    direction: npt.ArrayLike | None = None,
+) -> None:
+    """Write the displacement from each position of an image to the same tissue in another image.
+
+    ITK, SimpleITK and ANTs resample the other image to the grid of this image with the file, as
+    with the field of any registration. `read_field` reads it as a backward field.
+
+    Parameters
+    ----------
+    path, spacing, origin, direction
+        As for `write_field`.
+    displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
+        Displacement in mm, along the axes of the image.
+
+    Raises
+    ------
+    ProblemError, FileFormatError, HmrfError, OSError
+        As for `write_field`.
+    """
+    target = Path(checked_path(path))
+    suffix = _suffix_of(target)
+    _refuse_ambiguous_name(target, suffix)
+    require_simpleitk()
+    vectors, size = _checked_field(displacement, spacing)
+    _write_vectors(target, suffix, vectors, size, origin, direction, forward=False)
+
+
+def _suffix_of(target: Path) -> str:
+    suffix = next((each for each in FIELD_SUFFIXES if target.name.lower().endswith(each)), "")
+    if not suffix:
+        raise FileFormatError(
+            f"{target.name}: fields cannot be written in this format. Use one of the suffixes "
+            f"{', '.join(FIELD_SUFFIXES)}."
+        )
+    return suffix
+
+
+def _checked_field(
+    displacement: npt.ArrayLike, spacing: Sequence[float]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return a finite displacement, and its positive spacings."""
+    d = as_field(displacement).astype(np.float64)
     if not np.isfinite(d).all():
         raise ProblemError(
             "displacement", "contains NaN or infinite values. Replace these vectors."
         )
-    size = _lengths("spacing", spacing, (n, 3))
+    size = _lengths("spacing", spacing, (d.shape[-1], 3))
     if not (size > 0).all():
         raise ProblemError("spacing", f"is {shown(tuple(spacing))}. Pass positive lengths.")
-    back, residual = d, 0.0
-    if not forward:
-        back, residual = inverse_displacement(d, spacing=tuple(size[-n:]), tissue=tissue)
-    if len(size) > n:  # a slice of a volume does not move perpendicular to the slice
+    return d, size
+
+
+def _write_vectors(
+    target: Path,
+    suffix: str,
+    back: npt.NDArray[np.float64],
+    size: npt.NDArray[np.float64],
+    origin: Sequence[float] | None,
+    direction: npt.ArrayLike | None,
+    *,
+    forward: bool,
+) -> None:
+    """Write vectors along the axes of an image as vectors along the physical axes."""
+    if len(size) > back.shape[-1]:  # a slice of a volume does not move perpendicular to the slice
         back = np.concatenate([np.zeros((*back.shape[:-1], 1)), back], axis=-1)[np.newaxis]
     start = np.zeros(len(size)) if origin is None else _lengths("origin", origin, (len(size),))
     turn = np.eye(len(size)) if direction is None else check_rotation(direction, len(size))
@@ -205,7 +266,6 @@ def write_field(
     )
     content = encode(target, image, suffix, transform=suffix == _NO_METADATA, sealed=True)
     write_whole(target, content)
-    return residual
 
 
 def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:

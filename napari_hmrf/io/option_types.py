@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -25,6 +26,17 @@ def energy_option(name: str) -> Callable[[str], Any]:
             raise argparse.ArgumentTypeError(f"{text!r} is not {error}") from None
 
     return read
+
+
+def positive_option(text: str) -> float:
+    """Convert text to a positive number."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0 < number < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return number
 
 
 def count_option(text: str) -> int:

@@ -269,19 +269,21 @@ class _Report:
 
     def within(self, monitor: Monitor) -> None:
         """Report the progress of the solve of the current step."""
-        self._send(monitor.fraction)
+        # The first solve may compile loops, which takes long.
+        compiling = monitor.message.startswith(("starting", "compiling"))
+        self._send(monitor.fraction, monitor.message if compiling else "")
 
     def end(self) -> None:
         """Report the end of a step."""
         self._done += self._cost(self._size)
         self._send(0.0)
 
-    def _send(self, fraction: float) -> None:
+    def _send(self, fraction: float, message: str = "") -> None:
         if self._progress is not None:
             done = self._done + 0.9 * fraction * self._cost(self._size)
             # A solve may report a smaller fraction when it begins another stage.
             self._shown = max(self._shown, min(done / self._whole, 1.0))
-            self._progress(Monitor(self._message, self._shown))
+            self._progress(Monitor(message or self._message, self._shown))
 
 
 class _StepSolver:

@@ -1,0 +1,605 @@
+"""Registration of two image files, and the files of its result.
+
+Both images are read with their positions in space. The registration starts from these positions,
+or from an alignment by SimpleITK.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.errors import HmrfError, ProblemError, naming
+from napari_hmrf.field.brightness import luminance
+from napari_hmrf.field.units import unit_symbol
+from napari_hmrf.io.apply import place_for
+from napari_hmrf.io.case import read_case
+from napari_hmrf.io.case_options import Case
+from napari_hmrf.io.fields import place_of, write_mapping
+from napari_hmrf.io.images import ImageFile, read_image, write_image
+from napari_hmrf.io.itk_files import require_simpleitk
+from napari_hmrf.io.landmark_files import LandmarkFile, read_points
+from napari_hmrf.io.overwriting import refuse_overwriting
+from napari_hmrf.io.study_file import is_study_file, write_study
+from napari_hmrf.io.sweeps import with_ratio
+from napari_hmrf.registration.alignment import align
+from napari_hmrf.registration.image_data import ImageLevel
+from napari_hmrf.registration.register import on_grid, register
+from napari_hmrf.registration.result import Registration
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solve import Progress
+from napari_hmrf.solver.uncertain_landmarks import Landmarks
+from napari_hmrf.study.ground import Ground, solve_statement
+from napari_hmrf.study.study import Grid, Study, Tissue
+from napari_hmrf.tissue.drawing import Drawing
+
+Float64Array = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+#: Standard deviation of an exact landmark, and default of a file without one, in pixels.
+_EXACT, _USUAL_SD = 0.01, 1.0
+#: Largest sine of the angle between two slices that are registered.
+_TILT = 0.01
+#: Largest deviation of a matrix from the identity, for axes that are parallel.
+_PARALLEL = 1e-6
+#: Distance between the registered field and that of the study, in pixels, above which a note states
+#: the distance.
+_APART = 0.05
+#: Fraction of the progress at the end of the registration.
+_REGISTERED = 0.9
+#: Number of decimals of a similarity.
+_DECIMALS = 4
+
+
+@dataclass(frozen=True)
+class RegistrationCase:
+    """Input files and options of a registration, as given on a command line.
+
+    Attributes
+    ----------
+    fixed, moving : Path
+        Images or volumes of the same tissue.
+    labels, materials, maps
+        Tissue of `fixed`, as in a `Case`. By default, all pixels have the same stiffness.
+    mask, moving_mask : Path, optional
+        Images of the pixels of `fixed` and of `moving` that count: those that are not 0.
+    landmarks : Path, optional
+        Pairs of landmarks in BigWarp's format: positions in `fixed`, then in `moving`.
+    landmark_sd : float, optional
+        Standard deviation of landmarks without one in their file, in the unit of `fixed`; by
+        default, one pixel.
+    alignment : {"rigid", "affine"}, optional
+        Alignment by SimpleITK before tissue deforms. By default, the positions of both images are
+        used as they are.
+    smoothness : float
+        As for `register`.
+    """
+
+    fixed: Path
+    moving: Path
+    labels: Path | None = None
+    materials: Path | None = None
+    maps: tuple[Path, ...] = ()
+    mask: Path | None = None
+    moving_mask: Path | None = None
+    landmarks: Path | None = None
+    landmark_sd: float | None = None
+    alignment: Literal["rigid", "affine"] | None = None
+    smoothness: float = 1.0
+
+
+class RegisteredFiles(NamedTuple):
+    """Result of a registration of two files.
+
+    Attributes
+    ----------
+    study : Study
+        Study that moves the tissue of the fixed image as the registration does.
+    registration : Registration
+        Registration, with a solution at the place of the fixed image.
+    report : dict
+        Content of the report file.
+    notes : tuple of str
+        Notes for the user, as clauses.
+    """
+
+    study: Study
+    registration: Registration
+    report: dict[str, Any]
+    notes: tuple[str, ...]
+
+
+def register_files(
+    case: RegistrationCase,
+    folder: Path,
+    *,
+    overwrite: bool = True,
+    progress: Progress | None = None,
+) -> RegisteredFiles:
+    """Register two image files, and write the results to a folder.
+
+    Parameters
+    ----------
+    case : RegistrationCase
+    folder : Path
+        Output folder, which is created if it does not exist.
+    overwrite : bool
+        True if existing files in the folder may be replaced.
+    progress : callable, optional
+        As for `solve`.
+
+    Returns
+    -------
+    RegisteredFiles
+
+    Raises
+    ------
+    HmrfError
+        If a file is invalid, the images cannot be registered, or SimpleITK is required and not
+        installed; the message names the file or the option.
+    OSError
+        If a file cannot be opened or written.
+    """
+    started = time.perf_counter()
+    names = _Names.of(case)
+    refuse_overwriting(names.all_in(folder), overwrite=overwrite)
+    if case.alignment is not None:
+        require_simpleitk()
+    pair = _Pair.read(case)
+    folder.mkdir(parents=True, exist_ok=True)  # before the work, so that errors occur early
+    report = progress or (lambda monitor: None)
+    matrix = pair.positions
+    if case.alignment is not None:
+        report(Monitor(f"aligning the images ({case.alignment})", 0.0))
+        matrix = _aligned(case.alignment, pair)
+    marks = None if case.landmarks is None else _landmarks(case, pair, matrix)
+    with naming(
+        fixed=case.fixed.name,
+        moving=case.moving.name,
+        stiffness="--labels" if case.labels is None else case.labels.name,
+        landmarks="--landmarks" if case.landmarks is None else case.landmarks.name,
+    ):
+        found = register(
+            pair.fixed,
+            pair.moving,
+            spacing=pair.spacing,
+            moving_spacing=pair.moving_spacing,
+            stiffness=pair.stiffness,
+            masks=pair.masks,
+            landmarks=marks,
+            initial=matrix,
+            smoothness=case.smoothness,
+            progress=lambda monitor: report(
+                Monitor(monitor.message, _REGISTERED * monitor.fraction)
+            ),
+        )
+    place = pair.study.grid.place
+    frame, unit = None if place is None else place.as_dict(), pair.study.grid.unit
+    found = replace(found, solution=replace(found.solution, frame=frame, unit=unit))
+    report(Monitor("solving the study", _REGISTERED))
+    study = _study_of(case, pair, found, marks)
+    solution = solve_statement(study, Ground.of(study).statement())
+    notes = [*pair.notes, *_notes_on(found, solution)]
+    report(Monitor("writing the results", 1.0))
+    write_study(folder / names.study, study, solution)
+    notes += _write_images(folder, names, pair, found)
+    content = _report_of(case, pair, found, time.perf_counter() - started)
+    if content["similarity_after"] <= content["similarity_before"]:
+        notes.append(
+            "the images are not more similar than before: check that they show the same tissue, "
+            "or use --rigid or --affine"
+        )
+    text = json.dumps(content, indent=2, allow_nan=False)
+    (folder / names.report).write_text(f"{text}\n", encoding="utf-8")
+    return RegisteredFiles(study, found, content, tuple(notes))
+
+
+class _Names(NamedTuple):
+    """Names of the written files, without suffix for images."""
+
+    study: str
+    deformed: str
+    registered: str
+    jacobian: str
+    field: str
+    report: str
+
+    @classmethod
+    def of(cls, case: RegistrationCase) -> _Names:
+        fixed, moving = (path.name.partition(".")[0] for path in (case.fixed, case.moving))
+        return cls(
+            f"{fixed}.study",
+            f"{fixed} deformed",
+            f"{moving} registered",
+            f"{fixed} jacobian",
+            f"{fixed} to {moving} field.mha",
+            f"{fixed} registration.json",
+        )
+
+    def all_in(self, folder: Path) -> list[Path]:
+        images = (self.deformed, self.registered, self.jacobian)
+        files = [f"{image}{suffix}" for image in images for suffix in (".nrrd", ".tif")]
+        return [folder / name for name in (self.study, *files, self.field, self.report)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Two images, with their grids, masks and tissue.
+
+    Attributes
+    ----------
+    study, other : Study
+        Studies of `fixed`, with its tissue, and of `moving`.
+    fixed, moving : ndarray, shape (H, W) or (D, H, W), float32
+        Grey images.
+    spacing, moving_spacing : tuple of float
+    stiffness : ndarray, shape (H, W) or (D, H, W), float32
+    masks : tuple
+        Masks of `fixed` and `moving`; None for all pixels.
+    positions : ndarray, shape (n + 1, n + 1)
+        Homogeneous matrix from positions in `fixed` to positions in `moving`, from the places of
+        both images.
+    notes : tuple of str
+    """
+
+    study: Study
+    other: Study
+    fixed: npt.NDArray[np.float32]
+    moving: npt.NDArray[np.float32]
+    spacing: tuple[float, ...]
+    moving_spacing: tuple[float, ...]
+    stiffness: npt.NDArray[np.float32]
+    masks: tuple[BoolArray | None, BoolArray | None]
+    positions: Float64Array
+    notes: tuple[str, ...]
+
+    @classmethod
+    def read(cls, case: RegistrationCase) -> _Pair:
+        """Read the files of a case, and check that the images can be registered."""
+        for path in (case.fixed, case.moving):
+            if is_study_file(path):
+                raise HmrfError(f"{path.name} is a study. Give an image.")
+        study = read_case(
+            Case(case.fixed, labels=case.labels, materials=case.materials, maps=case.maps)
+        )
+        other = read_case(Case(case.moving))
+        _refuse_other_dimension(case, study, other)
+        growing = [row for row in study.tissue.materials if row.grows]
+        if growing:
+            table = "--materials" if case.materials is None else case.materials.name
+            raise ProblemError(
+                table,
+                f"has growth for label {growing[0].label}, which is not used in a registration: "
+                "the images determine the motion. Remove the column growth.",
+            )
+        # The registration assumes a Poisson's ratio of 0, and the study must agree.
+        tissue = with_ratio(study.tissue, 0.0)
+        if tissue.labels is None:
+            tissue = Tissue(stiffness=np.ones(study.grid.shape, np.float32))
+        study = replace(study, tissue=tissue)
+        masks = _mask(case.fixed, case.mask), _mask(case.moving, case.moving_mask)
+        positions, notes = _relative_place(case, study, other)
+        return cls(
+            study,
+            other,
+            _grey(study),
+            _grey(other),
+            study.grid.spacing,
+            other.grid.spacing,
+            Ground.of(study).stiffness,
+            masks,
+            positions,
+            (*study.notes, *notes),
+        )
+
+    @property
+    def counted(self) -> tuple[BoolArray, BoolArray]:
+        """Masks of the pixels that count, without NaN and infinite pixels."""
+        first, second = (
+            np.isfinite(image) if mask is None else np.isfinite(image) & mask
+            for image, mask in zip((self.fixed, self.moving), self.masks, strict=True)
+        )
+        return first, second
+
+    @property
+    def finite(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Images with 0 in place of NaN and infinite pixels."""
+        first, second = (
+            np.where(np.isfinite(image), image, np.float32(0))
+            for image in (self.fixed, self.moving)
+        )
+        return first, second
+
+
+def _grey(study: Study) -> npt.NDArray[np.float32]:
+    image = study.pictures.image
+    assert image is not None
+    if image.ndim > len(study.grid.shape):
+        image = luminance(image)
+    return image.astype(np.float32)
+
+
+def _mask(image: Path, mask: Path | None) -> BoolArray | None:
+    """Return a mask on the pixels of an image; None without a file."""
+    if mask is None:
+        return None
+    labels = read_case(Case(image, labels=mask)).tissue.labels
+    assert labels is not None
+    if not labels.any():
+        raise ProblemError(
+            mask.name, "is 0 everywhere, so that no pixel counts. Give a mask of the tissue."
+        )
+    return np.asarray(labels != 0)
+
+
+def _refuse_other_dimension(case: RegistrationCase, study: Study, other: Study) -> None:
+    words = {2: "an image with two axes", 3: "a volume with three axes"}
+    axes = [len(each.grid.shape) for each in (study, other)]
+    if axes[0] != axes[1]:
+        raise HmrfError(
+            f"{case.fixed.name} is {words[axes[0]]}, but {case.moving.name} is {words[axes[1]]}. "
+            "Give two images or two volumes."
+        )
+
+
+def _is_placed(grid: Grid) -> bool:
+    return grid.place is not None and grid.unit != "pixel"
+
+
+def _relative_place(
+    case: RegistrationCase, study: Study, other: Study
+) -> tuple[Float64Array, tuple[str, ...]]:
+    """Return the matrix from positions in the fixed to the moving image, and notes.
+
+    Raises
+    ------
+    ProblemError
+        If only one image has a place, or if slices are not parallel.
+    """
+    grid, moving = study.grid, other.grid
+    n = len(grid.shape)
+    placed = _is_placed(grid), _is_placed(moving)
+    if placed[0] != placed[1]:
+        without, placed_one = case.moving.name, case.fixed.name
+        if placed[1]:
+            without, placed_one = placed_one, without
+        raise ProblemError(
+            without,
+            f"has no position in world coordinates, but {placed_one} has one. Give two images with "
+            "positions, or two images without.",
+        )
+    if not placed[0]:
+        return np.eye(n + 1), ()
+    (turn, first), (moving_turn, moving_first) = _axes_in_world(grid), _axes_in_world(moving)
+    if len(first) != len(moving_first):
+        raise ProblemError(
+            case.moving.name,
+            f"has a position in {len(moving_first)} dimensions, but that of {case.fixed.name} has "
+            f"{len(first)}. Save both images in the same way.",
+        )
+    back = np.linalg.pinv(moving_turn)
+    tilt = np.linalg.norm(turn - moving_turn @ back @ turn, axis=0).max()
+    if tilt > _TILT:
+        raise ProblemError(
+            case.moving.name,
+            f"is a slice that is tilted against {case.fixed.name}. Give parallel slices, or "
+            "volumes.",
+        )
+    offset = first - moving_first
+    apart = float(np.linalg.norm(offset - moving_turn @ back @ offset))
+    matrix = np.eye(n + 1)
+    matrix[:n, :n], matrix[:n, n] = back @ turn, back @ offset
+    # Rounding in file headers must not blur images that have the same grid.
+    matrix = np.where(np.abs(matrix - np.rint(matrix)) < _PARALLEL, np.rint(matrix), matrix)
+    notes = (f"the slices are {apart:.3g} mm apart, which was ignored",) if apart > _TILT else ()
+    return matrix, notes
+
+
+def _axes_in_world(grid: Grid) -> tuple[Float64Array, Float64Array]:
+    """Return the unit vectors of the axes of a grid, as columns, and its first pixel."""
+    place = grid.known_place
+    matrix = np.array(place.matrix)
+    columns = matrix[:-1, list(place.plane)] / grid.spacing
+    return columns, (matrix @ [*place.index, 1.0])[:-1]
+
+
+def _aligned(kind: Literal["rigid", "affine"], pair: _Pair) -> Float64Array:
+    """Return the matrix from positions in the fixed to the moving image, aligned by SimpleITK.
+
+    If the axes of the images are not parallel, the moving image is first resampled along the axes
+    of the fixed image, because the alignment does not find large rotations.
+    """
+    fixed, moving = pair.finite
+    masks = pair.counted
+    n = fixed.ndim
+    turn = pair.positions[:n, :n]
+    if np.abs(turn - np.eye(n)).max() < _PARALLEL:
+        return align(
+            kind,
+            fixed,
+            moving,
+            spacing=pair.spacing,
+            moving_spacing=pair.moving_spacing,
+            masks=masks,
+        )
+    back = np.linalg.inv(turn)
+    sizes = np.asarray(pair.moving_spacing)
+    corners = np.array(np.meshgrid(*[(0, n - 1) for n in moving.shape], indexing="ij"))
+    along = (corners.reshape(n, -1).T * sizes) @ back.T
+    spacing = (back**2 @ sizes) / (back**2).sum(axis=1)
+    start = along.min(axis=0)
+    shape = tuple(np.ceil((along.max(axis=0) - start) / spacing - 1e-6).astype(int) + 1)
+
+    def resampled(image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        out = np.empty(shape, np.float32)
+        scipy.ndimage.affine_transform(
+            image.astype(np.float32),
+            turn * spacing / sizes[:, None],
+            turn @ start / sizes,
+            output=out,
+            order=1,
+        )
+        return out
+
+    found = align(
+        kind,
+        fixed,
+        resampled(moving),
+        spacing=pair.spacing,
+        moving_spacing=tuple(spacing.tolist()),
+        masks=(masks[0], resampled(masks[1]) > 0.5),
+    )
+    matrix = np.eye(n + 1)
+    matrix[:n, :n], matrix[:n, n] = turn, turn @ start
+    return matrix @ found
+
+
+def _landmarks(case: RegistrationCase, pair: _Pair, matrix: Float64Array) -> Landmarks:
+    """Read landmarks; the alignment is removed from their targets."""
+    assert case.landmarks is not None
+    file, name = read_points(case.landmarks), case.landmarks.name
+    if file.targets is None:
+        raise ProblemError(
+            name,
+            "contains landmarks without positions in the moving image. Give pairs of landmarks, as "
+            "written by BigWarp.",
+        )
+    n, sizes = len(pair.spacing), np.asarray(pair.spacing)
+    points = _in_pixels(case.fixed, file, file.points, name, n)
+    targets = _in_pixels(case.moving, file, file.targets, name, n)
+    if not len(points):
+        raise ProblemError(name, "contains no active landmarks. Give at least one active pair.")
+    last = np.array(pair.study.grid.shape) - 1
+    outside = int(((points < -0.5) | (points > last + 0.5)).any(axis=1).sum())
+    if outside:
+        raise ProblemError(
+            name,
+            f"has {outside} of {len(points)} landmarks outside {case.fixed.name}. The first "
+            "position of each pair is in this image, in the unit of the image. Remove landmarks "
+            "outside the image.",
+        )
+    back = np.linalg.inv(matrix)
+    there = targets * np.asarray(pair.moving_spacing)
+    before = (there @ back[:n, :n].T + back[:n, n]) / sizes
+    pixel = float(np.exp(np.log(sizes).mean()))
+    sd = np.full(len(points), _USUAL_SD * pixel if case.landmark_sd is None else case.landmark_sd)
+    if file.sd is not None:
+        sd = np.where(file.sd > 0, file.sd, _EXACT * pixel)
+    return Landmarks(points, before, sd=sd)
+
+
+def _in_pixels(
+    image: Path, file: LandmarkFile, points: Float64Array, name: str, n: int
+) -> Float64Array:
+    """Convert points of a landmark file to pixels of an image, as `read_case` lays it out."""
+    whole = read_image(image)
+    place = place_for(file, whole.place, name, n)
+    at = place.to_pixels(points)
+    upright = whole.upright
+    if n == 3 and whole.place is not None and upright.place is not None:
+        at = upright.place.to_pixels(whole.place.to_space(at))
+    return at[:, -n:]
+
+
+def _study_of(
+    case: RegistrationCase, pair: _Pair, found: Registration, marks: Landmarks | None
+) -> Study:
+    """Return a study that moves tissue as the registration does."""
+    measured = found.motion().measured
+    assert measured is not None
+    record = {"fixed": case.fixed.name, "moving": case.moving.name}
+    motion = replace(found.motion(), measured=replace(measured, record=record))
+    if marks is not None:
+        sd = marks.sd.reshape(len(marks.points), -1)[:, 0]
+        drawing = Drawing.from_landmarks(marks.points, marks.targets, radius=1.0, sd=sd)
+        motion = replace(motion, drawing=drawing)
+    names = {**pair.study.names, "registration": case.moving.name}
+    return replace(pair.study, motion=motion, prior=found.prior, names=names)
+
+
+def _notes_on(found: Registration, solution: Solution) -> list[str]:
+    """Return notes on folds, and on the difference between the study and the registration."""
+    notes = []
+    if found.folds:
+        notes.append(f"the tissue folds over itself at {found.folds} sites")
+    difference = np.abs(found.displacement - solution.displacement) / np.asarray(solution.spacing)
+    if (apart := float(difference[solution.tissue].max(initial=0))) > _APART:
+        notes.append(
+            f"the field of the study differs from the registered field by up to {apart:.2g} px, "
+            "because rigid tissue turns exactly in the registration only"
+        )
+    return notes
+
+
+def _write_images(folder: Path, names: _Names, pair: _Pair, found: Registration) -> list[str]:
+    """Write images and field; return notes about files that were not written."""
+    grid, solution = pair.study.grid, found.solution
+    place = place_of(solution) if _is_placed(grid) else None
+    suffix = ".tif" if place is None else ".nrrd"
+    image, other = pair.study.pictures.image, pair.other.pictures.image
+    assert image is not None
+    assert other is not None
+    pictures = {
+        names.deformed: solution.warp(image),
+        names.registered: found.resample(other),
+        names.jacobian: solution.jacobian(),
+    }
+    for name, pixels in pictures.items():
+        file = ImageFile(pixels, place, colours=pixels.ndim > len(grid.shape))
+        write_image(folder / f"{name}{suffix}", file)
+    try:
+        require_simpleitk()
+    except HmrfError as error:
+        return [f"{names.field} was not written: {str(error).rstrip('.')}"]
+    at = place_of(solution)
+    write_mapping(folder / names.field, _whole_displacement(pair, found), **at._asdict())
+    return []
+
+
+def _whole_displacement(pair: _Pair, found: Registration) -> npt.NDArray[np.floating]:
+    """Return the displacement from the fixed to the moving image, including an alignment."""
+    n = len(pair.spacing)
+    total = np.linalg.inv(pair.positions) @ found.matrix
+    if np.array_equal(pair.positions, found.matrix):
+        return found.displacement
+    sites = np.moveaxis(np.indices(pair.study.grid.shape), 0, -1) * np.asarray(pair.spacing)
+    return np.asarray((sites + found.displacement) @ total[:n, :n].T + total[:n, n] - sites)
+
+
+def _report_of(
+    case: RegistrationCase, pair: _Pair, found: Registration, seconds: float
+) -> dict[str, Any]:
+    """Return the report of a registration, in JSON types."""
+    grid = pair.study.grid
+    images = on_grid(*pair.finite, pair.counted, pair.spacing, pair.moving_spacing, found.matrix)
+    level = ImageLevel(*images, 1, pair.spacing, _continue)
+    _, before = level.agreement(np.zeros_like(found.displacement))
+    tissue = found.solution.tissue
+    largest = np.linalg.norm(found.displacement, axis=-1)[tissue].max(initial=0)
+    return {
+        "fixed": case.fixed.name,
+        "moving": case.moving.name,
+        "alignment": case.alignment,
+        "matrix": found.matrix.tolist(),
+        "smoothness": case.smoothness,
+        "similarity_before": round(before, _DECIMALS),
+        "similarity_after": round(found.similarity, _DECIMALS),
+        "largest_displacement": float(f"{largest:.4g}"),
+        "sd": float(f"{found.sd:.3g}") if np.isfinite(found.sd) else None,
+        "unit": unit_symbol(grid.unit),
+        "folds": found.folds,
+        "steps": len(found.history),
+        "seconds": round(seconds, 2),
+    }
+
+
+def _continue() -> None:
+    """Do not cancel a computation."""
