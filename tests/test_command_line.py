@@ -134,6 +134,7 @@ def test_no_command_overwrites_a_file_without_force(files, capsys):
         "measure out/image.study -o t.csv": "t.csv",
         "play out/image.study a.gif": "a.gif",
         "materials names.json -o n.csv": "n.csv",
+        "register labels.png image.png -o registered": "labels.study",
         "truth image.png --labels labels.png --materials m.csv -o pairs --patches 1": "image.mha",
     }
     (files / "names.json").write_text('{"1": "brain"}')

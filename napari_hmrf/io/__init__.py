@@ -17,4 +17,6 @@ The processing of a case, from its input files to its results, has five steps:
    Existing files are overwritten only on request (`overwriting`), and only by complete files.
 5. *Use.* `apply` deforms images, labels and landmarks with a field. `results` measures tissues.
    `figures` and `moving_pictures` draw results.
+
+`registration_files` registers two image files, and writes the resulting study, images and field.
 """
