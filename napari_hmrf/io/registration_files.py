@@ -30,8 +30,7 @@ from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import is_study_file, write_study
 from napari_hmrf.io.sweeps import with_ratio
 from napari_hmrf.registration.alignment import align
-from napari_hmrf.registration.image_data import ImageLevel
-from napari_hmrf.registration.register import on_grid, register
+from napari_hmrf.registration.register import register
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
@@ -515,7 +514,13 @@ def _study_of(
     """Return a study that moves tissue as the registration does."""
     measured = found.motion().measured
     assert measured is not None
-    record = {"fixed": case.fixed.name, "moving": case.moving.name}
+    record = {
+        "second image": case.moving.name.partition(".")[0],
+        "alignment": case.alignment or "",
+        "matrix": found.matrix.tolist(),
+        "before": found.similarity_before,
+        "similarity": found.similarity,
+    }
     motion = replace(found.motion(), measured=replace(measured, record=record))
     if marks is not None:
         sd = marks.sd.reshape(len(marks.points), -1)[:, 0]
@@ -579,9 +584,6 @@ def _report_of(
 ) -> dict[str, Any]:
     """Return the report of a registration, in JSON types."""
     grid = pair.study.grid
-    images = on_grid(*pair.finite, pair.counted, pair.spacing, pair.moving_spacing, found.matrix)
-    level = ImageLevel(*images, 1, pair.spacing, _continue)
-    _, before = level.agreement(np.zeros_like(found.displacement))
     tissue = found.solution.tissue
     largest = np.linalg.norm(found.displacement, axis=-1)[tissue].max(initial=0)
     return {
@@ -590,7 +592,7 @@ def _report_of(
         "alignment": case.alignment,
         "matrix": found.matrix.tolist(),
         "smoothness": case.smoothness,
-        "similarity_before": round(before, _DECIMALS),
+        "similarity_before": round(found.similarity_before, _DECIMALS),
         "similarity_after": round(found.similarity, _DECIMALS),
         "largest_displacement": float(f"{largest:.4g}"),
         "sd": float(f"{found.sd:.3g}") if np.isfinite(found.sd) else None,
@@ -599,7 +601,3 @@ def _report_of(
         "steps": len(found.history),
         "seconds": round(seconds, 2),
     }
-
-
-def _continue() -> None:
-    """Do not cancel a computation."""
