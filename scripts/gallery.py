@@ -135,6 +135,16 @@ def registration(names: Names) -> Figure:
     return panels(("image", names["brain"].image, "gray", None), *shown, unit="px from the truth")
 
 
+def sections(names: Names) -> Figure:
+    """Draw a cut across all sections: of the block, as cut, and registered."""
+    shown = []
+    for title, stack in (("block", "block"), ("sections as cut", "cut"), ("registered", "stack")):
+        images = np.array(names[stack])
+        across = images[:, 48] / images.mean(axis=(1, 2))[:, None]  # the same brightness
+        shown.append((title, np.repeat(across, 8, axis=0), "gray", None))
+    return panels(*shown, height=2.4)
+
+
 def slice_in_millimetres(names: Names) -> Figure:
     """Draw the displacement and the landmarks."""
     solution = names["solution"]
@@ -201,6 +211,7 @@ PICTURES: dict[str, Callable[[Names], Figure]] = {
         slice_in_millimetres,
         paper_beside_elastic,
         registration,
+        sections,
         volume,
         sweep,
         random_deformations,

@@ -112,6 +112,14 @@ def test_a_tissue_model_improves_a_registration_and_leaves_bone_unstrained(
     assert strained[1] < 0.2 < 3 < strained[0]
 
 
+def test_registered_sections_match_like_those_of_the_block(run_example):
+    text = run_example("sections")
+    match = {name: number(f"{name}: .* by #", text) for name in ("block", "as cut", "registered")}
+    assert 1 - match["registered"] < 0.1 * (1 - match["as cut"])
+    assert match["registered"] <= match["block"]
+    assert number("^.*folds: #$", text.strip().splitlines()[-1]) == 0
+
+
 def test_warm_starts_give_the_field_of_cold_starts_with_fewer_iterations(run_example):
     text = run_example("drag")
     apart = [float(found) for found in re.findall(r"([\d.]+) px from a cold start", text)]
