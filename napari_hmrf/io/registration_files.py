@@ -54,6 +54,8 @@ _PARALLEL = 1e-6
 _APART = 0.05
 #: Fraction of the progress at the end of the registration.
 _REGISTERED = 0.9
+#: Similarity above which images need not become more similar.
+_ALIKE = 0.95
 #: Number of decimals of a similarity.
 _DECIMALS = 4
 
@@ -191,7 +193,7 @@ def register_files(
     write_study(folder / names.study, study, solution)
     notes += _write_images(folder, names, pair, found)
     content = _report_of(case, pair, found, time.perf_counter() - started)
-    if content["similarity_after"] <= content["similarity_before"]:
+    if found.similarity <= min(found.similarity_before, _ALIKE):
         notes.append(
             "the images are not more similar than before: check that they show the same tissue, "
             "or use --rigid or --affine"

@@ -45,6 +45,9 @@ _OUTLIER = 1.0
 #: Precision along directions in which the images show nothing, relative to the mean precision. It
 #: limits the step of an iteration there (Levenberg and Marquardt).
 _DAMPING = 1e-3
+#: Longest step of a site, as a fraction of the longest side of the image. A nearly singular
+#: precision next to pixels that do not count would otherwise lead to larger ones.
+_LONGEST_STEP = 0.25
 # Fraction of pixels whose brightness is outside of the range of an image.
 _BEYOND_RANGE = 0.01
 _TINY = 1e-12
@@ -165,8 +168,11 @@ class ImageLevel:
             own += _DAMPING * max(float(np.mean(diagonal)), _TINY) * (weight > 0)
         observed = np.empty((*self.shape, axes), np.float32)
         step = _solved(precision, [scale * found for found in sums[len(pairs) :]])
+        longest = max(n * size for n, size in zip(self.shape, self.spacing, strict=True))
+        length = np.sqrt(sum(own**2 for own in step))
+        part = np.minimum(1, _LONGEST_STEP * longest / np.maximum(length, _TINY))
         for axis, own in enumerate(step):
-            observed[..., axis] = displacement[..., axis] + own
+            observed[..., axis] = displacement[..., axis] + part * own
         return LinearImages(precision.astype(np.float32), observed, residual, similarity)
 
     def _gradient(self, image: FloatArray) -> list[FloatArray]:

@@ -168,6 +168,12 @@ def test_tissue_around_a_hole_in_one_image_moves_as_without_the_hole(pair):
     assert masked < error_around() / 2
 
 
+def test_the_second_image_may_show_a_part_of_the_first():
+    before = texture(0, (64, 72), 4.0)
+    moved = np.linalg.norm(register(before, before[:, :40], spacing=1).displacement, axis=-1)
+    assert moved[8:-8, 8:32].mean() < 0.3
+
+
 def test_landmarks_move_tissue_that_the_images_do_not_show():
     before = np.where(np.indices((SIZE, SIZE))[1] < 48, texture(6), 0.5)
     points = np.array([(30.0, 75.0), (60.0, 75.0), (45.0, 85.0)])
