@@ -213,12 +213,16 @@ def require_simpleitk() -> None:
     HmrfError
         If SimpleITK is not installed.
     """
-    try:
-        is_missing = importlib.util.find_spec("SimpleITK") is None
-    except ValueError:  # the entry in `sys.modules` has no spec
-        is_missing = True
-    if is_missing:
+    if not has_simpleitk():
         raise missing_simpleitk()
+
+
+def has_simpleitk() -> bool:
+    """Return whether SimpleITK is installed, without importing SimpleITK."""
+    try:
+        return importlib.util.find_spec("SimpleITK") is not None
+    except ValueError:  # the entry in `sys.modules` has no spec
+        return False
 
 
 def _decode(source: Path, kind: str, *, vectors: bool = False) -> Decoded:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import HmrfError, ProblemError, naming
+from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.apply import place_for
@@ -24,7 +25,7 @@ from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import place_of, write_mapping
 from napari_hmrf.io.images import ImageFile, read_image, write_image
-from napari_hmrf.io.itk_files import require_simpleitk
+from napari_hmrf.io.itk_files import has_simpleitk
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import is_study_file, write_study
@@ -152,8 +153,11 @@ def register_files(
     started = time.perf_counter()
     names = _Names.of(case)
     refuse_overwriting(names.all_in(folder), overwrite=overwrite)
-    if case.alignment is not None:
-        require_simpleitk()
+    if case.alignment is not None and not has_simpleitk():
+        raise HmrfError(
+            f"--{case.alignment} requires SimpleITK, which is not installed: "
+            f"{how_to_install('medical')}. Or leave --{case.alignment} out."
+        )
     pair = _Pair.read(case)
     folder.mkdir(parents=True, exist_ok=True)  # before the work, so that errors occur early
     report = progress or (lambda monitor: None)
@@ -562,10 +566,8 @@ def _write_images(folder: Path, names: _Names, pair: _Pair, found: Registration)
     for name, pixels in pictures.items():
         file = ImageFile(pixels, place, colours=pixels.ndim > len(grid.shape))
         write_image(folder / f"{name}{suffix}", file)
-    try:
-        require_simpleitk()
-    except HmrfError as error:
-        return [f"{names.field} was not written: {str(error).rstrip('.')}"]
+    if not has_simpleitk():
+        return [f"{names.field} was not written, because SimpleITK is not installed"]
     at = place_of(solution)
     write_mapping(folder / names.field, _whole_displacement(pair, found), **at._asdict())
     return []

@@ -215,6 +215,14 @@ def test_pictures_are_registered_in_pixels():
     assert np.linalg.norm(solution.displacement - bend(), axis=-1)[INNER].mean() < 0.2
 
 
+def test_a_larger_smoothness_leads_to_smaller_strains(pair):
+    def largest_change(smoothness):
+        assert register("before.mha", "after.mha", "--smoothness", smoothness, "--force") == 0
+        return np.abs(read_image("out/before jacobian.nrrd").pixels - 1).max()
+
+    assert largest_change("300") < 0.5 * largest_change("1")
+
+
 #: Arguments after FIXED, and the message that they cause.
 INVALID = {
     "volume.mha is a volume with three axes. Give two images or two volumes": ["volume.mha"],
@@ -256,7 +264,7 @@ def test_a_rigid_alignment_without_simpleitk_is_refused_before_any_work(
         write_image(name, ImageFile(np.uint8(255 * texture())))
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
     assert register("before.png", "after.png", "--affine") == 1
-    assert "SimpleITK, which is not installed" in capsys.readouterr().err
+    assert "--affine requires SimpleITK, which is not installed" in capsys.readouterr().err
     assert register("before.png", "after.png") == 0
     assert "before to after field.mha was not written" in capsys.readouterr().out
     assert (folder / "out" / "before.study").exists()
