@@ -50,10 +50,11 @@ from napari_hmrf.fields import write_field, write_movie
 from napari_hmrf.io.apply import FieldFile, apply_field, write_field_file
 from napari_hmrf.io.case import Case, solve_case
 from napari_hmrf.io.csv_files import write_csv
-from napari_hmrf.io.fields import export_field
+from napari_hmrf.io.fields import export_field, write_mapping
 from napari_hmrf.io.figures import write_pictures, write_result_pictures, write_volume_pictures
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.material_tables import write_preset
+from napari_hmrf.io.registration_files import RegistrationCase, register_files
 from napari_hmrf.io.tables import write_measurements, write_named_materials
 from napari_hmrf.landmarks import write_points
 from napari_hmrf.random import RandomDeformation
@@ -185,6 +186,9 @@ def writers() -> list[Writer]:
             f"io.fields.write_field {suffix}": partial(_field, suffix=suffix)
             for suffix in (".nii", ".nii.gz", ".mha", ".nrrd", ".h5")
         },
+        "io.fields.write_mapping": lambda at: write_mapping(
+            at / "a.mha", np.ones((*_SHAPE, 2)), spacing=(1, 1)
+        ),
         "io.fields.export_field": lambda at: export_field(at / "a.mha", solution(), placed=False),
         "io.apply.write_field_file": lambda at: write_field_file(
             at / "a.nrrd", FieldFile.of(solution())
@@ -219,6 +223,9 @@ def writers() -> list[Writer]:
             _case(), at, amplitude=1.0, backend="cpu"
         ),
         "io.case.solve_case": lambda at: solve_case(_case(), at, backend="cpu"),
+        "io.registration_files.register_files": lambda at: register_files(
+            RegistrationCase(_inputs() / "noise.png", _inputs() / "noise.png"), at
+        ),
         "contributions.write_solution": lambda at: write_solution(
             str(at / "a.npz"), None, _layer()
         ),
@@ -237,6 +244,7 @@ def commands() -> list[Writer]:
         "apply .mha": ["apply", at / "case.study", at / "noise.mha", "-o", "."],
         "measure": ["measure", at / "case.study", "-o", "a.csv"],
         "play": ["play", at / "case.study", "a.gif"],
+        "register": ["register", at / "noise.png", at / "noise.png", "-o", "."],
         "solve": ["solve", at / "case.study", "--backend", "cpu", "-o", "."],
         "materials": ["materials", at / "names.csv", "-o", "a.csv"],
         "truth": ["truth", at / "case.study", "--backend", "cpu", "-o", "."],

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import HmrfError, ProblemError, naming
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.brightness import luminance
@@ -203,7 +204,7 @@ def register_files(
             "or use --rigid or --affine"
         )
     text = json.dumps(content, indent=2, allow_nan=False)
-    (folder / names.report).write_text(f"{text}\n", encoding="utf-8")
+    write_whole(folder / names.report, f"{text}\n".encode())
     return RegisteredFiles(study, found, content, tuple(notes))
 
 
