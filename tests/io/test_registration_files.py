@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy
 
-from napari_hmrf import cli, read_study, warp
+from napari_hmrf import Monitor, cli, read_study, solve, warp
 from napari_hmrf.fields import read_field
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.landmarks import write_points
@@ -213,6 +213,16 @@ def test_pictures_are_registered_in_pixels():
     assert read_image("out/after registered.tif").pixels.dtype == np.uint8
     solution = read_study("out/before.study").solution
     assert np.linalg.norm(solution.displacement - bend(), axis=-1)[INNER].mean() < 0.2
+
+
+def test_the_shell_reports_that_loops_are_compiled(pair, capsys, monkeypatch):
+    def slowly(*problem, progress, **more):
+        progress(Monitor("compiling loops (3 of 22), about 9 s left", 0.1))
+        return solve(*problem, progress=progress, **more)
+
+    monkeypatch.setattr("napari_hmrf.registration.matching.solve", slowly)
+    assert register("before.mha", "after.mha") == 0
+    assert capsys.readouterr().err.endswith("compiling loops (3 of 22), about 9 s left\n")
 
 
 def test_a_larger_smoothness_leads_to_smaller_strains(pair):
