@@ -210,6 +210,9 @@ def writers() -> list[Writer]:
         "io.moving_pictures.write_movie": lambda at: write_movie(
             at / "a.gif", solution(), _pixels(), frames=2
         ),
+        "io.moving_pictures.write_film": lambda at: write_film(
+            at / "b.gif", solution(), _pixels(), frames=2
+        ),
         "io.csv_files.write_csv": lambda at: write_csv(at / "a.csv", ["a", "b"], [[1, "c" * 99]]),
         "io.tables.write_named_materials": lambda at: write_named_materials(at / "a.csv", named),
         "io.tables.write_measurements": lambda at: write_measurements(at / "a.csv", rows),

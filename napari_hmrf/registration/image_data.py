@@ -206,7 +206,10 @@ def _normalized(
     average = first / whole
     contrast = np.sqrt(np.maximum(second / whole - average**2, 0))
     normalized = (scaled / np.maximum(share, _TINY) - average) / (contrast + _LEAST_CONTRAST)
+    # The gradient of a pixel beside others that do not count is unknown.
     inside = share > 0.5
+    if not inside.all():
+        inside = scipy.ndimage.binary_erosion(inside, border_value=1)
     return np.where(inside, normalized, 0).astype(np.float32), inside.astype(np.float32)
 
 
