@@ -26,6 +26,8 @@ CIRCLE = np.stack([np.sin(_ANGLES), np.cos(_ANGLES)], axis=-1)
 _BARB = 0.5
 #: Half-length of a double arrow, in radii of the patch; its barbs, relative to the half-length.
 _BEYOND, _TIP = 1.4, 0.25
+#: Largest radius of a circle of uncertainty, relative to the longest side of the image.
+_LARGEST_SPREAD = 0.5
 #: Directions of the arms of the crosses in `motion_marks`.
 _X = np.array([[1.0, 1.0], [1.0, -1.0]])
 
@@ -67,6 +69,7 @@ def patch_lines(
     only: int | None = None,
     is_place: bool = False,
     spread: float = 0.0,
+    shape: Sequence[int] | None = None,
 ) -> Float64Array:
     """Return lines that show the prescribed motion of a round patch of tissue.
 
@@ -92,7 +95,9 @@ def patch_lines(
         If True, the start of the arrow is also marked with a cross, as for a landmark.
     spread : float
         Standard deviation of the moved position, in the unit of the spacing. Above 0, the outline
-        has this radius.
+        has this radius, or half the longest side of the image if this is smaller.
+    shape : sequence of int, shape (n,), optional
+        Shape of the image; by default, the size of the outline is not limited.
 
     Returns
     -------
@@ -105,8 +110,14 @@ def patch_lines(
     plane = axes[flat]
     base, step = np.array([at]) * size, np.array([by])
     head, barb, length = base + step, _BARB * radius, math.hypot(*by)
-    outline = spread or radius
-    circles = [(0.0, outline)] if n == 2 else _cuts(head[0, across], outline, size[across])
+    outline, planes = spread or radius, None
+    if shape is not None:
+        sides = size * shape
+        most = _LARGEST_SPREAD * sides.max() if spread else np.linalg.norm(sides)
+        outline, planes = min(outline, float(most)), shape[across]
+    circles = [(0.0, outline)]
+    if n == 3:
+        circles = [*_cuts(head[0, across], outline, size[across], planes)]
     parts = [along(head + off * axes[across] + cut * CIRCLE @ plane) for off, cut in circles]
     if length > 0.1 * radius and step[:, flat].any():
         parts.append(barbed(base, step, min(barb, 0.5 * length), plane))
@@ -214,10 +225,18 @@ def _at_each(at: Array, lines: Iterable[Any]) -> Float64Array:
     )
 
 
-def _cuts(at: float, radius: float, step: float) -> Iterator[tuple[float, float]]:
-    """Yield, for each slice of a ball, the offset from the centre and the radius of the circle."""
+def _cuts(
+    at: float, radius: float, step: float, planes: int | None
+) -> Iterator[tuple[float, float]]:
+    """Yield, for each slice of a ball, the offset from the centre and the radius of the circle.
+
+    With a number of `planes`, only the slices of the volume and the nearest slice are yielded.
+    """
     nearest, reach = round(at / step), int(radius / step) + 1
-    for number in range(nearest - reach, nearest + reach + 1):
+    first, last = nearest - reach, nearest + reach
+    if planes is not None:
+        first, last = min(max(first, 0), nearest), max(min(last, planes - 1), nearest)
+    for number in range(first, last + 1):
         off = number * step - at
         left = radius**2 - off**2
         if left > 0 or number == nearest:

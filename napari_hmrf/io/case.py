@@ -43,7 +43,7 @@ from napari_hmrf.tissue.boundary_rules import (
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.tissue_maps import MapRange, most_likely, scale_in_words, scale_of
-from napari_hmrf.tissue.usual_lengths import usual_radius
+from napari_hmrf.tissue.usual_lengths import largest_spread, usual_radius
 
 #: Largest number of labels listed in a message.
 _LISTED = 6
@@ -448,6 +448,13 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             f"has {outside} of {len(sources)} landmarks outside the image. Check that the "
             f"coordinates are in {'pixels' if place is None else 'mm'}, and remove landmarks "
             "outside the image.",
+        )
+    most = largest_spread(grid.shape, grid.spacing)
+    if file.sd is not None and (file.sd > most).any():
+        raise ProblemError(
+            path.name,
+            f"has a standard deviation of {file.sd.max():.4g}. Use at most {most:g} in the unit of "
+            "the image, the diagonal of the image.",
         )
     radius = usual_radius(grid.shape, grid.spacing)
     # Pairs are in the unit of the image, which is also the unit of the grid.

@@ -21,7 +21,11 @@ NAME = "Motion"
 
 
 def arrow_lines(
-    drawing: Drawing, spacing: Sequence[float], selected: int | None = None, across: int = 0
+    drawing: Drawing,
+    spacing: Sequence[float],
+    selected: int | None = None,
+    across: int = 0,
+    shape: Sequence[int] | None = None,
 ) -> Lines:
     """Return the lines that display the arrows and landmarks of a drawing.
 
@@ -34,6 +38,8 @@ def arrow_lines(
         Index of the mark to highlight.
     across : int
         Axis of a volume perpendicular to the visible slices; ignored in 2-D.
+    shape : sequence of int, shape (n,), optional
+        Shape of the image, which limits the size of the outlines; by default, there is no limit.
 
     Returns
     -------
@@ -55,6 +61,7 @@ def arrow_lines(
                 only={"row": len(spacing) - 2, "col": len(spacing) - 1}.get(arrow.components),
                 is_place=isinstance(mark, Landmark),
                 spread=mark.sd if isinstance(mark, Landmark) else 0.0,
+                shape=shape,
             )
             parts.append((lines, SELECTED if number == selected else DRAWN))
     return coloured(parts, len(spacing))

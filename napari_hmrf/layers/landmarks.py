@@ -14,7 +14,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.drawing import Landmark
-from napari_hmrf.tissue.usual_lengths import usual_radius
+from napari_hmrf.tissue.usual_lengths import largest_spread, usual_radius
 
 #: Name of the feature with the standard deviations of landmarks, in the unit of the image.
 SD_FEATURE = "sd"
@@ -119,6 +119,15 @@ def landmark_pairs(
         )
     spreads = _spreads(should, len(ends), kind) if sd is None else np.full(len(ends), float(sd))
     pairs = LandmarkPairs(numbers, at, to, spreads[on_slice])
+    most = largest_spread(shape, frame.spacing)
+    too_large = np.flatnonzero(pairs.spreads > most)
+    if len(too_large):
+        raise LayerError(
+            should,
+            f"has a standard deviation of {pairs.spreads[too_large[0]]:.4g} for {kind} "
+            f"{numbers[too_large[0]]}. Use at most {most:g} in the unit of the image, the diagonal "
+            "of the image.",
+        )
     if (contradiction := pairs.contradiction) is not None:
         one, other = contradiction
         raise LayerError(

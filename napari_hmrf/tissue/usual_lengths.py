@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 
@@ -41,6 +42,22 @@ def length_range(shape: Sequence[int], spacing: Sequence[float]) -> tuple[float,
     """
     sides = (size * step for size, step in zip(shape, spacing, strict=True))
     return float(f"{min(spacing) / 2:.2g}"), float(f"{max(sides):.4g}")
+
+
+def largest_spread(shape: Sequence[int], spacing: Sequence[float]) -> float:
+    """Return the largest standard deviation of a landmark: the diagonal of the image.
+
+    Parameters
+    ----------
+    shape, spacing
+        As for `usual_radius`.
+
+    Returns
+    -------
+    float
+    """
+    diagonal = math.hypot(*(size * step for size, step in zip(shape, spacing, strict=True)))
+    return float(f"{diagonal:.4g}")
 
 
 def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:

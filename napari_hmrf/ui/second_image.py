@@ -21,6 +21,7 @@ from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Landmark
+from napari_hmrf.tissue.usual_lengths import largest_spread
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.motion.tool import name_of
@@ -161,7 +162,8 @@ class SecondImage:
             where.features = where.features.assign(**{self._residuals[1]: column})
         marks = self._marks_of(pairs)
         columns = zip(pairs.numbers.tolist(), at_first.tolist(), left.tolist(), marks, strict=True)
-        self._distances = LandmarkRows([LandmarkRow(*row) for row in columns], unit)
+        largest = largest_spread(shown.answer.shape, spacing)
+        self._distances = LandmarkRows([LandmarkRow(*row) for row in columns], unit, largest)
         both = (float(np.sqrt((lengths**2).mean())) for lengths in (at_first, left))
         before, after = (as_seen(length, spacing) for length in both)
         apart = f"{before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"

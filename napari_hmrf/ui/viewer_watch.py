@@ -17,7 +17,12 @@ from napari_hmrf.layers.still_paint import is_deformed, is_painted, lies_still
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
-from napari_hmrf.tissue.usual_lengths import length_range, usual_radius, usual_step
+from napari_hmrf.tissue.usual_lengths import (
+    largest_spread,
+    length_range,
+    usual_radius,
+    usual_step,
+)
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.dock_form import NEW_BOUNDARY, NEW_TISSUE
@@ -102,7 +107,7 @@ class ViewerWatch:
         """
         size = study.grid.shape, study.grid.spacing
         usual, (smallest, largest) = (usual_radius(*size), usual_step(*size)), length_range(*size)
-        self._form.motion.fields.limit(smallest, largest, *usual)
+        self._form.motion.fields.limit(smallest, largest, *usual, largest_spread(*size))
         self._form.motion.boundary.table.largest = largest
         if not self._has_started:
             self._has_started = True

@@ -46,6 +46,15 @@ def test_a_landmark_has_a_cross_at_its_source():
     np.testing.assert_allclose(middles, [(10, 20), (10, 20)])
 
 
+def test_a_circle_of_uncertainty_is_at_most_as_wide_as_the_image():
+    lines = patch_lines((10, 20), (0.0, 0.0), 1.0, (1.0, 1.0), spread=1e9, shape=(30, 40))
+    assert np.abs(lines[:, 0] - (10, 20)).max() == pytest.approx(20)
+    volume = {"spread": 1e9, "shape": (8, 30, 40)}
+    lines = patch_lines((4, 10, 20), (0.0, 0.0, 0.0), 1.0, (0.01, 1.0, 1.0), **volume)
+    assert np.unique(lines[:, 0, 0].round(6)).tolist() == [*range(8)]
+    assert np.abs(lines[:, 0] - (4, 10, 20)).max() == pytest.approx(20, rel=1e-3)
+
+
 def test_only_shafts_leave_the_displayed_slices_of_a_volume():
     lines = patch_lines((4, 10, 20), (2.0, 3.0, 4.0), 3.0, (1.0, 0.5, 2.0), across=0)
     leaning = lines[lines[:, 1, 0] != 0]

@@ -299,6 +299,7 @@ def test_a_rule_that_slides_needs_no_distance_and_may_have_one(tmp_path):
             "complex.tif: the image has complex64 values. Give an",
         ),
         ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Check that"),
+        ("--boundary wide.csv", "wide.csv: has a standard deviation of 1e+09. Use at most"),
         ("--hold-edge --labels gone.png", "gone.png: there is no such file or folder. Check its"),
         (
             "--hold-edge --labels .",
@@ -316,6 +317,7 @@ def test_options_without_effect_and_unsuitable_files_are_refused_in_the_shell(
     write_image(folder / "zero.png", ImageFile(np.zeros(SHAPE, np.uint8)))
     write_image(folder / "colours.png", ImageFile(np.zeros((*SHAPE, 3), np.uint8), colours=True))
     write_points(folder / "pairs.csv", np.array([[3.0, 4], [900, 4]]), np.ones((2, 2)))
+    write_points(folder / "wide.csv", np.array([[3.0, 4], [9, 4]]), np.ones((2, 2)), sd=[1, 1e9])
     (folder / "plane.csv").write_text("label,action,plane,row,col\n1,fixed,,,\n2,move,1,0,0\n")
     (folder / "empty.png").write_bytes(b"")
     (folder / "none.csv").write_text('"a","false","1","2","3","4"\n')

@@ -78,6 +78,9 @@ def test_a_feature_of_the_target_layer_contains_standard_deviations():
         targets.features = {"sd": [0.5, 2, 1, value]}
         with pytest.raises(ProblemError, match=r"'ought' has an invalid .* of point 3\."):
             read_landmarks(*pair, *image)
+    targets.features = {"sd": [0.5, 2, 1, 1e9]}
+    with pytest.raises(ProblemError, match=r"'ought' .* 1e\+09 for point 3\. Use at most 64\.03"):
+        read_landmarks(*pair, *image)
 
 
 def test_close_landmarks_have_patches_that_do_not_overlap():

@@ -77,6 +77,8 @@ class ArrowsLayer:
         self._listener = listener
         self._layer: Any = None
         self._frame: Frame | None = None
+        # Shape of the slice or volume.
+        self._shape: tuple[int, ...] | None = None
         # Radius of the circle around the pointer; None if there is no circle.
         self._circle: float | None = None
         # Callbacks for the end of the drag.
@@ -124,7 +126,7 @@ class ArrowsLayer:
 
     def place(self, frame: Frame, shape: tuple[int, ...], drawn: bool = False) -> None:
         """Place the layer on another slice, if there is a layer or a drawing to show."""
-        layer = self.layer
+        layer, self._shape = self.layer, shape
         if (layer is None and not drawn) or frame == self._frame:
             return
         if layer is None or layer.ndim != frame.ndim:
@@ -156,7 +158,7 @@ class ArrowsLayer:
             return
         is_volume, view = len(frame.plane) == 3, View.of(self._viewer.dims)
         across = plane_shown(frame, view)[0] if is_volume else 0
-        own = arrow_lines(drawing, frame.spacing, selected, across)
+        own = arrow_lines(drawing, frame.spacing, selected, across, self._shape)
         lines, colours = map(np.concatenate, zip(*below, own, strict=True))
         placed = frame.put_vectors(lines)
         same = np.array_equal(layer.edge_color, colours)

@@ -192,7 +192,9 @@ class ToolFields(Container):
         """Smallest and largest radius."""
         return self._ranges.get(self.radius, (0.5, math.inf))
 
-    def limit(self, smallest: float, largest: float, radius: float, step: float) -> None:
+    def limit(
+        self, smallest: float, largest: float, radius: float, step: float, spread: float
+    ) -> None:
         """Set the range of the lengths for an image, in the unit of the image.
 
         Parameters
@@ -201,21 +203,23 @@ class ToolFields(Container):
             Smallest radius, and largest length in any field; see `length_range`.
         radius, step : float
             Default radius and growth, which replace values out of range.
+        spread : float
+            Largest uncertainty of a landmark.
         """
         decimals = min(max(2, 1 + math.ceil(-math.log10(smallest))), 12)
-        for field, least, usual, pixels in (
-            (self.radius, smallest, radius, 1.0),
-            (self.by_row, -largest, 0.0, 0.5),
-            (self.by_col, -largest, 0.0, 0.5),
-            (self.amount, -largest, step, 0.5),
-            (self.sd, 0.0, 0.0, 0.5),
+        for field, least, most, usual, pixels in (
+            (self.radius, smallest, largest, radius, 1.0),
+            (self.by_row, -largest, largest, 0.0, 0.5),
+            (self.by_col, -largest, largest, 0.0, 0.5),
+            (self.amount, -largest, largest, step, 0.5),
+            (self.sd, 0.0, spread, 0.0, 0.5),
         ):
-            self._ranges[field] = least, largest
+            self._ranges[field] = least, most
             field.native.setDecimals(decimals)
             field.step = float(f"{2 * smallest * pixels:.1g}")
-            if not least <= field.value <= largest:
+            if not least <= field.value <= most:
                 with field.changed.blocked():
-                    field.value = min(max(usual, least), largest)
+                    field.value = min(max(usual, least), most)
         self._describe_ranges()
 
     def _describe_ranges(self) -> None:

@@ -19,8 +19,11 @@ _SD_TIP = (
     "about this distance, for the elastic model only. Double-click to change it."
 )
 _NOT_DRAWN = "This pair is not a landmark of the drawing. Press 'Use as landmarks' first."
-#: Message for a standard deviation that is not a length.
-INVALID = "A standard deviation (±) must be 0 (exact) or a length above 0."
+#: Message for a standard deviation that is not a length, or is larger than the image.
+INVALID = (
+    "A standard deviation (±) must be from 0 (exact) to {:g} {}, the diagonal of the image; it was "
+    "not changed."
+)
 # Width and height of the window in addition to those of the cells, and height of a row, in pixels.
 _MARGINS, _ROW = (40, 100), 32
 
@@ -45,10 +48,19 @@ class LandmarkRow(NamedTuple):
 
 
 class LandmarkRows(NamedTuple):
-    """Content of the table; all lengths are in `unit`."""
+    """Content of the table; all lengths are in `unit`.
+
+    Attributes
+    ----------
+    rows : list of LandmarkRow
+    unit : str
+    largest : float
+        Largest standard deviation.
+    """
 
     rows: list[LandmarkRow]
     unit: str
+    largest: float = math.inf
 
 
 class LandmarkTable(QtWidgets.QDialog):
@@ -61,7 +73,7 @@ class LandmarkTable(QtWidgets.QDialog):
     set_sd : callable
         Sets the standard deviation of a landmark.
     refuse : callable
-        Called with a message if a typed value is not a length.
+        Called with a message if a typed value is not a length or is too large.
     """
 
     def __init__(
@@ -115,8 +127,9 @@ class LandmarkTable(QtWidgets.QDialog):
         if item.column() != _COLUMN or row.mark is None:
             return
         value = number_of(item.text().strip().removeprefix("±"))
-        if 0 <= value < math.inf:
+        largest = self._content.largest
+        if 0 <= value <= largest and math.isfinite(value):
             self._set_sd(row.mark, value)
         else:
-            self._refuse(INVALID)
+            self._refuse(INVALID.format(largest, self._content.unit))
             self.show_rows(self._content)
