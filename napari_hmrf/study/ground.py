@@ -56,7 +56,7 @@ from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
-from napari_hmrf.tissue.sliding import sliding_data
+from napari_hmrf.tissue.sliding import inner_surface, sliding_data
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 #: Stiffness of the subject and of its dark surroundings if there is no tissue map. The surroundings
@@ -324,6 +324,10 @@ class Ground:
             notes.append(_OVER if over else "")
         if motion.labels is not None or problem.observed.any():
             notes.append(missing_constraint(problem))
+        if self.study.slides:
+            slides = motion.drawing.render(self.base).slides
+            stiffness, spacing = problem.stiffness, self.study.grid.spacing
+            notes.append(inner_surface(slides, stiffness, spacing))
         pulled = problem.loads is not None and problem.loads.force is not None
         notes.append(_NO_UNIT if pulled and not self.study.tissue.unit else "")
         if (image := self.study.pictures.image) is not None:

@@ -52,6 +52,8 @@ _SHARE = 0.15
 _FRAMES, _WEIGHTINGS = 3, 3
 # Number of sites that are fitted together, to limit the memory.
 _TOGETHER = 2048
+#: Beginning of the clause about a sliding surface inside tissue.
+_INSIDE = "there is tissue on both sides of a sliding surface"
 
 
 class SlidingSurface(NamedTuple):
@@ -259,15 +261,8 @@ def sliding_data(
     """
     if not slides.any():
         return observed, None
-    last = next(
-        (each for each in _last_data if each.is_valid_for(slides, stiffness, spacing)), None
-    )
-    if last is None:
-        surface = sliding_surface(stiffness, slides, spacing=spacing)
-        tensors = _tensors(stiffness, surface, spacing)
-        last = _Data(slides.copy(), stiffness.copy(), spacing, surface, tensors)
-        _last_data[:] = [last]
-    surface, tensors = last.surface, last.tensors
+    data = _data_of(slides, stiffness, spacing)
+    surface, tensors = data.surface, data.tensors
     amounts = observed[surface.sites][:, 0]
     if (amounts[~surface.is_outer] != 0).any():
         raise ProblemError(
@@ -278,6 +273,40 @@ def sliding_data(
     y = np.where(slides[..., None], np.float32(0), observed)
     y[surface.sites] = amounts[:, None] * surface.normals
     return y, tensors if tensors.any() else None
+
+
+def inner_surface(
+    slides: Mask, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]
+) -> str:
+    """Return a clause if some sliding surface is inside tissue, or "".
+
+    Tissue on both sides of such a surface shares its pixels, so that the sides cannot slip past
+    each other.
+
+    Parameters
+    ----------
+    slides, stiffness, spacing
+        As for `sliding_data`.
+    """
+    if not slides.any() or _data_of(slides, stiffness, spacing).surface.is_outer.all():
+        return ""
+    return (
+        f"{_INSIDE}: the surface keeps its place, and the two sides do not slip past each other. "
+        "To let tissue slide along the surface, give the other side the stiffness 0"
+    )
+
+
+def _data_of(slides: Mask, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]) -> _Data:
+    """Return the surface of some paint and its tensors, from the cache if possible."""
+    last = next(
+        (each for each in _last_data if each.is_valid_for(slides, stiffness, spacing)), None
+    )
+    if last is None:
+        surface = sliding_surface(stiffness, slides, spacing=spacing)
+        tensors = _tensors(stiffness, surface, spacing)
+        last = _Data(slides.copy(), stiffness.copy(), spacing, surface, tensors)
+        _last_data[:] = [last]
+    return last
 
 
 def _surface_of(

@@ -100,6 +100,17 @@ def test_a_line_inside_tissue_slides_but_has_no_outside_to_be_shifted_to():
         build_problem(disc(replace(line, amount=1.0), hold))
 
 
+def test_a_note_says_that_a_surface_inside_tissue_keeps_its_place():
+    ring = tuple((29.6 + 10 * np.cos(a), 29.6 + 10 * np.sin(a)) for a in ANGLES)
+    pull, hold = Arrow((29.6, 29.6), (0, 3), 4), Stroke("pin", (CIRCLE,), 2.0)
+    inside = solve_study(disc(Stroke("slide", (ring,), 1.0), hold, pull))
+    (note,) = [note for note in inside.notes if "both sides of a sliding surface" in note]
+    assert "keeps its place" in note
+    assert "stiffness 0" in note
+    assert np.linalg.norm(inside.displacement[29, 40]) < 0.1 < 2 < inside.displacement[29, 30, 1]
+    assert not any("sliding" in note for note in solve_study(disc(SLIDE, *TURN)).notes)
+
+
 def test_a_study_that_slides_is_saved_and_solved_again(tmp_path):
     study = disc(SLIDE, *TURN, rule=BoundaryRule(1, "slide", amount=0.5))
     write_study(tmp_path / "study.npz", study, solution := solve_study(study, backend="cpu"))

@@ -164,7 +164,10 @@ class SlideTool(BrushTool):
     title = "Slide"
     key = "S"
     fields = ("radius",)
-    hint = "Paint the surface of tissue that slides along a wall."
+    hint = (
+        "Paint the surface of tissue that slides along a wall of stiffness 0. Inside tissue, a "
+        "painted surface keeps its place."
+    )
     action = "slide"
     step = "painted a sliding surface"
 
