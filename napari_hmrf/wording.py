@@ -30,6 +30,7 @@ class Term(NamedTuple):
 #: Names of the settings in the shell and the window, by Python name.
 TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
+    "hold_edge=False": Term("without --hold-edge", "'Fix outer edge' off"),
     "model='elastic'": Term("--model elastic", ""),
     "drift=False": Term("", "'affine drift' off"),
     "sd=0": Term("a file without this column", ""),

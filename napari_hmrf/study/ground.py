@@ -30,7 +30,9 @@ from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.uncertain_landmarks import typical_stiffness
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.landmark_data import (
+    landmark_caveats,
     landmark_data,
+    landmarks_hold,
     points_in_tissue,
     sites_of,
     uncertain_landmarks,
@@ -322,7 +324,9 @@ class Ground:
             still = (self.base.confidence > 0) & (self.base.observed == 0)
             over = (still & problem.known & (problem.observed != 0))[motion.labels != 0].any()
             notes.append(_OVER if over else "")
-        if motion.labels is not None or problem.observed.any():
+        notes += landmark_caveats(motion.drawing, problem)
+        is_marked = motion.labels is not None or problem.observed.any()
+        if is_marked and not landmarks_hold(motion.drawing, problem):
             notes.append(missing_constraint(problem))
         if self.study.slides:
             slides = motion.drawing.render(self.base).slides

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.neighbours import in_elements
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import (
     SD_RANGE,
     Landmarks,
@@ -17,6 +18,7 @@ from napari_hmrf.solver.uncertain_landmarks import (
     typical_stiffness,
 )
 from napari_hmrf.tissue.drawing import Drawing, Landmark
+from napari_hmrf.tissue.normals import outer_rim
 
 Points = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -25,6 +27,8 @@ FloatArray = npt.NDArray[np.float32]
 #: Largest distance of a landmark from tissue, in pixels. Such a landmark observes the nearest
 #: tissue.
 NEAR = 1.0
+# Share of the outer edge above which held tissue hinders a drift.
+_HELD_SHARE = 0.5
 # Factor that keeps a clipped standard deviation within the range after rounding.
 _INSIDE = 1 + 1e-9
 
@@ -64,6 +68,67 @@ def points_in_tissue(marks: Iterable[Landmark], tissue: Mask) -> tuple[Points, M
         better = elements[tuple(first.T)] & (away < distance)
         nearest[better], distance[better] = inside[better], away[better]
     return nearest, distance <= NEAR
+
+
+def landmarks_hold(drawing: Drawing, problem: Problem) -> bool:
+    """Return whether exact landmarks alone determine the position and orientation of tissue.
+
+    These are two landmarks in an image, or three that are not on one line in a volume.
+
+    Parameters
+    ----------
+    drawing : Drawing
+    problem : Problem
+        Problem with this drawing; landmarks whose pixel it does not hold do not count.
+    """
+    marks = (mark for mark in drawing.marks if isinstance(mark, Landmark) and not mark.sd)
+    last = np.array(problem.shape) - 1
+    places = np.array([mark.source for mark in marks], np.float64).reshape(-1, len(last))
+    pixels = np.unique(np.rint(np.clip(places, 0, last)).astype(np.intp), axis=0)
+    held = pixels[problem.known[tuple(pixels.T)].all(axis=-1)]
+    needed = len(last) - 1
+    return len(held) > needed and bool(np.linalg.matrix_rank(held - held[0]) >= needed)
+
+
+def landmark_caveats(drawing: Drawing, problem: Problem) -> Iterator[str]:
+    """Yield clauses about targets outside the image, and about a drift of tissue that is held.
+
+    Parameters
+    ----------
+    drawing : Drawing
+    problem : Problem
+        Problem with this drawing.
+
+    Yields
+    ------
+    str
+    """
+    last, spacing = np.array(problem.shape) - 1, np.array(problem.spacing)
+    far: list[tuple[float, Landmark]] = []
+    for mark in drawing.marks:
+        if isinstance(mark, Landmark):
+            target = np.array(mark.target)
+            beyond = target - np.clip(target, 0, last)
+            if np.abs(beyond).max() > NEAR:
+                far.append((float(np.linalg.norm(beyond * spacing)), mark))
+    if far:
+        away, mark = max(far, key=lambda each: each[0])
+        at = ", ".join(f"{part:.4g}" for part in mark.source)
+        subject = "the target of a landmark is" if len(far) == 1 else f"{len(far)} targets are"
+        yield (
+            f"{subject} outside the image, by up to {away:.3g} (landmark at ({at})): check the "
+            "target, or remove the landmark"
+        )
+    if problem.landmarks is None or not problem.landmarks.drift:
+        return
+    rim = outer_rim(problem.tissue)
+    still = (problem.known & (problem.observed == 0)).all(axis=-1)
+    if rim.any() and still[rim].mean() > _HELD_SHARE:
+        yield (
+            "most of the outer edge of the tissue is held in place, so that the drift can hardly "
+            "stretch or shrink the tissue: if the landmarks should move it, release the edge "
+            "(`hold_edge=False`)"
+        )
 
 
 def sites_of(points: Points, shape: tuple[int, ...]) -> Mask:

@@ -100,6 +100,9 @@ _WARNINGS: dict[Mark, str] = {
 #: Patterns of long notes, and their labels on the chip, which fit in a dock of usual width.
 _LABELS = (
     ("there is tissue on both sides of a sliding", "A sliding surface in tissue keeps its place"),
+    ("most of the outer edge", "The held edge hinders the drift"),
+    (r"the target of a landmark is", "A target is outside the image"),
+    (r"(\d+ targets are outside the image)", r"\1"),
     ("the dark surroundings of the image move", "Dark surroundings move like tissue"),
     ("the drawing moves tissue that is painted as held", "The drawing moves held tissue"),
     ("forces are in the unit of stiffness", "The unit of the forces is unknown"),

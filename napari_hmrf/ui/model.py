@@ -43,7 +43,8 @@ _ABOUT_DRIFT = (
     "Let all tissue also stretch, shrink or shear evenly, as much as the landmarks with an "
     "uncertainty (±) suggest: for example, if the scanner or the pixel size differs between "
     "two images. Needs three such landmarks that are not on one line, or four in a volume; "
-    "without such landmarks, it has no effect"
+    "without such landmarks, it has no effect. While the outer edge is held ('Fix outer edge'), it "
+    "has little effect"
 )
 
 

@@ -208,8 +208,29 @@ def test_a_drift_of_a_study_is_estimated_saved_and_replayed_bit_by_bit(tmp_path)
     path = write_study(tmp_path / "a.study", drifting, solution)
     assert read_study(path).study.motion.drift is True
     np.testing.assert_array_equal(replay(path).displacement, solution.displacement)
+    held = replace(drifting, motion=replace(drifting.motion, hold_edge=True))
+    (note,) = [note for note in solve_study(held, backend="cpu").notes if "outer edge" in note]
+    assert in_words_of("window", note).endswith("release the edge ('Fix outer edge' off)")
+    assert not any("outer edge" in note for note in solution.notes)
     with pytest.raises(ArgumentError, match="drift must be True or False"):
         replace(study.motion, drift="yes")
+
+
+def test_exact_landmarks_hold_tissue_from_two_on():
+    marks = [Landmark(at, (1.05 * at[0], at[1]), 1.0) for at in ((6, 8), (22, 9), (15, 18))]
+    for count, is_loose in ((1, True), (2, False), (3, False)):
+        notes = solve_study(a_study(*marks[:count], hold_edge=False), backend="cpu").notes
+        assert any("nothing holds the tissue" in note for note in notes) is is_loose
+
+
+@pytest.mark.parametrize("sd", [0.0, 0.5])
+def test_a_note_names_a_landmark_with_its_target_outside_the_image(sd):
+    inside, far = replace(MARK, sd=sd), replace(MARK, source=(20, 9), target=(20, -11), sd=sd)
+    (note,) = [
+        note for note in solve_study(a_study(inside, far), backend="cpu").notes if "target" in note
+    ]
+    assert note.startswith("the target of a landmark is outside the image, by up to 11 (")
+    assert not any("target" in note for note in solve_study(a_study(inside), backend="cpu").notes)
 
 
 def test_a_study_with_too_few_landmarks_for_a_drift_names_them():
