@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -13,7 +15,7 @@ from napari_hmrf.errors import LayerError, naming
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.tissue.drawing import Landmark
+from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.usual_lengths import largest_spread, usual_radius
 
 #: Name of the feature with the standard deviations of landmarks, in the unit of the image.
@@ -84,6 +86,19 @@ def read_landmarks(
             Landmark(tuple(a), tuple(b), size, confidence, sd=spread)
             for a, b, size, spread in places
         )
+
+
+def with_spreads_of(drawing: Drawing, marks: Iterable[Landmark]) -> tuple[Landmark, ...]:
+    """Return landmarks with the standard deviations of a drawing's landmarks of equal source.
+
+    Parameters
+    ----------
+    drawing : Drawing
+    marks : iterable of Landmark
+        Landmarks; those without an equal source in the drawing are returned unchanged.
+    """
+    known = {mark.source: mark.sd for mark in drawing.marks if isinstance(mark, Landmark)}
+    return tuple(replace(mark, sd=known.get(mark.source, mark.sd)) for mark in marks)
 
 
 def landmark_pairs(

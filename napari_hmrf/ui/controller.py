@@ -82,6 +82,8 @@ class Controller:
     message = Signal(str)
     #: Emitted with the reason why a request cannot be carried out.
     refusal = Signal(str)
+    #: Emitted when the inputs cannot be solved, so that the result belongs to earlier inputs.
+    outdated = Signal()
     #: Emitted with the study when the current slice or image has changed.
     slice_changed = Signal(Study)
 
@@ -359,6 +361,8 @@ class Controller:
         if study is None or moved.study.grid != study.grid:
             return
         self.progress.restart()
+        if moved.error is not None:
+            self.outdated.emit()
         if moved.error is not None and moved.settled:
             self._refuse(moved.error)
             return
@@ -444,6 +448,7 @@ class Controller:
         sentence = messages.in_short(error)
         # Without a chosen image, there is no tissue to update.
         self._failure = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
+        self.outdated.emit()
         self.chip.refresh()
         self._emit_message(always=sentence == messages.WELCOME)
 

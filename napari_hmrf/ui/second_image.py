@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -30,6 +31,8 @@ from napari_hmrf.ui.result.result_view import ResultView
 
 #: Layer settings of the deformed and the second image; two equal images add up to grey.
 _MOVED = {"colormap": "magenta"}
+# Beginning of the summary of the landmarks, and another one if the chosen layers are not pairs.
+_LANDMARKS, _DRAWN = "Landmarks", "Landmarks of the drawing"
 # Number of decimals, in pixels, in which equal positions agree.
 _DECIMALS = 6
 _OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0, "visible": True}
@@ -63,9 +66,13 @@ class SecondImage:
         self._before: dict[Any, dict[str, Any]] = {}
         self._place = 0
         choices = (self._image, self._form.second, self._pair.sources, self._pair.targets)
+        # True if the result belongs to earlier inputs, because the current inputs were refused.
+        self._is_outdated = False
         changes = (view.view_changed, *(choice.changed for choice in choices))
         self._connections = EventConnections(
             (viewer.layers.events.inserted, self.refresh),
+            (controller.outdated, self._on_outdated),
+            (controller.deformation_changed, self._on_deformation),
             *((change, self.refresh) for change in changes),
         )
         self._points = EventConnections()
@@ -131,6 +138,14 @@ class SecondImage:
             indices = [layers.index(layer) for layer in moved if layer in layers]
             layers.move(self._place, max([self._place, *(index + 1 for index in indices)]))
 
+    def _on_outdated(self) -> None:
+        self._is_outdated = True
+        self._measure()
+
+    def _on_deformation(self, _: Any) -> None:
+        """Expect a result of the current inputs, which `refresh` measures."""
+        self._is_outdated = False
+
     def _on_points(self, event: Any) -> None:
         if event.action in (ActionType.ADDED, ActionType.REMOVED, ActionType.CHANGED):
             self._measure()
@@ -145,8 +160,8 @@ class SecondImage:
 
     def _describe_residuals(self) -> str:
         """Describe the residuals and the drift, and store each residual with its landmark."""
-        shown, where = self._view.shown, self._pair.sources.value
-        pairs = None if shown is None else self._pairs(shown.answer)
+        shown = self._view.shown
+        where, pairs = (None, None) if shown is None else self._pairs(shown.answer)
         if shown is None or pairs is None:
             return ""
         solution, unit = shown.answer.solution, shown.answer.unit
@@ -163,11 +178,16 @@ class SecondImage:
         marks = self._marks_of(pairs)
         columns = zip(pairs.numbers.tolist(), at_first.tolist(), left.tolist(), marks, strict=True)
         largest = largest_spread(shown.answer.shape, spacing)
-        self._distances = LandmarkRows([LandmarkRow(*row) for row in columns], unit, largest)
+        rows = [LandmarkRow(*row) for row in columns]
+        self._distances = LandmarkRows(rows, unit, largest, self._is_outdated)
         both = (float(np.sqrt((lengths**2).mean())) for lengths in (at_first, left))
         before, after = (as_seen(length, spacing) for length in both)
         apart = f"{before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
-        return "; ".join((f"Landmarks: {apart}", *drift_clauses(solution)))
+        is_drawn = where is None and self._pair.sources.value is not None
+        subject = _DRAWN if is_drawn else _LANDMARKS
+        if self._is_outdated:
+            subject = f"{subject} in the last result, before the refused edit"
+        return "; ".join((f"{subject}: {apart}", *drift_clauses(solution)))
 
     def _marks_of(self, pairs: LandmarkPairs) -> list[Landmark | None]:
         """Return the landmark of the drawing with the positions of each pair, or None."""
@@ -179,15 +199,21 @@ class SecondImage:
         places = np.concatenate([pairs.at, pairs.to], axis=1).tolist()
         return [marks.get(_key(place)) for place in places]
 
-    def _pairs(self, answer: PlacedSolution) -> LandmarkPairs | None:
-        """Return the landmarks of the chosen layers, or of the drawing if no layer is chosen."""
+    def _pairs(self, answer: PlacedSolution) -> tuple[Any, LandmarkPairs | None]:
+        """Return the landmarks of the chosen layers, or of the drawing, and their layer.
+
+        The landmarks of the drawing, without a layer, are returned if no layer is chosen, or if
+        the chosen layers do not contain valid pairs.
+        """
         where, should = self._pair.pair
         if where is not None:
             view = View.of(self._viewer.dims)
-            try:
-                return landmark_pairs(where, should, answer.frame, answer.shape, view)
-            except HmrfError:
-                return None  # reported when the landmarks are added
+            with suppress(HmrfError):  # reported when the landmarks are added
+                return where, landmark_pairs(where, should, answer.frame, answer.shape, view)
+        return None, self._drawn_pairs(answer)
+
+    def _drawn_pairs(self, answer: PlacedSolution) -> LandmarkPairs | None:
+        """Return the landmarks of the drawing, or None."""
         study = self._controller.study
         if study is None or study.grid.place != answer.frame:  # another image
             return None

@@ -13,7 +13,7 @@ from qtpy.QtWidgets import QMessageBox
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.image_result import ResultLayers
-from napari_hmrf.layers.landmarks import read_landmarks
+from napari_hmrf.layers.landmarks import SD_FEATURE, read_landmarks, with_spreads_of
 from napari_hmrf.layers.still_paint import put_brush_away
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
@@ -325,6 +325,8 @@ class SoftTissue(DockValues):
         """Add the points of two layers, or the lines of a Shapes layer, as landmarks.
 
         The landmarks of an earlier call are removed from the drawing, except those that were moved.
+        If no standard deviations are given, neither here nor in the layers, landmarks keep those of
+        the landmarks with the same source in the drawing.
 
         Parameters
         ----------
@@ -349,9 +351,10 @@ class SoftTissue(DockValues):
             for mark in self.drawing.marks
             if not (isinstance(mark, Landmark) and (mark.source, mark.target) in added)
         ]
-        self._added_landmarks = marks = read_landmarks(
-            where, should, grid.known_place, grid.shape, view, **how
-        )
+        marks = read_landmarks(where, should, grid.known_place, grid.shape, view, **how)
+        if "sd" not in how and SD_FEATURE not in (where if should is None else should).features:
+            marks = with_spreads_of(self.drawing, marks)
+        self._added_landmarks = marks
         self._pointer.set_drawing(
             Drawing((*marks, *others)), f"added landmarks from '{where.name}'"
         )
@@ -374,7 +377,9 @@ class SoftTissue(DockValues):
         )
         points = form.motion.boundary.landmarks
         points.take_button.changed.connect(
-            lambda _: self._try(lambda: self.take_landmarks(*points.pair))
+            lambda _: self._try(
+                lambda: self.take_landmarks(*points.pair, radius=form.motion.fields.patch_radius)
+            )
         )
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())

@@ -90,7 +90,7 @@ def test_residuals_are_updated_if_points_move(compared, wait_for):
     left = viewer.layers["is"].features["residual (mm)"].to_numpy()
     np.testing.assert_allclose(left, [8.0, 0, 0], atol=0.02)
     viewer.layers["ought"].data = further[:2]
-    assert not dock.residual, "residuals are shown for unpaired points"
+    assert dock.residual.startswith("Landmarks of the drawing: "), "unpaired points are compared"
     assert "residual (mm)" not in viewer.layers["is"].features
 
 
@@ -217,6 +217,54 @@ def test_imported_landmarks_keep_the_standard_deviations_of_their_layer(compared
     Screen(dock).press("Use as landmarks")
     assert [mark.sd for mark in dock.drawing.marks] == [0, 2, 0.5], "an edited landmark was kept"
     wait_for(lambda: not dock.busy)
+
+
+def test_landmarks_taken_again_keep_their_uncertainty_and_have_the_radius_of_the_tool(
+    compared, wait_for
+):
+    viewer, dock, _, _ = compared
+    dock.fields.radius.value = 1.25
+    Screen(dock).choose("is")
+    Screen(dock).press("Use as landmarks")
+    assert {mark.radius for mark in dock.drawing.marks} == {1.25}
+    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
+    Screen(dock).entry("More", "Landmarks ...").trigger()
+    (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
+    Cell(table, 1, 3).write("1.5")
+    viewer.layers["ought"].data = WHERE + 1.5 * BY
+    Screen(dock).press("Use as landmarks")
+    assert [mark.sd for mark in dock.drawing.marks] == [0, 1.5, 0]
+    wait_for(lambda: not dock.busy)
+
+
+def test_landmarks_of_the_drawing_are_listed_if_the_layers_have_no_valid_pairs(compared, wait_for):
+    viewer, dock, _, _ = compared
+    Screen(dock).choose("is")
+    Screen(dock).press("Use as landmarks")
+    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
+    Screen(dock).entry("More", "Landmarks ...").trigger()
+    (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
+    viewer.layers["is"].add([5.0, 5.0])
+    Screen(dock).press("Use as landmarks")
+    assert "'ought' has 3 points, but 'is' has 4" in dock.status
+    assert numbers(dock.residual)[2] == table.rowCount() == len(dock.drawing.marks) == 3
+
+
+def test_distances_are_those_of_the_last_result_after_a_refused_edit(compared, wait_for):
+    _, dock, _, _ = compared
+    dock._form.motion.boundary.landmarks.sources.value = None
+    dock._form.motion.edge.value = False
+    dock.drawing = Drawing([Landmark((20, at), (24.0, at), 2.0, sd=1.0) for at in (20, 40)])
+    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
+    Screen(dock).entry("More", "Landmarks ...").trigger()
+    (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
+    dock._form.model.drift.value = True
+    wait_for(lambda: "cannot determine a drift" in dock.status)
+    assert dock.residual.startswith("Landmarks in the last result, before the refused edit: ")
+    assert head(table, 2) == "last result (mm)"
+    dock.undo()
+    wait_for(lambda: dock.residual.startswith("Landmarks: ") and not dock.busy)
+    assert head(table, 2) == "now (mm)"
 
 
 def test_drawn_landmarks_have_residuals_without_a_layer_of_points(compared, wait_for):

@@ -125,8 +125,8 @@ class ToolFields(Container):
             for name in self._tool.fields
             if name not in _STEPS
         }
-        if "radius" in values:  # the field of a mark from a file may show a radius rounded to 0
-            values["radius"] = max(values["radius"], self.radius_range[0])
+        if "radius" in values:
+            values["radius"] = self.patch_radius
         if values.get("label", 0) is None:  # there are no tissues to choose yet
             del values["label"]
         if self._has_step:
@@ -186,6 +186,12 @@ class ToolFields(Container):
     def unit(self) -> str:
         """Unit of the lengths."""
         return self._unit
+
+    @property
+    def patch_radius(self) -> float:
+        """Radius of a new patch, in the range of radii."""
+        # The field may show the radius of a mark from a file, rounded to 0.
+        return float(max(self.radius.value, self.radius_range[0]))
 
     @property
     def radius_range(self) -> tuple[float, float]:

@@ -56,11 +56,14 @@ class LandmarkRows(NamedTuple):
     unit : str
     largest : float
         Largest standard deviation.
+    is_outdated : bool
+        True if the distances belong to earlier inputs, because the current inputs were refused.
     """
 
     rows: list[LandmarkRow]
     unit: str
     largest: float = math.inf
+    is_outdated: bool = False
 
 
 class LandmarkTable(QtWidgets.QDialog):
@@ -98,7 +101,8 @@ class LandmarkTable(QtWidgets.QDialog):
         table, unit = self._table, content.unit
         is_first = not table.rowCount()
         table.blockSignals(True)
-        titles = ["landmark", f"before ({unit})", f"now ({unit})", f"± ({unit})"]
+        now = "last result" if content.is_outdated else "now"
+        titles = ["landmark", f"before ({unit})", f"{now} ({unit})", f"± ({unit})"]
         table.setHorizontalHeaderLabels(titles)
         table.horizontalHeaderItem(_COLUMN).setToolTip(_SD_TIP)
         table.setRowCount(len(content.rows))
