@@ -20,7 +20,7 @@ from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.landmarks import SD_FEATURE
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, layer_metadata
 from napari_hmrf.layers.result_layers import result_layers
-from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
+from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.mri import MRI_SCALE, mri_slices
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.solution import Solution, is_solution_file
@@ -73,7 +73,7 @@ def sample_bar() -> list[LayerData]:
 def sample_head() -> list[LayerData]:
     """Return the layers of the head sample: a volume of a head with a growing tumour."""
     _show_dock()
-    return volume_layers(head_phantom(SAMPLE_SIZE))
+    return volume_layers(head_phantom(SAMPLE_SIZE, growth=GROWTH))
 
 
 def volume_layers(head: HeadPhantom) -> list[LayerData]:

@@ -32,7 +32,7 @@ from napari_hmrf.layers.metadata import METADATA, rows_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
+from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.optimizers import ICM
 from tests.support.study_reader import read_layers
@@ -136,7 +136,7 @@ def test_the_sample_volume_gives_the_problem_of_its_phantom(head_layers):
     rows = rows_of(tissue, "tissue"), rows_of(boundary, "boundary")
     request = Request(tissue, boundary, image, *rows, view=view)
     problem = read_layers(request, ElasticPrior(), Multigrid()).problem
-    expected = head_phantom(SAMPLE_SIZE).problem
+    expected = head_phantom(SAMPLE_SIZE, growth=GROWTH).problem
     assert problem.spacing == pytest.approx((2.0,) * 3)
     for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(problem, field), getattr(expected, field))

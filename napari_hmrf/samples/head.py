@@ -31,6 +31,9 @@ FloatArray = npt.NDArray[np.float64]
 SMALLEST = 24
 #: Size of the sample in napari, at which voxels are 2 mm wide.
 SAMPLE_SIZE = 95
+#: Outward displacement of the tumour's rim in the sample and the demonstration, in mm. With
+#: 2.5 mm or more, elastic tissue around the tumour folds.
+GROWTH = 2.0
 #: Length of the image from front to back, half axes of the brain along (up, back, left), and
 #: thickness of the skull, in millimetres.
 _LONG, _BRAIN, _SKULL = 190.0, (62.0, 84.0, 66.0), 7.0

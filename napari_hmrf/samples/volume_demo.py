@@ -11,7 +11,7 @@ import numpy as np
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.io.figures import write_volume_pictures
 from napari_hmrf.io.study_file import write_study
-from napari_hmrf.samples.head import TUMOUR, HeadPhantom, head_phantom
+from napari_hmrf.samples.head import GROWTH, TUMOUR, HeadPhantom, head_phantom
 from napari_hmrf.solver.backends import SolveJob
 from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING
 from napari_hmrf.solver.model_names import in_words
@@ -23,9 +23,6 @@ from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
-#: Outward displacement of the tumour's rim, in millimetres. With 2.5 mm or more, elastic tissue
-#: around the tumour folds.
-GROWTH = 2.0
 #: One millilitre in cubic millimetres.
 _MILLILITRE = 1000.0
 

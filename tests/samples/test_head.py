@@ -7,6 +7,7 @@ from scipy.ndimage import label
 from napari_hmrf import ArgumentError, solve, warp
 from napari_hmrf.data import head_phantom
 from napari_hmrf.field.strain import jacobian_determinant
+from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,10 @@ def test_the_tumour_grows_and_the_brain_stays_inside_the_skull(small, grown):
     ratio = jacobian_determinant(grown.displacement, spacing=small.spacing, tissue=labels > 0)
     assert np.median(ratio[labels == 3]) == pytest.approx(1.25**3, rel=0.03)
     assert np.nanmean(ratio[labels == 2]) < 0.98, "ventricles are not compressed"
+
+
+def test_the_tissue_of_the_sample_does_not_fold():
+    assert solve(head_phantom(SAMPLE_SIZE, growth=GROWTH).problem).count_folds() == 0
 
 
 def test_the_rim_moves_outward_and_the_skull_is_fixed(small):
