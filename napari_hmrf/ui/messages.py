@@ -97,6 +97,11 @@ _WARNINGS: dict[Mark, str] = {
     "overlaps": "one part of the tissue has moved onto another part and hides it. The model does "
     "not include contact across a gap.",
 }
+#: Advice in addition to the warning about folds, if landmarks have an uncertainty.
+_UNSURE_FOLDS = (
+    "A landmark with an uncertainty (±) moves a single point: with a larger ±, tissue folds less; "
+    "at ± 0, a patch moves as a whole."
+)
 #: Patterns of long notes, and their labels on the chip, which fit in a dock of usual width.
 _LABELS = (
     ("there is tissue on both sides of a sliding", "A sliding surface in tissue keeps its place"),
@@ -142,6 +147,8 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
     counts = marks_of(done.outputs)
     parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in counts.items()]
+    if "folds" in counts and uncertain_landmarks(done.moved.study.motion.drawing):
+        parts.append(_UNSURE_FOLDS)
     parts += map(_sentence, done.notes)
     if (mark := next_mark(done.outputs, overlay)) is not None:
         return " ".join(parts), f"{counts[mark]} {mark}: show"

@@ -26,8 +26,8 @@ _SURE = (
 _UNUSED = "Not used: the landmark has an uncertainty (±). At an uncertainty of 0, it is exact"
 _UNSURE = (
     "Standard deviation of the landmark's displacement. 0: exact, so that tissue within the radius "
-    "moves to the target. Above 0: the tissue may miss the target by about this distance if this "
-    "reduces its strain; for the elastic model only"
+    "moves to the target. Above 0: only the tissue at the point is moved, not a patch, and it may "
+    "miss the target by about this distance if this reduces its strain; for the elastic model only"
 )
 #: Attributes of marks by the name of the field that sets them, if the names differ.
 _ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}

@@ -15,8 +15,9 @@ from napari_hmrf.ui.forms import number_of
 TITLE = "Distance of each landmark from its target"
 _COLUMN = 3
 _SD_TIP = (
-    "Standard deviation of the landmark. 0: exact. Above 0: the tissue may miss the target by "
-    "about this distance, for the elastic model only. Double-click to change it."
+    "Standard deviation of the landmark. 0: exact, for a patch of tissue. Above 0: only the tissue "
+    "at the point is moved, and it may miss the target by about this distance, for the elastic "
+    "model only. Double-click to change it."
 )
 _NOT_DRAWN = "This pair is not a landmark of the drawing. Press 'Use as landmarks' first."
 #: Message for a standard deviation that is not a length, or is larger than the image.

@@ -117,6 +117,19 @@ def test_a_larger_typical_strain_brings_tissue_closer_to_an_uncertain_landmark(
     assert not dock._form.model.strain.native.isVisibleTo(dock.native)
 
 
+def test_the_advice_about_folds_names_the_uncertainty_of_landmarks(pulling_beside, settle):
+    touch, dock = pulling_beside
+    Screen(dock).press("Landmark")
+    touch.drag((30, 30), (50, 30))
+    settle(dock)
+    assert "tissue folds" in dock.warning
+    assert "±" not in dock.warning
+    dock.fields.sd.value = 0.01
+    settle(dock)
+    assert "tissue folds" in dock.warning
+    assert "with a larger ±, tissue folds less" in dock.warning
+
+
 def test_a_drift_is_ticked_undone_and_saved_with_the_study(pulling_beside, settle, tmp_path):
     touch, dock = pulling_beside
     Screen(dock).press("Landmark")
