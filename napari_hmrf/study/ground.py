@@ -324,7 +324,7 @@ class Ground:
             still = (self.base.confidence > 0) & (self.base.observed == 0)
             over = (still & problem.known & (problem.observed != 0))[motion.labels != 0].any()
             notes.append(_OVER if over else "")
-        notes += landmark_caveats(motion.drawing, problem)
+        notes += landmark_caveats(motion, problem)
         is_marked = motion.labels is not None or problem.observed.any()
         if is_marked and not landmarks_hold(motion.drawing, problem):
             notes.append(missing_constraint(problem))

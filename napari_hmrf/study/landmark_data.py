@@ -17,6 +17,7 @@ from napari_hmrf.solver.uncertain_landmarks import (
     corners_of,
     typical_stiffness,
 )
+from napari_hmrf.study.study import Motion
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.normals import outer_rim
 
@@ -27,6 +28,8 @@ FloatArray = npt.NDArray[np.float32]
 #: Largest distance of a landmark from tissue, in pixels. Such a landmark observes the nearest
 #: tissue.
 NEAR = 1.0
+#: Beginning of the note that a held edge hinders a drift.
+HELD_EDGE = "most of the outer edge of the tissue is held in place"
 # Share of the outer edge above which held tissue hinders a drift.
 _HELD_SHARE = 0.5
 # Factor that keeps a clipped standard deviation within the range after rounding.
@@ -90,14 +93,14 @@ def landmarks_hold(drawing: Drawing, problem: Problem) -> bool:
     return len(held) > needed and bool(np.linalg.matrix_rank(held - held[0]) >= needed)
 
 
-def landmark_caveats(drawing: Drawing, problem: Problem) -> Iterator[str]:
+def landmark_caveats(motion: Motion, problem: Problem) -> Iterator[str]:
     """Yield clauses about targets outside the image, and about a drift of tissue that is held.
 
     Parameters
     ----------
-    drawing : Drawing
+    motion : Motion
     problem : Problem
-        Problem with this drawing.
+        Problem with this motion.
 
     Yields
     ------
@@ -105,7 +108,7 @@ def landmark_caveats(drawing: Drawing, problem: Problem) -> Iterator[str]:
     """
     last, spacing = np.array(problem.shape) - 1, np.array(problem.spacing)
     far: list[tuple[float, Landmark]] = []
-    for mark in drawing.marks:
+    for mark in motion.drawing.marks:
         if isinstance(mark, Landmark):
             target = np.array(mark.target)
             beyond = target - np.clip(target, 0, last)
@@ -124,10 +127,10 @@ def landmark_caveats(drawing: Drawing, problem: Problem) -> Iterator[str]:
     rim = outer_rim(problem.tissue)
     still = (problem.known & (problem.observed == 0)).all(axis=-1)
     if rim.any() and still[rim].mean() > _HELD_SHARE:
+        setting = " (`hold_edge=False`)" if motion.hold_edge else ""
         yield (
-            "most of the outer edge of the tissue is held in place, so that the drift can hardly "
-            "stretch or shrink the tissue: if the landmarks should move it, release the edge "
-            "(`hold_edge=False`)"
+            f"{HELD_EDGE}, so that the drift can hardly stretch or shrink the tissue: if the "
+            f"landmarks should move it, release the edge{setting}"
         )
 
 

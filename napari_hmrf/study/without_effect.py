@@ -16,6 +16,7 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered, is_empty
 from napari_hmrf.tissue.drawing.marks import Mark, Point, is_painted
+from napari_hmrf.tissue.sliding import is_inner
 
 # Largest number of marks whose positions a clause lists.
 _LISTED = 4
@@ -104,6 +105,36 @@ def lacks_motion(drawing: Drawing, number: int, base: Canvas) -> bool:
         not is_empty(box_of(each, spacing, box)) and (covered(each, spacing, box) & under).any()
         for each in earlier
     )
+
+
+def slides_inside(
+    drawing: Drawing, number: int, tissue: npt.NDArray[np.bool_], base: Canvas
+) -> bool:
+    """Return whether a mark paints a sliding surface with tissue on both sides.
+
+    Parameters
+    ----------
+    drawing : Drawing
+    number : int
+        Number of the mark.
+    tissue : ndarray of bool, shape ([D,] H, W)
+    base : Canvas
+        Observations without the drawing.
+    """
+    mark, spacing = drawing.marks[number], base.spacing
+    if not isinstance(mark, Stroke) or mark.action != "slide":
+        return False
+    box = box_of(mark, spacing, base.whole)
+    if is_empty(box):
+        return False
+    wide = tuple(
+        slice(max(side.start - 2, 0), min(side.stop + 2, size))
+        for side, size in zip(box, tissue.shape, strict=True)
+    )
+    whole = [
+        (side.start == 0, side.stop == size) for side, size in zip(wide, tissue.shape, strict=True)
+    ]
+    return is_inner(covered(mark, spacing, wide), tissue[wide], whole)
 
 
 def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterator[str]:

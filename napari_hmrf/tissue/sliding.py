@@ -296,6 +296,20 @@ def inner_surface(
     )
 
 
+def is_inner(paint: Mask, tissue: Mask, whole: list[tuple[bool, bool]]) -> bool:
+    """Return whether some paint is a surface inside tissue.
+
+    Parameters
+    ----------
+    paint, tissue : ndarray of bool
+        Paint, and tissue, in a box of the image that is wider than the paint.
+    whole : list of (bool, bool)
+        For each axis, whether the box begins and ends at the edge of the image.
+    """
+    part = paint & tissue
+    return bool(part.any()) and _surface_of(part, tissue, whole)[2] is part
+
+
 def _data_of(slides: Mask, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]) -> _Data:
     """Return the surface of some paint and its tensors, from the cache if possible."""
     last = next(

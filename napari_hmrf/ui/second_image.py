@@ -20,6 +20,7 @@ from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.drift import drift_clauses
+from napari_hmrf.study.landmark_data import HELD_EDGE
 from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.usual_lengths import largest_spread
@@ -33,6 +34,8 @@ from napari_hmrf.ui.result.result_view import ResultView
 _MOVED = {"colormap": "magenta"}
 # Beginning of the summary of the landmarks, and another one if the chosen layers are not pairs.
 _LANDMARKS, _DRAWN = "Landmarks", "Landmarks of the drawing"
+# Clause about a drift of tissue whose edge is held.
+_HINDERED = "the held outer edge hinders the drift (see 'Fix outer edge')"
 # Number of decimals, in pixels, in which equal positions agree.
 _DECIMALS = 6
 _OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0, "visible": True}
@@ -187,7 +190,11 @@ class SecondImage:
         subject = _DRAWN if is_drawn else _LANDMARKS
         if self._is_outdated:
             subject = f"{subject} in the last result, before the refused edit"
-        return "; ".join((f"{subject}: {apart}", *drift_clauses(solution)))
+        clauses = [f"{subject}: {apart}", *drift_clauses(solution)]
+        latest = self._controller.latest
+        if latest is not None and any(note.startswith(HELD_EDGE) for note in latest.notes):
+            clauses.append(_HINDERED)
+        return "; ".join(clauses)
 
     def _marks_of(self, pairs: LandmarkPairs) -> list[Landmark | None]:
         """Return the landmark of the drawing with the positions of each pair, or None."""

@@ -37,6 +37,10 @@ NO_MOTION = (
     "This stroke has no effect: the tissue under it is neither held nor moved. Paint confidence "
     "over held or moved tissue."
 )
+SLIDES_INSIDE = (
+    "There is tissue on both sides of this surface: it keeps its place, and the two sides do not "
+    "slip past each other. To let tissue slide along it, give the other side the stiffness 0."
+)
 NO_WAY = "This landmark holds tissue in place: drag the dot to its target to move the tissue."
 NO_OUTSIDE = (
     "Nothing was painted: an open line has no inside, so it cannot grow. Close the line to form a "

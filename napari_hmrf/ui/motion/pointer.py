@@ -19,7 +19,7 @@ from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.without_effect import lacks_motion
+from napari_hmrf.study.without_effect import lacks_motion, slides_inside
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.drawing import ends_of
 from napari_hmrf.tissue.drawing.growth import is_pull
@@ -403,6 +403,8 @@ class Pointer:
             if self._lacks_motion:
                 self.refusal.emit(motion_messages.NO_MOTION)
                 message = None
+            elif self._slides_inside:
+                message = motion_messages.SLIDES_INSIDE
             self._show_settings()
             if message is not None:
                 self.message.emit(message)
@@ -462,6 +464,15 @@ class Pointer:
         if moved is None or moved.ground is None or number is None:
             return False
         return lacks_motion(self.drawing, number, moved.ground.base)
+
+    @property
+    def _slides_inside(self) -> bool:
+        """True if the selected stroke paints a sliding surface inside tissue."""
+        moved, number = self.display.moved, self.tool.selected
+        if moved is None or moved.ground is None or number is None:
+            return False
+        ground = moved.ground
+        return slides_inside(self.drawing, number, ground.stiffness > 0, ground.base)
 
     # Reactions to changes
 

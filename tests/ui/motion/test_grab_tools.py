@@ -1077,6 +1077,17 @@ def test_the_cursor_of_a_tool_is_not_set_in_other_modes_of_napari(pulling_beside
     assert (layer.cursor, layer.cursor_size) == ("circle", pytest.approx(14.0))
 
 
+def test_a_message_says_that_a_surface_painted_inside_tissue_keeps_its_place(
+    brushing_beside, settle
+):
+    touch, widget = brushing_beside
+    Screen(widget).press("Slide")
+    for row, is_inside in ((30, True), (0, False)):
+        touch.paint((row, 20), (row, 40))
+        settle(widget)
+        assert widget.status.startswith("There is tissue on both sides") is is_inside
+
+
 def test_escape_cancels_a_stroke(brushing_beside, settle):
     person, widget = brushing_beside
     before = widget.drawing

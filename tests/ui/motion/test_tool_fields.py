@@ -147,6 +147,12 @@ def test_a_drift_is_ticked_undone_and_saved_with_the_study(pulling_beside, settl
     assert np.abs(dock.solution.strain()).max() < 0.2 * strained
     assert dock.study.motion.drift
     assert "a drift was estimated with the landmarks: strains of" in dock.residual
+    assert "hinders" not in dock.residual
+    dock._form.motion.edge.value = True
+    settle(dock)
+    assert "the held outer edge hinders the drift" in dock.residual
+    dock.undo()
+    settle(dock)
     saved = read_study(write_study(tmp_path / "a.study", dock.study)).study
     assert saved.motion.drift
     dock.undo()
