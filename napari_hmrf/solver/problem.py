@@ -481,6 +481,15 @@ def _check_landmarks(landmarks: object, m: FloatArray, pixel: tuple[float, ...])
             f"is {shown(landmarks)}, of type {kind}. Pass Landmarks(points, targets, sd=1.0).",
         )
     landmarks.check(m, pixel)
+    lengths = np.linalg.norm(landmarks.displacement(pixel), axis=1)
+    diagonal = math.hypot(*(size * step for size, step in zip(m.shape, pixel, strict=True)))
+    if lengths.max() > MAX_REACH * diagonal:
+        raise ProblemError(
+            "landmarks",
+            f"move tissue by up to {_shown(float(lengths.max()))} (landmark number "
+            f"{int(lengths.argmax())}), but the diagonal of the image is only {_shown(diagonal)}. "
+            "Correct the targets.",
+        )
 
 
 def _check_known(known: npt.NDArray[np.bool_]) -> None:

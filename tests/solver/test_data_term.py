@@ -225,6 +225,13 @@ def test_an_impossible_precision_is_refused_with_the_reason(precision, message):
     assert "precision" in str(refusal.value)
 
 
+def test_landmarks_that_move_tissue_far_beyond_the_image_are_refused():
+    none, at = np.zeros((6, 6, 2)), [(1.5, 1.5), (3.2, 2.0)]
+    landmarks = Landmarks(at, [(2.5, 1.5), (3.2, 40.0)], sd=1.0)
+    with pytest.raises(ProblemError, match=r"by up to 38 \(landmark number 1\), but the diagonal"):
+        Problem(none, none, np.ones((6, 6)), landmarks=landmarks)
+
+
 @pytest.mark.parametrize(
     ("points", "sd", "message"),
     [
