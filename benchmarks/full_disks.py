@@ -54,6 +54,7 @@ from napari_hmrf.io.fields import export_field, write_mapping
 from napari_hmrf.io.figures import write_pictures, write_result_pictures, write_volume_pictures
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.material_tables import write_preset
+from napari_hmrf.io.moving_pictures import write_film
 from napari_hmrf.io.registration_files import RegistrationCase, register_files
 from napari_hmrf.io.tables import write_measurements, write_named_materials
 from napari_hmrf.landmarks import write_points

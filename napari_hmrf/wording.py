@@ -33,6 +33,7 @@ TERMS: dict[str, Term] = {
     "hold_edge=False": Term("without --hold-edge", "'Fix outer edge' off"),
     "model='elastic'": Term("--model elastic", ""),
     "drift=False": Term("", "'affine drift' off"),
+    "measured=None": Term("", "'Unregister'"),
     "sd=0": Term("a file without this column", ""),
     "penalty=None": Term(
         "without --penalty", "'spring strength' under 'Advanced' at 'by confidence'"
