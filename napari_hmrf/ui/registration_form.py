@@ -6,6 +6,7 @@ import importlib.util
 
 from magicgui.widgets import Container, PushButton
 
+from napari_hmrf.extras import how_to_install
 from napari_hmrf.registration.alignment import Kind
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.ui.forms import Prose, menu, narrow, row
@@ -51,7 +52,7 @@ class RegistrationForm(Container):
         self.description = Prose()
         if importlib.util.find_spec("SimpleITK") is None:
             self.alignment.enabled = False
-            self.alignment.tooltip = 'Requires SimpleITK: pip install "simpleitk"'
+            self.alignment.tooltip = f"Requires SimpleITK: {how_to_install('medical')}"
         buttons, aligned = row(self.register, self.remove), Container(widgets=[self.alignment])
         super().__init__(widgets=[aligned, buttons], labels=False)
         for part in (self, buttons, aligned):
