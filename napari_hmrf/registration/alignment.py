@@ -16,8 +16,12 @@ Float64Array = npt.NDArray[np.float64]
 
 #: Number of brightness classes of the mutual information, and fraction of pixels that are compared.
 _CLASSES, _SHARE = 32, 0.2
-#: Largest number of steps on each level.
-_ITERATIONS = 200
+#: Largest number of steps on each level, and their first and last length, in pixels of the level.
+_ITERATIONS, _FIRST_STEP, _LAST_STEP = 300, 0.5, 1e-3
+#: Factor by which the step is shortened where the direction reverses.
+_RELAXATION = 0.7
+#: Number of pixels along the longest axis below which there is no coarser level.
+_LEAST_PIXELS = 32
 
 
 def align(
@@ -31,8 +35,10 @@ def align(
 ) -> Float64Array:
     """Return the map from positions in the fixed image to positions in the moving image.
 
-    Maximises the mutual information of both images, which need not have the same contrast. The
-    iteration starts with the centres of mass of both images at the same position.
+    Maximizes the mutual information of both images, which need not have the same contrast. Mutual
+    information has many local maxima. Therefore, on images with large pixels, the iteration starts
+    with the centres of mass at the same position, and again with the largest correlation of both
+    images; the better result is refined.
 
     Parameters
     ----------
@@ -73,37 +79,63 @@ def align(
         each.CopyInformation(image)
         counted.append(each)
     axes = fixed.ndim
-    if kind == "affine":
-        start = sitk.AffineTransform(axes)
-    else:
-        start = sitk.Euler2DTransform() if axes == 2 else sitk.Euler3DTransform()
-    transform = sitk.CenteredTransformInitializer(
-        *images, start, sitk.CenteredTransformInitializerFilter.MOMENTS
-    )
-    method = sitk.ImageRegistrationMethod()
-    method.SetMetricAsMattesMutualInformation(_CLASSES)
-    method.SetMetricSamplingStrategy(method.REGULAR)
-    method.SetMetricSamplingPercentage(_SHARE)
-    method.SetMetricFixedMask(counted[0])
-    method.SetMetricMovingMask(counted[1])
-    method.SetInterpolator(sitk.sitkLinear)
-    method.SetOptimizerAsRegularStepGradientDescent(
-        learningRate=1.0, minStep=1e-4, numberOfIterations=_ITERATIONS
-    )
-    method.SetOptimizerScalesFromPhysicalShift()
-    factors = [size for size in (8, 4, 2, 1) if max(fixed.shape) / size >= 32 or size == 1]
-    method.SetShrinkFactorsPerLevel(factors)
-    method.SetSmoothingSigmasPerLevel([size / 2 if size > 1 else 0 for size in factors])
-    method.SmoothingSigmasAreSpecifiedInPhysicalUnitsOff()
-    method.SetInitialTransform(transform, inPlace=True)
+    factors = [size for size in (16, 8, 4, 2, 1) if max(fixed.shape) / size >= _LEAST_PIXELS]
+    factors = factors or [1]
+    coarse, fine = factors[:2], factors[2:]
+
+    def improved(transform: Any, by: str, levels: list[int]) -> tuple[float, Any]:
+        """Return the metric at the end of an iteration over levels, and the transform."""
+        method = sitk.ImageRegistrationMethod()
+        if by == "correlation":
+            method.SetMetricAsCorrelation()
+        else:
+            method.SetMetricAsMattesMutualInformation(_CLASSES)
+        method.SetMetricSamplingStrategy(method.REGULAR)
+        method.SetMetricSamplingPercentage(_SHARE)
+        method.SetMetricFixedMask(counted[0])
+        method.SetMetricMovingMask(counted[1])
+        method.SetInterpolator(sitk.sitkLinear)
+        method.SetOptimizerAsRegularStepGradientDescent(
+            learningRate=_FIRST_STEP * levels[0] * min(spacing),
+            minStep=_LAST_STEP * min(spacing),
+            numberOfIterations=_ITERATIONS,
+            relaxationFactor=_RELAXATION,
+            gradientMagnitudeTolerance=1e-8,
+        )
+        method.SetOptimizerScalesFromPhysicalShift()
+        method.SetShrinkFactorsPerLevel(levels)
+        method.SetSmoothingSigmasPerLevel([size / 2 if size > 1 else 0 for size in levels])
+        method.SmoothingSigmasAreSpecifiedInPhysicalUnitsOff()
+        moved = type(transform)(transform)
+        method.SetInitialTransform(moved, inPlace=True)
+        method.Execute(*images)
+        return float(method.GetMetricValue()), moved
+
     try:
-        method.Execute(*(sitk.Cast(image, sitk.sitkFloat32) for image in images))
+        start = _centred(sitk, kind, images)
+        _, correlated = improved(start, "correlation", coarse)
+        both = [improved(each, "information", coarse) for each in (start, correlated)]
+        _, best = min(both, key=lambda found: found[0])
+        if fine:
+            _, best = improved(best, "information", fine)
     except RuntimeError as error:
         raise HmrfError(
             f"the images could not be aligned ({_reason(error)}). Align them before, or pass the "
             "matrix of the alignment"
         ) from error
-    return _matrix(transform.TransformPoint, axes)
+    return _matrix(best.TransformPoint, axes)
+
+
+def _centred(sitk: Any, kind: Kind, images: list[Any]) -> Any:
+    """Return the transform that moves the centre of mass of one image to that of the other."""
+    axes = images[0].GetDimension()
+    if kind == "affine":
+        start = sitk.AffineTransform(axes)
+    else:
+        start = sitk.Euler2DTransform() if axes == 2 else sitk.Euler3DTransform()
+    how = sitk.CenteredTransformInitializerFilter.MOMENTS
+    centred = sitk.CenteredTransformInitializer(*images, start, how)
+    return type(start)(centred)
 
 
 def _matrix(transform: object, axes: int) -> Float64Array:

@@ -42,6 +42,8 @@ _WINDOW = 2.5
 #: Difference of normalized brightness at which the weight of a pixel is halved (Cauchy weights), so
 #: that structures without counterpart have little effect.
 _OUTLIER = 1.0
+#: Smallest residual that counts as noise of the images.
+_LEAST_RESIDUAL = 0.05
 #: Precision along directions in which the images show nothing, relative to the mean precision. It
 #: limits the step of an iteration there (Levenberg and Marquardt).
 _DAMPING = 1e-3
@@ -66,12 +68,15 @@ class LinearImages(NamedTuple):
         Root mean square of the difference of normalized brightness.
     similarity : float
         Correlation of the normalized images, at most 1.
+    weight : float
+        Weight of the elastic energy relative to that of the images, by which W is divided.
     """
 
     precision: FloatArray
     observed: FloatArray
     residual: float
     similarity: float
+    weight: float
 
 
 class ImageLevel:
@@ -139,7 +144,7 @@ class ImageLevel:
         ----------
         displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
         smoothness : float
-            Weight of the elastic energy relative to that of the images.
+            Weight of the elastic energy, relative to the variance of the difference of the images.
         """
         warped, weight = self.warped(displacement)
         self._checkpoint()
@@ -151,7 +156,8 @@ class ImageLevel:
             (own + other) / 2
             for own, other in zip(self._slopes, self._gradient(warped), strict=True)
         ]
-        axes, scale = len(self.shape), float(np.prod(self.spacing)) / smoothness
+        axes, balance = len(self.shape), smoothness * max(residual, _LEAST_RESIDUAL) ** 2
+        scale = float(np.prod(self.spacing)) / balance
         pairs = [(i, j) for i in range(axes) for j in range(i, axes)]
 
         def collected(pair: tuple[int, int]) -> FloatArray:
@@ -173,7 +179,7 @@ class ImageLevel:
         part = np.minimum(1, _LONGEST_STEP * longest / np.maximum(length, _TINY))
         for axis, own in enumerate(step):
             observed[..., axis] = displacement[..., axis] + part * own
-        return LinearImages(precision.astype(np.float32), observed, residual, similarity)
+        return LinearImages(precision.astype(np.float32), observed, residual, similarity, balance)
 
     def _gradient(self, image: FloatArray) -> list[FloatArray]:
         self._checkpoint()

@@ -35,9 +35,10 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 
-#: Weight of the elastic energy of tissue of typical stiffness, relative to that of the images. It
-#: applies to tissue that is stretched along one axis only, whatever its Poisson's ratio.
-SMOOTHNESS = 0.02
+#: Weight of the elastic energy of tissue of typical stiffness that is strained along one axis only,
+#: relative to the variance of the difference of the images. More different images lead to a
+#: smoother motion.
+_SMOOTHNESS = 1.0
 #: Number of steps on the finest level, on the level before it, and on coarser levels.
 _STEPS = (2, 3, 4)
 #: Smallest number of pixels along the longest axis of the coarsest level.
@@ -91,8 +92,6 @@ class Match(NamedTuple):
         Solution of the last problem: the tissue, its constraints and the images.
     images : LinearImages
         Data term of the images in the last problem, relative to the typical stiffness.
-    weight : float
-        Weight of the elastic energy, by which the data term is divided.
     similarity_before : float
         Similarity on the finest level without any motion.
     residual, similarity : float
@@ -102,7 +101,6 @@ class Match(NamedTuple):
 
     solution: Solution
     images: LinearImages
-    weight: float
     similarity_before: float
     residual: float
     similarity: float
@@ -169,7 +167,7 @@ def match(
         if cancel is not None and cancel.is_set():
             raise Cancelled
 
-    weight = smoothness * SMOOTHNESS / _uniaxial_modulus(prior, len(problem.shape))
+    weight = smoothness * _SMOOTHNESS / _uniaxial_modulus(prior, len(problem.shape))
     levels = _schedule(problem.shape) if start is None else ((1, _STEPS[0]),)
     report = _Report(problem.shape, levels, progress)
     history: list[Step] = []
@@ -196,7 +194,7 @@ def match(
             checkpoint()
     assert displacement is not None
     _, before = pair.agreement(np.zeros_like(displacement))
-    return Match(solution, data, weight, before, *pair.agreement(displacement), tuple(history))
+    return Match(solution, data, before, *pair.agreement(displacement), tuple(history))
 
 
 def _uniaxial_modulus(prior: ElasticPrior, axes: int) -> float:

@@ -259,7 +259,7 @@ def _standard_deviation(found: Match) -> float:
         return math.inf
     coupling = _COUPLING * math.prod(spacing) ** (1 - 2 / axes)
     covariance = np.linalg.inv(seen + coupling * np.eye(axes))
-    variance = _NOISE[axes] * found.residual**2 / found.weight
+    variance = _NOISE[axes] * found.residual**2 / found.images.weight
     return math.sqrt(variance * float(np.trace(covariance, axis1=1, axis2=2).mean()) / axes)
 
 
