@@ -292,7 +292,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=1, help="leave out every n-th landmark")
     parser.add_argument("--picture", type=Path, help="path of a picture of the sections to write")
     options = parser.parse_args(arguments)
-    fixed, moving = (_grey(path) for path in (options.fixed, options.moving))
+    fixed, moving = (grey(path) for path in (options.fixed, options.moving))
     at, to = landmarks(fixed, moving)
     table, taken = _Table(at, fixed.shape), slice(None, None, options.every)
     print(f"{len(at)} landmarks; errors in pixels of {fixed.shape[0]} x {fixed.shape[1]}")
@@ -341,7 +341,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _grey(path: Path) -> npt.NDArray[Any]:
+def grey(path: Path) -> npt.NDArray[Any]:
+    """Read a picture as brightness from 0 to 1."""
     picture = imread(path)
     return rgb2gray(picture[..., :3]) if picture.ndim > 2 else picture / 255
 
