@@ -47,7 +47,7 @@ Row = dict[str, Any]
 #: Name of this package, with and without the stiffness of tissue.
 _OURS, _STIFF = "ours", "ours-stiffness"
 #: Settings of the other programs: distances of the knots of elastix, and widths of demons.
-_KNOWN = {"gaps": (12.0, 20.0), "sigmas": (1.0, 1.5)}
+_KNOWN = {"gaps": (12.0, 20.0), "sigmas": (1.5, 2.0)}
 _PAIRS = {"gaps": (40.0, 80.0), "sigmas": (1.5, 3.0)}
 #: Programs that run by default; SyN with cross-correlation takes minutes for each case.
 _DEFAULT = (_OURS, "demons", "elastix", "syn-mattes")
