@@ -26,17 +26,16 @@ def test_each_truth_moves_the_brain_without_folds_and_is_reproducible(head, trut
 
 
 SHIFT = np.array([2.0, -3.0, 4.0])
-PROGRAMS = rivals(gaps=(20.0, 40.0), sigmas=(1.0, 1.5))
 
 
-@pytest.mark.parametrize("name", PROGRAMS)
-def test_other_programs_return_displacements_in_the_order_of_the_axes(name):
-    pytest.importorskip(PROGRAMS[name].module)
+def test_demons_returns_a_displacement_in_the_order_of_the_axes():
+    pytest.importorskip("SimpleITK")
+    program = rivals(gaps=(20.0, 40.0), sigmas=(1.0, 1.5))["demons-1.5"]
     spacing = (1.0, 1.5, 2.0)
     noise = np.random.default_rng(0).normal(size=(40, 44, 48))
     fixed = ndimage.gaussian_filter(noise, 3)
     moving = ndimage.shift(fixed, SHIFT / spacing, order=1, mode="nearest")
-    found = PROGRAMS[name].register(fixed, moving, spacing)[12:-12, 12:-12, 12:-12]
+    found = program.register(fixed, moving, spacing)[12:-12, 12:-12, 12:-12]
     assert np.abs(np.median(found, axis=(0, 1, 2)) - SHIFT).max() < 0.7
 
 
