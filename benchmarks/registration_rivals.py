@@ -27,6 +27,10 @@ _ELASTIX_STEPS, _ELASTIX_POINTS = 500, 4000
 #: Weight of the bending energy in elastix; without it, knots 12 mm apart follow the noise.
 _BENDING = 1.0
 
+#: Pixel size of the grid on which the bias is estimated, and brightness that is added because the
+#: method takes logarithms.
+_N4_SHRINK, _POSITIVE = 3, 0.1
+
 
 class Rival(NamedTuple):
     """Another registration program with its settings.
@@ -160,6 +164,20 @@ def syn(fixed: Array, moving: Array, spacing: tuple[float, ...], metric: str) ->
         )
         field = next(name for name in found["fwdtransforms"] if name.endswith(".nii.gz"))
         return np.array(ants.image_read(field).numpy())
+
+
+def without_bias(image: Array) -> Array:
+    """Return an image without its smooth bias, by N4 of SimpleITK on a coarser grid."""
+    import SimpleITK as sitk
+
+    whole = sitk.GetImageFromArray(image.astype(np.float32) + _POSITIVE)
+    mask = sitk.OtsuThreshold(whole, 0, 1)
+    coarse = [sitk.Shrink(each, [_N4_SHRINK] * image.ndim) for each in (whole, mask)]
+    correction = sitk.N4BiasFieldCorrectionImageFilter()
+    correction.SetMaximumNumberOfIterations([50] * 4)
+    correction.Execute(*coarse)
+    bias = sitk.Exp(correction.GetLogBiasFieldAsImage(whole))
+    return sitk.GetArrayFromImage(whole / bias) - _POSITIVE
 
 
 def rivals(gaps: tuple[float, float], sigmas: tuple[float, float]) -> dict[str, Rival]:
