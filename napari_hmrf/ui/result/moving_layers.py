@@ -215,6 +215,8 @@ class Player:
         self._jobs, self._shown = jobs, shown
         self._timer = repeating(parent, _TICK, self._on_tick)
         self._started = 0.0
+        # Motion, percentage and pictures that are about to be drawn while playing.
+        self._computed: tuple[Motion | None, int, Moment | None] = (None, 0, None)
 
     @property
     def playing(self) -> bool:
@@ -241,7 +243,7 @@ class Player:
             return
         # Do not wait for the pictures, which take long in a volume.
         shown.draw_arrows(percent)
-        if (moment := shown.motion.cached(percent / FULL)) is not None:
+        if (moment := self._moment_of(shown, percent)) is not None:
             self._jobs.cancel("moment")
             self._draw(shown, percent, moment)
         else:
@@ -252,8 +254,22 @@ class Player:
         shown.draw(percent, moment)
         self.drawn.emit()
 
+    def _moment_of(self, shown: MovingLayers, percent: int) -> Moment | None:
+        """Return the pictures at a percentage if they have been computed, else None."""
+        motion, known, moment = self._computed
+        if motion is shown.motion and known == percent:
+            return moment
+        return shown.motion.cached(percent / FULL)
+
+    def _on_computed(self, shown: MovingLayers, percent: int, moment: Moment) -> None:
+        """Move the slider to a percentage, together with its pictures and arrows."""
+        if self.playing and shown is self._shown():
+            self._computed = shown.motion, percent, moment
+            self.moved.emit(percent)
+            self._computed = None, 0, None
+
     def _on_tick(self) -> None:
-        # The slider moves only after the last picture is drawn, so that slider and picture agree.
+        # The slider moves only when the picture is computed, so that slider and picture agree.
         if (shown := self._shown()) is None or self._jobs.busy("moment"):
             return
         along = (time.monotonic() - self._started) / SECONDS % 2
@@ -261,5 +277,10 @@ class Player:
         # Smallest step for which all pictures fit into the cache.
         step = max(_STEP, math.ceil(FULL * shown.motion.finest))
         percent = min(FULL, round(FULL * part / step) * step)
-        if percent != shown.percent:
+        if percent == shown.percent:
+            return
+        if self._moment_of(shown, percent) is not None:
             self.moved.emit(percent)
+        else:
+            work = partial(shown.motion.at, percent / FULL)
+            self._jobs.submit("moment", work, partial(self._on_computed, shown, percent))
