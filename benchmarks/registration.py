@@ -19,8 +19,8 @@ The other programs are demons of SimpleITK, elastix and ANTs::
     pip install SimpleITK itk-elastix antspyx
 
 They receive images without bias (N4 of SimpleITK, not timed), because only `register` normalizes
-brightness. Programs that are not installed are skipped. ``--methods`` selects programs, such as ``ours demons
-elastix-12``.
+brightness. Programs that are not installed are skipped. ``--methods`` selects programs, such as
+``ours demons elastix-12``.
 """
 
 from __future__ import annotations

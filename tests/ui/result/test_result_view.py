@@ -179,6 +179,15 @@ def test_playing_moves_back_and_forth_until_it_is_paused(look, wait_for, monkeyp
     )
 
 
+def test_the_picture_is_never_behind_the_slider_while_playing(look, wait_for):
+    view, seen = look._view, []
+    view.player.moved.connect(lambda percent: seen.append((percent, view.shown.percent)))
+    look.play()
+    wait_for(lambda: len(seen) > 5)
+    look.pause()
+    assert [slider for slider, _ in seen] == [picture for _, picture in seen]
+
+
 def test_dragging_the_slider_pauses_the_player(look, wait_for):
     look.play()
     wait_for(lambda: look.percent < 100)
