@@ -51,6 +51,8 @@ class _PartState:
     #: Name of the layer when it was created or updated; if the layer's name differs, the user has
     #: renamed the layer.
     name: str
+    #: Name for which the layer was created; napari may append a number to it.
+    base_name: str
     #: True if the user has not hidden the layer.
     is_wanted: bool = True
     #: True if the latest result includes the part; otherwise the layer is temporarily hidden.
@@ -163,7 +165,9 @@ class Result:
     def adopt(self, part: Part, layer: Any) -> None:
         """Use an existing layer as the layer of a part."""
         seen = layer.visible
-        self._states[part] = _PartState(weakref.ref(layer), layer.name, seen, is_shown=seen)
+        self._states[part] = _PartState(
+            weakref.ref(layer), layer.name, layer.name, seen, is_shown=seen
+        )
         self._update_visibility()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
@@ -338,6 +342,8 @@ class Result:
         layer, state = self.layer(part), self._states.get(part)
         if layer is None or state is None or state.part is not None or not _fits(layer, made):
             return False
+        if layer.name == state.name and made.attributes["name"] != state.base_name:
+            return False  # the image was renamed
         # A coarse preview of a volume has fewer, larger voxels.
         if made.kind == "image" and layer.data.shape != made.data.shape:
             return False
@@ -358,7 +364,7 @@ class Result:
                 self.drop(part)
                 layer = Layer.create(*made)
                 # Register the layer first, so that callbacks of the insertion can find it.
-                state = self._states[part] = _PartState(weakref.ref(layer), name, wanted)
+                state = self._states[part] = _PartState(weakref.ref(layer), name, name, wanted)
                 slice_hidden(self._viewer, layer)
                 layers.insert(self._index(part, made, source), layer)
                 state.name = layer.name
@@ -380,7 +386,7 @@ class Result:
                         setattr(layer, look, made.attributes[look])
                 if layer.name == state.name:
                     layer.name = name
-                    state.name = layer.name
+                    state.name, state.base_name = layer.name, name
                 now, at = layers.index(layer), self._index(part, made, source)
                 if is_overlaid and now + 1 < at:  # paint was added above the overlay
                     layers.move(now, at)

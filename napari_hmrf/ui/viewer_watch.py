@@ -78,7 +78,7 @@ class ViewerWatch:
         self._callbacks: dict[str, Any] = {
             "inserted": self._on_inserted,
             "removed": self._on_removed,
-            "renamed": self._binding.refresh,
+            "renamed": self._on_renamed,
             "reordered": guide.show,
             "visible": self._on_visible,
             "mode": self._on_mode,
@@ -187,6 +187,11 @@ class ViewerWatch:
         """Dispatch an event of the layer list or of a layer in the list."""
         if event.type in self._callbacks:
             self._callbacks[event.type](event)
+
+    def _on_renamed(self, event: Any) -> None:
+        """List the new name, and schedule a refresh, because results are named after the image."""
+        self._binding.refresh(event)
+        self._controller.schedule_refresh()
 
     def _on_pixels(self, event: Any) -> None:
         """Schedule a refresh, because the pixels of a layer or their position may have changed."""

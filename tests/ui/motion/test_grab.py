@@ -259,6 +259,19 @@ def test_removing_the_image_ends_a_drag(pulling, at_rest):
     assert "Motion" not in person.viewer.layers, "nobody would answer it"
 
 
+def test_the_deformed_image_has_the_name_of_a_renamed_image(pulling, settle):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(32, 32)
+    settle_moves(person, widget)
+    by_name(person.viewer, "MR").name = "T1"
+    person.move(34, 34)
+    person.release(34, 34)
+    settle(widget)
+    assert "T1 deformed, elastic" in person.viewer.layers
+    assert "MR deformed, elastic" not in person.viewer.layers
+
+
 def test_renaming_or_removing_result_layers_does_not_interrupt_a_drag(pulling, settle):
     person, widget = pulling
     person.press(30, 30)
