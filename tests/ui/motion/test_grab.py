@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from npe2 import PluginManager
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
@@ -454,6 +455,7 @@ def test_a_script_draws_without_a_mouse(open_beside, settle):
 def test_a_sample_selects_its_tissue_and_hides_its_paint(open_beside, settle):
     person, widget = open_beside()
     person.viewer.layers.clear()
+    PluginManager.instance().discover()  # A window discovers plugins at its start.
     person.viewer.open_sample("napari-hmrf", "mass-effect")
     layers = person.viewer.layers
     assert (widget.image, widget.tissue) == (layers["Brain"], layers["Tissue"])
@@ -592,6 +594,7 @@ def test_an_edit_of_a_table_updates_the_result_and_is_an_undo_step(open_beside, 
     person, widget = open_beside()
     viewer = person.viewer
     viewer.layers.clear()
+    PluginManager.instance().discover()  # A window discovers plugins at its start.
     viewer.open_sample("napari-hmrf", "mass-effect")
     seen = []
     widget.deformation_changed.connect(seen.append)
