@@ -135,6 +135,19 @@ def registration(names: Names) -> Figure:
     return panels(("image", names["brain"].image, "gray", None), *shown, unit="px from the truth")
 
 
+def removed_tumour(names: Names) -> Figure:
+    """Draw the images before and after the operation, and the errors with and without masks."""
+    shown = []
+    for title, field in names["fields"].items():
+        error = np.linalg.norm(field - names["truth"], axis=-1)
+        shown.append((f"error, {title}", np.where(names["tissue"], error, np.nan), "viridis", 4.0))
+    images = (
+        ("before", names["brain"].image, "gray", None),
+        ("after", names["after"], "gray", None),
+    )
+    return panels(*images, *shown, unit="px")
+
+
 def sections(names: Names) -> Figure:
     """Draw a cut across all sections: of the block, as cut, and registered."""
     shown = []
@@ -211,6 +224,7 @@ PICTURES: dict[str, Callable[[Names], Figure]] = {
         slice_in_millimetres,
         paper_beside_elastic,
         registration,
+        removed_tumour,
         sections,
         volume,
         sweep,

@@ -171,11 +171,12 @@ def match(
     levels = _schedule(problem.shape) if start is None else ((1, _STEPS[0]),)
     report = _Report(problem.shape, levels, progress)
     history: list[Step] = []
-    displacement = start
+    displacement, tissue = start, problem.tissue
     for size, count in levels:
         pair = ImageLevel(*images, size, problem.spacing, checkpoint)
         base, nu = _on_level(problem, size), _prior_on_level(prior, size)
-        displacement = _interpolated(displacement, base.shape, checkpoint)
+        displacement = _interpolated(displacement, tissue, base.shape, checkpoint)
+        tissue = base.tissue
         for number in range(count):
             last = size == 1 and number == count - 1
             report.begin(size, number)
@@ -319,7 +320,8 @@ class _StepSolver:
             crushed = least < _LEAST_JACOBIAN
             if not crushed.any() or repeat == _REPEATS - 1:
                 break
-            around = scipy.ndimage.binary_dilation(crushed, iterations=2)
+            # A wider region each time: the pull that crushes tissue may come from farther away.
+            around = scipy.ndimage.binary_dilation(crushed, iterations=2 ** (repeat + 1))
             factor = np.where(around, np.float32(_WEAKER), np.float32(1))[..., None, None]
             data = data._replace(precision=data.precision * factor)
         if (least <= 0).any():
@@ -370,7 +372,13 @@ class _StepSolver:
         return smallest_determinant(displacement, self._base.spacing, self._base.tissue)
 
     def _shortened(self, solution: Solution, before: npt.NDArray[np.floating]) -> Solution:
-        """Return the longest part of a step that does not fold tissue, by bisection."""
+        """Return the longest part of a step that does not fold tissue, by bisection.
+
+        If tissue folds before the step, as the interpolation of a coarser level may lead to, the
+        result is the longest part of the whole displacement.
+        """
+        if (self._determinants(before) <= 0).any():
+            before = np.zeros_like(before)
         change = solution.displacement - before
         low, high = 0.0, 1.0
         for _ in range(_BISECTIONS):
@@ -378,7 +386,8 @@ class _StepSolver:
             folds = (self._determinants(before + middle * change) <= 0).any()
             low, high = (low, middle) if folds else (middle, high)
         part = (before + low * change).astype(solution.displacement.dtype)
-        return replace(solution, displacement=part)
+        note = "the motion was shortened, because tissue would fold"
+        return replace(solution, displacement=part, notes=(*solution.notes, note))
 
 
 def _on_level(problem: Problem, size: int) -> Problem:
@@ -439,14 +448,37 @@ def _prior_on_level(prior: ElasticPrior, size: int) -> ElasticPrior:
 
 
 def _interpolated(
-    displacement: npt.NDArray[np.floating] | None, shape: tuple[int, ...], checkpoint: Checkpoint
+    displacement: npt.NDArray[np.floating] | None,
+    tissue: BoolArray,
+    shape: tuple[int, ...],
+    checkpoint: Checkpoint,
 ) -> npt.NDArray[np.floating]:
-    """Return a displacement of the next coarser level, or of the same level, on a level."""
+    """Return a displacement of the next coarser level, or of the same level, on a level.
+
+    Sites without tissue count like the nearest tissue.
+
+    Parameters
+    ----------
+    displacement : ndarray, shape (h, w, 2) or (d, h, w, 3), or None
+        None for no displacement.
+    tissue : ndarray of bool, shape (h, w) or (d, h, w)
+        Tissue of the coarser level.
+    shape : tuple of int
+        Grid of the level.
+    checkpoint : callable
+        Called between the steps.
+    """
     axes = len(shape)
     if displacement is None:
         return np.zeros((*shape, axes), np.float32)
     if displacement.shape[:-1] == shape:
         return displacement
+    if not tissue.all():
+        checkpoint()
+        nearest = scipy.ndimage.distance_transform_edt(
+            ~tissue, return_distances=False, return_indices=True
+        )
+        displacement = displacement[tuple(nearest)]
     at = np.meshgrid(*(np.arange(n, dtype=np.float32) / 2 for n in shape), indexing="ij")
     out = np.empty((*shape, axes), np.float32)
     for axis in range(axes):

@@ -112,6 +112,17 @@ def test_a_tissue_model_improves_a_registration_and_leaves_bone_unstrained(
     assert strained[1] < 0.2 < 3 < strained[0]
 
 
+def test_masks_keep_a_removed_tumour_from_moving_the_brain(run_example):
+    text = run_example("removed_tumour")
+    by = {
+        name: number(f"{name}: error around it # px", text)
+        for name in ("all pixels", "without removed tissue")
+    }
+    assert by["without removed tissue"] < 0.5 * by["all pixels"]
+    assert by["without removed tissue"] < 0.7
+    assert text.count("folds 0") == 2
+
+
 def test_registered_sections_match_like_those_of_the_block(run_example):
     text = run_example("sections")
     match = {name: number(f"{name}: .* by #", text) for name in ("block", "as cut", "registered")}

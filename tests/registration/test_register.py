@@ -195,6 +195,14 @@ def test_violent_motion_does_not_fold():
     assert min(step.least_jacobian for step in found.history) > 0
 
 
+@pytest.mark.parametrize("margin", [0, 12])
+def test_images_of_different_tissue_do_not_fold_the_tissue(margin):
+    void = np.zeros((SIZE, SIZE))
+    void[margin : SIZE - margin, margin : SIZE - margin] = 1
+    before, other = texture(8, width=3), texture(9, width=3)
+    assert register(before, other, spacing=1, stiffness=void).folds == 0
+
+
 def test_a_registration_is_a_study_that_is_saved_and_replayed(pair, found, tmp_path):
     before, *_ = pair
     study = Study(Grid(before.shape, (1, 1)), motion=found.motion(), prior=found.prior)
