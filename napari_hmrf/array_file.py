@@ -79,8 +79,8 @@ class Kind(NamedTuple):
 _HEADER = "header"
 #: Requirements for the header, a 0-dimensional array of text.
 _TEXT = Kind(("U",), (0,))
-#: Largest size of the header, in bytes.
-_HEADER_BYTES = 2**20
+#: Largest size of the header, in bytes: 2 million characters, or about 50,000 points of strokes.
+_HEADER_BYTES = 2**23
 #: Largest nesting depth of lists and dictionaries in the header.
 _DEEPEST = 32
 
@@ -114,6 +114,34 @@ _DAMAGE = (
 
 class Invalid(ValueError):
     """Error raised for a file that violates its format; the message states the reason."""
+
+
+class _TooLarge(Invalid):
+    """Error raised for a member of a file that is larger than the format allows.
+
+    Attributes
+    ----------
+    advice : str
+        Reason and remedy, for the message of a writer.
+    """
+
+    def __init__(self, member: str, info: zipfile.ZipInfo) -> None:
+        size = info.file_size
+        super().__init__(
+            f"its {member} declares {size} bytes ({info.compress_size} compressed), more than such "
+            "a file may contain"
+        )
+        if member == _HEADER:
+            self.advice = (
+                f"its drawing, tables and notes take {size / 1e6:.1f} MB of text, and a file can "
+                f"contain {_HEADER_BYTES / 1e6:.1f} MB. Remove marks or rows of tables, then save "
+                "it again."
+            )
+        else:
+            self.advice = (
+                f"its {member}, of {size / 1e6:.0f} MB, is too large for a file. Use a smaller or "
+                "coarser image."
+            )
 
 
 @dataclass(frozen=True)
@@ -280,6 +308,8 @@ def _packed(form: Format[T], value: T) -> bytes:
     content = file.getvalue()
     try:
         _unpacked(io.BytesIO(content), form)
+    except _TooLarge as error:
+        raise ValueError(f"this {form.kind_name} cannot be saved: {error.advice}") from None
     except Invalid as error:  # do not replace a valid file with an invalid one
         raise ValueError(f"this {form.kind_name} cannot be saved: {error}") from None
     return content
@@ -385,10 +415,7 @@ def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
     cap = _HEADER_BYTES if kind is _TEXT else MAX_BYTES
     ratio = info.file_size / max(1, info.compress_size)
     if info.file_size > cap or (info.file_size > _HARMLESS_BYTES and ratio > _MAX_RATIO):
-        raise Invalid(
-            f"its {member} declares {info.file_size} bytes ({info.compress_size} compressed), more "
-            "than such a file may contain"
-        )
+        raise _TooLarge(member, info)
     if info.header_offset + info.compress_size > archive.start_dir:
         # Otherwise, zipfile would allocate memory for the declared size.
         raise Invalid("it is damaged or incomplete")

@@ -36,7 +36,7 @@ from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.drawing.record import drawing_of, held_motion, record_of
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
@@ -46,6 +46,8 @@ SUFFIX = ".study"
 LABEL_TYPES = ("|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8")
 #: Data types of other arrays in a file.
 _NUMBERS = ("|b1", *LABEL_TYPES, "<f2", "<f4", "<f8")
+#: Key of the record of the drawing in `Solution.frame`.
+_DRAWING = "drawing"
 #: Prefix of the names of the solution's arrays.
 _OF_SOLUTION = "solution_"
 #: Penalties of an elastic prior that are stored as words. For compatibility with the first version
@@ -333,7 +335,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "motion": {
             "hold_edge": motion.hold_edge,
             "rules": [asdict(row) for row in motion.rules],
-            "drawing": motion.drawing.as_dict(),
+            "drawing": record_of(motion.drawing),
             "weight": list(motion.weight),
             "typical_strain": motion.typical_strain,
             "drift": bool(motion.drift),
@@ -360,15 +362,26 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "boundary_labels": motion.labels,
         "observed": motion.observed,
         "counts": motion.confidence,
+        "patch_motion": held_motion(motion.drawing),
         "measured": None if motion.measured is None else motion.measured.displacement,
         "precision": None if motion.measured is None else motion.measured.packed(),
         "image": image if content.image else None,
         "labels": pictures.labels,
     }
     if content.solution is not None:
-        header["solution"], of_solution = SOLUTION_FORMAT.describe(content.solution)
+        header["solution"], of_solution = SOLUTION_FORMAT.describe(
+            _without_drawing(content.solution)
+        )
         arrays |= {_OF_SOLUTION + name: array for name, array in of_solution.items()}
     return header, {name: array for name, array in arrays.items() if array is not None}
+
+
+def _without_drawing(solution: Solution) -> Solution:
+    """Return a solution without its record of the drawing, which the study contains."""
+    frame = solution.frame or {}
+    if _DRAWING not in frame:
+        return solution
+    return replace(solution, frame={key: frame[key] for key in frame if key != _DRAWING} or None)
 
 
 def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
@@ -403,7 +416,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 rules=_RULES.validate_python(motion["rules"]),
                 observed=arrays.get("observed"),
                 confidence=arrays.get("counts"),
-                drawing=Drawing.from_dict(motion["drawing"]),
+                drawing=drawing_of(motion["drawing"], arrays.get("patch_motion")),
                 weight=_LENGTHS.validate_python(motion.get("weight", ())),
                 typical_strain=float(motion.get("typical_strain", StrainScale.strain)),
                 drift=bool(motion.get("drift", False)),
@@ -494,6 +507,7 @@ STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
         "boundary_labels": Kind(LABEL_TYPES, (2, 3), optional=True),
         "observed": Kind(_NUMBERS, (3, 4), optional=True),
         "counts": Kind(_NUMBERS, (2, 3, 4), optional=True),
+        "patch_motion": Kind(("<f4",), (1,), optional=True),
         "measured": Kind(("<f4",), (3, 4), optional=True),
         "precision": Kind(("<f4",), (3, 4), optional=True),
         "image": Kind(_NUMBERS, (2, 3, 4), optional=True),

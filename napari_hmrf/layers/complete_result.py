@@ -16,6 +16,7 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.shortcomings import shortcomings
+from napari_hmrf.tissue.drawing.record import record_of
 
 
 class CompleteResult(NamedTuple):
@@ -67,7 +68,7 @@ def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:
         field = np.where(body[..., None], solution.displacement, np.float32(0))
         solution = replace(solution, displacement=field, tissue=body)
     if study.motion.drawing.marks:
-        solution = replace(solution, frame={"drawing": study.motion.drawing.as_dict()})
+        solution = replace(solution, frame={"drawing": record_of(study.motion.drawing)})
     if study.tissue.record:
         parameters = {**solution.provenance.parameters, "tissue": dict(study.tissue.record)}
         solution = replace(solution, provenance=replace(solution.provenance, parameters=parameters))

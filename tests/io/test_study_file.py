@@ -47,6 +47,8 @@ from napari_hmrf.io.material_tables import read_preset
 from napari_hmrf.io.tables import read_materials
 from napari_hmrf.landmarks import read_points
 from napari_hmrf.tissue import PRESETS, StiffnessCurve
+from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
+from napari_hmrf.tissue.drawing.record import record_of
 from tests.support.opengl import has_opengl
 
 SHAPE = (20, 24)
@@ -196,6 +198,71 @@ def test_a_study_is_replayed_bit_by_bit_in_a_new_process(tmp_path):
     assert same == ["True"] * len(solutions)
     for path, renderer in zip(solutions, renderers, strict=True):
         assert path in paths[renderer.partition(":")[0]]
+
+
+def by_held_patches(count=100):
+    """Return a study with a pull and clicks that hold patches of radius 32 pixels as they are."""
+    shape, random = (96, 96), np.random.default_rng(5)
+    marks = [Arrow((48, 48), (0.0, 4.0), 6.0)]
+    for at in random.uniform(0, 95, (count, 2)).tolist():
+        lattice = {"start": (at[0] - 32, at[1] - 32), "step": 2, "shape": (33, 33)}
+        motion = PatchMotion(**lattice, values=random.normal(0, 0.1, 2 * 33**2))
+        marks.append(Arrow(tuple(at), (0, 0), 32.0, motion=motion))
+    motion = Motion(hold_edge=True, drawing=Drawing(tuple(marks)))
+    return Study(Grid(shape, (1.0, 1.0)), motion=motion)
+
+
+def header_in(path):
+    with np.load(path) as archive:
+        return json.loads(archive["header"].item())
+
+
+def test_a_study_with_a_hundred_held_patches_is_replayed_bit_by_bit(tmp_path):
+    study = by_held_patches()
+    solution = solve_study(study, backend="cpu")
+    in_window = dataclasses.replace(solution, frame={"drawing": record_of(study.motion.drawing)})
+    path = write_study(tmp_path / "held", study, in_window)
+    saved = read_study(path)
+    assert saved.study.motion.drawing == study.motion.drawing
+    assert replay(path).displacement.tobytes() == solution.displacement.tobytes()
+    header = header_in(path)
+    assert len(json.dumps(header["motion"])) < 30_000
+    assert header["solution"]["frame"] is None, "the drawing is in the file twice"
+
+
+def test_a_held_patch_in_the_header_of_an_earlier_file_is_read(tmp_path):
+    study = by_held_patches(2)
+    header = header_in(write_study(tmp_path / "new", study))
+    stored_marks = header["motion"]["drawing"]["marks"]
+    for mark, stored in zip(study.motion.drawing.marks, stored_marks, strict=True):
+        if mark.motion is not None:
+            stored["motion"]["values"] = mark.motion.values.tolist()
+    without = dataclasses.replace(study, motion=Motion(hold_edge=True))
+    path = write_study(tmp_path / "without", without)
+    earlier = with_members(
+        path, tmp_path / "earlier.study", header=as_npy(np.array(json.dumps(header)))
+    )
+    assert read_study(earlier).study.motion.drawing == study.motion.drawing
+
+
+@pytest.mark.parametrize("size", [0, 4355, 4357])
+def test_held_patches_with_too_few_or_too_many_displacements_are_refused(size, tmp_path):
+    path = write_study(tmp_path / "good", by_held_patches(2))
+    values = as_npy(np.zeros(size, np.float32))
+    with pytest.raises(FileFormatError, match=r"bad\.study: not a valid napari-hmrf study"):
+        read_study(with_members(path, tmp_path / "bad.study", patch_motion=values))
+
+
+def test_a_long_drawing_is_saved_and_a_longer_drawing_is_refused_with_a_remedy(tmp_path):
+    points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 20, (30_000, 2)).tolist()))
+    strokes = Drawing((Stroke("pin", (points,), 1.0),))
+    study = Study(GRID, motion=Motion(drawing=strokes))
+    path = write_study(tmp_path / "long", study)
+    assert read_study(path).study.motion.drawing == strokes
+    longer = Motion(drawing=Drawing(strokes.marks * 3))
+    with pytest.raises(ValueError, match=r"its drawing, .* MB of text, .* Remove marks or rows"):
+        write_study(path, dataclasses.replace(study, motion=longer))
+    assert read_study(path).study.motion.drawing == strokes, "the earlier file was replaced"
 
 
 KILLED = Path(__file__).parents[2] / "benchmarks" / "killed.py"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -63,7 +63,9 @@ def _spread(value: Any) -> float | None:
 
 
 def _motion(value: Any) -> PatchMotion | None:
-    return value if isinstance(value, PatchMotion) else PatchMotion(**value)
+    if isinstance(value, Mapping):
+        return PatchMotion.from_dict(value)
+    return value if isinstance(value, PatchMotion) else None
 
 
 _LARGEST = sys.float_info.max
@@ -323,16 +325,26 @@ def grows(mark: Mark) -> bool:
     return mark.amount != 0
 
 
-def mark_as_dict(mark: Mark) -> dict[str, Any]:
-    """Return a mark as a dictionary of JSON types."""
-    values = asdict(mark)
-    if not isinstance(mark, Stroke) and not mark.amount:
-        del values["amount"]  # earlier versions read arrows and landmarks without growth
-    if not isinstance(mark, Stroke) and mark.motion is None:
-        del values["motion"]  # earlier versions read patches that move as a block
+def mark_as_dict(mark: Mark, motion: bool = True) -> dict[str, Any]:
+    """Return a mark as a dictionary of JSON types.
+
+    Parameters
+    ----------
+    mark : Mark
+    motion : bool
+        False to omit the displacements of the pixels of a held patch.
+    """
+    stored = dict(vars(mark))
+    if not isinstance(mark, Stroke):
+        if not mark.amount:
+            del stored["amount"]  # earlier versions read arrows and landmarks without growth
+        if mark.motion is None:
+            del stored["motion"]  # earlier versions read patches that move as a block
+        else:
+            stored["motion"] = mark.motion.as_dict(values=motion)
     if isinstance(mark, Landmark) and not mark.sd:
-        del values["sd"]  # earlier versions read exact landmarks
-    return {"kind": type(mark).__name__.lower(), **values}
+        del stored["sd"]  # earlier versions read exact landmarks
+    return {"kind": type(mark).__name__.lower(), **stored}
 
 
 def mark_from_dict(values: Mapping[str, Any]) -> Mark:

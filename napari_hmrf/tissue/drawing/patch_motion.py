@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from napari_hmrf.errors import ProblemError
 
 Point = tuple[float, ...]
 Array = npt.NDArray[np.float64]
+Values = npt.NDArray[np.float32]
 #: Function that returns the displacements, (N, n), of undeformed points, (N, n) in pixels, in the
 #: unit of the spacing; NaN outside tissue.
 PresentMotion = Callable[[Array], Array]
@@ -25,13 +28,17 @@ _NODES = 4096
 #: Differences of displacement that are not stored, and rounding of stored displacements, as
 #: fractions of a pixel. The error of the solver in the window is up to 0.01 pixels.
 _UNIFORM, _ROUNDING = 0.01, 1e-4
+#: Data type of stored values: float32, little-endian.
+_STORED = np.dtype("<f4")
+_FIELDS = ("start", "step", "shape", "values")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PatchMotion:
     """Displacement at the nodes of a regular lattice; between the nodes it is linear.
 
-    Beyond the lattice, the displacement is that of the nearest node.
+    Beyond the lattice, the displacement is that of the nearest node. The values are a read-only
+    array, which copies of a mark and the steps of undo share.
 
     Attributes
     ----------
@@ -41,9 +48,9 @@ class PatchMotion:
         Distance between neighbouring nodes along each axis, in pixels.
     shape : tuple of int
         Number of nodes along each axis.
-    values : tuple of float
-        Displacements in the unit of the pixel spacing, in the order of an array of shape
-        (*shape, n).
+    values : ndarray, float32
+        Displacements in the unit of the pixel spacing, as a flat array in the order of an array of
+        shape (*shape, n). Other numbers are rounded to float32, as in `Canvas.observed`.
 
     Raises
     ------
@@ -54,34 +61,72 @@ class PatchMotion:
     start: Point
     step: float
     shape: tuple[int, ...]
-    values: tuple[float, ...] = field(repr=False)
+    values: Values = field(repr=False)
 
     def __post_init__(self) -> None:
         axes = 3 if np.shape(self.start) == (3,) else 2
         start, step = reals(self.start, axes), real(self.step)
         shape = tuple(int(size) if is_whole(size) else 0 for size in self.shape)
-        values = np.asarray(self.values, dtype=float)
+        values = _read_only(self.values)
         is_lattice = len(shape) == axes and all(size > 0 for size in shape) and step > 0
-        is_complete = values.shape == (math.prod(shape) * axes,) and np.isfinite(values).all()
-        if not (is_lattice and is_complete and np.isfinite([*start, step]).all()):
+        is_complete = values.shape == (math.prod(shape) * axes,)
+        if not (is_lattice and is_complete and np.isfinite([*start, step, *_limits(values)]).all()):
             raise ProblemError(
                 "drawing",
                 "has a mark with an invalid motion. Use a PatchMotion with a value for each node "
                 "and component.",
             )
-        plain = {
-            "start": tuple(start),
-            "step": step,
-            "shape": shape,
-            "values": tuple(values.tolist()),
-        }
-        for name, value in plain.items():
+        for name, value in zip(_FIELDS, (tuple(start), step, shape, values), strict=True):
             object.__setattr__(self, name, value)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, PatchMotion):
+            return NotImplemented
+        same = self.values is other.values or np.array_equal(self.values, other.values)
+        return same and self._lattice == other._lattice
+
+    def __hash__(self) -> int:
+        return hash((self._lattice, self.values.tobytes()))
+
+    @property
+    def _lattice(self) -> tuple[Any, ...]:
+        return self.start, self.step, self.shape
 
     @property
     def array(self) -> Array:
         """Displacements as an array of shape (*shape, n)."""
-        return np.array(self.values).reshape(*self.shape, len(self.shape))
+        return self.values.astype(float).reshape(*self.shape, len(self.shape))
+
+    def as_dict(self, values: bool = True) -> dict[str, Any]:
+        """Return the motion as a dictionary of JSON types; `from_dict` requires the values."""
+        stored = dict(zip(_FIELDS, self._lattice, strict=False))
+        return {**stored, "values": self._text} if values else stored
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> PatchMotion:
+        """Create a motion from a dictionary that `as_dict` returned.
+
+        The values may also be numbers, as an array or a list.
+
+        Raises
+        ------
+        ValueError
+            If the dictionary is not from `as_dict`, or if it has no values.
+        """
+        values = stored.get("values")
+        if values is None:
+            raise ValueError(
+                "the motion of a held patch has no values, as in the record of a result. Use the "
+                "drawing of the study"
+            )
+        if isinstance(values, str):
+            values = np.frombuffer(base64.b64decode(values, validate=True), _STORED)
+        return cls(**{**stored, "values": values})
+
+    @cached_property
+    def _text(self) -> str:
+        """Values as text, stored because all records of a drawing share it."""
+        return base64.b64encode(self.values.astype(_STORED, copy=False).tobytes()).decode()
 
     def on(self, box: Sequence[slice]) -> Array:
         """Return the displacement at each pixel of a box, as an array of shape (*box, n)."""
@@ -118,8 +163,7 @@ class PatchMotion:
         return self._with([self.start[axis] for axis in axes], values)
 
     def _with(self, start: Sequence[float], values: npt.NDArray[Any]) -> PatchMotion:
-        flat = tuple(values.ravel().tolist())
-        return PatchMotion(tuple(start), self.step, values.shape[:-1], flat)
+        return PatchMotion(tuple(start), self.step, values.shape[:-1], values.ravel())
 
 
 def present_motion(
@@ -156,4 +200,19 @@ def present_motion(
     )
     decimals = math.ceil(-math.log10(_ROUNDING * pixel))
     filled = np.round(values[tuple(nearest)], decimals) + 0.0
-    return PatchMotion(tuple(start), step, tuple(shape), tuple(filled.ravel().tolist()))
+    return PatchMotion(tuple(start), step, tuple(shape), filled.ravel())
+
+
+def _read_only(values: npt.ArrayLike) -> Values:
+    """Return values as a read-only array, which is a copy of an array that can be changed."""
+    with np.errstate(over="ignore"):
+        array = np.asarray(values, dtype=np.float32)
+    if array.flags.writeable:
+        array = array.copy() if array is values or array.base is not None else array
+        array.setflags(write=False)
+    return array
+
+
+def _limits(values: Values) -> tuple[float, ...]:
+    """Return the smallest and the largest value; NaN if a value is NaN."""
+    return (float(values.min()), float(values.max())) if values.size else ()

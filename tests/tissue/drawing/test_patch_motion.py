@@ -12,6 +12,7 @@ from napari_hmrf.tissue.drawing import Canvas
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.tissue.drawing.extents import SliceInVolume
 from napari_hmrf.tissue.drawing.patch_motion import PatchMotion, present_motion
+from napari_hmrf.tissue.drawing.record import drawing_of, held_motion, record_of
 
 SPACING = (0.5, 2.0)
 
@@ -85,6 +86,38 @@ def test_a_held_patch_is_saved_and_painted_on_a_coarse_grid(mark):
     assert canvas.observed[11, 15] == pytest.approx(field_at((22, 30)), abs=1e-3)
 
 
+def test_patches_with_equal_values_are_equal_and_other_values_are_seen():
+    mark = held(Arrow((20, 30), (1, 2), 6.0), (50, 60))
+    values = mark.motion.values.copy()
+    same = replace(mark, motion=replace(mark.motion, values=values.tolist()))
+    assert (same, hash(same)) == (mark, hash(mark))
+    values[7] += 1e-3
+    assert replace(mark, motion=replace(mark.motion, values=values)) != mark
+    assert replace(mark, motion=None) != mark
+
+
+def test_the_values_of_a_patch_cannot_be_changed_and_are_shared_by_edited_marks():
+    values = np.zeros(4, np.float32)
+    motion = PatchMotion((1, 2), 1, (1, 2), values)
+    values[0] = 9
+    assert not motion.values.any()
+    with pytest.raises(ValueError, match="read-only"):
+        motion.values[0] = 9
+    mark = Arrow((1, 2), (0, 0), 6.0, motion=motion)
+    for other in (replace(mark, radius=8.0), CoarseGrid(2).drawing(Drawing((mark,))).marks[0]):
+        assert other.motion.values is motion.values
+
+
+def test_the_stored_text_of_a_held_patch_is_short_and_its_record_cannot_be_restored():
+    drawing = Drawing((held(Arrow((60, 40), (0, 0), 40.0), (200, 90)),))
+    assert len(json.dumps(drawing.as_dict())) < 6 * drawing.marks[0].motion.values.size
+    record = record_of(drawing)
+    assert len(json.dumps(record)) < 300
+    with pytest.raises(ValueError, match=r"has no values, .* Use the drawing of the study"):
+        Drawing.from_dict(record)
+    assert drawing_of(record, held_motion(drawing)) == drawing
+
+
 @pytest.mark.parametrize("axes", [(1, 2), (0, 1), (2, 0)])
 def test_a_held_patch_of_a_slice_is_carried_to_the_volume_and_back(axes):
     place = SliceInVolume(axes, 7)
@@ -106,6 +139,8 @@ def test_a_held_patch_of_a_slice_is_carried_to_the_volume_and_back(axes):
         {"step": 0},
         {"start": (np.nan, 1)},
         {"start": (1, 2, 3)},
+        {"values": (0.0, 1.0, 2.0, np.nan)},
+        {"values": (0.0, 1.0, 2.0, 1e300)},
     ],
     ids=str,
 )
