@@ -256,6 +256,14 @@ def saved_study(
     return " ".join(parts)
 
 
+def not_autosaved(name: str, error: Exception) -> str:
+    """Return a message that unsaved work would be lost in a crash, with the reason."""
+    return (
+        f"The work on '{name}' is not autosaved, so a crash would lose it: save it with 'Save "
+        f"study ...'. The recovery file could not be written: {in_words(error)}"
+    )
+
+
 def extent_name(slice_name: str) -> str:
     """Return the name of a slice, such as "z = 12", or of the volume ("") in a sentence."""
     if not slice_name:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import sys
 import threading
@@ -16,6 +17,7 @@ from typing import Any, Literal, Protocol
 
 from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
+from napari.utils.notifications import show_warning
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
 from qtpy.QtWidgets import (
     QApplication,
@@ -51,6 +53,7 @@ from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import Prose, row
+from napari_hmrf.ui.gui_thread import GuiThread
 from napari_hmrf.ui.remembered_settings import settings
 
 Answer = Literal["save", "discard", "cancel"]
@@ -141,6 +144,9 @@ class Unsaved:
         self._writer = threading.Thread()
         self._keep_timer = single_shot(dock.native, _REST, self._keep)
         self._connections = EventConnections((self._model.changed, self._on_edited))
+        self._gui = GuiThread()
+        self._autosave = AutosaveNotice()
+        dock.insert(0, self._autosave)
         dock.insert(0, RecoveryNotice(lambda file: attempt(partial(self._open_recovered, file))))
         _all.add(self)
         _works[viewer] = self._work
@@ -277,6 +283,7 @@ class Unsaved:
     def _drop_recovery(self, slice_part: Part, path: Path | None = None) -> None:
         """Delete the recovery file of a slice that was saved or discarded."""
         self._work.save(slice_part)
+        self._autosave.report(slice_part)
         if path is not None:
             self._work.paths[slice_part] = path
         if self._writer.is_alive():
@@ -352,13 +359,28 @@ class Unsaved:
                 return
             try:
                 file = self._work.saved_files.get(slice_part) or recovery.new_file(folder())
-            except OSError:
+            except OSError as error:
+                self._autosave.report(slice_part, error)
                 return
             self._work.saved_files[slice_part] = file
             self._writer = threading.Thread(
-                target=_write, args=(file, study, self._overlay), daemon=True
+                target=self._write, args=(slice_part, file, study, self._overlay), daemon=True
             )
             self._writer.start()
+
+    def _write(self, slice_part: Part, file: Path, study: Study, overlay: str) -> None:
+        """Write a recovery file, and report on the GUI thread if this failed."""
+        failure: Exception | None = None
+        try:
+            write_study(file, study, overlay=overlay)
+        except (OSError, TypeError, ValueError) as error:
+            _log.exception("the recovery file of unsaved work could not be written")
+            failure = error
+        self._gui.submit(partial(self._on_written, slice_part, failure))
+
+    def _on_written(self, slice_part: Part, failure: Exception | None) -> None:
+        is_saved = slice_part not in self._work.slices
+        self._autosave.report(slice_part, None if is_saved else failure)
 
     def _open_recovered(self, file: Path) -> None:
         """Open a recovery file of a terminated process, and keep it until the work is saved."""
@@ -381,6 +403,7 @@ class Unsaved:
         _all.discard(self)
         self._connections.release()
         self._keep_timer.stop()
+        self._gui.release()
 
 
 class CloseGuard(QObject):
@@ -500,6 +523,34 @@ class RecoveryNotice(Container):
         self.refresh()
 
 
+class AutosaveNotice(Container):
+    """Notice about unsaved work that cannot be autosaved, with the reason.
+
+    It remains until the work is autosaved or saved.
+    """
+
+    def __init__(self) -> None:
+        self._text = Prose()
+        super().__init__(widgets=[self._text], labels=False)
+        self.margins = (4, 0, 0, 0)
+        self._sentences: dict[Part, str] = {}
+        self.visible = False
+
+    def report(self, part: Part, failure: Exception | None = None) -> None:
+        """Show why a slice cannot be autosaved; without a failure, remove the slice."""
+        sentence = self._sentences.pop(part, "")
+        if failure is not None:
+            is_known, sentence = bool(sentence), messages.not_autosaved(_name(part), failure)
+            self._sentences[part] = sentence
+            if not is_known:
+                show_warning(sentence)
+        shown = next(reversed(self._sentences.values()), "")
+        # A long path is wrapped between its folders.
+        self._text.show_text(shown.replace(os.sep, f"{os.sep}\u200b"))
+        self._text.tooltip = shown
+        self.visible = bool(shown)
+
+
 def _discard(file: Path) -> None:
     """Move a file to the system's trash, or delete the file if there is no trash."""
     if not QFile(str(file)).moveToTrash():
@@ -514,10 +565,3 @@ def folder() -> Path:
 def _name(part: Part) -> str:
     """Return the name of an image, with the slice if the image has several slices."""
     return f"{part.layer.name} {'' if part.place is None else part.place.name}".strip()
-
-
-def _write(file: Path, study: Study, overlay: str) -> None:
-    try:
-        write_study(file, study, overlay=overlay)
-    except (OSError, TypeError, ValueError):
-        _log.exception("the recovery file of unsaved work could not be written")

@@ -21,11 +21,13 @@ from napari_hmrf import (
     Grid,
     Motion,
     Pictures,
+    Stroke,
     Study,
     read_study,
     write_study,
 )
 from napari_hmrf.io import recovery
+from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import dock_in
 from tests.support.person import CTRL, Person
@@ -557,6 +559,50 @@ def left_behind(monkeypatch):
         return file
 
     return left
+
+
+def test_a_hundred_held_patches_are_autosaved(dock_beside, wait_for):
+    lattice = {"start": (0, 0), "step": 2, "shape": (33, 33)}
+    values = np.random.default_rng(4).normal(0, 0.01, (100, 2 * 33**2))
+    marks = (Arrow((32, 32), (0, 0), 32.0, motion=PatchMotion(**lattice, values=v)) for v in values)
+    held, viewer = Drawing(tuple(marks)), ViewerModel()
+    viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
+    dock = dock_beside(viewer)
+    dock.drawing = held
+    wait_for(lambda: len(autosaved_files()) == 1)
+    assert read_study(*autosaved_files()).study.motion.drawing == held
+
+
+NOT_AUTOSAVED = "The work on 'photo' is not autosaved, so a crash would lose it"
+
+
+def test_work_that_cannot_be_autosaved_is_reported_with_the_reason(dock_beside, wait_for, tmp_path):
+    viewer = ViewerModel()
+    viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
+    dock = dock_beside(viewer)
+    points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 60, (90_000, 2)).tolist()))
+    dock.drawing = Drawing((Stroke("confidence", (points,), 1.0),))
+    wait_for(lambda: NOT_AUTOSAVED in Screen(dock).words)
+    assert "Remove marks or rows of tables" in Screen(dock).words
+    dock.drawing = DRAWING
+    wait_for(lambda: len(autosaved_files()) == 1)
+    wait_for(lambda: NOT_AUTOSAVED not in Screen(dock).words)
+
+
+def test_work_without_a_folder_for_recovery_files_is_reported_until_it_is_saved(
+    dock_beside, wait_for, tmp_path
+):
+    viewer = ViewerModel()
+    viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
+    dock = dock_beside(viewer)
+    blocking = settings() / "unsaved"
+    blocking.parent.mkdir(parents=True, exist_ok=True)
+    blocking.write_text("a file in place of the folder")
+    dock.drawing = DRAWING
+    wait_for(lambda: NOT_AUTOSAVED in Screen(dock).words)
+    assert "unsaved: " in Screen(dock).words, "the path of the folder is missing"
+    dock.save_study(tmp_path / "case")
+    assert NOT_AUTOSAVED not in Screen(dock).words
 
 
 @pytest.mark.parametrize("drawn", [False, True], ids=["unused", "with a drawing"])
