@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from napari.utils.notifications import show_warning
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
 from qtpy.QtWidgets import (
     QApplication,
+    QDialog,
     QFileDialog,
     QMainWindow,
     QMessageBox,
@@ -28,7 +29,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_hmrf.errors import HmrfError
+from napari_hmrf.errors import CANNOT_SAVE, HmrfError
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.io import recovery
 from napari_hmrf.io.study_file import (
@@ -64,6 +65,8 @@ _log = logging.getLogger("napari_hmrf")
 _NO_FILE_NAME = re.compile(r'[\\/:*?"<>|]')
 #: Time without an edit after which a recovery file is written, in milliseconds.
 _REST = 1000
+#: Texts of notifications that a study was not saved; they are closed when a study is saved.
+_NOT_SAVED = ("study cannot be saved", f"{SUFFIX}: {CANNOT_SAVE}", "is not autosaved")
 #: Number of characters above which the name of an image may be wrapped between any two characters.
 _WRAPPED = 20
 #: `Unsaved` instances of all open docks.
@@ -178,6 +181,7 @@ class Unsaved:
         solved = solution is not None
         self._dock.show_message(messages.saved_study(written.name, extent, solved, apart, others))
         self._drop_recovery(here, written)
+        _close_notifications(self._dock.native.window(), _NOT_SAVED)
         return written
 
     @property
@@ -458,6 +462,18 @@ def guard_windows() -> None:
     global _guard
     _guard = _guard or CloseGuard()
     _guard.watch()
+
+
+def _close_notifications(window: QWidget, texts: Iterable[str]) -> None:
+    """Close the notifications of napari that contain one of some texts.
+
+    napari closes a notification after some seconds, but only if the window is active.
+    """
+    for dialog in window.findChildren(QDialog):
+        if type(dialog).__name__ == "NapariQtNotification":
+            words = dialog.message.text()
+            if any(text in words for text in texts):
+                dialog.close()
 
 
 def _windows() -> Iterator[tuple[QMainWindow, Any]]:

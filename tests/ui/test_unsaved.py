@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from napari._qt.dialogs.qt_notification import NapariQtNotification
 from napari.components import ViewerModel
 from napari.settings import get_settings
 from qtpy.QtCore import QEvent, QFile, QObject, QSettings, Qt
@@ -603,6 +604,25 @@ def test_work_without_a_folder_for_recovery_files_is_reported_until_it_is_saved(
     assert "unsaved: " in Screen(dock).words, "the path of the folder is missing"
     dock.save_study(tmp_path / "case")
     assert NOT_AUTOSAVED not in Screen(dock).words
+
+
+def test_saving_closes_the_notification_of_an_earlier_failure(window, at_rest, tmp_path):
+    viewer, dock = window()
+    dock.drawing = DRAWING
+    native = viewer.window._qt_window
+    texts = ["this napari-hmrf study cannot be saved: too long", "the tissue folds"]
+    for text in texts:
+        NapariQtNotification(text, "warning", parent=native).show()
+
+    def shown():
+        return [each.message.text() for each in native.findChildren(NapariQtNotification)]
+
+    assert shown() == texts
+    dock.save_study(tmp_path / "case")
+    at_rest.until(lambda: shown() == texts[1:])
+    (other,) = native.findChildren(NapariQtNotification)
+    other.close()
+    at_rest.until(lambda: not shown())
 
 
 @pytest.mark.parametrize("drawn", [False, True], ids=["unused", "with a drawing"])

@@ -45,7 +45,8 @@ class PullTool(Tool):
     _offset: Point = (0.0, 0.0)
     #: Mark that was selected just after the button press.
     _pressed: Arrow | Landmark | None = None
-    #: Name of the undo step for a click, which draws a mark without dragging it.
+    #: Names of the undo steps of a new mark: for a drag, and for a click without a drag.
+    _drag_step: ClassVar[str] = "pulled tissue"
     _click_step: ClassVar[str] = "held tissue"
 
     @classmethod
@@ -87,7 +88,7 @@ class PullTool(Tool):
         elif at is not None:
             hit = Hit(len(drawing.marks), "head")
             drawing = drawing.with_mark(self._held(self._new_mark(at, point, settings)))
-            word = f"drew {name_of(drawing.marks[hit.number])}"
+            word = self._drag_step
         else:
             self.select(None)
             return motion_messages.NOTHING
@@ -193,7 +194,7 @@ class LandmarkTool(PullTool):
     fields = ("radius", "confidence", "sd")
     hint = "Drag from a point of the tissue to its target, or click a point that must stay."
 
-    _click_step = "drew a landmark"
+    _drag_step = _click_step = "drew a landmark"
 
     @classmethod
     def makes(cls, mark: Mark) -> bool:

@@ -19,9 +19,14 @@ from napari_hmrf.ui.motion.tools import BY_NAME
 
 #: Lowest confidence that can be chosen; a mark of confidence 0 would have no effect.
 _LEAST_CONFIDENCE = 0.05
+#: Last sentence of the tooltips of fields that change the selected mark.
+_SELECTED = (
+    "This also changes the selected mark, such as the last mark drawn. To keep that mark, press "
+    "Escape on the canvas first."
+)
 _SURE = (
     "Confidence in this motion: 1 holds tissue exactly; below 1, tissue slips if holding it would "
-    "strain it by more than about this value"
+    f"strain it by more than about this value. {_SELECTED}"
 )
 _UNUSED = "Not used: the landmark has an uncertainty (±). At an uncertainty of 0, it is exact"
 _UNSURE = (
@@ -93,6 +98,8 @@ class ToolFields(Container):
         self.material = ComboBox(choices=[], label="new tissue", tooltip=tip)
         for choices in (self.preset, self.components):
             narrow(choices)
+        for each in (self.stroke_confidence, self.softness, self.components, self.material):
+            each.tooltip = f"{each.tooltip}. {_SELECTED}"
         self._own_table = False
         # Smallest and largest value of each length; and why the last typed length was replaced.
         self._ranges: dict[Any, tuple[float, float]] = {}
@@ -233,7 +240,7 @@ class ToolFields(Container):
         for field, about in self._about.items():
             if field in self._ranges:
                 least, largest = self._ranges[field]
-                field.tooltip = f"{about}. From {least:g} to {largest:g} {self._unit}."
+                field.tooltip = f"{about}. From {least:g} to {largest:g} {self._unit}. {_SELECTED}"
         self._describe_patch()
 
     def _describe_patch(self) -> None:

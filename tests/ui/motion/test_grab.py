@@ -46,7 +46,7 @@ def test_tissue_follows_the_mouse_during_a_drag(pulling, settle, qtbot):
     assert np.array_equal(drawn[-1].solution.displacement, field)
     assert person.viewer.layers.selection.active.name == "Motion"
     assert by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"] is not None
-    assert widget.study_model.next_undo.word == "drew an arrow"
+    assert widget.study_model.next_undo.word == "pulled tissue"
 
 
 def test_the_distance_of_a_drag_is_shown_until_its_result_is_drawn(open_beside, settle):
@@ -509,12 +509,12 @@ def test_undo_of_an_edit_on_another_slice_shows_that_slice(open_beside, settle):
     settle(widget)
     person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
-    assert Screen(widget).button("Undo").toolTip() == "Undo: drew an arrow (Ctrl+Z)"
+    assert Screen(widget).button("Undo").toolTip() == "Undo: pulled tissue (Ctrl+Z)"
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert viewer.dims.current_step[0] == 1, "the slice of the edit is not displayed"
     assert not widget.drawing.marks
-    assert widget.status == "Undid: drew an arrow."
+    assert widget.status == "Undid: pulled tissue."
     assert not Screen(widget).button("Undo").isEnabled()
     person.key(Qt.Key.Key_Z, CTRL | SHIFT)
     assert only(widget).by == pytest.approx((4, 0), abs=0.6)
@@ -689,7 +689,7 @@ def test_the_status_tells_whether_the_tool_is_active(pulling_beside, settle):
     layers.selection.active = layers["MR"]
     assert "To continue drawing" in widget.status
     person.key(Qt.Key.Key_Z, CTRL)
-    assert widget.status.startswith("Undid: drew an arrow. To continue drawing")
+    assert widget.status.startswith("Undid: pulled tissue. To continue drawing")
     layers.selection.active = layers["Motion"]
     layers.selection.active = layers["MR"]
     assert widget.status.startswith("To continue drawing")

@@ -1296,7 +1296,7 @@ def test_a_typed_radius_is_one_undo_step(pulling_beside, settle):
     assert widget.drawing.marks[0].radius == 12.5
     widget.undo()
     assert widget.drawing.marks[0].radius != 12.5
-    assert widget.study_model.next_undo.word == "drew an arrow"
+    assert widget.study_model.next_undo.word == "pulled tissue"
 
 
 def test_the_tissue_brush_starts_with_a_label_of_tissue(open_beside, settle):

@@ -55,9 +55,9 @@ def drag(pull, model):
 
 
 def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(drag, model):
-    assert drag((10, 10), (11, 10), (14, 13)) == "drew an arrow"
+    assert drag((10, 10), (11, 10), (14, 13)) == "pulled tissue"
     assert model.drawing.marks == (Arrow((10, 10), (4, 6), 3.0),)
-    assert model.undo().word == "drew an arrow"
+    assert model.undo().word == "pulled tissue"
     assert not model.drawing.marks
 
 
@@ -82,14 +82,14 @@ def test_an_arrow_is_dragged_by_its_head_or_its_base_within_reach(drag, model):
     assert model.drawing.marks == (Arrow((11, 10), (5, 6), 3.0),), "the head moved with the base"
     assert model.undo().word == "moved an arrow"
     assert model.undo().word == "moved an arrow"
-    assert model.undo().word == "drew an arrow"
+    assert model.undo().word == "pulled tissue"
 
 
 def test_a_click_on_an_arrow_adds_no_undo_step(drag, pull, model):
     drag((10, 10), (14, 12))
     assert drag((14, 12)) == ""
     assert pull.selected == 0
-    assert model.next_undo.word == "drew an arrow"
+    assert model.next_undo.word == "pulled tissue"
 
 
 def test_an_arrow_of_one_component_stays_on_its_axis(drag, pull, model):
@@ -124,7 +124,7 @@ def test_a_cancelled_drag_leaves_no_mark(drag, pull, model):
     assert pull.cancel()
     pull.move((26, 26))
     pull.release()
-    assert (model.drawing, model.next_undo.word) == (before, "drew an arrow")
+    assert (model.drawing, model.next_undo.word) == (before, "pulled tissue")
     assert not pull.cancel()
 
 

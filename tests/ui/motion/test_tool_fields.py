@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
 from napari_hmrf import Landmark, read_study, write_study
@@ -37,6 +38,19 @@ def test_a_radius_that_is_too_small_or_too_large_is_not_accepted(pulling_beside,
         touch.drag((20, 20), (22, 23))
         settle(dock)
         assert dock.drawing.marks[-1].radius == radius.value
+
+
+def test_fields_change_the_last_mark_until_escape_as_their_tooltips_say(pulling_beside, settle):
+    touch, dock = pulling_beside
+    for field in (dock.fields.radius, dock.fields.confidence, dock.fields.components):
+        assert "also changes the selected mark" in field.tooltip
+        assert "press Escape on the canvas first" in field.tooltip
+    touch.drag((20, 20), (22, 23))
+    dock.fields.radius.value = 8.0
+    touch.key(Qt.Key.Key_Escape)
+    dock.fields.radius.value = 5.0
+    settle(dock)
+    assert [mark.radius for mark in dock.drawing.marks] == [8.0]
 
 
 def test_a_landmark_with_an_uncertainty_gives_way_and_each_edit_is_one_step(pulling_beside, settle):
