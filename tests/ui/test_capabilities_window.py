@@ -8,6 +8,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QFileDialog, QTableView
 
+from napari_hmrf import Solution, read_study
 from napari_hmrf.contributions import open_solution, phantom_layers, write_solution
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.material_tables import read_preset
@@ -16,6 +17,7 @@ from napari_hmrf.samples.phantoms import PHANTOM_NAMES, sample
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
+from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -396,6 +398,26 @@ def test_a_pulled_result_is_saved_with_its_drawing(
     solution = again[1]["metadata"]["napari-hmrf"]["solution"]
     np.testing.assert_array_equal(solution.displacement, moved)
     assert Drawing.from_dict(solution.frame["drawing"]) == dock.drawing
+
+
+def test_a_result_with_held_patches_is_saved_with_a_short_record_of_the_drawing(
+    pulling_dock, draw_and_wait, viewer, wait_for, tmp_path
+):
+    dock, _ = pulling_dock
+    motion = PatchMotion((8, 8), 1, (33, 33), np.linspace(0, 1, 2 * 33**2))
+    moved = draw_and_wait(dock, *[Arrow((24, 28), (0, 0), 14.0, motion=motion)] * 40)
+    wait_for(lambda: any(each.name.startswith("MR arrows, elastic") for each in viewer.layers))
+    arrows = layer(viewer, "MR arrows, elastic")
+    attributes = {"name": arrows.name, "metadata": arrows.metadata}
+    (path,) = write_solution(str(tmp_path / "held.npz"), arrows.data, attributes)
+    solution = Solution.read(path)
+    np.testing.assert_array_equal(solution.displacement, moved)
+    marks = solution.frame["drawing"]["marks"]
+    assert [mark["motion"]["shape"] for mark in marks] == [[33, 33]] * 40
+    dock.save_study(tmp_path / "held.study")
+    study, solved = read_study(tmp_path / "held.study")
+    assert study.motion.drawing == dock.drawing
+    np.testing.assert_array_equal(solved.displacement, moved)
 
 
 def test_edits_of_tables_and_drawings_are_undone_in_one_order(
