@@ -2,6 +2,7 @@
 
     python -m benchmarks.registration known [--image T1 [--tissue GREY WHITE]] [--seeds 2 3 4]
     python -m benchmarks.registration pairs FIXED MOVING
+    python -m benchmarks.registration constraints
 
 `known` deforms a head by known displacements: random B-splines with knots 24 mm apart and an
 expansion (``splines``), regions of the brain that are pulled, in large motion (``large``), lesions
@@ -37,6 +38,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from benchmarks.registration_constraints import print_constraints
 from benchmarks.registration_rivals import rivals, without_bias
 from benchmarks.registration_truths import TRUTHS, Head, case, head_from_files, phantom_head
 from napari_hmrf.fields import count_folds
@@ -73,13 +75,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     pairs = commands.add_parser("pairs", help="two pictures of neighbouring sections")
     pairs.add_argument("fixed", type=Path)
     pairs.add_argument("moving", type=Path)
+    pairs.add_argument(
+        "--landmarks",
+        type=Path,
+        nargs=2,
+        help="files with a row of number, x and y for each landmark; by default, matched features",
+    )
+    commands.add_parser("constraints", help="rigid bone and a masked artefact, in a volume")
     for each in (known, pairs):
         each.add_argument(
             "--methods", nargs="+", default=_DEFAULT, help="names, or the beginnings of names"
         )
     options = parser.parse_args(arguments)
+    if options.command == "constraints":
+        print_constraints()
+        return 0
     if options.command == "pairs":
-        compare_pair(options.fixed, options.moving, options.methods)
+        compare_pair(options.fixed, options.moving, options.methods, options.landmarks)
         return 0
     if options.image is None:
         head = phantom_head(round(190 / options.voxel))
@@ -225,17 +237,34 @@ def interval(
     return float(low), float(high)
 
 
-def compare_pair(fixed: Path, moving: Path, methods: Sequence[str]) -> None:
-    """Print the errors of landmarks of two pictures, in pixels."""
+def compare_pair(
+    fixed: Path, moving: Path, methods: Sequence[str], files: Sequence[Path] | None = None
+) -> None:
+    """Print the errors of landmarks of two pictures, in pixels.
+
+    Parameters
+    ----------
+    fixed, moving : Path
+    methods : sequence of str
+    files : sequence of Path, optional
+        Landmarks of each picture; by default, features that are matched in both pictures.
+    """
     from benchmarks.sections import grey, landmarks
 
     pictures = grey(fixed), grey(moving)
-    at, to = landmarks(*pictures)
+    if files is None:
+        at, to = landmarks(*pictures)
+    else:
+        both = [np.loadtxt(each, delimiter=",", skiprows=1)[:, [2, 1]] for each in files]
+        count = min(map(len, both))
+        at, to = (each[:count] for each in both)
     began = time.perf_counter()
     ours = register(*pictures, spacing=1, initial="affine")
     seconds = {_OURS: time.perf_counter() - began}
     turn, shift = ours.matrix[:2, :2], ours.matrix[:2, 2]
-    aligned = ndimage.affine_transform(pictures[1], turn, shift, order=3, mode="nearest")
+    aligned = ndimage.affine_transform(
+        pictures[1], turn, shift, pictures[0].shape, order=3, mode="nearest"
+    )
     fields = {"affine": np.zeros_like(ours.displacement), _OURS: ours.displacement}
     for name, program in _selected(methods, _PAIRS, None).items():
         if name != _OURS:

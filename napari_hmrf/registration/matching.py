@@ -149,7 +149,7 @@ def match(
     progress, cancel
         As in `solve`.
     show : callable, optional
-        Called with the solution of each step, on its level, and its record.
+        Called after each level with its solution and the record of its last step.
 
     Returns
     -------
@@ -190,7 +190,7 @@ def match(
                 Step(base.spacing, data.residual, data.similarity, change, step.least_jacobian)
             )
             report.end()
-            if show is not None:
+            if show is not None and number == count - 1:
                 show(solution, history[-1])
             checkpoint()
     assert displacement is not None
