@@ -424,9 +424,17 @@ class StudyModel(EditHistory):
         self.setdefault(part, None)
         self._set(part, measured, word)
 
-    def register(self, measured: MeasuredMotion) -> None:
-        """Set the measured motion of a registration and release the edge, as one step."""
-        part, chosen = self.measured_part, Part("choice", self.image)
+    def register(self, part: Part, measured: MeasuredMotion) -> None:
+        """Set the measured motion of a slice and release the edge of its image, as one step.
+
+        Parameters
+        ----------
+        part : Part
+            `measured_part` of the slice.
+        measured : MeasuredMotion
+            Result of a registration.
+        """
+        chosen = Part("choice", part.layer)
         self.setdefault(part, None)
         free = replace(self.setdefault(chosen, ImageChoice()), hold_edge=False)
         self.do_all({part: measured, chosen: free}, "registered the images")

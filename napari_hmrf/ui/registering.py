@@ -111,7 +111,7 @@ class Registering:
         self._cancel = threading.Event()
         work = partial(self._run, study, picture, self._form.alignment.value, self._cancel)
         self._controller.engine.cancel()
-        self._jobs.submit(_JOB, work, self._finish)
+        self._jobs.submit(_JOB, work, partial(self._finish, self._model.measured_part))
         self._controller.progress.start("Registering", at_once=True)
         self._show()
 
@@ -147,19 +147,15 @@ class Registering:
         if self.busy and not cancel.is_set() and self._controller.is_current(moved.study):
             self._controller.pointer.show(ShownDeformation(moved))
 
-    def _finish(self, found: RegisteredStudy) -> None:
-        """Store the measured motion, as one step, and deliver the result."""
+    def _finish(self, part: Part, found: RegisteredStudy) -> None:
+        """Store the measured motion of a slice, as one step, and deliver the result."""
         self._controller.progress.stop()
         measured = found.study.motion.measured
-        assert measured is not None
-        study = self._controller.study
-        if study is None or study.grid != found.study.grid:
-            self._show()
-            return
-        # Delivered only if nothing was edited since: the inputs are compared.
-        self._controller.engine.deliver_again(found.study, found.registration.solution)
-        self._model.register(measured)
-        self.message.emit(_DONE if found.edge_was_fixed else "")
+        if measured is not None and part.layer in self._controller.form.image.offered:
+            # Delivered only if nothing was edited since: the inputs are compared.
+            self._controller.engine.deliver_again(found.study, found.registration.solution)
+            self._model.register(part, measured)
+            self.message.emit(_DONE if found.edge_was_fixed else "Registered.")
         self._show()
 
     def _remove(self, *_: Any) -> None:

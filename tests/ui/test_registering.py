@@ -164,3 +164,25 @@ def test_the_button_says_what_it_needs(window, wait_for):
     wait_for(lambda: not dock.busy)
     assert not button.isEnabled()
     assert "elastic" in button.toolTip()
+
+
+def test_a_registration_belongs_to_the_slice_in_which_it_was_started(qtbot, wait_for):
+    before, after, truth = pair_of(SHAPE, SIZE)
+    viewer = ViewerModel()
+    stack = viewer.add_image(np.stack([before, before]), name="before", scale=(1, *SIZE))
+    dock = SoftTissue(viewer)
+    qtbot.addWidget(dock.native)
+    both = np.stack([after, after])
+    other = viewer.add_image(both, name="after", visible=False, scale=(1, *SIZE))
+    dock.image = stack
+    dock.compare_with = other
+    wait_for(lambda: not dock.busy)
+    viewer.dims.set_current_step(0, 0)
+    wait_for(lambda: not dock.busy)
+    Screen(dock).press("Register")
+    viewer.dims.set_current_step(0, 1)
+    wait_for(lambda: not dock.busy)
+    assert dock.study.motion.measured is None
+    viewer.dims.set_current_step(0, 0)
+    wait_for(lambda: not dock.busy and dock.solution is not None)
+    assert error(dock, truth) < 0.1
