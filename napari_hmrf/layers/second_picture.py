@@ -107,3 +107,34 @@ def _to_pixels(
     origin = back @ (start[lacking:] - offset)
     leading = np.zeros((lead, len(frame.plane)))
     return np.concatenate([leading, linear]), np.concatenate([index, origin])
+
+
+def align_layer(
+    layer: Any, frame: Frame, matrix: npt.NDArray[np.float64], view: View | None = None
+) -> bool:
+    """Move a layer in the world by the alignment of a registration; return whether it was moved.
+
+    Parameters
+    ----------
+    layer : napari.layers.Image
+    frame : Frame
+        Place of the study.
+    matrix : ndarray, shape (n + 1, n + 1)
+        Matrix from positions of the study to positions of the layer on the grid of the study, in
+        the unit of the spacing; the first pixel is at the origin.
+    view : View, optional
+    """
+    own = frame_of(layer, view)
+    if own.ndim != frame.ndim or own.units != frame.units:
+        return False
+    axes, size = list(frame.plane), frame.ndim
+    spacing = np.array(frame.spacing)
+    n = len(axes)
+    pixels = matrix.copy()
+    pixels[:n, :n] = matrix[:n, :n] * spacing / spacing[:, None]
+    pixels[:n, n] /= spacing
+    whole = np.eye(size + 1)
+    whole[np.ix_([*axes, size], [*axes, size])] = np.linalg.inv(pixels)
+    world = np.array(frame.matrix)
+    layer.affine = world @ whole @ np.linalg.inv(world) @ np.array(layer.affine.affine_matrix)
+    return True

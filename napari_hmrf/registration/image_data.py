@@ -42,8 +42,9 @@ _WINDOW = 2.5
 #: Difference of normalized brightness at which the weight of a pixel is halved (Cauchy weights), so
 #: that structures without counterpart have little effect.
 _OUTLIER = 1.0
-#: Smallest residual that counts as noise of the images.
-_LEAST_RESIDUAL = 0.05
+#: Smallest residual that counts as noise of the images, and residual above which differences are
+#: not noise, but other tissue.
+_LEAST_RESIDUAL, _OTHER_TISSUE = 0.05, 0.145
 #: Precision along directions in which the images show nothing, relative to the mean precision. It
 #: limits the step of an iteration there (Levenberg and Marquardt).
 _DAMPING = 1e-3
@@ -156,7 +157,7 @@ class ImageLevel:
             (own + other) / 2
             for own, other in zip(self._slopes, self._gradient(warped), strict=True)
         ]
-        axes, balance = len(self.shape), smoothness * max(residual, _LEAST_RESIDUAL) ** 2
+        axes, balance = len(self.shape), smoothness * _variance(residual)
         scale = float(np.prod(self.spacing)) / balance
         pairs = [(i, j) for i in range(axes) for j in range(i, axes)]
 
@@ -185,6 +186,16 @@ class ImageLevel:
         self._checkpoint()
         slopes = np.gradient(image, *self.spacing)
         return [np.asarray(slope, np.float32) for slope in slopes]
+
+
+def _variance(residual: float) -> float:
+    """Return the variance of the differences for the balance of images and elastic energy.
+
+    Differences of other tissue are similar in neighbouring pixels, so that many pixels count like a
+    few. Their variance is counted higher.
+    """
+    known = max(residual, _LEAST_RESIDUAL)
+    return known**2 * max(1.0, known / _OTHER_TISSUE)
 
 
 def _normalized(

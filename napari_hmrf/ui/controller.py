@@ -22,6 +22,7 @@ from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
+from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.ground import refuse_unknown
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import StudyModel
@@ -173,6 +174,13 @@ class Controller:
         latest, study = self.latest, self.study
         return latest is not None and study is not None and latest.moved.study.same_as(study)
 
+    def shows(self, study: Study) -> bool:
+        """Return whether the latest result belongs to a study, except for the solver's settings."""
+        latest = self.latest
+        if latest is None:
+            return False
+        return replace(latest.moved.study, optimizer=study.optimizer).same_as(study)
+
     # Actions
 
     def schedule_refresh(self, *_: Any) -> None:
@@ -264,8 +272,9 @@ class Controller:
         """Show the latest result, or the undeformed image, in place of unfinished work."""
         if self._latest_here is not None:
             self._show_latest()
-        elif self.study is not None:
-            self._show(None)
+        elif (study := self.study) is not None:
+            still = Deformation(study, image=study.pictures.image)
+            self.pointer.display.discard(still)
 
     def show_before(self, before: bool) -> None:
         """Show the undeformed image, or show the deformed image again."""

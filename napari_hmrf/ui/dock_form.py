@@ -52,7 +52,7 @@ _SECTIONS = {
     ),
     "comparison": (
         "Second image, known field",
-        "Comparison of the result with a later image or with a displacement field",
+        "Registration to a later image; comparison with this image or with a known field",
     ),
     "model": ("Model", "Model of the tissue, with advice on its use"),
     "advanced": ("Advanced", "Settings of the solver; the default settings suit most studies"),

@@ -70,6 +70,8 @@ class Guide:
     def shown(self) -> str:
         """Displayed status text; it names the button "Deform" as the button is labelled now."""
         doing = "" if self._why == "refused" else self._doing
+        if doing and self._why == "step" and self._message.startswith(messages.SAVED):
+            doing = f"{self._message} {doing}"
         hint = messages.MEANWHILE if self._is_painting else self.invitation
         text, button = doing or self._message or hint, self._form.footer.deform.text
         if self._is_painting and messages.MEANWHILE not in text and not doing:

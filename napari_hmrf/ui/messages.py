@@ -42,6 +42,8 @@ BEHIND = (
     "them."
 )
 NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, choose it above."
+#: First word of messages about a saved file, which stay visible during later work.
+SAVED = "Saved"
 #: Question before a reset.
 RESET = (
     "Remove all marks of '{}' and restore the default settings? Layers and tables are kept. Undo "
@@ -120,6 +122,7 @@ _LABELS = (
     (r"(the \w+) at .* has no effect", r"\1 has no effect"),
     (r"(\d+ \w+s) are .* have no effect", r"\1 have no effect"),
     (r"(\d+ pieces? of tissue) with .* (stays?) at rest", r"\1 \2 at rest"),
+    ("a growing patch reaches into the dark", "Growth beyond the tissue"),
     (r"(.+ of tissue touch(es)? no boundary) \(", r"\1"),
 )
 #: Message after the view has moved to another slice of a volume.
@@ -248,7 +251,7 @@ def saved_study(
         Names of other slices of the image, or of its volume, with unsaved changes.
     """
     saved = f"the study of {extent} as {name}" if extent else name
-    parts = [f"Saved {saved}{'' if solved else ' without a field: press Deform to get one'}."]
+    parts = [f"{SAVED} {saved}{'' if solved else ' without a field: press Deform to get one'}."]
     if pairs:
         parts.append(f"It lacks the landmarks of '{pairs}': press 'Use as landmarks'.")
     if unsaved:

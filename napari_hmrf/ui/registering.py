@@ -11,7 +11,7 @@ from psygnal import Signal
 
 from napari_hmrf.field.resample import on_finer_grid
 from napari_hmrf.layers.painted_overlay import ShownDeformation
-from napari_hmrf.layers.second_picture import second_picture
+from napari_hmrf.layers.second_picture import align_layer, second_picture
 from napari_hmrf.registration.alignment import Kind
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.registration.study_registration import (
@@ -33,10 +33,12 @@ from napari_hmrf.ui.registration_form import RegistrationForm
 
 _JOB = "registration"
 #: Message after a registration of a study whose edge was fixed.
-_DONE = (
-    "Registered. The outer edge is no longer fixed, because the images show how it moves. To fix "
-    "it, tick 'Fix outer edge'."
+_EDGE = (
+    "The outer edge is no longer fixed, because the images show how it moves. To fix it, tick 'Fix "
+    "outer edge'."
 )
+#: Message after the second image has been aligned.
+_MOVED = "'{}' was moved to fit; Undo does not move it back."
 
 
 class Registering:
@@ -111,7 +113,7 @@ class Registering:
         self._cancel = threading.Event()
         work = partial(self._run, study, picture, self._form.alignment.value, self._cancel)
         self._controller.engine.cancel()
-        self._jobs.submit(_JOB, work, partial(self._finish, self._model.measured_part))
+        self._jobs.submit(_JOB, work, partial(self._finish, self._model.measured_part, second))
         self._controller.progress.start("Registering", at_once=True)
         self._show()
 
@@ -147,7 +149,7 @@ class Registering:
         if self.busy and not cancel.is_set() and self._controller.is_current(moved.study):
             self._controller.pointer.show(ShownDeformation(moved))
 
-    def _finish(self, part: Part, found: RegisteredStudy) -> None:
+    def _finish(self, part: Part, second: Any, found: RegisteredStudy) -> None:
         """Store the measured motion of a slice, as one step, and deliver the result."""
         self._controller.progress.stop()
         measured = found.study.motion.measured
@@ -155,7 +157,14 @@ class Registering:
             # Delivered only if nothing was edited since: the inputs are compared.
             self._controller.engine.deliver_again(found.study, found.registration.solution)
             self._model.register(part, measured)
-            self.message.emit(_DONE if found.edge_was_fixed else "Registered.")
+            parts = ["Registered.", _EDGE if found.edge_was_fixed else ""]
+            matrix = found.registration.matrix
+            if not np.array_equal(matrix, np.eye(len(matrix))):
+                place = found.study.grid.known_place
+                align_layer(second, place, matrix, self._controller.form.view())
+                self._form.alignment.value = None
+                parts.append(_MOVED.format(second.name))
+            self.message.emit(" ".join(filter(None, parts)))
         self._show()
 
     def _remove(self, *_: Any) -> None:

@@ -21,11 +21,14 @@ _ABOUT = (
     "rigid, and landmarks, have their effect. The outer edge is no longer fixed. Undo restores the "
     "state before."
 )
+#: Similarity below which images agree poorly.
+_POOR = 0.25
 _CHOOSE = "Choose a second image first: a later image of the same tissue, of the same kind"
 _ELASTIC = "Choose the model 'elastic' first (under 'Model'); other models do not support this"
 _ALIGN = (
     "Position of the second image before tissue moves: as the viewer shows it; or shifted and "
-    "turned, or also stretched, to fit. This is no motion of the tissue."
+    "turned, or also stretched, to fit. Its layer moves there; this is no motion of the tissue. "
+    "Both images must overlap."
 )
 
 
@@ -97,5 +100,7 @@ def _described(measured: MeasuredMotion | None) -> str:
     text = f"Registered to '{name}'." if name else "Registered."
     if isinstance(before, float) and isinstance(after, float):
         shares = (f"{100 * max(value, 0.0):.0f} %" for value in (before, after))
-        text += " Agreement {} before, {} now.".format(*shares)
+        text += " Agreement {} before, {} after.".format(*shares)
+        if after < _POOR:
+            text += " The images agree poorly: use 'align first', or choose another second image."
     return text

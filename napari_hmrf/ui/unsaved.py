@@ -167,8 +167,12 @@ class Unsaved:
     # Files
 
     def save(self, path: str | Path) -> Path:
-        """Save the current study, with its field if the field is up to date."""
-        solution, study = self._dock.solution if self._controller.fresh else None, self._dock.study
+        """Save the current study, with the displayed field if it belongs to the study.
+
+        The field of a solve that is still being continued is saved, too.
+        """
+        study = self._dock.study
+        solution = self._dock.solution if self._controller.shows(study) else None
         written = write_study(path, study, solution, overlay=self._overlay)
         apart, here = self._landmarks_apart(study), self._model.slice
         has_slices = self._controller.form.extent.has_slices

@@ -343,3 +343,18 @@ def test_labels_can_be_integers_stored_as_floats():
 def test_the_unit_of_a_tissue_is_a_string():
     with pytest.raises(ArgumentError, match="unit must be a str, such as"):
         Tissue(unit=3)
+
+
+def test_a_note_says_that_growth_reaches_beyond_the_tissue():
+    rows, cols = np.indices((60, 60)) - 29.5
+    image = np.where(np.hypot(rows, cols) < 20, 100.0, 0.0)
+
+    def notes(at):
+        mark = Stroke("expand", ((at,),), radius=6, amount=2)
+        motion = Motion(hold_edge=True, drawing=Drawing((mark,)))
+        study = Study(Grid((60, 60), (1, 1)), motion=motion, pictures=Pictures(image))
+        ground = Ground.of(study)
+        return " ".join(ground.notes_on(ground.statement()))
+
+    assert "reaches into the dark surroundings" in notes((30.0, 48.0))
+    assert "reaches into the dark surroundings" not in notes((30.0, 30.0))

@@ -186,3 +186,44 @@ def test_a_registration_belongs_to_the_slice_in_which_it_was_started(qtbot, wait
     viewer.dims.set_current_step(0, 0)
     wait_for(lambda: not dock.busy and dock.solution is not None)
     assert error(dock, truth) < 0.1
+
+
+def test_an_aligned_image_moves_to_the_registered_place(window, wait_for):
+    pytest.importorskip("SimpleITK")
+    before, _, _ = pair_of(SHAPE, SIZE)
+    dock, _ = window()
+    viewer = dock._viewer
+    place = {"scale": SIZE, "units": ("mm", "mm"), "translate": (1.5, -2.0)}
+    other = viewer.add_image(ndimage.gaussian_filter(before, 1), name="shifted", **place)
+    dock.compare_with = other
+    Screen(dock).choose("shift and turn")
+    register(dock, wait_for)
+    corner = np.asarray(other.data_to_world((0, 0)))
+    assert np.abs(corner).max() < 0.4, "the image is where the tissue of the first image is"
+    assert np.abs(dock.solution.displacement[8:-8, 8:-8]).max() < 0.5
+    assert "'shifted' was moved to fit" in dock.status
+
+
+def test_cancel_leaves_no_preview(window, wait_for):
+    dock, _ = window((24, 28, 50))
+    Screen(dock).choose("the whole volume")
+    wait_for(lambda: not dock.busy)
+    shown = []
+    dock._controller.pointer.show, show = shown.append, dock._controller.pointer.show
+    Screen(dock).press("Register")
+    wait_for(lambda: bool(shown) or not dock.busy)
+    for state in shown:
+        show(state)
+    dock._controller.pointer.show = show
+    if dock.busy:
+        Screen(dock).press("Cancel")
+        wait_for(lambda: not dock.busy)
+        assert not any("deformed" in layer.name for layer in dock._viewer.layers)
+
+
+def test_images_that_agree_poorly_are_reported(window, wait_for):
+    dock, _ = window()
+    noise = np.random.default_rng(5).normal(size=SHAPE)
+    dock.compare_with = dock._viewer.add_image(noise, name="other", scale=SIZE, units=("mm", "mm"))
+    register(dock, wait_for)
+    assert "agree poorly" in Screen(dock).words

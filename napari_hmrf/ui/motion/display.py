@@ -166,6 +166,16 @@ class Display:
             else:
                 self._show_painting()
 
+    def discard(self, still: Deformation) -> None:
+        """Show undeformed tissue, and remove the layers of unfinished work without a result."""
+        result = self.result
+        self.state = ShownDeformation(still)
+        self._picture_of(still)
+        with self.program_changes():
+            if result is not None:
+                result.drop("image")
+            self._show_result({}, moving=False)
+
     def _picture_of(self, moved: Deformation) -> Any:
         """Return the deformed image.
 
