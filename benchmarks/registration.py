@@ -15,9 +15,9 @@ later run continues.
 `pairs` registers two pictures of neighbouring sections after the same affine map, and compares
 landmarks, which are features that are matched in both pictures as in `benchmarks.sections`.
 
-The other programs are demons of SimpleITK, elastix and ANTs::
+The other programs are demons of SimpleITK (extra ``medical``), elastix and ANTs::
 
-    pip install SimpleITK itk-elastix antspyx
+    pip install itk-elastix antspyx
 
 Elastix and SyN receive images without bias (N4 of SimpleITK, not timed), because only `register`
 normalizes brightness. Programs that are not installed are skipped. ``--methods`` selects programs,
