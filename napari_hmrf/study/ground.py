@@ -55,8 +55,6 @@ from napari_hmrf.tissue.boundary_rules import (
     unlisted,
 )
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
-from napari_hmrf.tissue.drawing.canvas import box_of, covered
-from napari_hmrf.tissue.drawing.marks import grows
 from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
@@ -70,11 +68,6 @@ _TISSUE, _SURROUNDINGS = 1.0, 0.01
 _OVER = (
     "the drawing moves tissue that is painted as held, and takes precedence at overlaps; "
     "make the drawing smaller, or move it farther away"
-)
-
-_BEYOND = (
-    "a growing patch reaches into the dark surroundings of the image, so that its edge pushes the "
-    "surface inward; use a smaller radius, or grow tissue farther inside"
 )
 
 _NO_UNIT = (
@@ -292,17 +285,6 @@ class Ground:
                 "(`Motion(drawing=..., labels=..., observed=..., weight=...)`).",
             )
 
-    def _grows_beyond_the_body(self) -> bool:
-        """Return whether a growing mark covers tissue and dark surroundings."""
-        spacing = self.base.spacing
-        for mark in filter(grows, self.study.motion.drawing.marks):
-            box = box_of(mark, spacing, self.base.whole)
-            under = covered(mark, spacing, box)
-            body = self.body[box][under]
-            if body.any() and not body.all():
-                return True
-        return False
-
     def idle_marks(self, statement: Statement) -> tuple[str, ...]:
         """Return clauses about marks of the drawing that have no effect."""
         drawing, tissue = self.study.motion.drawing, statement.problem.tissue | statement.at_rest
@@ -336,7 +318,6 @@ class Ground:
         notes = [*self.notes]
         notes += self._assumed_tissues()
         notes += self.idle_marks(statement)
-        notes.append(_BEYOND if self._grows_beyond_the_body() else "")
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
         if motion.labels is not None:
@@ -613,8 +594,11 @@ def _tissue_of(study: Study) -> Ground:
     if tissue.stiffness is not None or tissue.curve is not None:
         unit = tissue.unit or (tissue.curve.unit if tissue.curve is not None else "")
         palette = Palette.of_preset(tissue.preset, typical_stiffness(m), unit)
-    base = Canvas.blank(shape, study.grid.spacing, labels)
-    return Ground(study, base, m, prior, (m > 0) & ~around, palette, tuple(notes))
+    base, body = Canvas.blank(shape, study.grid.spacing, labels), (m > 0) & ~around
+    surroundings = (m > 0) & around
+    if surroundings.any():
+        base = replace(base, surroundings=surroundings)
+    return Ground(study, base, m, prior, body, palette, tuple(notes))
 
 
 def _refuse_unknown_brightness(study: Study, intensities: npt.NDArray[Any]) -> None:

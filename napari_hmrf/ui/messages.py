@@ -122,7 +122,6 @@ _LABELS = (
     (r"(the \w+) at .* has no effect", r"\1 has no effect"),
     (r"(\d+ \w+s) are .* have no effect", r"\1 have no effect"),
     (r"(\d+ pieces? of tissue) with .* (stays?) at rest", r"\1 \2 at rest"),
-    ("a growing patch reaches into the dark", "Growth beyond the tissue"),
     (r"(.+ of tissue touch(es)? no boundary) \(", r"\1"),
 )
 #: Message after the view has moved to another slice of a volume.

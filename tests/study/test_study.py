@@ -345,16 +345,13 @@ def test_the_unit_of_a_tissue_is_a_string():
         Tissue(unit=3)
 
 
-def test_a_note_says_that_growth_reaches_beyond_the_tissue():
+def test_a_patch_that_grows_at_the_surface_moves_the_surface_outward():
     rows, cols = np.indices((60, 60)) - 29.5
     image = np.where(np.hypot(rows, cols) < 20, 100.0, 0.0)
-
-    def notes(at):
-        mark = Stroke("expand", ((at,),), radius=6, amount=2)
-        motion = Motion(hold_edge=True, drawing=Drawing((mark,)))
-        study = Study(Grid((60, 60), (1, 1)), motion=motion, pictures=Pictures(image))
-        ground = Ground.of(study)
-        return " ".join(ground.notes_on(ground.statement()))
-
-    assert "reaches into the dark surroundings" in notes((30.0, 48.0))
-    assert "reaches into the dark surroundings" not in notes((30.0, 30.0))
+    mark = Stroke("expand", (((30.0, 48.0),),), radius=6, amount=2)
+    motion = Motion(hold_edge=True, drawing=Drawing((mark,)))
+    study = Study(Grid((60, 60), (1, 1)), motion=motion, pictures=Pictures(image))
+    outward = solve_study(study).displacement[..., 1]
+    surface = outward[28:32, 48]
+    assert surface.min() > 1, "the surface under the patch retreats"
+    assert outward[30, 42] < -1, "the inner edge of the patch moves into the tissue"

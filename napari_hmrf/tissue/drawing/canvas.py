@@ -67,6 +67,8 @@ class Canvas:
     slides : ndarray of bool, shape ([D,] H, W)
         Mask of the paint along which tissue slides. The sites and their normals are known only with
         the stiffness; see `sliding_surface`.
+    surroundings : ndarray of bool, shape ([D,] H, W), optional
+        Mask of dark surroundings that are soft tissue; growing patches do not extend into them.
     """
 
     observed: FloatArray
@@ -75,6 +77,7 @@ class Canvas:
     kinds: npt.NDArray[np.uint8]
     spacing: tuple[float, ...]
     slides: npt.NDArray[np.bool_]
+    surroundings: npt.NDArray[np.bool_] | None = None
 
     @classmethod
     def blank(
@@ -160,7 +163,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     if isinstance(mark, Arrow) or mark.action not in ("confidence", "tissue"):
         _stop_sliding(canvas, box, where)
     if grows(mark):
-        normals, region = _outward(_outline(mark), canvas.spacing, canvas.shape)
+        normals, region = _outward_in_tissue(mark, canvas)
         sides = zip(box, region, strict=True)
         at = tuple(slice(side.start - of.start, side.stop - of.start) for side, of in sides)
         moves = normals[at][where]
@@ -227,6 +230,21 @@ def rim_of(
     normals, box = _outward(_outline(mark), spacing, shape)
     rim: npt.NDArray[np.bool_] = np.asarray(normals.any(axis=-1))
     return rim, box
+
+
+def _outward_in_tissue(mark: Mark, canvas: Canvas) -> tuple[FloatArray, Box]:
+    """Return the outward normals of a growing mark without dark surroundings, and their box.
+
+    Tissue at the surface then moves outward with the rest of the patch.
+    """
+    if canvas.surroundings is not None:
+        box = box_of(mark, canvas.spacing, canvas.whole)
+        inside = covered(_outline(mark), canvas.spacing, box)
+        inner = inside & ~canvas.surroundings[box]
+        if inner.any() and not np.array_equal(inner, inside):
+            normals = outward_normals(np.pad(inner, 1), canvas.spacing, "a brush stroke")
+            return normals[(slice(1, -1),) * inner.ndim], box
+    return _outward(_outline(mark), canvas.spacing, canvas.shape)
 
 
 def covered(mark: Mark, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bool_]:
