@@ -595,9 +595,8 @@ def _tissue_of(study: Study) -> Ground:
         unit = tissue.unit or (tissue.curve.unit if tissue.curve is not None else "")
         palette = Palette.of_preset(tissue.preset, typical_stiffness(m), unit)
     base, body = Canvas.blank(shape, study.grid.spacing, labels), (m > 0) & ~around
-    surroundings = (m > 0) & around
-    if surroundings.any():
-        base = replace(base, surroundings=surroundings)
+    if not body.all():
+        base = replace(base, surroundings=~body)
     return Ground(study, base, m, prior, body, palette, tuple(notes))
 
 

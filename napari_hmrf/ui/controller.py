@@ -347,7 +347,10 @@ class Controller:
             self._follow(study)
 
     def _follow(self, study: Study) -> None:
-        if self._submitted is not None and self._submitted.same_as(study):
+        before = self._submitted
+        # Results are named after the image, which may have been renamed.
+        has_same_name = before is not None and before.pictures.name == study.pictures.name
+        if before is not None and has_same_name and before.same_as(study):
             return
         self._submitted = study
         self._complete_timer.stop()

@@ -88,11 +88,22 @@ def test_a_brush_and_a_layer_give_the_same_problem():
     np.testing.assert_allclose(brushed.observed, painted.observed, atol=1e-5)
 
 
-@pytest.mark.parametrize("paint", [by_brush, by_label])
-def test_the_inside_of_a_patch_is_free_if_the_edge_of_the_tissue_is_prescribed(paint):
+def with_air_above(paint):
+    """Return the problem of a patch at the surface of tissue with air above it."""
     air_above = np.ones(SHAPE)
     air_above[:60] = 0
-    known = build_problem(study_of(paint((60, 60), 2.0), air_above)).problem.known.any(axis=-1)
+    return build_problem(study_of(paint((60, 60), 2.0), air_above)).problem
+
+
+def test_the_inside_of_a_painted_label_is_free_at_the_edge_of_the_tissue():
+    known = with_air_above(by_label).known.any(axis=-1)
     assert known[60, :31].all(), "the tissue edge beside the patch or the rim of the patch is free"
     assert not known[60, 33:88].any()
     assert known[60, 89:].all()
+
+
+def test_a_brushed_patch_at_the_edge_of_the_tissue_grows_outward():
+    problem = with_air_above(by_brush)
+    assert problem.known.any(axis=-1)[60].all()
+    assert (problem.observed[60, 40:80, 0] < -1).all(), "the surface moves towards the air"
+    assert not problem.known[65:70, 50:70].any(), "the inside of the patch is not free"

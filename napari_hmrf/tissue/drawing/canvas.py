@@ -68,7 +68,7 @@ class Canvas:
         Mask of the paint along which tissue slides. The sites and their normals are known only with
         the stiffness; see `sliding_surface`.
     surroundings : ndarray of bool, shape ([D,] H, W), optional
-        Mask of dark surroundings that are soft tissue; growing patches do not extend into them.
+        Mask of void and dark surroundings; growing patches do not extend into them.
     """
 
     observed: FloatArray
@@ -233,7 +233,7 @@ def rim_of(
 
 
 def _outward_in_tissue(mark: Mark, canvas: Canvas) -> tuple[FloatArray, Box]:
-    """Return the outward normals of a growing mark without dark surroundings, and their box.
+    """Return the outward normals of a growing mark without its surroundings, and their box.
 
     Tissue at the surface then moves outward with the rest of the patch.
     """
