@@ -161,9 +161,9 @@ class Registering:
             matrix = found.registration.matrix
             if not np.array_equal(matrix, np.eye(len(matrix))):
                 place = found.study.grid.known_place
-                align_layer(second, place, matrix, self._controller.form.view())
-                self._form.alignment.value = None
-                parts.append(_MOVED.format(second.name))
+                if align_layer(second, place, matrix, self._controller.form.view()):
+                    self._form.alignment.value = None
+                    parts.append(_MOVED.format(second.name))
             self.message.emit(" ".join(filter(None, parts)))
         self._show()
 
