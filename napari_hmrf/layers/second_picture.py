@@ -12,6 +12,7 @@ from napari_hmrf.errors import LayerError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.slice_view import View, frame_of, full_resolution, layer_extents
+from napari_hmrf.registration.alignment import matrix_in_pixels
 from napari_hmrf.registration.study_registration import SecondPicture
 
 #: Distance from the outermost pixel centres, in pixels, up to which an image covers a position.
@@ -128,11 +129,7 @@ def align_layer(
     if own.ndim != frame.ndim or own.units != frame.units:
         return False
     axes, size = list(frame.plane), frame.ndim
-    spacing = np.array(frame.spacing)
-    n = len(axes)
-    pixels = matrix.copy()
-    pixels[:n, :n] = matrix[:n, :n] * spacing / spacing[:, None]
-    pixels[:n, n] /= spacing
+    pixels = matrix_in_pixels(matrix, frame.spacing, frame.spacing)
     whole = np.eye(size + 1)
     whole[np.ix_([*axes, size], [*axes, size])] = np.linalg.inv(pixels)
     world = np.array(frame.matrix)

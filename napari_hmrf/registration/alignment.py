@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -138,9 +138,24 @@ def _centred(sitk: Any, kind: Kind, images: list[Any]) -> Any:
     return type(start)(centred)
 
 
-def _matrix(transform: object, axes: int) -> Float64Array:
+def matrix_in_pixels(
+    matrix: Float64Array, spacing: Sequence[float], moving_spacing: Sequence[float]
+) -> Float64Array:
+    """Return an alignment as a matrix from pixels of the fixed image to those of the moving image.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n + 1, n + 1)
+        Result of `align`, in the unit of the spacing.
+    spacing, moving_spacing : sequence of float
+        Size of a pixel of each image along each axis.
+    """
+    before, after = np.array([*spacing, 1.0]), np.array([*moving_spacing, 1.0])
+    return np.asarray(matrix * before / after[:, None])
+
+
+def _matrix(transform: Callable[[tuple[float, ...]], Any], axes: int) -> Float64Array:
     """Return the matrix of an affine map of points (x, y[, z]), for points in axis order."""
-    assert callable(transform)
     origin = np.array(transform((0.0,) * axes))
     columns = [np.array(transform(tuple(unit))) - origin for unit in np.eye(axes)]
     matrix = np.eye(axes + 1)

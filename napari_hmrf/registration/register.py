@@ -13,7 +13,7 @@ from napari_hmrf.arguments import is_one_of, real, refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.warp import Spacing
-from napari_hmrf.registration.alignment import align
+from napari_hmrf.registration.alignment import align, matrix_in_pixels
 from napari_hmrf.registration.image_data import BoolArray, FloatArray
 from napari_hmrf.registration.matching import Images, Match, Show, match, placeholder
 from napari_hmrf.registration.result import Registration
@@ -226,8 +226,8 @@ def on_grid(
         As in a `Registration`.
     """
     axes = fixed.ndim
-    turn = matrix[:axes, :axes] * np.asarray(spacing) / np.asarray(moving_spacing)[:, None]
-    shift = matrix[:axes, axes] / np.asarray(moving_spacing)
+    pixels = matrix_in_pixels(matrix, spacing, moving_spacing)
+    turn, shift = pixels[:axes, :axes], pixels[:axes, axes]
     same = np.array_equal(turn, np.eye(axes)) and not shift.any()
     if same and moving.shape == fixed.shape:
         return Images(fixed, moving, counted)

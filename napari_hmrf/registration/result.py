@@ -12,6 +12,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.inverse_field import Inverse, inverse_displacement
 from napari_hmrf.field.resample import sampled
+from napari_hmrf.registration.alignment import matrix_in_pixels
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import as_numbers
@@ -164,6 +165,5 @@ class Registration:
             self.moving_spacing == self.solution.spacing
         ):
             return pixels
-        lengths = pixels * np.asarray(self.solution.spacing)
-        moved = lengths @ self.matrix[:axes, :axes].T + self.matrix[:axes, axes]
-        return np.asarray(moved / np.asarray(self.moving_spacing))
+        matrix = matrix_in_pixels(self.matrix, self.solution.spacing, self.moving_spacing)
+        return np.asarray(pixels @ matrix[:axes, :axes].T + matrix[:axes, axes])
