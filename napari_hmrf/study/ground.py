@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from itertools import compress
 from operator import add
 from typing import Any
@@ -252,7 +252,7 @@ class Ground:
             )
         return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study)
 
-    @property
+    @cached_property
     def typical_stiffness(self) -> float:
         """Stiffness to which the precision of measured motion is relative."""
         return typical_stiffness(self.stiffness[self.body])

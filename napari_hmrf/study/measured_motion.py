@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ class MeasuredMotion:
         """Shape of the displacement."""
         return self.displacement.shape
 
-    @property
+    @cached_property
     def sites(self) -> npt.NDArray[np.bool_]:
         """Mask of the sites with a measurement, shape ([D,] H, W)."""
         return np.asarray(self.precision.any(axis=(-2, -1)))
