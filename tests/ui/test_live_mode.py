@@ -325,7 +325,7 @@ def test_layers_can_be_renamed_and_removed_during_a_solve(live_dock, settle, bus
     busy_thread.set()
     settle(widget)
     assert_newest(widget)
-    assert "MR arrows, elastic" in names(widget), "the removed layer was not made again"
+    assert "T1 arrows, elastic" in names(widget), "the removed layer was not made again"
     paint(boundary, [(row, 15) for row in range(6, 14)], 1)
     viewer.layers.remove(boundary)
     settle(widget)
