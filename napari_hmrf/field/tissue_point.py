@@ -19,6 +19,8 @@ from napari_hmrf.solver.solution import Solution
 #: the elements around the site; elsewhere, the displayed value is the mean of these determinants.
 _FOLDS = " (folds: value at the worst corner)"
 _FULL = 100
+#: Distance from the target, in the unit of lengths, below which held tissue has reached it.
+_SHORT = 0.1
 
 
 class Probe(NamedTuple):
@@ -192,6 +194,7 @@ def at_point(
     more: Sequence[str] = (),
     percent: int = _FULL,
     held: float = 0.0,
+    missing: float = 0.0,
 ) -> str:
     """Describe the deformation at a point in one line for the status bar.
 
@@ -211,6 +214,8 @@ def at_point(
         with a remark that the values are those at 100 %.
     held : float
         Confidence with which the position of this tissue is given; 0 if the tissue is free.
+    missing : float
+        Distance of held tissue from its given position, in `unit`.
 
     Returns
     -------
@@ -221,8 +226,10 @@ def at_point(
     size = "volume" if len(probe.displacement) == 3 else "area"
     distance = f"{length:g} {unit}" + (f" ({ways.step(step)})" if length else "")
     motion = f"moves {distance}"
-    if held >= 1:
-        motion = f"held here, moved {distance}" if length else "held in place"
+    if held >= 1 and (short := rounded(missing)) >= _SHORT:
+        motion = f"moved {distance}, {short:g} {unit} short of its target"
+    elif held >= 1:
+        motion = f"held at its target, moved {distance}" if length else "held in place"
     elif held > 0:
         motion = f"held with confidence {held:.2g}, {motion}"
     parts = [

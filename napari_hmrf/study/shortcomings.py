@@ -34,7 +34,7 @@ def shortcomings(
         yield f"the tissue folds over itself at {folds} {sites}, which is impossible: move it less"
     # `unit_symbol` imports pint, which is slow, so call it for large motion only.
     short = shortfall(solution.reach, unit_symbol(unit)) if solution.reach is not None else ""
-    if (short or folds) and problem is not None and (cause := touching(problem)):
-        yield cause
-    if short:
-        yield short
+    has_stopped = solution.reach is not None and solution.reach.stopped
+    cause = touching(problem) if (short or folds) and problem is not None else ""
+    # More work comes first where it helps, because it may move the tissue all the way.
+    yield from filter(None, (short, cause) if has_stopped else (cause, short))

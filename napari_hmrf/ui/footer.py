@@ -166,7 +166,13 @@ class Footer(QWidget):
 
     def show_work(self, is_working: bool) -> None:
         """Enable "Cancel" while a solve is in progress, otherwise "Deform"."""
-        self.deform.enabled, self.cancel.enabled = not is_working, is_working
+        self.deform.enabled = not is_working
+        self.show_update(is_working)
+
+    def show_update(self, is_working: bool) -> None:
+        """Enable "Cancel" during an update after an edit; offers wait for its result."""
+        self.cancel.enabled = is_working
+        self.other.setEnabled(not is_working)
 
 
 class LiveChoice(CheckBox):

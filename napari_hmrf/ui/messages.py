@@ -17,6 +17,7 @@ from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.optimizers.base import Reach
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.staged_progress import COMPILING
 from napari_hmrf.study.landmark_data import uncertain_landmarks
@@ -138,10 +139,19 @@ def report(done: CompleteResult) -> str:
         return STILL
     slice_name = place.slice_seen.replace("slice", "Slice")
     where = f"{slice_name}: tissue" if slice_name else "Tissue"
-    moved = f"{where} moved up to {largest:.3g} {unit_symbol(place.unit)}."
+    unit = unit_symbol(place.unit)
+    moved = f"{where} moved up to {largest:.3g} {unit}.{_short_of_target(solution.reach, unit)}"
     moved = " ".join((moved, *map(_sentence, drift_clauses(solution))))
     is_kept = done.moved.settled and done.moved.is_earlier
     return f"{moved} {KEPT_RESULT}" if is_kept else moved
+
+
+def _short_of_target(reach: Reach | None, unit: str) -> str:
+    """Describe how far tissue stays short of its target, and what to do; "" if it does not."""
+    if reach is None or reach.where is None:
+        return ""
+    remedy = f"press '{CONTINUE}'" if reach.stopped else "see the warning"
+    return f" Some tissue stays up to {reach.missing:.3g} {unit} short of its target: {remedy}."
 
 
 def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:

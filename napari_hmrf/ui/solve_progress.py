@@ -98,6 +98,6 @@ class SolveProgress:
             self.stop()
         elif self._at_once or time.monotonic() - self._since > _PATIENCE:
             monitor = self._engine.monitor if working else messages.OVERLAY
-            self._footer.cancel.enabled = working
+            self._footer.show_update(working)
             self.doing.emit(messages.progress(monitor, self._work))
             self._footer.explain(monitor.message)

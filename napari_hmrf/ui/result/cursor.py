@@ -110,8 +110,11 @@ class UnderCursor:
         percent = 0 if shown.layers.is_before else shown.percent
         problem = answer.problem
         # Tissue is free if any of its components is free.
-        held = 0.0 if problem is None else float(problem.confidence[probe.site].min())
-        return at_point(answer.unit, probe, ways, more, percent, held)
+        held, missing = 0.0, 0.0
+        if problem is not None:
+            held = float(problem.confidence[probe.site].min())
+            missing = float(np.linalg.norm(problem.observed[probe.site] - probe.displacement))
+        return at_point(answer.unit, probe, ways, more, percent, held, missing)
 
     def append_to_status(self, *_: Any) -> None:
         """Append the values under the cursor to napari's latest status text."""

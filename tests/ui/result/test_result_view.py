@@ -672,7 +672,7 @@ def test_lengths_in_the_status_bar_are_rounded_to_significant_digits():
     ("held", "moved", "said"),
     [
         (0.0, 2.32, "moves 2.32 px (2.32 right)"),
-        (1.0, 2.32, "held here, moved 2.32 px (2.32 right)"),
+        (1.0, 2.32, "held at its target, moved 2.32 px (2.32 right)"),
         (1.0, 0.0, "held in place"),
         (0.5, 2.32, "held with confidence 0.5, moves 2.32 px (2.32 right)"),
     ],
@@ -683,10 +683,18 @@ def test_the_status_bar_says_how_tissue_is_held(held, moved, said):
     assert line == f"{said}, area change x 1.000"
 
 
+def test_the_status_bar_says_how_far_held_tissue_stays_short_of_its_target():
+    probe = Probe((3, 4), (0.0, 0.42), 0.42, 1.0, 0.0)
+    line = at_point("px", probe, Directions(), held=1.0, missing=31.2)
+    assert line.startswith("moved 0.42 px (0.42 right), 31.2 px short of its target, ")
+    close = at_point("px", probe, Directions(), held=1.0, missing=0.01)
+    assert close.startswith("held at its target, moved 0.42 px")
+
+
 def test_the_status_bar_says_that_the_tissue_under_the_cursor_is_held(look):
     line_at = look._view.cursor.line_at
     assert line_at((10, 2)).startswith("held in place")
-    assert line_at((10, 23.49)).startswith("held here, moved 3 px (3 right)")
+    assert line_at((10, 23.49)).startswith("held at its target, moved 3 px (3 right)")
     assert line_at((10, 12)).startswith("moves ")
 
 
