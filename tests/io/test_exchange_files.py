@@ -147,7 +147,7 @@ def test_a_decoder_that_fails_gives_a_reason(program, reason, tmp_path, monkeypa
     file.write_bytes(b"some")
     monkeypatch.setattr(itk_decoder, "__file__", str(script))
     monkeypatch.setattr(decoder_process, "_LEAST_MEMORY", 2**27)
-    if "answer" in reason:
+    if "respond" in reason:
         monkeypatch.setattr(decoder_process, "_LEAST_WAIT", 0.1)
     if "memory" in reason:
         monkeypatch.setattr(decoder_process, "_LEAST_SECONDS", 60.0)
