@@ -1,5 +1,7 @@
 """Tests of growth, forces and large motion in the dock."""
 
+import threading
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +12,12 @@ from qtpy.QtWidgets import QComboBox, QPushButton, QTableWidget
 from napari_hmrf import Drawing, Landmark, NeoHookeanPrior, Stroke
 from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import work
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.screen import Screen
+from tests.support.timeouts import LONG
 
 SIZE = 40
 ROWS, COLS = np.indices((SIZE, SIZE))
@@ -56,6 +60,16 @@ def do_and_wait(dock, wait_for):
 def offers(dock, words):
     buttons = dock.native.findChildren(QPushButton)
     return any(each.text().startswith(words) and not each.isHidden() for each in buttons)
+
+
+@contextmanager
+def long_work():
+    """Occupy the compute thread, as a long solve would."""
+    release = threading.Event()
+    job = compute_thread.submit(lambda: release.wait(LONG))
+    yield
+    release.set()
+    job.result(timeout=LONG)
 
 
 def test_typed_growth_moves_tissue_and_can_be_undone(dock, do_and_wait):
@@ -137,7 +151,9 @@ def test_a_button_removes_the_folds_of_a_volume_with_large_motion(qtbot, wait_fo
     assert not offers(dock, "Use large motion")
 
 
-def test_a_button_continues_large_motion_that_used_up_its_budget(dock, do_and_wait, monkeypatch):
+def test_a_button_continues_large_motion_that_used_up_its_budget(
+    dock, do_and_wait, monkeypatch, wait_for
+):
     monkeypatch.setattr(work, "_LEAST_CYCLE_SITES", {2: 0.0, 3: 0.0})
     screen, offer = Screen(dock), "Continue"
     do_and_wait(screen.cell("tumour", "grows").write, "60")
@@ -146,7 +162,10 @@ def test_a_button_continues_large_motion_that_used_up_its_budget(dock, do_and_wa
     short = do_and_wait(lambda: None)
     assert short.reach.stopped
     assert "had no time to settle" in dock.warning
-    done = do_and_wait(screen.press, offer)
+    with long_work():
+        screen.press(offer)
+        wait_for(lambda: not screen.button(offer).isEnabled())
+    done = do_and_wait(lambda: None)
     assert dock.settings.budget == 60
     assert not done.reach.stopped
     assert "settle" not in dock.warning
@@ -297,6 +316,7 @@ def test_a_warning_reports_motion_that_the_large_motion_model_could_not_apply(
     assert isinstance(dock.study.prior, NeoHookeanPrior)
     assert solution.reach.missing > 0.1
     assert "stay short" in dock.warning
+    assert "short of its target: see the warning" in dock.status
 
 
 def test_large_motion_is_not_offered_beside_an_uncertain_landmark(dock, do_and_wait):
