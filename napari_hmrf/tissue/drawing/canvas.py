@@ -204,10 +204,9 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
 
 def _steps(mark: Arrow | Stroke, box: Box, where: npt.NDArray[np.bool_]) -> FloatArray:
     """Return the displacement of each pixel of a mask in a box, without the growth of the mark."""
-    motion = mark.motion if isinstance(mark, Arrow) else None
-    if motion is None:
+    if mark.motion is None:
         return np.asarray(mark.by, dtype=np.float32)[np.newaxis]
-    return motion.on(box)[where].astype(np.float32)
+    return mark.motion.on(box)[where].astype(np.float32)
 
 
 def _stop_sliding(canvas: Canvas, box: Box, where: npt.NDArray[np.bool_]) -> None:

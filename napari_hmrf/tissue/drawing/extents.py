@@ -107,8 +107,8 @@ def _converted(
     components: Components,
 ) -> Mark:
     """Return a mark with converted positions and displacements."""
+    of_patch = None if mark.motion is None else motion(mark.motion)
     if not isinstance(mark, Stroke):
-        of_patch = None if mark.motion is None else motion(mark.motion)
         if isinstance(mark, Landmark):
             source, target = place(mark.source), place(mark.target)
             return replace(mark, source=source, target=target, motion=of_patch)
@@ -116,4 +116,4 @@ def _converted(
         return replace(mark, at=at, by=by, components=components, motion=of_patch)
     lines = tuple(tuple(map(place, line)) for line in mark.lines)
     by = step(mark.by) if mark.action == "move" else mark.by
-    return replace(mark, lines=lines, by=by, components=components)
+    return replace(mark, lines=lines, by=by, components=components, motion=of_patch)

@@ -260,6 +260,8 @@ class Stroke(_Checked):
         For "tissue": label of the tissue in the table or, without a table, in the preset.
     components : {"both", "row", "col"}
         Components that the mark prescribes; earlier marks determine the other components.
+    motion : PatchMotion, optional
+        For "move": displacement of each pixel, instead of `by`.
 
     Raises
     ------
@@ -277,11 +279,13 @@ class Stroke(_Checked):
     softness: float = 0.0
     label: int = 0
     components: Components = "both"
+    motion: PatchMotion | None = None
 
     @property
     def _places(self) -> tuple[Point, ...]:
         place = self.lines[0][0]
-        return (place, self.by) if self.action == "move" else (place,)
+        starts = () if self.motion is None else (self.motion.start,)
+        return (place, self.by, *starts) if self.action == "move" else (place, *starts)
 
     @property
     def moves_nowhere(self) -> bool:
@@ -335,13 +339,12 @@ def mark_as_dict(mark: Mark, motion: bool = True) -> dict[str, Any]:
         False to omit the displacements of the pixels of a held patch.
     """
     stored = dict(vars(mark))
-    if not isinstance(mark, Stroke):
-        if not mark.amount:
-            del stored["amount"]  # earlier versions read arrows and landmarks without growth
-        if mark.motion is None:
-            del stored["motion"]  # earlier versions read patches that move as a block
-        else:
-            stored["motion"] = mark.motion.as_dict(values=motion)
+    if not isinstance(mark, Stroke) and not mark.amount:
+        del stored["amount"]  # earlier versions read arrows and landmarks without growth
+    if mark.motion is None:
+        del stored["motion"]  # earlier versions read patches that move as a block
+    else:
+        stored["motion"] = mark.motion.as_dict(values=motion)
     if isinstance(mark, Landmark) and not mark.sd:
         del stored["sd"]  # earlier versions read exact landmarks
     return {"kind": type(mark).__name__.lower(), **stored}

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.tissue.drawing.drawing import Drawing
-from napari_hmrf.tissue.drawing.marks import Stroke, mark_as_dict
+from napari_hmrf.tissue.drawing.marks import mark_as_dict
 from napari_hmrf.tissue.drawing.patch_motion import Values
 
 
@@ -32,7 +32,7 @@ def held_motion(drawing: Drawing) -> Values | None:
     ndarray, shape (N,), float32, or None
         None if the drawing has no held patches.
     """
-    motions = (None if isinstance(mark, Stroke) else mark.motion for mark in drawing.marks)
+    motions = (mark.motion for mark in drawing.marks)
     values = [motion.values for motion in motions if motion is not None]
     return np.concatenate(values) if values else None
 

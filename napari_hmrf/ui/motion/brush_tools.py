@@ -8,9 +8,10 @@ from typing import ClassVar
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.drawing import Mark, Stroke
-from napari_hmrf.tissue.drawing.canvas import covers, rim_of
+from napari_hmrf.tissue.drawing.canvas import box_of, covers, is_empty, rim_of
 from napari_hmrf.tissue.drawing.growth import is_pull, patch_at, with_patch
 from napari_hmrf.tissue.drawing.marks import Action, Point, between
+from napari_hmrf.tissue.drawing.patch_motion import present_motion
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.tool import Origin, Tool, ToolError, ToolSettings, identity
 
@@ -114,7 +115,8 @@ class BrushTool(Tool):
         if stroke is None:
             return None
         kept: ToolSettings = {**settings, "radius": stroke.radius}
-        return replace(stroke, **kept)
+        changed = replace(stroke, **kept)
+        return changed if changed.by == stroke.by else replace(changed, motion=None)
 
     def _is_inside(self, point: Point) -> bool:
         """Return whether a point lies inside the image."""
@@ -214,7 +216,9 @@ class PushTool(BrushTool):
             return
         start, by = self._grip
         step = between(start, point, self._spacing)
-        self._replace(replace(stroke, by=tuple(map(sum, zip(by, step, strict=True)))))
+        to = tuple(map(sum, zip(by, step, strict=True)))
+        # A pushed patch moves as a block.
+        self._replace(replace(stroke, by=to, motion=None))
 
     def release(self) -> str | None:
         """End the drag; clear the message if the stroke has a displacement."""
@@ -226,7 +230,7 @@ class PushTool(BrushTool):
 class GrowTool(BrushTool):
     """Brush for a patch or a closed ring of tissue that grows or shrinks.
 
-    Displaced tissue keeps its displacement: the new patch moves by it, and grows from there.
+    Displaced tissue keeps its displacement and its stretch, and grows from there.
     """
 
     name = "expand"
@@ -274,13 +278,16 @@ class GrowTool(BrushTool):
         return self._moved(stroke, between(at, point, self._spacing))
 
     def _continues(self, new: Stroke, stroke: Stroke) -> bool:
-        return super()._continues(replace(new, action=stroke.action, by=stroke.by), stroke)
+        same = replace(new, action=stroke.action, by=stroke.by, motion=stroke.motion)
+        return super()._continues(same, stroke)
 
     def _moved(self, stroke: Stroke, by: Point) -> Stroke:
         """Return a growing stroke that also moves, or only grows if the tissue is not displaced."""
         if math.hypot(*by) <= _NOTHING * min(self._spacing):
-            return replace(stroke, action=self.action, by=(0.0,) * len(by))
-        return replace(stroke, action="move", by=by)
+            return replace(stroke, action=self.action, by=(0.0,) * len(by), motion=None)
+        box = box_of(stroke, self._spacing, tuple(slice(0, size) for size in self._shape))
+        motion = None if is_empty(box) else present_motion(box, self._spacing, self.present)
+        return replace(stroke, action="move", by=by, motion=motion)
 
     def _changed(self, settings: ToolSettings) -> Mark | None:
         mark = self.mark

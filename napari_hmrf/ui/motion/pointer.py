@@ -367,6 +367,7 @@ class Pointer:
             self.message.emit(motion_messages.PREPARING)
             return
         if not self.tool.is_dragging:
+            self.tool.present = moved.motion_of
             self.action_started.emit()
         if (other := self.display.covering) is not None:
             self.message.emit(motion_messages.covered(other.name))
