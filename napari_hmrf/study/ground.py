@@ -379,7 +379,7 @@ def refuse_sliding(study: Study, slides: npt.NDArray[np.bool_] | bool) -> None:
         raise ProblemError(
             study.named("boundary" if any(by_label) else "drawing"),
             f"has tissue that slides, which the model '{study.model_name}' does not support. Use "
-            "the elastic model (`model='elastic'`), or hold the surface fixed.",
+            "the elastic model (`model='elastic'`), or remove the sliding surface.",
         )
 
 

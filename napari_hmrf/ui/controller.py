@@ -342,6 +342,9 @@ class Controller:
         """Solve for the changed drawing without reading the layers again."""
         if self._refresh_timer.isActive() and (self.form.footer.live.value or self.pointer.active):
             return  # the refresh reads the other changes of the same undo step, and the drawing
+        if self._failure:  # the last study that was read has other settings than the form
+            self.follow_edit()
+            return
         study = self.study
         if study is not None:
             self._follow(study)

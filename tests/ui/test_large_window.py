@@ -9,7 +9,7 @@ import pytest
 from napari.components import ViewerModel
 from qtpy.QtWidgets import QComboBox, QPushButton, QTableWidget
 
-from napari_hmrf import Drawing, Landmark, NeoHookeanPrior, Stroke
+from napari_hmrf import Arrow, Drawing, Landmark, NeoHookeanPrior, Stroke
 from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -317,6 +317,19 @@ def test_a_warning_reports_motion_that_the_large_motion_model_could_not_apply(
     assert solution.reach.missing > 0.1
     assert "stay short" in dock.warning
     assert "short of its target: see the warning" in dock.status
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_large_motion_is_solved_once_the_sliding_surface_is_removed(dock, do_and_wait, live):
+    pull = (Arrow((10, 20), (2, 0), 3.0), Stroke("expand", (((28, 28),),), 4.0, amount=1.0))
+    slide = Stroke("slide", (((5, 1), (30, 1)),), 1.5)
+    do_and_wait(setattr, dock, "drawing", Drawing((*pull, slide)))
+    dock.live = live
+    do_and_wait(setattr, dock, "model", "large motion")
+    assert dock.solution.provenance.model == "elastic"
+    solution = do_and_wait(setattr, dock, "drawing", Drawing(pull))
+    assert solution.provenance.model == "large motion"
+    assert "not updated" not in dock.status
 
 
 def test_large_motion_is_not_offered_beside_an_uncertain_landmark(dock, do_and_wait):

@@ -71,7 +71,8 @@ def in_the_way(mark: Mark, can_grow: bool) -> str:
         is_held = mark.action == "pin" or (mark.action == "move" and not any(mark.by))
         name = _HELD if is_held else _STROKES[mark.action]
     else:
-        is_held = mark.source == mark.target if isinstance(mark, Landmark) else not any(mark.by)
+        is_still = mark.source == mark.target if isinstance(mark, Landmark) else not any(mark.by)
+        is_held = is_still or mark.motion is not None  # held where a pull has moved it
         name = _HELD if is_held else "a landmark" if isinstance(mark, Landmark) else "a pull"
     remedy = "Turn the wheel over it, or set" if can_grow else "Set"
     return f"Not grown: {name} is in the way. {remedy} a smaller radius."
