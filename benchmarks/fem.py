@@ -54,12 +54,8 @@ def plane_stress_displacement(problem: Problem, poisson: float = 0.3) -> Float64
         return displacement
     nodes, elements = np.unique(corners, return_inverse=True)
     elements = elements.reshape(corners.shape)
-    modulus = problem.stiffness.astype(np.float64).ravel()[corners].mean(axis=0)
     places = np.argwhere(np.ones(problem.shape, dtype=bool))[nodes] * np.asarray(problem.spacing)
-    mesh = MeshQuad(places.T.copy(), elements, sort_t=False, validate=False)
-    basis = Basis(mesh, ElementVector(ElementQuad1()), intorder=2)
-    stiffness = _stiffness_form(poisson).assemble(basis, modulus=modulus[:, None])
-
+    basis, stiffness = _assembled(problem, poisson, corners, elements, places)
     values = np.zeros(basis.N)
     values[basis.nodal_dofs] = displacement.reshape(-1, 2)[nodes].T
     known = np.zeros(basis.N, dtype=bool)
@@ -77,6 +73,38 @@ def plane_stress_displacement(problem: Problem, poisson: float = 0.3) -> Float64
         values[~known] = factor.solve(load)
     displacement.reshape(-1, 2)[nodes] = values[basis.nodal_dofs].T
     return displacement
+
+
+def plane_stress_matrix(problem: Problem, poisson: float = 0.3) -> Float64Array:
+    """Return the dense matrix of a small problem without void, assembled by scikit-fem.
+
+    Returns
+    -------
+    ndarray, shape (2 H W, 2 H W)
+        Half of its quadratic form is the energy of a displacement, in the order of an array of
+        shape (H, W, 2).
+    """
+    sites = np.arange(problem.stiffness.size).reshape(problem.shape)
+    corners = np.stack([sites[:-1, :-1], sites[1:, :-1], sites[1:, 1:], sites[:-1, 1:]])
+    corners = corners.reshape(4, -1)
+    places = np.argwhere(np.ones(problem.shape, dtype=bool)) * np.asarray(problem.spacing)
+    basis, stiffness = _assembled(problem, poisson, corners, corners, places)
+    order = basis.nodal_dofs.T.ravel()
+    return np.asarray(stiffness.toarray()[np.ix_(order, order)])
+
+
+def _assembled(
+    problem: Problem,
+    poisson: float,
+    corners: npt.NDArray[np.int64],
+    elements: npt.NDArray[np.int64],
+    places: Float64Array,
+) -> tuple[Basis, scipy.sparse.csr_matrix]:
+    """Return the basis and the matrix of elements with the given corners."""
+    modulus = problem.stiffness.astype(np.float64).ravel()[corners].mean(axis=0)
+    mesh = MeshQuad(places.T.copy(), elements, sort_t=False, validate=False)
+    basis = Basis(mesh, ElementVector(ElementQuad1()), intorder=2)
+    return basis, _stiffness_form(poisson).assemble(basis, modulus=modulus[:, None])
 
 
 def _stiffness_form(poisson: float) -> BilinearForm:

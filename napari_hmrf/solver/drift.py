@@ -16,7 +16,6 @@ p and M, and a is accurate for landmarks of any precision.
 
 from __future__ import annotations
 
-import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -34,7 +33,7 @@ from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.growth import slabs
-from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 from napari_hmrf.solver.volume_memory import check_memory
@@ -66,7 +65,7 @@ def has_drift(problem: Problem, prior: Prior | None) -> bool:
 def without_drift(problem: Problem) -> Problem:
     """Return the same problem without a drift."""
     assert problem.landmarks is not None
-    return _variant(problem, landmarks=problem.landmarks.without_drift)
+    return variant_of(problem, landmarks=problem.landmarks.without_drift)
 
 
 def with_drift_of(problem: Problem, solution: Solution) -> Problem:
@@ -83,7 +82,7 @@ def with_drift_of(problem: Problem, solution: Solution) -> Problem:
     """
     growth = None if solution.elasticity is None else solution.elasticity.growth
     force = None if problem.loads is None else problem.loads.force
-    return _variant(without_drift(problem), loads=Loads(growth=growth, force=force))
+    return variant_of(without_drift(problem), loads=Loads(growth=growth, force=force))
 
 
 def drift_clauses(solution: Solution) -> tuple[str, ...]:
@@ -226,7 +225,7 @@ class _Responses:
             solve(_response_problem(problem, unit), schedule, None, _part(progress, number, solves))
             for number, unit in enumerate(units)
         ]
-        bare = _variant(problem, loads=None)
+        bare = variant_of(problem, loads=None)
         fields = [each.displacement for each in solved]
         at_points = [_at_points(problem, field) for field in fields]
         forces, matrix = [], np.empty((len(units),) * 2)
@@ -309,15 +308,6 @@ in_child_of_fork(_last.clear)
 volume_caches.register(_last.clear)
 
 
-def _variant(problem: Problem, **changes: object) -> Problem:
-    """Return a copy of a validated problem with other observations, loads or landmarks."""
-    other = copy.copy(problem)
-    vars(other).pop("digests", None)
-    for name, value in changes.items():
-        object.__setattr__(other, name, value)
-    return other
-
-
 def _unit_strains(axes: int) -> list[Float64Array]:
     units = []
     for i in range(axes):
@@ -339,7 +329,9 @@ def _response_problem(plain: Problem, unit: Float64Array) -> Problem:
     assert marks is not None
     still = Landmarks(marks.points, marks.points, sd=marks.sd, scale=marks.scale)
     rest = np.zeros_like(plain.observed)
-    return _variant(plain, observed=rest, loads=Loads(growth=_growth(plain, unit)), landmarks=still)
+    return variant_of(
+        plain, observed=rest, loads=Loads(growth=_growth(plain, unit)), landmarks=still
+    )
 
 
 def _tighter(optimizer: Optimizer, share: float, largest: float = np.inf) -> Optimizer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -245,6 +246,18 @@ class Problem:
     def unit(self) -> float:
         """Length of one pixel in the solver: the geometric mean of `spacing`."""
         return math.prod(self.spacing) ** (1.0 / len(self.spacing))
+
+
+def variant_of(problem: Problem, **changes: object) -> Problem:
+    """Return a copy of a validated problem with other fields, which are not validated.
+
+    The stiffness must stay the same, because masks of the tissue are copied.
+    """
+    other = copy.copy(problem)
+    vars(other).pop("digests", None)
+    for name, value in changes.items():
+        object.__setattr__(other, name, value)
+    return other
 
 
 class _Digests(Mapping[str, str]):

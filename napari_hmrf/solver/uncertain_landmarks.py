@@ -177,6 +177,11 @@ class Landmarks:
             return self
         return Landmarks(self.points, self.targets, sd=self.sd, scale=self.scale)
 
+    @cached_property
+    def at_rest(self) -> Landmarks:
+        """The same landmarks with an observed displacement of 0."""
+        return Landmarks(self.points, self.points, sd=self.sd, scale=self.scale, drift=self.drift)
+
     def displacement(self, spacing: Sequence[float]) -> Float64Array:
         """Return the observed displacements, shape (n, 2) or (n, 3), in the unit of `spacing`."""
         return np.asarray((self.targets - self.points) * np.asarray(spacing))
