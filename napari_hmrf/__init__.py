@@ -33,6 +33,7 @@ napari_hmrf.landmarks    landmark files
 napari_hmrf.cases        batches of cases, solved in parallel
 napari_hmrf.random       random deformations for data augmentation and registration validation
 napari_hmrf.registration registration of two images, with elastic tissue between them
+napari_hmrf.posterior    uncertainty of a displacement; fields sampled from the posterior
 napari_hmrf.data         phantoms and reference solutions
 ======================== =========================================================================
 
@@ -117,6 +118,7 @@ _PACKAGES = (
     "fields",
     "landmarks",
     "loads",
+    "posterior",
     "random",
     "registration",
     "tissue",

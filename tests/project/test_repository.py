@@ -39,7 +39,7 @@ ROOMS = (
     {"layers"},
     {"samples", "augmentation"},
     {"io"},
-    {"registration"},
+    {"registration", "posterior"},
     {"study"},
     {"tissue", "field"},
     {"solver"},

@@ -1,0 +1,201 @@
+"""Uncertainty: standard deviations beside dense posteriors, coverage of intervals, and times.
+
+    python -m benchmarks.uncertainty [samples] [coverage] [times] [--problems 2000]
+
+`samples` compares standard deviations of 30, 300 and 3000 samples with those of dense inverse
+matrices: contrast to 1000, tensors, landmarks, void, long pixels, images and volumes. `coverage`
+draws the true motion of random tissue from a matrix that scikit-fem assembled, observes it with
+noise, and counts how often the intervals of 68 % and 95 % contain it. `times` compares a sample
+with a solve after a change of the motion, in turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.fem import plane_stress_matrix
+from napari_hmrf import ElasticPrior, Problem, solve
+from napari_hmrf.landmarks import Landmarks, StrainScale
+from napari_hmrf.posterior import sample_posterior, uncertainty
+from napari_hmrf.posterior.noise import PosteriorNoise
+from napari_hmrf.posterior.response import Response
+from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
+from tests.support.data_oracle import interpolation
+from tests.support.posterior_oracle import posterior_covariance
+
+Array = npt.NDArray[np.float64]
+_SCALE = StrainScale(0.1)
+_COUNTS = (30, 300, 3000)
+# Quantiles of the normal distribution for 68 % and 95 %.
+_BOUNDS = {68: 0.9945, 95: 1.96}
+
+
+def _random(seed: int) -> tuple[str, Problem]:
+    """Return a random problem with a data term, and its description."""
+    rng = np.random.default_rng(seed)
+    grid, spacing = (
+        ((14, 14), (1.0, 1.0)),
+        ((14, 14), (1.0, 3.0)),
+        ((6, 6, 6), (1.0, 1.0, 1.0)),
+        ((6, 6, 6), (2.0, 1.0, 1.0)),
+    )[seed % 4]
+    axes, contrast = len(grid), (1.0, 1e3)[seed // 4 % 2]
+    m = contrast ** rng.random(grid)
+    c = np.zeros((*grid, axes))
+    kind = ("held", "tensors", "landmarks")[seed // 8 % 3]
+    precision, marks = None, None
+    if kind != "landmarks":
+        m[(slice(2, 4),) * axes] = 0
+        c[0] = 1
+    energy = _SCALE.energy(m, spacing)
+    if kind == "tensors":
+        factors = rng.normal(size=(*grid, axes, axes))
+        precision = factors @ factors.swapaxes(-1, -2) * (rng.random(grid) < 0.1)[..., None, None]
+        precision *= energy / 0.3**2
+    if kind == "landmarks":
+        points = rng.random((8, axes)) * (np.array(grid) - 1)
+        marks = Landmarks(points, points, sd=10 ** rng.uniform(-1, 0.5), scale=_SCALE)
+    observed = np.zeros_like(c)
+    problem = Problem(observed, c, m, spacing=spacing, precision=precision, landmarks=marks)
+    return f"{grid}, spacing {spacing}, contrast {contrast:g}, {kind}", problem
+
+
+def samples(count: int = 24) -> None:
+    """Print the variance of samples relative to that of dense inverse matrices.
+
+    The theoretical error of the mean variance follows from the whole covariance: neighbouring sites
+    move together, and their variances are not independent.
+    """
+    print("| problem | samples | error of the mean variance | its theoretical sd | ratio |")
+    print("| --- | --- | --- | --- | --- |")
+    scores = []
+    for seed in range(count):
+        words, problem = _random(seed)
+        covariance, free = posterior_covariance(problem, ElasticPrior(), _SCALE)
+        variance = np.diag(covariance)
+        correlation = covariance / np.sqrt(np.outer(variance, variance))
+        squares = np.zeros(len(variance))
+        drawn = sample_posterior(problem, n=_COUNTS[-1], scale=_SCALE, seed=seed, backend="cpu")
+        for number, field in enumerate(drawn, start=1):
+            squares += field.ravel()[free].astype(np.float64) ** 2
+            if number in _COUNTS:
+                error = float((squares / number / variance).mean() - 1)
+                theory = np.sqrt(2 * (correlation**2).mean() / number)
+                scores.append(error / theory)
+                print(f"| {words} | {number} | {error:+.4f} | {theory:.4f} | {scores[-1]:+.2f} |")
+    rms = float(np.sqrt(np.mean(np.square(scores))))
+    largest = float(np.abs(scores).max())
+    print(f"ratios: root mean square {rms:.2f} (1 in theory), largest {largest:.2f}")
+
+
+def coverage(count: int = 2000) -> None:
+    """Print how often intervals contain the true motion of patches and labels."""
+    inside = {(what, percent): 0 for what in ("label", "patch") for percent in _BOUNDS}
+    total = {"label": 0, "patch": 0}
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        grid = tuple(int(size) for size in rng.integers(8, 15, 2))
+        spacing = (1.0, float(rng.choice([1.0, 2.0])))
+        m = 10 ** rng.uniform(0, 2) ** rng.random(grid)
+        c = np.zeros((*grid, 2))
+        c[0] = 1
+        bare = Problem(np.zeros_like(c), c, m, spacing=spacing)
+        energy = _SCALE.energy(bare.stiffness, spacing)
+        # The truth is a sample of the prior, by another assembly of the elements.
+        free = (c == 0).ravel()
+        root = np.linalg.cholesky(plane_stress_matrix(bare)[np.ix_(free, free)])
+        truth = np.zeros(c.size)
+        truth[free] = np.sqrt(energy) * np.linalg.solve(root.T, rng.normal(size=free.sum()))
+        points = rng.random((int(rng.integers(1, 7)), 2)) * (np.array(grid) - 1)
+        sd = float(10 ** rng.uniform(-1, 0.5))
+        seen = (interpolation(points, grid) @ truth).reshape(-1, 2)
+        seen += sd * rng.normal(size=seen.shape)
+        marks = Landmarks(points, points + seen / spacing, sd=sd, scale=_SCALE)
+        problem = Problem(0 * c, c, m, spacing=spacing, landmarks=marks)
+        labels = np.zeros(grid, int)
+        labels[-4:, -4:], labels[3:5, 3:5] = 1, 2
+        result = uncertainty(
+            problem, ElasticPrior(0.3), labels=labels, patch=3.0, seed=seed, backend="cpu"
+        )
+        field = truth.reshape(*grid, 2)
+        for number, found in result.labels.items():
+            errors = np.abs(field[labels == number].mean(axis=0) - found.mean) / found.sd
+            total["label"] += errors.size
+            for percent, bound in _BOUNDS.items():
+                inside["label", percent] += int((errors < bound).sum())
+        row, col = grid[0] - 3, int(rng.integers(2, grid[1] - 2))
+        width = 1 if spacing[1] == 1 else 0
+        around = (slice(row - 1, row + 2), slice(col - width, col + width + 1))
+        mean, known = (
+            each[around].mean(axis=(0, 1)) for each in (field, result.solution.displacement)
+        )
+        errors = np.abs(mean - known) / result.sd[row, col]
+        total["patch"] += errors.size
+        for percent, bound in _BOUNDS.items():
+            inside["patch", percent] += int((errors < bound).sum())
+    print("| what | interval | contains the truth | of |")
+    print("| --- | --- | --- | --- |")
+    for (what, percent), number in inside.items():
+        share = 100 * number / total[what]
+        print(f"| mean of a {what} | {percent} % | {share:.1f} % | {total[what]} |")
+
+
+def times(turns: int = 6) -> None:
+    """Print the time of a sample relative to a solve after a change of the motion."""
+    print("| grid | solve (s) | sample (s) | ratio (range) |")
+    print("| --- | --- | --- | --- |")
+    for grid in ((300, 300), (1024, 1024), (96, 96, 96)):
+        axes = len(grid)
+        away = np.linalg.norm(np.indices(grid).T - (np.array(grid[::-1]) - 1) / 2, axis=-1).T
+        m = np.where(away < grid[0] / 5, 5.0, 1.0)
+        c, y = np.zeros((*grid, axes)), np.zeros((*grid, axes))
+        c[0], c[away < grid[0] / 20] = 1, 1
+        patch = c[..., 0] * (away < grid[0] / 20)
+        y[..., 0] = 3 * patch
+        problem = Problem(y, c, m)
+        prior = checked_prior(problem, None)
+        energy = energy_of(problem, _SCALE)
+        solve(problem, prior, backend="cpu")
+        sampler = Sampler(
+            Response(problem, prior, "cpu"), PosteriorNoise(problem, prior, energy), 0
+        )
+        pairs = []
+        for turn in range(turns):
+            moved = y.copy()
+            moved[..., axes - 1] += patch * (turn + 1)
+            other = Problem(moved, c, m)
+            begun = time.perf_counter()
+            solve(other, prior, backend="cpu")
+            between = time.perf_counter()
+            sampler.deviation(turn)
+            pairs.append((between - begun, time.perf_counter() - between))
+        solved, sampled = np.median(pairs, axis=0)
+        ratios = [two / one for one, two in pairs]
+        size = " x ".join(map(str, grid))
+        print(
+            f"| {size} | {solved:.3f} | {sampled:.3f} | {np.median(ratios):.2f} "
+            f"({min(ratios):.2f} to {max(ratios):.2f}) |"
+        )
+
+
+def main() -> None:
+    """Print the chosen tables, or all."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("tables", nargs="*", choices=["samples", "coverage", "times", []])
+    parser.add_argument("--problems", type=int, default=2000, help="random problems of `coverage`")
+    given = parser.parse_args()
+    tables = given.tables or ["samples", "coverage", "times"]
+    if "samples" in tables:
+        samples()
+    if "coverage" in tables:
+        coverage(given.problems)
+    if "times" in tables:
+        times()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,25 @@
+"""Uncertainty of a solution: fields and standard deviations of the posterior distribution.
+
+`uncertainty` estimates how sure the displacement of each patch of tissue is::
+
+    from napari_hmrf.landmarks import StrainScale
+    from napari_hmrf.posterior import uncertainty
+
+    result = uncertainty(problem, scale=StrainScale(0.05), labels=labels)
+    result.along  # error bar of the length of the displacement of each patch
+    result.labels[2].sd  # error bars of the mean displacement of label 2
+
+`study_uncertainty` does the same for a study, and `sample_posterior` returns whole fields.
+"""
+
+from napari_hmrf.posterior.sampling import sample_posterior
+from napari_hmrf.posterior.study_uncertainty import study_uncertainty
+from napari_hmrf.posterior.uncertainty import MeanDisplacement, Uncertainty, uncertainty
+
+__all__ = [
+    "MeanDisplacement",
+    "Uncertainty",
+    "sample_posterior",
+    "study_uncertainty",
+    "uncertainty",
+]

@@ -1,0 +1,170 @@
+"""Random forces whose covariance is the matrix of a problem.
+
+A field is sampled from the posterior by *perturb and solve*: if H is the matrix of all quadratic
+terms (elastic energy, precision, landmarks) and T the unit of energy, the posterior is a normal
+distribution with the solution as its mean and the covariance T H^-1. A random force g with the
+covariance T H moves the tissue by H^-1 g, which therefore has the covariance of the posterior.
+
+Each term supplies its own part of g. The matrix of an element is ``lambda K_1 + mu K_2`` with two
+constant matrices, so its part is
+
+    sqrt(T lambda) L_1 x_1 + sqrt(T mu) L_2 x_2,    K_i = L_i L_i^T
+
+with standard normal x_1 and x_2. The matrices are those of the solver, which integrates the change
+in volume with a single point (selective reduced integration). Noise at each point of integration
+would have another covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.priors.elements import element_stiffness
+from napari_hmrf.solver.priors.growth import slabs
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.uncertain_landmarks import corners_of
+
+Float64Array = npt.NDArray[np.float64]
+# Largest eigenvalue, relative to the largest of all, that counts as 0.
+_NULL = 1e-12
+
+
+class PosteriorNoise:
+    """Random forces on the sites of a problem, in the unit of `Loads`.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : ElasticPrior
+    energy : float
+        Unit of energy, T in the equations: stiffness times length^n.
+    """
+
+    def __init__(self, problem: Problem, prior: ElasticPrior, energy: float) -> None:
+        self._problem = problem
+        unit = prior.force_unit(problem)
+        first, shear = (_factor(each) for each in element_stiffness(prior.shape(problem.spacing)))
+        # In the solver, stiffness is relative to the stiffest tissue and lengths are in pixels.
+        amount = np.sqrt(energy / (unit * problem.unit)) * unit
+        self._first, self._shear = amount * first, amount * shear
+        self._slabs = [*_element_slabs(problem, prior)]
+        self._sites = _site_factors(problem, energy)
+        self._points = _PointNoise.of(problem, energy)
+
+    def force(self, rng: np.random.Generator) -> Float64Array:
+        """Return a random force on each site, shape (H, W, 2) or (D, H, W, 3).
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+        """
+        grid = self._problem.shape
+        force = np.zeros((*grid, len(grid)))
+        for slab in self._slabs:
+            self._add_elements(force[slab.sites], slab, rng)
+        if self._sites is not None:
+            at, roots = self._sites
+            drawn = rng.standard_normal((len(roots), len(grid)))
+            force[at] += np.einsum("sij,sj->si", roots, drawn)
+        if self._points is not None:
+            self._points.add(force, rng)
+        return force
+
+    def _add_elements(self, force: Float64Array, slab: _Slab, rng: np.random.Generator) -> None:
+        """Add the part of the elements of a slab to the forces on its sites."""
+        axes, count = force.ndim - 1, len(slab.first)
+        pushes = np.zeros((count, self._first.shape[0]))
+        for roots, factor in ((slab.first, self._first), (slab.shear, self._shear)):
+            drawn = rng.standard_normal((count, factor.shape[1]))
+            drawn *= roots[:, None]
+            pushes += drawn @ factor.T
+        of_corners = pushes.reshape(count, 2**axes, axes)
+        for number, corner in enumerate(np.ndindex(*(2,) * axes)):
+            ends = tuple(
+                slice(end, end + size - 1)
+                for end, size in zip(corner, force.shape[:-1], strict=True)
+            )
+            force[ends][slab.elements] += of_corners[:, number]
+
+
+class _Slab(NamedTuple):
+    """Tissue elements between a range of sites along the first axis.
+
+    Attributes
+    ----------
+    sites : slice
+    elements : ndarray of bool
+        Mask of the elements that are strained.
+    first, shear : ndarray, shape (n,)
+        Square roots of the Lame parameters of these elements.
+    """
+
+    sites: slice
+    elements: npt.NDArray[np.bool_]
+    first: Float64Array
+    shear: Float64Array
+
+
+def _element_slabs(problem: Problem, prior: ElasticPrior) -> Iterator[_Slab]:
+    for sites in slabs(problem.shape):
+        lame = prior.lame(problem, sites)
+        elements = lame.shear > 0
+        yield _Slab(sites, elements, np.sqrt(lame.first[elements]), np.sqrt(lame.shear[elements]))
+
+
+def _factor(matrix: Float64Array) -> Float64Array:
+    """Return L with ``L L^T`` equal to a positive semidefinite matrix, without null columns."""
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > _NULL * max(float(values[-1]), np.finfo(float).tiny)
+    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+
+
+def _site_factors(
+    problem: Problem, energy: float
+) -> tuple[tuple[npt.NDArray[np.intp], ...], Float64Array] | None:
+    """Return the sites with a precision, and the square root of each tensor times the energy."""
+    if problem.precision is None:
+        return None
+    at = np.nonzero(problem.precision.any(axis=(-2, -1)))
+    values, vectors = np.linalg.eigh(problem.precision[at])
+    roots = np.sqrt(energy * np.maximum(values, 0))
+    return at, np.asarray(np.einsum("sij,sj->sij", vectors, roots))
+
+
+class _PointNoise(NamedTuple):
+    """Noise of landmarks, which is divided among the corners of their elements.
+
+    Attributes
+    ----------
+    elements : ndarray of int, shape (n, axes)
+    within : ndarray, shape (n, axes)
+        Position of each landmark in its element, from 0 to 1.
+    roots : ndarray, shape (n, axes)
+        Standard deviation of the force on each landmark.
+    """
+
+    elements: npt.NDArray[np.intp]
+    within: Float64Array
+    roots: Float64Array
+
+    @classmethod
+    def of(cls, problem: Problem, energy: float) -> _PointNoise | None:
+        """Return the noise of the landmarks of a problem, or None if there are none."""
+        marks = problem.landmarks
+        if marks is None:
+            return None
+        elements, within = corners_of(marks.points, problem.shape)
+        precision = marks.precision(problem.stiffness, problem.spacing)
+        return cls(elements, within, np.sqrt(energy * precision))
+
+    def add(self, force: Float64Array, rng: np.random.Generator) -> None:
+        """Add the noise to the forces on sites."""
+        drawn = self.roots * rng.standard_normal(self.roots.shape)
+        for corner in np.ndindex(*(2,) * self.roots.shape[1]):
+            shares = np.where(corner, self.within, 1 - self.within).prod(axis=1)
+            np.add.at(force, tuple((self.elements + corner).T), shares[:, None] * drawn)

@@ -1,0 +1,195 @@
+"""Fields sampled from the posterior of a problem, by perturb and solve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.arguments import is_whole, refuse_unless
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.posterior.noise import PosteriorNoise
+from napari_hmrf.posterior.response import Response
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.rigid_modes import check_held
+from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
+from napari_hmrf.solver.uncertain_landmarks import StrainScale
+
+Float32Array = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+
+
+def sample_posterior(
+    problem: Problem,
+    prior: Prior | None = None,
+    n: int = 30,
+    *,
+    scale: StrainScale | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+) -> Iterator[Float32Array]:
+    """Sample displacement fields of tissue from the posterior distribution.
+
+    The energy of a problem is the negative logarithm of a probability: tissue that is strained
+    little is likely, and so are displacements close to uncertain observations. `solve` returns the
+    most likely field. The fields of this function are other fields that the tissue may have, each
+    with its probability. For held sites and quadratic observations (`precision`, `landmarks`), the
+    distribution is normal, and the samples follow it exactly up to the accuracy of the solver, 1 %
+    of their size.
+
+    The displacement of a single point in a volume has no finite variance in the limit of small
+    voxels, because elastic tissue may strain at any scale. Use means over patches or labels, as
+    `uncertainty` does.
+
+    Parameters
+    ----------
+    problem : Problem
+        Problem without doubted observations (a confidence between 0 and 1) and without a drift.
+    prior : ElasticPrior, optional
+        By default elastic tissue, as for `solve`.
+    n : int
+        Number of samples.
+    scale : StrainScale, optional
+        Scale of the prior: the typical strain of tissue before any observation. By default that of
+        the landmarks, otherwise a strain of 10 %. It is required if the problem has a `precision`,
+        whose unit of energy it defines: the variance of an observation is the energy of the scale
+        divided by its precision.
+    seed : int
+        Seed of the random numbers. Sample number i depends on the seed and on i only.
+    backend : str
+        As for `solve`.
+    progress : callable, optional
+        As for `solve`: called with a message and the fraction of all samples that is complete.
+    cancel : threading.Event or similar, optional
+        As for `solve`.
+
+    Returns
+    -------
+    iterator of ndarray, shape (H, W, 2) or (D, H, W, 3), float32
+        Displacements in the unit of `spacing`. Samples are computed when they are requested.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is invalid.
+    ProblemError
+        If the posterior is not a normal distribution (doubted observations, large motion, the
+        paper's models), if it is not implemented (drift), or if tissue can move freely.
+    Cancelled
+        If `cancel` was set.
+
+    References
+    ----------
+    G. Papandreou, A. Yuille: Gaussian sampling by local perturbations. NIPS 2010.
+    """
+    check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
+    refuse_unless(is_whole(n) and n >= 1, "n", n, "a number of samples, 1 or more")
+    refuse_unless(is_whole(seed) and seed >= 0, "seed", seed, "a whole number, 0 or more")
+    elastic = checked_prior(problem, prior)
+    energy = energy_of(problem, scale)
+    response = Response(problem, elastic, backend, cancel)
+    noise = PosteriorNoise(problem, elastic, energy)
+
+    def samples() -> Iterator[Float32Array]:
+        sampler = Sampler(response, noise, seed)
+        mean = solve(problem, elastic, backend=backend, cancel=cancel).displacement
+        for number in range(n):
+            if progress is not None:
+                progress(Monitor(f"sample {number + 1} of {n}", number / n))
+            yield np.asarray(mean + sampler.deviation(number), np.float32)
+
+    return samples()
+
+
+def checked_prior(problem: Problem, prior: Prior | None) -> ElasticPrior:
+    """Return the elastic prior of a problem whose posterior is a normal distribution.
+
+    Raises
+    ------
+    ProblemError
+        If the posterior is another distribution, or if tissue can move freely.
+    """
+    if prior is not None and not isinstance(prior, ElasticPrior):
+        raise ProblemError(
+            "prior",
+            f"is a {type(prior).__name__}, whose posterior is not a normal distribution or is not "
+            "implemented. Pass ElasticPrior().",
+        )
+    elastic = prior or ElasticPrior()
+    if elastic.can_slip(problem):
+        raise ProblemError(
+            "confidence",
+            "is between 0 and 1 somewhere, or the prior has a penalty: such observations may slip, "
+            "and the posterior is not a normal distribution. Pass a precision or landmarks with "
+            "standard deviations instead, or hold the sites with a confidence of 1.",
+        )
+    if problem.landmarks is not None and problem.landmarks.drift:
+        raise ProblemError(
+            "landmarks",
+            "have a drift, whose uncertainty is not implemented. Pass landmarks without a drift.",
+        )
+    check_held(problem)
+    return elastic.in_force(problem)
+
+
+def energy_of(problem: Problem, scale: StrainScale | None) -> float:
+    """Return the unit of energy of a problem's posterior: stiffness times length^n.
+
+    Raises
+    ------
+    ProblemError
+        If the scale of the precision is unknown, or the landmarks have another scale.
+    """
+    marks, of_marks = problem.landmarks, None
+    if marks is not None:
+        of_marks = marks.scale.energy(problem.stiffness, problem.spacing)
+    if scale is None:
+        if of_marks is not None:
+            return of_marks
+        if problem.precision is not None:
+            raise ProblemError(
+                "scale",
+                "is required for a problem with a precision: pass the StrainScale from whose "
+                "energy the precision was computed.",
+            )
+        scale = StrainScale()
+    energy = scale.energy(problem.stiffness, problem.spacing)
+    if of_marks is not None and not math.isclose(energy, of_marks, rel_tol=1e-6):
+        raise ProblemError(
+            "scale", "differs from the scale of the landmarks. Omit it, or pass the same scale."
+        )
+    return energy
+
+
+class Sampler:
+    """Random deviations of the tissue from the solution of a problem.
+
+    Parameters
+    ----------
+    response : Response
+    noise : PosteriorNoise
+    seed : int
+    """
+
+    def __init__(self, response: Response, noise: PosteriorNoise, seed: int) -> None:
+        self._response, self._noise, self._seed = response, noise, seed
+        self._units = response.units_for(self._force(0))
+
+    def deviation(self, number: int) -> Float64Array:
+        """Return the deviation of a sample, shape (H, W, 2) or (D, H, W, 3), in unit of `spacing`.
+
+        Parameters
+        ----------
+        number : int
+            Number of the sample, from 0. The deviation depends on the seed and this number only.
+        """
+        return self._response.to(self._force(number), self._units)
+
+    def _force(self, number: int) -> Float64Array:
+        return self._noise.force(np.random.default_rng([self._seed, number]))
