@@ -158,6 +158,21 @@ def sections(names: Names) -> Figure:
     return panels(*shown, height=2.4)
 
 
+def uncertainty(names: Names) -> Figure:
+    """Draw the error bars with each number of landmarks, and the landmarks."""
+    results, tissue = names["results"], names["tissue"]
+    largest = float(results[0][1].max())
+    shown = [
+        (f"landmarks: {len(points)}", np.where(tissue, bars, np.nan), "viridis", largest)
+        for points, bars in results
+    ]
+    figure = panels(*shown, unit="error bar, px", height=2.6)
+    for axis, (points, _) in zip(figure.axes[: len(results)], results, strict=True):
+        rows, cols = np.transpose(points)
+        axis.plot(cols, rows, "o", color="white", markeredgecolor="black", markersize=5)
+    return figure
+
+
 def slice_in_millimetres(names: Names) -> Figure:
     """Draw the displacement and the landmarks."""
     solution = names["solution"]
@@ -226,6 +241,7 @@ PICTURES: dict[str, Callable[[Names], Figure]] = {
         registration,
         removed_tumour,
         sections,
+        uncertainty,
         volume,
         sweep,
         random_deformations,

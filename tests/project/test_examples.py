@@ -131,6 +131,16 @@ def test_registered_sections_match_like_those_of_the_block(run_example):
     assert number("^.*folds: #$", text.strip().splitlines()[-1]) == 0
 
 
+def test_the_error_bar_of_a_tumour_contains_its_true_place(run_example):
+    text = run_example("uncertainty")
+    truth = number("tumour: # px down in truth", text)
+    found = re.findall(r"tumour: ([\d.]+) \+- ([\d.]+) px down", text)
+    assert len(found) == 4
+    for place, spread in found:
+        assert abs(float(place) - truth) < 2 * float(spread)
+    assert float(found[-1][1]) < float(found[0][1]), "a landmark at the tumour did not help"
+
+
 def test_warm_starts_give_the_field_of_cold_starts_with_fewer_iterations(run_example):
     text = run_example("drag")
     apart = [float(found) for found in re.findall(r"([\d.]+) px from a cold start", text)]
