@@ -195,6 +195,7 @@ def at_point(
     percent: int = _FULL,
     held: float = 0.0,
     missing: float = 0.0,
+    uncertainty: float | None = None,
 ) -> str:
     """Describe the deformation at a point in one line for the status bar.
 
@@ -216,6 +217,8 @@ def at_point(
         Confidence with which the position of this tissue is given; 0 if the tissue is free.
     missing : float
         Distance of held tissue from its given position, in `unit`.
+    uncertainty : float, optional
+        Standard deviation of the displacement, in `unit`.
 
     Returns
     -------
@@ -224,7 +227,8 @@ def at_point(
     step = tuple(rounded(part) for part in ways.to_display(probe.displacement))
     length = rounded(probe.length)
     size = "volume" if len(probe.displacement) == 3 else "area"
-    distance = f"{length:g} {unit}" + (f" ({ways.step(step)})" if length else "")
+    spread = "" if uncertainty is None else f" ± {uncertainty:.2g}"
+    distance = f"{length:g}{spread} {unit}" + (f" ({ways.step(step)})" if length else "")
     motion = f"moves {distance}"
     if held >= 1 and (short := rounded(missing)) >= _SHORT:
         motion = f"moved {distance}, {short:g} {unit} short of its target"

@@ -40,6 +40,7 @@ from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers import label_colours
 from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.solver.model_names import in_words, model_name
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
@@ -55,7 +56,9 @@ Kind = Literal["image", "arrows"]
 ARROWS = 250
 #: Name of an overlay.
 Name = (
-    Quantity | Mark | Literal["grid", "labels", "difference", "stiffness", "observed", "confidence"]
+    Quantity
+    | Mark
+    | Literal["grid", "labels", "difference", "uncertainty", "stiffness", "observed", "confidence"]
 )
 #: Number of arrows of the observed motion along a side of the image.
 _ACROSS = 40
@@ -81,6 +84,8 @@ class LayerData(NamedTuple):
 
 #: Function that computes the forces on the constrained parts of the tissue.
 Forces = Callable[[], tuple[HeldForce, ...]]
+#: Function that estimates the uncertainty; its arguments are `progress` and `cancel`.
+Estimate = Callable[..., Uncertainty]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +106,9 @@ class PlacedSolution:
     forces : callable, optional
         Function that returns the forces on the constrained parts of the tissue; None for a result
         from a file.
+    estimate : callable, optional
+        Function that estimates the uncertainty; None for a result from a file or of a model other
+        than the elastic model.
     """
 
     solution: Solution
@@ -108,6 +116,7 @@ class PlacedSolution:
     pictures: Pictures = field(default_factory=Pictures)
     problem: Problem | None = None
     forces: Forces | None = None
+    estimate: Estimate | None = None
 
     @property
     def unit(self) -> str:
@@ -185,6 +194,7 @@ def result_layers(
     checkpoint: Callable[[], None] = lambda: None,
     problem: Problem | None = None,
     forces: Forces | None = None,
+    estimate: Estimate | None = None,
 ) -> Outputs:
     """Convert a solution to layer data, without creating layers.
 
@@ -197,7 +207,7 @@ def result_layers(
         Pictures to deform with the tissue.
     checkpoint : callable
         Called between steps; raises an exception to cancel the work.
-    problem, forces
+    problem, forces, estimate
         As for `PlacedSolution`.
 
     Returns
@@ -220,7 +230,9 @@ def result_layers(
     for name in digests:
         checkpoint()
         digests[name]  # computed on first access
-    answer = PlacedSolution(solution, frame, replace(shown, image=None, look={}), problem, forces)
+    answer = PlacedSolution(
+        solution, frame, replace(shown, image=None, look={}), problem, forces, estimate
+    )
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
     if pictures is not None:  # skipped for results from files, to avoid waiting for compiled loops
@@ -350,7 +362,10 @@ class Overlay(NamedTuple):
 
 
 def overlay_of(
-    answer: PlacedSolution, name: Name, compared: Comparison | None = None
+    answer: PlacedSolution,
+    name: Name,
+    compared: Comparison | None = None,
+    estimated: Uncertainty | None = None,
 ) -> Overlay | None:
     """Create an overlay on the image of a result; must be called on the compute thread.
 
@@ -368,6 +383,8 @@ def overlay_of(
         Name of the overlay.
     compared : Comparison, optional
         Comparison with another result, for the overlay "difference".
+    estimated : Uncertainty, optional
+        Uncertainty of the result, for the overlay "uncertainty".
 
     Returns
     -------
@@ -381,7 +398,7 @@ def overlay_of(
     if name == "observed":
         made = _motion_layer(answer)
         return None if made is None else Overlay(name, made)
-    if (pixels := _pixels_of(answer, name, compared)) is None:
+    if (pixels := _pixels_of(answer, name, compared, estimated)) is None:
         return None
     picture, *shown = pixels
     still = Overlay(name, answer.layer(name, picture, *shown), picture)
@@ -390,7 +407,10 @@ def overlay_of(
 
 
 def _pixels_of(
-    answer: PlacedSolution, name: Name, compared: Comparison | None
+    answer: PlacedSolution,
+    name: Name,
+    compared: Comparison | None,
+    estimated: Uncertainty | None,
 ) -> tuple[Any, ...] | None:
     """Return the undeformed pixels of an overlay, and the arguments of `PlacedSolution.layer`.
 
@@ -412,6 +432,11 @@ def _pixels_of(
         difference = compared.difference
         shown = Coloured(difference, (0.0, reach_of(difference)), signed=False)
         return difference, f"difference from {compared.reference} ({answer.unit})", _colours(shown)
+    if name == "uncertainty" and estimated is not None:
+        bars = np.where(answer.solution.tissue, estimated.along, np.float32(np.nan))
+        shown = Coloured(bars, (0.0, reach_of(bars)), signed=False)
+        patch = f"patches of {estimated.patch:.2g} {answer.unit}"
+        return bars, f"uncertainty ({answer.unit}, {patch})", _colours(shown)
     if name == "confidence" and problem is not None:
         c = problem.confidence.max(axis=-1)
         return c, "confidence (0 to 1)", label_colours.confidence_look()

@@ -29,6 +29,7 @@ from napari_hmrf.solver.priors.growth import slabs
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import corners_of
 
+Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 # Largest eigenvalue, relative to the largest of all, that counts as 0.
 _NULL = 1e-12
@@ -51,7 +52,8 @@ class PosteriorNoise:
         first, shear = (_factor(each) for each in element_stiffness(prior.shape(problem.spacing)))
         # In the solver, stiffness is relative to the stiffest tissue and lengths are in pixels.
         amount = np.sqrt(energy / (unit * problem.unit)) * unit
-        self._first, self._shear = amount * first, amount * shear
+        self._count = first.shape[1]
+        self._factor = (amount * np.hstack([first, shear])).T.astype(np.float32)
         self._slabs = [*_element_slabs(problem, prior)]
         self._sites = _site_factors(problem, energy)
         self._points = _PointNoise.of(problem, energy)
@@ -64,9 +66,10 @@ class PosteriorNoise:
         rng : numpy.random.Generator
         """
         grid = self._problem.shape
-        force = np.zeros((*grid, len(grid)))
+        planes = np.zeros((len(grid), *grid), np.float32)
         for slab in self._slabs:
-            self._add_elements(force[slab.sites], slab, rng)
+            self._add_elements(planes[:, slab.sites], slab, rng)
+        force = np.moveaxis(planes, 0, -1).astype(np.float64)
         if self._sites is not None:
             at, roots = self._sites
             drawn = rng.standard_normal((len(roots), len(grid)))
@@ -75,21 +78,23 @@ class PosteriorNoise:
             self._points.add(force, rng)
         return force
 
-    def _add_elements(self, force: Float64Array, slab: _Slab, rng: np.random.Generator) -> None:
-        """Add the part of the elements of a slab to the forces on its sites."""
-        axes, count = force.ndim - 1, len(slab.first)
-        pushes = np.zeros((count, self._first.shape[0]))
-        for roots, factor in ((slab.first, self._first), (slab.shear, self._shear)):
-            drawn = rng.standard_normal((count, factor.shape[1]))
-            drawn *= roots[:, None]
-            pushes += drawn @ factor.T
-        of_corners = pushes.reshape(count, 2**axes, axes)
-        for number, corner in enumerate(np.ndindex(*(2,) * axes)):
+    def _add_elements(self, planes: Float32Array, slab: _Slab, rng: np.random.Generator) -> None:
+        """Add the part of the elements of a slab to the forces on its sites, (n, h, W)."""
+        axes, count = len(planes), len(slab.first)
+        drawn = rng.standard_normal((count, len(self._factor)), dtype=np.float32)
+        drawn[:, : self._count] *= slab.first[:, np.newaxis]
+        drawn[:, self._count :] *= slab.shear[:, np.newaxis]
+        pushes = np.zeros((2**axes * axes, *slab.elements.shape), np.float32)
+        pushes[:, slab.elements] = (drawn @ self._factor).T
+        corners = np.ndindex(*(2,) * axes)
+        for corner, of_corner in zip(
+            corners, pushes.reshape(-1, axes, *pushes.shape[1:]), strict=True
+        ):
             ends = tuple(
-                slice(end, end + size - 1)
-                for end, size in zip(corner, force.shape[:-1], strict=True)
+                slice(end, end + size)
+                for end, size in zip(corner, slab.elements.shape, strict=True)
             )
-            force[ends][slab.elements] += of_corners[:, number]
+            planes[(slice(None), *ends)] += of_corner
 
 
 class _Slab(NamedTuple):
@@ -100,21 +105,22 @@ class _Slab(NamedTuple):
     sites : slice
     elements : ndarray of bool
         Mask of the elements that are strained.
-    first, shear : ndarray, shape (n,)
+    first, shear : ndarray, shape (n,), float32
         Square roots of the Lame parameters of these elements.
     """
 
     sites: slice
     elements: npt.NDArray[np.bool_]
-    first: Float64Array
-    shear: Float64Array
+    first: Float32Array
+    shear: Float32Array
 
 
 def _element_slabs(problem: Problem, prior: ElasticPrior) -> Iterator[_Slab]:
     for sites in slabs(problem.shape):
         lame = prior.lame(problem, sites)
         elements = lame.shear > 0
-        yield _Slab(sites, elements, np.sqrt(lame.first[elements]), np.sqrt(lame.shear[elements]))
+        roots = (np.sqrt(each[elements]).astype(np.float32) for each in lame)
+        yield _Slab(sites, elements, *roots)
 
 
 def _factor(matrix: Float64Array) -> Float64Array:

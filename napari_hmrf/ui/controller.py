@@ -21,6 +21,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import plane_shown
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.ground import refuse_unknown
@@ -113,14 +114,14 @@ class Controller:
         self._failure = self._report = self._last_message = ""
         self._refresh_timer = single_shot(native, 0, self.refresh)
         self._complete_timer = single_shot(native, _REST, self.complete)
-        #: Returns True while the overlay of the result is drawn.
-        self.is_drawing_overlay: Callable[[], bool] = lambda: False
+        #: Returns the progress of the overlay of the result, or None.
+        self.overlay_monitor: Callable[[], Monitor | None] = lambda: None
         self.progress = SolveProgress(
             native,
             form.footer,
             self.engine,
             lambda: self._is_working,
-            lambda: self.is_drawing_overlay(),
+            lambda: self.overlay_monitor(),
         )
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         form.footer.live.changed.connect(self.schedule_refresh)

@@ -90,10 +90,8 @@ ABOUT_OFFERS = {
     CONTINUE: "Continue from this result; this sets a larger 'largest work' under 'Advanced'",
 }
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
-#: Progress while the overlay of a result is drawn, once its other layers have changed.
-OVERLAY = Monitor("drawing the overlay", 1.0)
 #: Prefixes of progress messages that are shown to the user unchanged.
-_SHOWN = ("waiting for", *COMPILING, "drawing the")
+_SHOWN = ("waiting for", *COMPILING, "drawing the", "sample")
 _WARNINGS: dict[Mark, str] = {
     "folds": "the tissue folds over itself, which real tissue cannot do. Move the tissue less; far "
     "from held tissue, a wider patch or boundary also helps.",

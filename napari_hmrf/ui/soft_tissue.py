@@ -112,7 +112,7 @@ class SoftTissue(DockValues):
         self._controller = controller = Controller(self.native, viewer, *inputs)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
-        controller.is_drawing_overlay = lambda: self._view.is_drawing_overlay
+        controller.overlay_monitor = lambda: self._view.overlay_monitor
         form.image.changed.connect(self._view.select_image)
         self._guide = Guide(viewer, controller, undo)
         self._carry_over = CarryOver(
@@ -394,6 +394,8 @@ class SoftTissue(DockValues):
         pointer.changed.connect(self._show_tool)
         pointer.pulled.connect(self._view.show_pulled)
         form.footer.cancel.changed.connect(lambda _: self._view.show_pulled(""))
+        form.footer.cancel.changed.connect(lambda _: self._view.cancel_estimate())
+        self._view.working.connect(controller.progress.start)
         controller.result_drawn.connect(lambda _: self._view.show_pulled(""))
         controller.finished.connect(self._on_finished)
         self._view.message.connect(self.show_message)

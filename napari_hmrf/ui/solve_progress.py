@@ -8,10 +8,12 @@ from collections.abc import Callable
 from psygnal import Signal
 from qtpy.QtWidgets import QWidget
 
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.paced_engine import PacedEngine
+from napari_hmrf.ui.result.result_messages import DRAWING_OVERLAY
 
 #: Interval between updates, in milliseconds.
 _INTERVAL = 30
@@ -31,8 +33,8 @@ class SolveProgress:
     is_working : callable
         Returns True until the layers of the result have changed; until then, the work can be
         cancelled.
-    is_drawing_overlay : callable
-        Returns True while the overlay of the result is drawn, which cannot be cancelled.
+    overlay_monitor : callable
+        Returns the progress of the overlay of the result, or None.
     """
 
     #: Emitted with a progress message; "" when the work has ended.
@@ -44,10 +46,10 @@ class SolveProgress:
         footer: Footer,
         engine: PacedEngine,
         is_working: Callable[[], bool],
-        is_drawing_overlay: Callable[[], bool],
+        overlay_monitor: Callable[[], Monitor | None],
     ) -> None:
         self._footer, self._engine = footer, engine
-        self._is_working, self._is_drawing_overlay = is_working, is_drawing_overlay
+        self._is_working, self._overlay_monitor = is_working, overlay_monitor
         self._work = ""
         self._since = 0.0
         self._at_once = False
@@ -92,12 +94,12 @@ class SolveProgress:
         self._timer.stop()
 
     def _update(self) -> None:
-        working = self._at_once or self._is_working()
-        if not (working or self._is_drawing_overlay()):
+        working, overlay = self._at_once or self._is_working(), self._overlay_monitor()
+        monitor = self._engine.monitor if working else overlay
+        if monitor is None:
             self._timer.stop()
             self.stop()
         elif self._at_once or time.monotonic() - self._since > _PATIENCE:
-            monitor = self._engine.monitor if working else messages.OVERLAY
-            self._footer.show_update(working)
+            self._footer.show_update(working or overlay is not DRAWING_OVERLAY)
             self.doing.emit(messages.progress(monitor, self._work))
             self._footer.explain(monitor.message)

@@ -192,7 +192,7 @@ class Unsaved:
     def _overlay(self) -> str:
         """Overlay of the window, or "" if it needs a layer that is not in the file."""
         chosen: str = self._controller.form.result.overlay.value
-        return "" if chosen == "difference" else chosen
+        return "" if chosen in ("difference", "uncertainty") else chosen
 
     def _landmarks_apart(self, study: Study) -> str:
         """Return the name of the landmark layer if any of its pairs was not added, else ""."""

@@ -114,7 +114,9 @@ class UnderCursor:
         if problem is not None:
             held = float(problem.confidence[probe.site].min())
             missing = float(np.linalg.norm(problem.observed[probe.site] - probe.displacement))
-        return at_point(answer.unit, probe, ways, more, percent, held, missing)
+        bars = None if shown.estimated is None else shown.estimated.along
+        spread = None if bars is None else float(bars[probe.site])
+        return at_point(answer.unit, probe, ways, more, percent, held, missing, spread)
 
     def append_to_status(self, *_: Any) -> None:
         """Append the values under the cursor to napari's latest status text."""

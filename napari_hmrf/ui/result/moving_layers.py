@@ -20,6 +20,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import look_of
 from napari_hmrf.layers.result_layers import Overlay, PlacedSolution
 from napari_hmrf.layers.thick_marks import half_widths, thickened
+from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.result.result_messages import FULL
@@ -64,6 +65,8 @@ class MovingLayers:
         Largest displacement, in the unit of the answer.
     points : Points
         Displacement and strain at each point.
+    estimated : Uncertainty, optional
+        Uncertainty of the displacement, once it is estimated.
     """
 
     def __init__(self, viewer: Any, arrows: Any, answer: PlacedSolution, layers: Result) -> None:
@@ -78,6 +81,7 @@ class MovingLayers:
         self.percent = FULL
         self.longest = float(magnitude(answer.solution.displacement).max(initial=0.0))
         self.points = Points(answer.solution)
+        self.estimated: Uncertainty | None = None
         # Length of the arrows at 100 %, and percentage for which they are drawn.
         self._length, self._arrows_percent = arrows.length, FULL
 

@@ -9,6 +9,7 @@ from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.result_layers import Name, PlacedSolution
+from napari_hmrf.solver.optimizers import Monitor
 
 NO_RESULT = "There is no result yet: drag tissue, or press Deform."
 LOST = (
@@ -24,6 +25,11 @@ BURIED = (
     "2D/3D button to see it."
 )
 FLAT_FILM = "A film shows one slice of a volume: press napari's 2D/3D button first."
+#: Progress while an overlay is drawn, which cannot be cancelled.
+DRAWING_OVERLAY = Monitor("drawing the overlay", 1.0)
+ESTIMATING = "Estimating the uncertainty"
+#: Messages about an estimate that was cancelled, or that is not possible.
+NOT_ESTIMATED = "The uncertainty was not estimated."
 NO_FORCES = (
     "Forces are available for elastic tissue and large motion, after Deform in this session. "
     "Results of the paper's model and results from files have no forces."
@@ -47,6 +53,7 @@ _ABOUT: dict[Name, str] = {
     "grid": "grid",
     "labels": "tissue labels",
     "difference": "difference from known field ({unit})",
+    "uncertainty": "uncertainty ({unit})",
     "folds": "folds",
     "overlaps": "overlaps",
     "stiffness": "input: stiffness",
@@ -70,6 +77,7 @@ OVERLAY_TIP = (
     "Strain: elastic strain in %, without the growth typed in the tissue table. Tissue grown with\n"
     "the wheel or with 'Grow' is stretched, which is strain. Negative: compression. Equivalent:\n"
     "von Mises strain in all three directions. Paper's model: total strain within the image.\n"
+    "Uncertainty: standard deviation of the mean displacement of the patch around each point.\n"
     "Input motion: lines start at the undeformed tissue; a dot marks tissue that is held."
 )
 

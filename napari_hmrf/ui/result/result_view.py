@@ -14,9 +14,11 @@ from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.field_layer import can_be_source, field_of, result_of, source_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import metadata_of
-from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
+from napari_hmrf.layers.result_layers import Name, Overlay, PlacedSolution, overlay_of
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.still_paint import layer_painted, put_brush_away
+from napari_hmrf.posterior import Uncertainty
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import attempt
@@ -26,6 +28,7 @@ from napari_hmrf.ui.result.moving_layers import MovingLayers, Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_menu import ResultMenu
 from napari_hmrf.ui.result.scale_key import ScaleKey
+from napari_hmrf.ui.result.uncertainty_estimator import UncertaintyEstimator
 
 #: Time without a change of the zoom after which marks are drawn again, in milliseconds.
 _ZOOM_REST = 100
@@ -53,6 +56,8 @@ class ResultView:
     message = Signal(str)
     #: Emitted when the selected result or its state has changed.
     view_changed = Signal()
+    #: Emitted with the name of a long task, when it begins.
+    working = Signal(str)
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
         self._viewer, self._form, self._results = viewer, form, results
@@ -78,6 +83,9 @@ class ResultView:
         self.player.playing_changed.connect(
             lambda playing: setattr(form.play, "text", PAUSE if playing else PLAY)
         )
+        self._estimator = UncertaintyEstimator()
+        self._estimator.estimated.connect(self._on_estimated)
+        self._estimator.refused.connect(self._on_not_estimated)
         self._zoom_timer = single_shot(native, _ZOOM_REST, self._on_zoomed)
         self._events = EventConnections(
             (camera_of(viewer).events.zoom, self._on_zoom),
@@ -99,12 +107,15 @@ class ResultView:
     @property
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
-        return self._jobs.busy() or self.more.busy
+        return self._jobs.busy() or self.more.busy or self._estimator.monitor is not None
 
     @property
-    def is_drawing_overlay(self) -> bool:
-        """True while the chosen overlay, or the difference that it shows, is being drawn."""
-        return self._jobs.busy("overlay") or self._jobs.busy("comparison")
+    def overlay_monitor(self) -> Monitor | None:
+        """Progress while the chosen overlay, or what it shows, is being computed, or None."""
+        if (estimate := self._estimator.monitor) is not None:
+            return estimate
+        is_drawing = self._jobs.busy("overlay") or self._jobs.busy("comparison")
+        return words.DRAWING_OVERLAY if is_drawing else None
 
     @property
     def before(self) -> bool:
@@ -132,6 +143,7 @@ class ResultView:
         other = before is None or shown is None or shown.layers is not before.layers
         chosen = other or self._jobs.busy("overlay")  # the user may have chosen a pending overlay
         # A newer state of the same result must not hide the undeformed image.
+        self._estimator.cancel()
         self._put_back(release=other)
         if before is not None and other:
             before.layers.leave()
@@ -185,6 +197,7 @@ class ResultView:
         """Disconnect from all events, and drop all jobs."""
         self._events.release()
         self._jobs.release()
+        self._estimator.release()
         self.more.release()
         self.cursor.release()
         self.key.release()
@@ -235,6 +248,7 @@ class ResultView:
         elif not result.moving:
             self.arrows = arrows
         else:
+            self._estimator.cancel()
             self.cursor.append_to_status()
             if moves or self._form.slider.value != words.FULL:
                 self._draw_whole()  # the layers were redrawn at 100 %
@@ -292,14 +306,36 @@ class ResultView:
         shown, name = self.shown, self._form.overlay.value
         if shown is None:
             return
+        if name == "uncertainty" and shown.estimated is None:
+            self._jobs.cancel("overlay")
+            self._on_overlay(shown, name, False, None)  # the overlay of another name disappears
+            self._estimator.start(shown.answer)
+            self.working.emit(words.ESTIMATING)
+            return
+        self._estimator.cancel()
         if name == words.NOTHING:
             self._jobs.cancel("overlay")
             self._on_overlay(shown, name, False, None)
         # Without a comparison, the difference is drawn after the comparison is computed.
         elif name != "difference" or self.comparison is not None:
             answer = partial(self._on_overlay, shown, name, chosen)
-            work = partial(overlay_of, shown.answer, name, self.comparison)
+            work = partial(overlay_of, shown.answer, name, self.comparison, shown.estimated)
             self._jobs.submit("overlay", work, answer)
+
+    def cancel_estimate(self) -> None:
+        """Stop an estimate of the uncertainty, and show no overlay."""
+        if self._estimator.monitor is not None:
+            self._on_not_estimated("")
+
+    def _on_estimated(self, answer: PlacedSolution, estimated: Uncertainty) -> None:
+        if self.shown is not None and self.shown.answer is answer:
+            self.shown.estimated = estimated
+            self._lay_over(chosen=True)
+            self.cursor.refresh()
+
+    def _on_not_estimated(self, reason: str) -> None:
+        self._form.overlay.value = words.NOTHING  # also cancels the estimate
+        self.message.emit(f"{words.NOT_ESTIMATED} {reason}".rstrip())
 
     def _on_overlay(
         self, shown: MovingLayers, name: Name, chosen: bool, made: Overlay | None
