@@ -13,6 +13,7 @@ PACKAGES = {
         "napari_hmrf.fields",
         "napari_hmrf.landmarks",
         "napari_hmrf.loads",
+        "napari_hmrf.posterior",
         "napari_hmrf.random",
         "napari_hmrf.registration",
         "napari_hmrf.tissue",
