@@ -6,6 +6,9 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
+from napari.layers import Image
+
+from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.viewer_layers import still_there
 
 #: Settings of an Image layer for the 3-D view.
@@ -18,7 +21,8 @@ class VolumeLook:
     """Link between the rendering of a volume and of its deformed copy.
 
     In a slice view, the deformed copy covers the image. In the 3-D view, both would be visible at
-    the same time, so the image is hidden while its deformed copy is visible.
+    the same time, so the image is hidden while its deformed copy is visible, and so are slices of
+    other studies, which would show through the volume.
 
     Parameters
     ----------
@@ -30,7 +34,10 @@ class VolumeLook:
         self._source: Any = None
         self._picture: Any = None
         self._connections = ExitStack()
-        self._is_copying = self._is_hidden = False
+        self._is_copying = False
+        # Layers that are hidden in the 3-D view, also if the user has shown them again.
+        self._hidden: list[Any] = []
+        self._is_covering = False
 
     def link(self, source: Any, picture: Any) -> None:
         """Link the rendering of two layers, in place of the layers that were linked last.
@@ -59,9 +66,9 @@ class VolumeLook:
         self._update()
 
     def release(self) -> None:
-        """Show the image again, and disconnect from both layers."""
+        """Show the hidden layers again, and disconnect from both layers."""
         self._connections.close()
-        self._show_source()
+        self._show_hidden()
         self._source = self._picture = None
 
     def _connect(self, signal: Any, callback: Any) -> None:
@@ -83,17 +90,30 @@ class VolumeLook:
             self._is_copying = False
 
     def _update(self, *_: Any) -> None:
-        """Hide the image if the view is 3-D and the deformed copy is visible."""
+        """Hide the image and slices if the view is 3-D and the deformed copy is visible."""
         picture = still_there(self._viewer, self._picture)
         covers = picture is not None and picture.visible and self._viewer.dims.ndisplay == 3
         if not covers:
-            self._show_source()
-        elif self._source.visible and not self._is_hidden:
-            self._source.visible, self._is_hidden = False, True
-        elif self._source.visible:  # shown again by the user
-            self._is_hidden = False
+            self._show_hidden()
+        elif not self._is_covering:
+            self._is_covering = True
+            slices = [layer for layer in self._viewer.layers if _is_slice(layer)]
+            for layer in (self._source, *slices):
+                if layer.visible:
+                    self._hidden.append(layer)
+                    layer.visible = False
+        elif self._source.visible and self._source in self._hidden:  # shown again by the user
+            self._hidden.remove(self._source)
 
-    def _show_source(self) -> None:
-        if self._is_hidden:
-            self._is_hidden = False
-            self._source.visible = True
+    def _show_hidden(self) -> None:
+        self._is_covering = False
+        hidden, self._hidden = self._hidden, []
+        for layer in hidden:
+            layer.visible = True
+
+
+def _is_slice(layer: Any) -> bool:
+    """Return whether a layer is a slice of a volume, or the result of a slice."""
+    if metadata_of(layer).get("slice"):
+        return True
+    return isinstance(layer, Image) and layer.ndim >= 3 and 1 in layer.data.shape[-3:]

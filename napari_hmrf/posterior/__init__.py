@@ -9,16 +9,21 @@
     result.along  # error bar of the length of the displacement of each patch
     result.labels[2].sd  # error bars of the mean displacement of label 2
 
-`study_uncertainty` does the same for a study, and `sample_posterior` returns whole fields.
+`study_uncertainty` does the same for a study, and `sample_posterior` returns whole fields. `fit`
+finds the growth and the stiffness of tissue from its measured motion.
 """
 
+from napari_hmrf.posterior.fit import Fit, FittedProperty, fit
 from napari_hmrf.posterior.sampling import sample_posterior
 from napari_hmrf.posterior.study_uncertainty import study_uncertainty
 from napari_hmrf.posterior.uncertainty import MeanDisplacement, Uncertainty, uncertainty
 
 __all__ = [
+    "Fit",
+    "FittedProperty",
     "MeanDisplacement",
     "Uncertainty",
+    "fit",
     "sample_posterior",
     "study_uncertainty",
     "uncertainty",

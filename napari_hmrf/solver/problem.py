@@ -251,7 +251,7 @@ class Problem:
 def variant_of(problem: Problem, **changes: object) -> Problem:
     """Return a copy of a validated problem with other fields, which are not validated.
 
-    The stiffness must stay the same, because masks of the tissue are copied.
+    Void and rigid tissue must stay the same, because their masks are copied.
     """
     other = copy.copy(problem)
     vars(other).pop("digests", None)

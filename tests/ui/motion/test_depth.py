@@ -193,6 +193,19 @@ def test_only_the_deformed_volume_is_visible_in_the_3d_view(beside, settle):
     assert layer.visible
 
 
+def test_slices_of_another_study_do_not_show_through_a_volume_in_the_3d_view(beside, settle):
+    person, widget = beside
+    person.drag(MIDDLE, (MIDDLE[0], 13.5, 13.5))
+    settle(widget)
+    person.viewer.dims.ndisplay = 2
+    other = person.viewer.add_image(np.ones((1, 20, 20)), name="slice of another study")
+    person.viewer.dims.ndisplay = 3
+    settle(widget)
+    assert not other.visible
+    person.viewer.dims.ndisplay = 2
+    assert other.visible
+
+
 def test_the_image_is_visible_again_after_the_dock_was_closed_in_the_3d_view(beside, settle):
     person, widget = beside
     person.drag(MIDDLE, (MIDDLE[0], 13.5, 13.5))
