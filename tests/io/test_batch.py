@@ -53,6 +53,17 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Solve cases without worker processes, for tests of the files of a batch."""
+    monkeypatch.setattr(batch, "one_thread", lambda: None)
+
+    def solve_in_turn(cases, solve_one, _):
+        yield from map(solve_one, cases)
+
+    monkeypatch.setattr(batch, "_solve_in_processes", solve_in_turn)
+
+
 def write_table(folder, *lines, more=""):
     """Write a table of cases; each line gives a name, an image and the extra columns."""
     titles = f"name,image,labels,materials,boundary,rules{more}"
@@ -197,7 +208,7 @@ def test_a_sweep_over_a_missing_tissue_or_boundary_is_refused(change, sentence):
         changed(study(model="paper"), [Change("poisson", 0.3)])
 
 
-def test_a_failed_case_is_reported_and_the_other_cases_are_solved(files, capsys):
+def test_a_failed_case_is_reported_and_the_other_cases_are_solved(files, capsys, request):
     own = study()
     labels = own.motion.labels.copy()
     labels[-1] = 2
@@ -241,6 +252,7 @@ def test_a_failed_case_is_reported_and_the_other_cases_are_solved(files, capsys)
     text = table.read_text().replace("a,image", '"a_amount-rim-5",image')
     table.write_text(f"{text}\nstudy,own.study,,,,,3\n")
     capsys.readouterr()
+    request.getfixturevalue("in_this_process")
     assert main(["batch", str(table), "out", "--jobs", "1", "--resume"]) == 0
     said = capsys.readouterr().out
     assert "note: ignored, because no case in the table has this name: a_amount-rim-4\n" in said
@@ -260,7 +272,7 @@ def test_names_of_folders_need_no_quotation_marks(tmp_path):
     assert names == ["Ann_3_x_growth-a_b--0.1", "Ann_3_x_growth-a_b-0.2_0", "a_b"]
 
 
-def test_a_case_with_changed_files_is_solved_again(files, caplog):
+def test_a_case_with_changed_files_is_solved_again(files, in_this_process, caplog):
     for name in ("b.tif", "c.tif"):
         write_image(name, read_image("image.tif"))
     table = write_table(
@@ -282,7 +294,7 @@ def test_a_case_with_changed_files_is_solved_again(files, caplog):
     assert "(the folder c still contains an earlier result, which is ignored)" in again[2].error
 
 
-def test_a_finished_case_with_a_damaged_result_is_solved_again(files, caplog):
+def test_a_finished_case_with_a_damaged_result_is_solved_again(files, in_this_process):
     cases = read_cases(write_table(files, "a,image.tif", "b,image.tif"))
     first = solve_cases(cases, files / "out", jobs=1)
     assert {each.state for each in first} == {"done"}
@@ -310,7 +322,9 @@ with exclusive(Path(sys.argv[1])):
 """
 
 
-def test_a_folder_in_use_is_refused_and_the_folder_of_a_dead_batch_is_taken_over(files, capsys):
+def test_a_folder_in_use_is_refused_and_the_folder_of_a_dead_batch_is_taken_over(
+    files, in_this_process, capsys
+):
     out = files / "out"
     out.mkdir()
     (out / batch.UNFINISHED).mkdir()
@@ -354,7 +368,7 @@ def test_two_batches_of_one_process_on_a_folder_are_refused(tmp_path):
     assert marks_in(tmp_path) == ()
 
 
-def test_a_summary_contains_no_formula_and_lists_guessed_values(files):
+def test_a_summary_contains_no_formula_and_lists_guessed_values(files, in_this_process):
     (files / "=m.csv").write_text("label,name\n1,brain\n2,colon\n")
     table = write_table(files, "x,image.tif", "y,image.tif,-4", more=",amount:rim")
     table.write_text(table.read_text().replace("m.csv", "=m.csv"))
@@ -376,7 +390,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-def test_a_killed_batch_is_resumed_without_solving_finished_cases_again(files):
+def test_a_killed_batch_is_resumed_without_solving_finished_cases_again(files, in_this_process):
     write_table(files, f"a,image.tif,{';'.join(map(str, range(1, 13)))}", more=",poisson")
     table = (files / "cases.csv").read_text().replace(";", ";0.0")
     (files / "cases.csv").write_text(table.replace(",1;", ",0.01;"))

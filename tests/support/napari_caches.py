@@ -1,9 +1,10 @@
 """Caches for work that each napari window would repeat with the same result."""
 
 import gc
+import inspect
 import sys
 from functools import cache
-from types import FunctionType, SimpleNamespace
+from types import FunctionType, MethodType, SimpleNamespace
 
 import numpy as np
 
@@ -53,6 +54,9 @@ def check_callbacks_once():
     known = {}
 
     def check_signature(callback):
+        if isinstance(callback, EventEmitter):
+            # An emitter has no code of its own: Python calls the method of its class.
+            callback = type(callback).__call__.__get__(callback)
         function = getattr(callback, "__func__", callback)
         if type(function) is not FunctionType or hasattr(function, "__wrapped__"):
             return check(callback)
@@ -64,6 +68,34 @@ def check_callbacks_once():
         return known[key]
 
     EventEmitter._check_signature = staticmethod(check_signature)
+
+
+@cache
+def inspect_functions_once():
+    """Make psygnal inspect the parameters of a function only once."""
+    inspect_it = inspect.signature
+    known = {}
+
+    def signature(obj, **how):
+        function = obj.__func__ if type(obj) is MethodType else obj
+        if how or type(function) is not FunctionType or not _has_plain_parameters(function):
+            return inspect_it(obj, **how)
+        key = function.__code__, function is obj
+        if key not in known:
+            known[key] = inspect_it(obj)
+        return known[key]
+
+    inspect.signature = signature
+
+
+def _has_plain_parameters(function):
+    """Return whether the parameters of a function follow from its code alone."""
+    return not (
+        function.__dict__
+        or function.__defaults__
+        or function.__kwdefaults__
+        or function.__annotations__
+    )
 
 
 @cache
