@@ -45,7 +45,7 @@ def test_a_bending_motion_is_reproduced_between_landmarks():
     assert errors.mean() < 0.02
 
 
-@pytest.mark.parametrize("width", [1, 2, 3, 5])
+@pytest.mark.parametrize("width", [1, 5])
 def test_tissue_on_two_sides_of_a_slit_moves_independently(width):
     tissue = np.ones((120, 120), bool)
     tissue[30:, 61 : 61 + width] = False
@@ -72,9 +72,10 @@ def test_noise_is_smoothed_more_where_the_standard_deviation_is_larger():
         field = spline(Landmarks(points, targets, sd=sd), FULL, spacing=1)
         return np.sqrt(((field[FULL] - truth) ** 2).mean())
 
-    assert error(0.5) < 0.5 * np.sqrt((sd**2).mean())
-    assert error(sd) < 0.6 * error(0.5)
-    assert error(10 * sd) == pytest.approx(error(sd)), "only ratios have an effect"
+    even, found = error(0.5), error(sd)
+    assert even < 0.5 * np.sqrt((sd**2).mean())
+    assert found < 0.6 * even
+    assert error(10 * sd) == pytest.approx(found), "only ratios have an effect"
 
 
 def test_the_unit_of_length_has_no_effect_and_long_pixels_keep_the_field():

@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,8 @@ def test_no_text_violates_a_checked_rule(words):
     )
 
 
-def test_a_sample_is_reproducible_by_its_seed(words):
+def test_a_sample_is_reproducible_by_its_seed(words, monkeypatch):
+    monkeypatch.setattr(words, "texts_of", cache(words.texts_of))
     drawn = words.sample(1)
     assert drawn == words.sample(1)
     assert drawn != words.sample(2)

@@ -44,8 +44,7 @@ def largest_error(solution, problem, prior):
 
 
 @pytest.mark.parametrize(("grid", "spacing"), GRIDS)
-@pytest.mark.parametrize("strength", [1e-3, 1.0, 1e4])
-@pytest.mark.parametrize("rank", [1, 2])
+@pytest.mark.parametrize(("strength", "rank"), [(1e-3, 2), (1.0, 1), (1e4, 1), (1e4, 2)])
 def test_data_of_any_strength_give_the_field_of_least_energy(grid, spacing, strength, rank):
     rng = np.random.default_rng(rank)
     for share in (1.0, 0.1):

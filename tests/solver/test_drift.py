@@ -46,9 +46,15 @@ def test_landmarks_of_an_affine_motion_are_met_without_elastic_strain(sd):
 
 
 @pytest.mark.parametrize(("grid", "spacing"), GRIDS)
-@pytest.mark.parametrize("sd", [0.02, 0.5])
-@pytest.mark.parametrize("case", ["free", "held", "precision and loads"])
-@pytest.mark.parametrize("plane", ["stress", "strain"])
+@pytest.mark.parametrize(
+    ("case", "sd", "plane"),
+    [
+        ("free", 0.02, "stress"),
+        ("free", 0.5, "strain"),
+        ("held", 0.02, "strain"),
+        ("precision and loads", 0.5, "stress"),
+    ],
+)
 def test_a_drift_has_the_least_energy_of_all_fields_and_strains(grid, spacing, sd, case, plane):
     rng, axes = np.random.default_rng(1), len(grid)
     points = scattered(grid)

@@ -194,7 +194,7 @@ def test_the_reference_solution_matches_calculix_except_for_locking(poisson, tmp
 
 @pytest.mark.parametrize(
     ("poisson", "ratio"),
-    [(0.0, 1), (0.3, 1e2), (0.3, 1e4), (0.45, 1), (0.45, 1e4), (0.49, 1), (0.49, 1e4)],
+    [(0.0, 1), (0.3, 1e4), (0.49, 1), (0.49, 1e4)],
 )
 def test_the_field_matches_a_direct_solve(poisson, ratio):
     problem = compressed_volume(random_stiffness(ratio), OBLONG)

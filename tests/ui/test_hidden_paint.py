@@ -130,9 +130,10 @@ def test_moving_the_view_with_the_space_key_does_not_end_painting(painting):
 
 
 @pytest.mark.parametrize("end", ["view", "image", "tool", "play", "overlay", "eye", "deform"])
-def test_the_deformed_image_returns_when_painting_ends(painting, settle, end):
-    person, widget = painting
-    viewer, screen = person.viewer, Screen(widget)
+def test_the_deformed_image_returns_when_painting_ends(painted, settle, end):
+    widget, *_ = painted
+    viewer, screen = viewer_of(widget), Screen(widget)
+    screen.click_row("air")
     assert shows_paint(widget)
     actions = {
         "view": lambda: setattr(widget.tissue, "mode", "pan_zoom"),
@@ -150,12 +151,8 @@ def test_the_deformed_image_returns_when_painting_ends(painting, settle, end):
     assert widget.tissue.mode == "pan_zoom" or end in ("image", "tool")
 
 
-def test_the_first_result_is_not_shown_while_the_user_paints(
-    make_napari_viewer, small_sample, at_rest, settle, qtbot
-):
-    viewer = make_napari_viewer(show=True)
-    small_sample(viewer, (48, 64))
-    widget = quick(dock_in(viewer))
+def test_the_first_result_is_not_shown_while_the_user_paints(widget, small_sample, at_rest, settle):
+    small_sample(viewer_of(widget))
     at_rest()
     Screen(widget).click_row("air")
     assert MEANWHILE not in widget.status
