@@ -144,14 +144,6 @@ def autosaved_files(place=None):
     return sorted(((place or settings()) / "unsaved").glob("*.study"))
 
 
-def test_closing_without_edits_asks_no_question(window, press_close):
-    _, dock = window()
-    asked = Answers(dock)
-    assert not dock.unsaved
-    assert press_close(dock)
-    assert asked.questions == []
-
-
 def test_cancel_leaves_the_window_open_with_all_edits(window, press_close, at_rest):
     _, dock = window(shown=True)
     dock.drawing = DRAWING
@@ -205,6 +197,9 @@ def test_undone_edits_are_not_unsaved_and_paint_is(window, press_close, at_rest)
     dock.drawing = DRAWING
     dock.undo()
     assert not dock.unsaved
+    asked = Answers(dock)
+    assert press_close(dock)
+    assert asked.questions == []
     dock.make_layers()
     at_rest()
     assert not dock.unsaved
@@ -264,9 +259,12 @@ def test_one_answer_saves_a_slice_and_its_volume(
 
 
 def test_a_message_names_the_extent_of_a_saved_study_and_what_is_not_saved(
-    window, at_rest, tmp_path
+    dock_beside, at_rest, tmp_path
 ):
-    _, dock = window()
+    viewer = ViewerModel()
+    dock = dock_beside(viewer)
+    viewer.add_image(np.full((3, 64, 64), 90, np.uint8), name="MR")
+    at_rest()
     dock.drawing = DRAWING
     dock.extent = "volume"
     at_rest()
@@ -333,13 +331,13 @@ def test_quitting_from_a_window_without_the_dock_asks_first(
 
 
 def test_closing_the_dock_writes_its_work_and_closing_the_window_asks_for_it(
-    window, press_close, at_rest, wait_for, monkeypatch
+    window, press_close, at_rest, monkeypatch
 ):
     viewer, dock = window()
     door, native = dock.door, viewer.window._qt_window
     dock.drawing = DRAWING
     viewer.window.remove_dock_widget(dock.native)
-    wait_for(lambda: len(autosaved_files()) == 1)
+    at_rest.until(lambda: len(autosaved_files()) == 1)
     asked, answers = [], QMessageBox.StandardButton
     monkeypatch.setattr(
         QMessageBox, "question", lambda *given: (asked.append(given[2]), answers.Discard)[1]
@@ -366,7 +364,9 @@ def test_work_of_a_viewer_closed_at_a_prompt_can_be_recovered(
     assert read_study(file).study.motion.drawing == DRAWING
 
 
-def test_the_question_has_three_answers(window, press_close, monkeypatch):
+def test_the_question_has_three_answers_and_names_the_file_that_saving_replaces(
+    window, press_close, tmp_path, monkeypatch
+):
     _, dock = window()
     dock.drawing = DRAWING
     shown = []
@@ -381,15 +381,6 @@ def test_the_question_has_three_answers(window, press_close, monkeypatch):
     assert question == "The work on 'MR slice 1' is not saved. Save it before closing?"
     buttons = QMessageBox.StandardButton
     assert offered == buttons.Save | buttons.Discard | buttons.Cancel
-    Answers(dock, "discard")
-    assert press_close(dock)
-
-
-def test_the_question_names_the_file_that_saving_replaces(
-    window, press_close, tmp_path, monkeypatch
-):
-    _, dock = window()
-    dock.drawing = DRAWING
     path = dock.save_study(tmp_path / "case")
     dock.drawing = OTHER
     offered = []
@@ -562,7 +553,7 @@ def left_behind(monkeypatch):
     return left
 
 
-def test_a_hundred_held_patches_are_autosaved(dock_beside, wait_for):
+def test_a_hundred_held_patches_are_autosaved(dock_beside, at_rest):
     lattice = {"start": (0, 0), "step": 2, "shape": (33, 33)}
     values = np.random.default_rng(4).normal(0, 0.01, (100, 2 * 33**2))
     marks = (Arrow((32, 32), (0, 0), 32.0, motion=PatchMotion(**lattice, values=v)) for v in values)
@@ -570,28 +561,28 @@ def test_a_hundred_held_patches_are_autosaved(dock_beside, wait_for):
     viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
     dock = dock_beside(viewer)
     dock.drawing = held
-    wait_for(lambda: len(autosaved_files()) == 1)
+    at_rest.until(lambda: len(autosaved_files()) == 1)
     assert read_study(*autosaved_files()).study.motion.drawing == held
 
 
 NOT_AUTOSAVED = "The work on 'photo' is not autosaved, so a crash would lose it"
 
 
-def test_work_that_cannot_be_autosaved_is_reported_with_the_reason(dock_beside, wait_for, tmp_path):
+def test_work_that_cannot_be_autosaved_is_reported_with_the_reason(dock_beside, at_rest):
     viewer = ViewerModel()
     viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
     dock = dock_beside(viewer)
     points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 60, (90_000, 2)).tolist()))
     dock.drawing = Drawing((Stroke("confidence", (points,), 1.0),))
-    wait_for(lambda: NOT_AUTOSAVED in Screen(dock).words)
+    at_rest.until(lambda: NOT_AUTOSAVED in Screen(dock).words)
     assert "Remove marks or rows of tables" in Screen(dock).words
     dock.drawing = DRAWING
-    wait_for(lambda: len(autosaved_files()) == 1)
-    wait_for(lambda: NOT_AUTOSAVED not in Screen(dock).words)
+    at_rest.until(lambda: len(autosaved_files()) == 1)
+    at_rest.until(lambda: NOT_AUTOSAVED not in Screen(dock).words)
 
 
 def test_work_without_a_folder_for_recovery_files_is_reported_until_it_is_saved(
-    dock_beside, wait_for, tmp_path
+    dock_beside, at_rest, tmp_path
 ):
     viewer = ViewerModel()
     viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
@@ -600,7 +591,7 @@ def test_work_without_a_folder_for_recovery_files_is_reported_until_it_is_saved(
     blocking.parent.mkdir(parents=True, exist_ok=True)
     blocking.write_text("a file in place of the folder")
     dock.drawing = DRAWING
-    wait_for(lambda: NOT_AUTOSAVED in Screen(dock).words)
+    at_rest.until(lambda: NOT_AUTOSAVED in Screen(dock).words)
     assert "unsaved: " in Screen(dock).words, "the path of the folder is missing"
     dock.save_study(tmp_path / "case")
     assert NOT_AUTOSAVED not in Screen(dock).words

@@ -74,7 +74,7 @@ def test_an_arrow_that_cannot_be_met_keeps_no_other_from_its_target(size, blocke
     "other", [FAR_AWAY, ((16, 44), 3, (0, -8))], ids=["far away", "on the other side"]
 )
 def test_the_order_of_arrows_has_no_effect_if_one_cannot_be_met(other):
-    earlier, later = added_later(other)
+    _, later = added_later(other)
     at_once = solved(pulled(64, [HELD_PATCH, ONTO_PATCH, other]))
     assert np.array_equal(later.displacement, at_once.displacement)
 
