@@ -11,7 +11,7 @@ from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.support.person import CTRL, SHIFT, by_name, only, settle_moves
+from tests.support.person import CTRL, SHIFT, by_name, only
 from tests.support.pulling import pull
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
@@ -129,9 +129,8 @@ def test_a_pull_at_the_fixed_edge_reports_folds_and_their_cause(pulling_beside, 
     assert not widget.warning
 
 
-@bare
-def test_keys_remove_undo_and_redo_an_arrow(pulling, settle):
-    person, widget = pulling
+def test_keys_remove_undo_and_redo_an_arrow(pulling_beside, settle):
+    person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
     drawn = widget.drawing
     person.key(Qt.Key.Key_Delete)
@@ -193,9 +192,8 @@ def test_activating_another_layer_pauses_the_tool(pulling_beside):
     assert widget.active
 
 
-@bare
-def test_an_active_labels_layer_has_its_own_undo(pulling):
-    person, widget = pulling
+def test_an_active_labels_layer_has_its_own_undo(pulling_beside):
+    person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
     labels.paint((10, 10), 3)
@@ -227,8 +225,8 @@ def test_fields_change_the_selected_arrow_and_new_arrows(pulling_beside, settle)
     assert not screen.button("Remove all").isEnabled()
 
 
-def test_the_motion_layer_removed_during_a_drag_is_restored(pulling, settle):
-    person, widget = pulling
+def test_the_motion_layer_removed_during_a_drag_is_restored(pulling_beside, settle):
+    person, widget = pulling_beside
     person.press(30, 30)
     person.move(34, 34)
     person.viewer.layers.remove("Motion")
@@ -245,9 +243,8 @@ def test_the_motion_layer_removed_during_a_drag_is_restored(pulling, settle):
     assert not widget.drawing.marks
 
 
-@bare
-def test_removing_the_image_ends_a_drag(pulling, at_rest):
-    person, widget = pulling
+def test_removing_the_image_ends_a_drag(pulling_beside, at_rest):
+    person, widget = pulling_beside
     person.press(30, 30)
     person.move(34, 34)
     person.viewer.layers.remove("MR")
@@ -260,11 +257,11 @@ def test_removing_the_image_ends_a_drag(pulling, at_rest):
     assert "Motion" not in person.viewer.layers, "nobody would answer it"
 
 
-def test_the_deformed_image_has_the_name_of_a_renamed_image(pulling, settle):
-    person, widget = pulling
+def test_the_deformed_image_has_the_name_of_a_renamed_image(pulling_beside, settle, wait_for):
+    person, widget = pulling_beside
     person.press(30, 30)
     person.move(32, 32)
-    settle_moves(person, widget)
+    wait_for(lambda: not widget.busy)
     by_name(person.viewer, "MR").name = "T1"
     person.move(34, 34)
     person.release(34, 34)
@@ -273,11 +270,11 @@ def test_the_deformed_image_has_the_name_of_a_renamed_image(pulling, settle):
     assert "MR deformed, elastic" not in person.viewer.layers
 
 
-def test_renaming_or_removing_result_layers_does_not_interrupt_a_drag(pulling, settle):
-    person, widget = pulling
+def test_renaming_or_removing_result_layers_does_not_interrupt_a_drag(pulling_beside, settle, wait_for):
+    person, widget = pulling_beside
     person.press(30, 30)
     person.move(32, 32)
-    settle_moves(person, widget)
+    wait_for(lambda: not widget.busy)
     by_name(person.viewer, "MR").name = "T1"
     by_name(person.viewer, "Motion").name = "mine"
     person.viewer.layers.remove("MR deformed, elastic")
@@ -291,9 +288,8 @@ def test_renaming_or_removing_result_layers_does_not_interrupt_a_drag(pulling, s
     assert by_name(person.viewer, "mine") is person.viewer.layers.selection.active
 
 
-@bare
-def test_another_image_on_the_same_pixels_has_its_own_result(pulling, settle):
-    person, widget = pulling
+def test_another_image_on_the_same_pixels_has_its_own_result(pulling_beside, settle):
+    person, widget = pulling_beside
     person.drag((30, 30), (33, 33))
     settle(widget)
     moved = by_name(person.viewer, "MR deformed, elastic")
@@ -328,10 +324,9 @@ def test_a_slice_without_a_drawing_leaves_no_layers(open_beside, settle):
     assert made == ["MR deformed, elastic (slice 0)"]
 
 
-@bare
-def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
+def test_each_slice_has_its_own_drawing(open_beside, settle, at_rest):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
-    person, widget = open_window(stack, scale=(5, 1, 1))
+    person, widget = open_beside(stack, scale=(5, 1, 1))
     viewer = person.viewer
     viewer.dims.set_current_step(0, 1)
     widget.start()
