@@ -36,7 +36,7 @@ os.environ["NAPARI_HMRF_COMPILE"] = "here"
 # napari neither reads nor writes the user's settings; writing is slow.
 os.environ["NAPARI_CONFIG"] = ""
 # A window makes hundreds of thousands of long-lived objects, so collect garbage less often.
-gc.set_threshold(50_000, 20, 20)
+gc.set_threshold(300_000, 20, 20)
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Parallel test processes use one core each. Tests of multithreading start processes of their
     # own, or use all threads explicitly. A rasterizer thread in Mesa 22.3 crashed, rarely, on a

@@ -220,8 +220,8 @@ def test_an_error_while_warping_an_image_does_not_stop_the_next_drawing(
     assert follower.shown[-1].study.motion.drawing == pulled(2)
 
 
-def test_arrows_follow_the_mouse_during_a_solve(pulling, qtbot, solver_at_work):
-    person, _ = pulling
+def test_arrows_follow_the_mouse_during_a_solve(pulling_beside, qtbot, solver_at_work):
+    person, _ = pulling_beside
     person.press(30, 30)
     person.move(34, 40)
     arrows = by_name(person.viewer, "Motion")
@@ -230,8 +230,8 @@ def test_arrows_follow_the_mouse_during_a_solve(pulling, qtbot, solver_at_work):
     person.release(34, 40)
 
 
-def test_events_of_layers_are_emitted_only_after_a_drag(pulling, settle, qtbot):
-    person, widget = pulling
+def test_events_of_layers_are_emitted_only_after_a_drag(pulling_beside, settle, qtbot):
+    person, widget = pulling_beside
     picture = by_name(person.viewer, "MR deformed, elastic")
     told, thumbnails, seen = [], [], []
     person.press(30, 30)
@@ -253,8 +253,8 @@ def test_events_of_layers_are_emitted_only_after_a_drag(pulling, settle, qtbot):
     assert np.array_equal(by_name(person.viewer, "MR").data, widget.study.pictures.image)
 
 
-def test_an_array_set_by_other_code_is_not_written(pulling, qtbot):
-    person, widget = pulling
+def test_an_array_set_by_other_code_is_not_written(pulling_beside, qtbot):
+    person, widget = pulling_beside
     person.press(30, 30)
     person.move(32, 32)
     qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)

@@ -110,8 +110,8 @@ def brushing_beside(pulling_beside, narrow_brush):
     return narrow_brush(*pulling_beside)
 
 
-def test_paint_is_displayed_before_the_solve(brushing, busy_thread, qtbot):
-    person, _ = brushing
+def test_paint_is_displayed_before_the_solve(brushing_beside, busy_thread, qtbot):
+    person, _ = brushing_beside
     person.key(PIN)
     person.press(20, 20)
     assert displayed_paint(person)[20, 20] == number_of("pin"), "paint is not displayed at once"
@@ -345,8 +345,8 @@ def test_the_layer_of_strokes_is_removed_with_the_last_stroke_and_restored_by_re
     assert "Confidence" in layers
 
 
-def test_stiffness_motion_and_confidence_are_painted_and_shown_as_layers(pulling, settle):
-    person, widget = pulling
+def test_stiffness_motion_and_confidence_are_painted_and_shown_as_layers(pulling_beside, settle):
+    person, widget = pulling_beside
     viewer, fields = person.viewer, widget.fields
     fields.radius.value = 4.0
     person.key(MATERIAL)
@@ -618,8 +618,8 @@ def test_tissue_is_painted_with_the_table_of_its_layer(open_beside, settle):
     )
 
 
-def test_a_drag_makes_a_landmark_and_escape_cancels_it(pulling, settle):
-    person, widget = pulling
+def test_a_drag_makes_a_landmark_and_escape_cancels_it(pulling_beside, settle):
+    person, widget = pulling_beside
     person.key(LANDMARK)
     person.press(30, 30)
     person.move(34, 32)
@@ -711,8 +711,8 @@ def test_the_status_bar_shows_the_stiffness_of_painted_tissue(widget, small_samp
         assert "stiffness" in line
 
 
-def test_undo_and_redo_apply_to_all_tools(pulling, settle):
-    person, widget = pulling
+def test_undo_and_redo_apply_to_all_tools(pulling_beside, settle):
+    person, widget = pulling_beside
     widget.fields.radius.value = 3.0
     states = [widget.drawing]
 
@@ -1128,8 +1128,8 @@ def test_changing_the_slice_during_a_stroke_ends_the_stroke(open_beside, settle)
     assert displayed_paint(person)[0, 22, 30] == number_of("pin")
 
 
-def test_removing_or_renaming_result_layers_does_not_interrupt_a_stroke(brushing, settle):
-    person, widget = brushing
+def test_removing_or_renaming_result_layers_does_not_interrupt_a_stroke(brushing_beside, settle):
+    person, widget = brushing_beside
     person.key(PIN)
     image, arrows = by_name(person.viewer, "MR"), by_name(person.viewer, "Motion")
     for number, gone in enumerate(["Motion, painted", "image", "arrows"], 1):
