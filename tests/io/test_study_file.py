@@ -320,7 +320,7 @@ def test_a_damaged_study_is_read_unchanged_or_refused_with_little_memory(tmp_pat
     content = write_study(path, study, solve_study(study, backend="cpu")).read_bytes()
     original, outcomes = read_study(path), set()
     tracemalloc.start()
-    for version in damaged(content, 300):
+    for version in damaged(content, 110):
         path.write_bytes(version.content)
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]

@@ -453,7 +453,7 @@ def test_a_damaged_file_is_read_exactly_or_rejected_with_little_memory(tmp_path)
     original = Solution.read(path)
     outcomes = set()
     tracemalloc.start()
-    for version in damaged(content, 300):
+    for version in damaged(content, 110):
         path.write_bytes(version.content)
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]

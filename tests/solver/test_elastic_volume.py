@@ -336,8 +336,9 @@ def volume_with_bones(shape, spacing=OBLONG, seed=0):
     return compressed_volume(m, spacing)
 
 
-@pytest.mark.parametrize("shape", [(9, 10, 9), (13, 10, 11)])
-@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), OBLONG])
+@pytest.mark.parametrize(
+    ("shape", "spacing"), [((13, 10, 11), (1.0, 1.0, 1.0)), ((9, 10, 9), OBLONG)]
+)
 def test_rigid_tissue_in_a_volume_moves_rigidly(shape, spacing):
     problem = volume_with_bones(shape, spacing)
     found = solve(problem, ElasticPrior(0.4), optimizer=PRECISE)

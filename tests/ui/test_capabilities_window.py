@@ -521,18 +521,14 @@ def test_the_first_image_can_be_pulled_without_pressing_a_button(
     assert not dock.solution.displacement[0].any(), "the edge moves"
 
 
-def test_a_painted_region_is_pushed_by_a_drag(
-    unstyled, without_controls, make_napari_viewer, qtbot, at_rest
-):
-    viewer = make_napari_viewer(show=True)
-    viewer.add_image(np.full((64, 64), 100, np.uint8), name="MR")
-    dock, person = dock_in(viewer), Person(viewer, qtbot)
-    at_rest.until(lambda: dock.active and not dock.busy)
+def test_a_painted_region_is_pushed_by_a_drag(open_beside, settle):
+    touch, dock = open_beside(np.full((64, 64), 100, np.uint8))
+    settle(dock)
     Screen(dock).press("Push")
-    person.paint((30, 28), (30, 30), (30, 32))
-    at_rest.until(lambda: not dock.busy)
-    person.paint((30, 30), (32, 33), (34, 36))
-    at_rest.until(lambda: not dock.busy)
+    touch.paint((30, 28), (30, 30), (30, 32))
+    settle(dock)
+    touch.paint((30, 30), (32, 33), (34, 36))
+    settle(dock)
     assert dock.solution.displacement[30, 30] == pytest.approx((4, 6), abs=0.7)
     assert len(dock.drawing.marks) == 1
 

@@ -88,13 +88,6 @@ def frame_of(inner):
     return frame
 
 
-def test_the_dock_fits_on_a_small_screen(styled_window, at_rest):
-    dock()
-    at_rest()
-    assert styled_window._qt_window.minimumSizeHint().height() <= ROOM[1]
-    assert (styled_window._qt_window.width(), styled_window._qt_window.height()) == ROOM
-
-
 def test_a_long_status_moves_nothing_and_a_click_shows_all_of_it(styled_window, at_rest, wait_for):
     found = dock()
     wait_for(lambda: not found.busy)
@@ -133,6 +126,9 @@ def test_a_long_status_moves_nothing_and_a_click_shows_all_of_it(styled_window, 
 def test_all_that_is_used_while_pulling_is_visible_on_a_small_screen(styled_window, at_rest):
     found = dock()
     at_rest()
+    native = styled_window._qt_window
+    assert native.minimumSizeHint().height() <= ROOM[1]
+    assert (native.width(), native.height()) == ROOM
     form = found._form
     for name in form.motion.tools:
         found.tool = name
@@ -147,9 +143,8 @@ def test_all_that_is_used_while_pulling_is_visible_on_a_small_screen(styled_wind
             assert part.visibleRegion().boundingRect() == part.rect(), (name, part)
 
 
-def test_every_field_and_button_has_a_tooltip(styled_window, at_rest):
-    found = dock()
-    at_rest()
+def test_every_field_and_button_has_a_tooltip(open_beside):
+    _, found = open_beside()
     without = []
     for kind in (QAbstractButton, QComboBox, QAbstractSpinBox, QSlider, QLineEdit):
         for part in found.native.findChildren(kind):
@@ -274,7 +269,17 @@ def test_each_tool_has_an_icon_a_tool_tip_and_a_key_and_the_active_tool_is_check
     assert len(pictures) == len(TOOLS)
 
 
-def test_the_menu_hides_a_visible_dock_and_shows_a_hidden_dock(window, run_command):
+def test_the_menu_and_the_palette_use_the_same_dock_which_may_float(window, run_command):
+    run_command("live")
+    (inner,) = docks_of(window)
+    run_command("soft_tissue")
+    frame_of(inner).setFloating(True)
+    run_command("live")
+    assert docks_of(window) == [inner]
+    assert frame_of(inner).isFloating()
+
+
+def test_the_menu_hides_the_dock_and_shows_a_hidden_or_closed_dock(window, run_command, at_rest):
     run_command("soft_tissue")
     (inner,) = docks_of(window)
     assert is_seen(inner)
@@ -283,26 +288,7 @@ def test_the_menu_hides_a_visible_dock_and_shows_a_hidden_dock(window, run_comma
     run_command("soft_tissue")
     assert docks_of(window) == [inner]
     assert is_seen(inner)
-
-
-def test_the_menu_and_the_palette_use_the_same_dock(window, run_command):
-    run_command("live")
-    (inner,) = docks_of(window)
-    run_command("soft_tissue")
-    assert docks_of(window) == [inner]
-
-
-def test_a_floating_dock_remains_floating(window, run_command):
-    run_command("soft_tissue")
-    frame_of(dock()).setFloating(True)
-    run_command("live")
-    assert frame_of(dock()).isFloating()
-    assert len(docks_of(window)) == 1
-
-
-def test_a_closed_dock_can_be_opened_again(window, run_command, at_rest):
-    run_command("soft_tissue")
-    window.remove_dock_widget(frame_of(dock()))
+    window.remove_dock_widget(frame_of(inner))
     at_rest()
     assert not docks_of(window)
     run_command("soft_tissue")
@@ -344,7 +330,11 @@ def test_commands_have_the_described_effect(window, run_command, qtbot):
     assert inner.live != before
     with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
         run_command("deform_now")
-    inner.drawing = Drawing((Arrow((20, 20), (2, 0), 3.0),))
+    inner.drawing = drawn = Drawing((Arrow((20, 20), (2, 0), 3.0),))
+    run_command("undo")
+    assert inner.drawing == Drawing()
+    run_command("redo")
+    assert inner.drawing == drawn
     with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
         run_command("deform_now")
     run_command("play")
@@ -395,18 +385,6 @@ def test_the_palette_finds_commands_by_their_usual_names(window, at_rest):
         found = [each.id for each in palette._list.iter_command()]
         assert registered(command) in found, typed
     palette.hide()
-
-
-def test_undo_in_the_palette_undoes_a_drawing(window, run_command, qtbot):
-    run_command("pull")
-    inner = dock()
-    qtbot.waitUntil(lambda: not inner.busy, timeout=LONG_MS)
-    drawn = Drawing((Arrow((20, 20), (2, 0), 3.0),))
-    inner.drawing = drawn
-    run_command("undo")
-    assert inner.drawing == Drawing()
-    run_command("redo")
-    assert inner.drawing == drawn
 
 
 def test_a_command_without_a_window_raises_an_error(monkeypatch):

@@ -17,6 +17,7 @@ from tests.support.docks import dock_in, forget_choice, quick, viewer_of
 from tests.support.person import CTRL, SHIFT, Person
 from tests.support.screen import Cell, Screen
 from tests.support.timeouts import LONG, LONG_MS
+from tests.support.windowless import Frame
 
 
 def names(widget):
@@ -389,14 +390,11 @@ def test_a_press_of_deform_during_a_solve_does_not_restore_an_older_result(
     assert_newest(widget)
 
 
-def test_two_viewers_have_independent_live_modes(
-    unstyled, without_controls, make_napari_viewer, small_sample, settle, run
-):
-    docks = []
-    for _ in range(2):
-        viewer = make_napari_viewer()
-        small_sample(viewer)
-        dock = dock_in(viewer)
+def test_two_viewers_have_independent_live_modes(qtbot, small_sample, settle, run):
+    frames, docks = [Frame(qtbot) for _ in range(2)], []
+    for frame in frames:
+        small_sample(frame.viewer)
+        dock = frame.open()
         quick(dock).model = "elastic"
         run(dock)
         dock.live = True

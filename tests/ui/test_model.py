@@ -120,9 +120,9 @@ def test_the_dock_and_a_script_solve_elastic_tissue_alike(widget, small_sample, 
     assert np.abs(solution.displacement - stress.displacement).max() > 0.05
 
 
-def test_only_settings_of_the_chosen_model_are_shown(docked, small_sample):
-    image, *_ = small_sample(viewer_of(docked))
-    form = docked._form.model
+def test_only_settings_of_the_chosen_model_are_shown(widget, small_sample):
+    image, *_ = small_sample(viewer_of(widget))
+    form = widget._form.model
     always = {"device"}
     papers = {"reading", "penalty"}
     sweeps = {"method", "sweeps", "energy_change"}
@@ -131,16 +131,16 @@ def test_only_settings_of_the_chosen_model_are_shown(docked, small_sample):
         return {field.name for field in form.in_detail if not field.native.isHidden()}
 
     assert visible_settings() == always | papers | sweeps
-    docked.model = "paper, converged"
+    widget.model = "paper, converged"
     assert visible_settings() == always | papers | {"accuracy"}
     assert form.plane.native.isHidden()
-    elastic(docked)
+    elastic(widget)
     assert visible_settings() == always | {"accuracy", "grip"}
     assert not form.plane.native.isHidden()
     assert form.poisson.native.isHidden()  # The table has the ratios.
-    docked.tissue = image
+    widget.tissue = image
     assert not form.poisson.native.isHidden()
-    docked.model = "paper"
+    widget.model = "paper"
     assert form.plane.native.isHidden()
     assert form.poisson.native.isHidden()
 
@@ -531,9 +531,9 @@ def test_a_boundary_too_thin_for_the_schedule_causes_no_note_for_elastic_tissue(
     assert not any("so thin" in note for note in notes)
 
 
-def test_all_typed_digits_of_a_force_are_accepted(docked, qtbot):
-    field = docked._form.model.in_detail["grip"]
+def test_all_typed_digits_of_a_force_are_accepted(widget, qtbot):
+    field = widget._form.model.in_detail["grip"]
     field.native.selectAll()
     qtbot.keyClicks(field.native, "0.25")
     field.native.interpretText()
-    assert docked.settings.grip == 0.25
+    assert widget.settings.grip == 0.25

@@ -285,11 +285,11 @@ def test_stiffness_is_shown_at_the_place_of_its_image_with_transparent_air(widge
     np.testing.assert_array_equal(drawn[:, 3], layer.data.ravel() > 0)
 
 
-def test_dragging_a_point_updates_the_stiffness_layer_and_is_one_undo_step(docked, qtbot, wait_for):
-    _, image, layer = show_stiffness(docked)
-    person = Person(qtbot, docked._form.tissue.editor)
+def test_dragging_a_point_updates_the_stiffness_layer_and_is_one_undo_step(widget, qtbot, wait_for):
+    _, image, layer = show_stiffness(widget)
+    person = Person(qtbot, widget._form.tissue.editor)
     QApplication.sendEvent(person.plot, QShowEvent())
-    first = docked.curve
+    first = widget.curve
     start = person.at(first.points[1])
     qtbot.mousePress(person.canvas, Qt.MouseButton.LeftButton, pos=start)
     before = layer.data.copy()
@@ -299,10 +299,10 @@ def test_dragging_a_point_updates_the_stiffness_layer_and_is_one_undo_step(docke
         before = layer.data.copy()
     assert person.settled == [], "the curve is settled although the button is down"
     qtbot.mouseRelease(person.canvas, Qt.MouseButton.LeftButton, pos=start - QPoint(0, 20))
-    assert person.settled == [docked.curve]
-    np.testing.assert_array_equal(layer.data, docked.curve(image.data))
-    docked.undo()
-    assert docked.curve == first
+    assert person.settled == [widget.curve]
+    np.testing.assert_array_equal(layer.data, widget.curve(image.data))
+    widget.undo()
+    assert widget.curve == first
     wait_for(lambda: np.array_equal(layer.data, first(image.data)))
 
 
@@ -415,9 +415,15 @@ def test_pulled_tissue_follows_a_change_of_its_curve(widget, wait_for):
 
 
 @pytest.mark.parametrize(
-    ("dtype", "lazy"), [(np.uint8, False), (np.int16, True), (np.float32, False)]
+    ("dtype", "lazy", "shape"),
+    [
+        (np.uint8, False, (24, 30)),
+        (np.float32, False, (3, 24, 30)),
+        (np.uint8, False, (24, 30, 3)),
+        (np.float32, True, (24, 30, 3)),
+        (np.int16, True, (2, 3, 24, 30)),
+    ],
 )
-@pytest.mark.parametrize("shape", [(24, 30), (3, 24, 30), (24, 30, 3), (2, 3, 24, 30)])
 def test_the_stiffness_of_a_slice_of_any_image_follows_its_pixels(widget, dtype, lazy, shape):
     coloured = shape[-1] == 3
     pixels = np.repeat(grey()[..., None], 3, axis=-1) if coloured else grey(shape)

@@ -270,7 +270,9 @@ def test_the_deformed_image_has_the_name_of_a_renamed_image(pulling_beside, sett
     assert "MR deformed, elastic" not in person.viewer.layers
 
 
-def test_renaming_or_removing_result_layers_does_not_interrupt_a_drag(pulling_beside, settle, wait_for):
+def test_renaming_or_removing_result_layers_does_not_interrupt_a_drag(
+    pulling_beside, settle, wait_for
+):
     person, widget = pulling_beside
     person.press(30, 30)
     person.move(32, 32)

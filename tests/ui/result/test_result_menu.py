@@ -292,7 +292,7 @@ def test_each_direction_of_the_field_has_its_own_menu_entry_and_file_name(result
     ]
 
 
-@pytest.mark.parametrize("ending", [".mha", ".nrrd", ".nii.gz", ".h5"])
+@pytest.mark.parametrize("ending", [".nii.gz", ".h5"])
 def test_the_menu_saves_the_field_in_each_direction(
     result, set_save_path, wait_for, tmp_path, ending
 ):
