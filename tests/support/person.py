@@ -80,7 +80,3 @@ def only(widget):
 
 def by_name(viewer, name):
     return viewer.layers[name]
-
-
-def settle_moves(person, widget):
-    person._qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)

@@ -48,13 +48,14 @@ def assert_newest(widget):
 
 
 @pytest.fixture
-def live_dock(widget, small_sample, run):
+def live_dock(widget, small_sample, run, settle):
     """Return the dock in live mode with a result, and the layers of its study."""
     layers = small_sample(viewer_of(widget))
     widget.model = "elastic"
     forget_choice(widget)
     run(widget)
     widget.live = True
+    settle(widget)
     return widget, layers
 
 
