@@ -63,16 +63,21 @@ class UnderCursor:
         position : sequence of float
             World coordinates, as in `viewer.cursor.position`.
         """
+        shown, place = self._shown(), self._place_of(position)
+        if shown is None or place is None:
+            return None
+        return shown.points.at(place, shown.layers.percent / FULL)
+
+    def _place_of(self, position: Any) -> tuple[float, ...] | None:
+        """Return the visible point at the cursor, in pixels of the result, or None."""
         shown = self._shown()
         arrows = None if shown is None else shown.layers.layer("arrows")
         if shown is None or arrows is None or shown.layers.moving:
             return None
-        view, fraction = View.of(self._viewer.dims), shown.layers.percent / FULL
+        view = View.of(self._viewer.dims)
         if self._viewer.dims.ndisplay == 2:
-            place = place_at(arrows, shown.answer, position, view)
-        else:
-            place = self._place_in_sight(shown, arrows, position, view)
-        return None if place is None else shown.points.at(place, fraction)
+            return place_at(arrows, shown.answer, position, view)
+        return self._place_in_sight(shown, arrows, position, view)
 
     def _place_in_sight(
         self, shown: MovingLayers, arrows: Any, position: Any, view: View
@@ -116,7 +121,19 @@ class UnderCursor:
             missing = float(np.linalg.norm(problem.observed[probe.site] - probe.displacement))
         bars = None if shown.estimated is None else shown.estimated.along
         spread = None if bars is None else float(bars[probe.site])
-        return at_point(answer.unit, probe, ways, more, percent, held, missing, spread)
+        line = at_point(answer.unit, probe, ways, more, percent, held, missing, spread)
+        return f"{self._depth_of(position)}{line}"
+
+    def _depth_of(self, position: Any) -> str:
+        """Return the place of the tissue in a 3-D view, where napari shows that of the slice."""
+        shown, place = self._shown(), self._place_of(position)
+        if self._viewer.dims.ndisplay == 2 or shown is None or place is None:
+            return ""
+        arrows = shown.layers.layer("arrows")
+        if arrows is None or arrows.ndim != len(place):
+            return ""
+        at = arrows.data_to_world(place)
+        return f"at [{', '.join(f'{along:.2f}' for along in at)}]: "
 
     def append_to_status(self, *_: Any) -> None:
         """Append the values under the cursor to napari's latest status text."""

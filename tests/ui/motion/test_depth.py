@@ -1,5 +1,6 @@
 """Tests of drawing on a volume in napari's 3-D view."""
 
+import re
 from itertools import count
 
 import numpy as np
@@ -33,6 +34,11 @@ def head():
 def beside(open_beside, settle):
     """Return a simulated pointer at a volume in a 3-D view without a window, and the dock."""
     return pull_volume(*open_beside(head(), scale=SCALE), settle, ndisplay=3)
+
+
+def depth_in(status):
+    """Return the first coordinate of the place that a status text names."""
+    return float(re.search(r"\| +at \[(-?[\d.]+), ", str(status))[1])
 
 
 def tools(widget):
@@ -229,10 +235,12 @@ def test_the_status_bar_describes_the_visible_surface_in_the_3d_view(beside, set
         return str(viewer.status)
 
     assert "held in place" in status_at(8, 20), "the surface of the tissue is fixed"
+    assert depth_in(viewer.status) == pytest.approx(TOP * SCALE[0], abs=1.2)
     assert "moved 2 px" in status_at(13.5, 13.5), "the status bar describes hidden tissue"
     assert "moved" not in status_at(1, 1)
     person.ahead = -1.0, 0.0, 0.0
     assert "held in place" in status_at(8, 20)
+    assert depth_in(viewer.status) == pytest.approx(BOTTOM * SCALE[0], abs=1.2)
     layer = viewer.layers["MR deformed, elastic"]
     layer.depiction, layer.plane.position, layer.plane.normal = "plane", (9, 12, 14), (1, 0.5, 0)
     assert f"moves {rounded(moves[7, 16, 20]):g} px" in status_at(16, 20)
