@@ -75,6 +75,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "write_movie": 3,
     "read_field": 1,
     "register": 2,
+    "fit": 2,
     "sample_posterior": 3,
     "study_uncertainty": 2,
     "uncertainty": 3,

@@ -1,0 +1,152 @@
+"""Tests of properties of tissue that are fitted to its motion."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from benchmarks.fem import plane_stress_displacement
+from napari_hmrf import Cancelled, ElasticPrior, Problem, ProblemError, solve
+from napari_hmrf.errors import ArgumentError
+from napari_hmrf.landmarks import Landmarks
+from napari_hmrf.loads import growth, weight
+from napari_hmrf.posterior import fit
+
+SIZE = 40
+LABELS = np.ones((SIZE, SIZE), int)
+LABELS[6:16, 6:16], LABELS[22:34, 8:18], LABELS[14:30, 24:34] = 2, 3, 4
+TRUE = {1: 1.0, 2: 3.0, 3: 0.4, 4: 8.0}
+NU = 0.3
+
+
+def stretched(stiffness, loads=None):
+    """Return tissue that is held at its first row, and moved at its last row."""
+    held, moved = np.zeros((2, SIZE, SIZE, 2))
+    held[[0, -1]] = 1
+    moved[-1] = (3, 1)
+    return Problem(moved, held, stiffness, loads=loads)
+
+
+def stiffness_of(values):
+    return np.select([label == LABELS for label in values], list(values.values()))
+
+
+def noisy(displacement, share=0.05, seed=0):
+    """Return a displacement with noise of a share of its size, and the size of the noise."""
+    sd = share * np.sqrt((displacement**2).mean())
+    return displacement + np.random.default_rng(seed).normal(0, sd, displacement.shape), sd
+
+
+UNIFORM = stretched(np.ones((SIZE, SIZE)))
+#: Motion by another program, which scikit-fem assembled.
+SEEN, SD = noisy(plane_stress_displacement(stretched(stiffness_of(TRUE)), NU))
+
+
+def test_ratios_of_stiffness_are_found_from_the_motion_of_another_program():
+    found = fit(UNIFORM, LABELS, measured=SEEN, sd=SD, stiffness=[2, 3, 4], prior=ElasticPrior(NU))
+    assert found.misfit == pytest.approx(1, abs=0.1)
+    for label in (2, 3, 4):
+        value = found.stiffness[label]
+        assert value.value == pytest.approx(TRUE[label], rel=0.1)
+        assert value.interval[0] < TRUE[label] < value.interval[1]
+        assert value.sd < 0.1
+    np.testing.assert_allclose(
+        found.solution.displacement, SEEN, atol=5 * SD, err_msg="the solution is not the fitted one"
+    )
+
+
+def test_a_homogeneous_sample_shows_no_inclusion():
+    seen, sd = noisy(plane_stress_displacement(UNIFORM, NU))
+    found = fit(UNIFORM, LABELS, measured=seen, sd=sd, stiffness=[2, 3, 4], prior=ElasticPrior(NU))
+    for value in found.stiffness.values():
+        assert value.interval[0] < 1 < value.interval[1]
+        assert value.value == pytest.approx(1, rel=0.15)
+
+
+def test_growth_and_poissons_ratio_are_found_together():
+    true = stretched(stiffness_of(TRUE), growth(0.2 * (LABELS == 2)))
+    seen, sd = noisy(solve(true, ElasticPrior(0.4)).displacement)
+    guess = stretched(stiffness_of(TRUE))
+    found = fit(guess, LABELS, measured=seen, sd=sd, growth=[2, 3], poisson=[1, 2, 3, 4])
+    assert found.growth[2].value == pytest.approx(0.2, rel=0.05)
+    assert found.growth[2].interval[0] < 0.2 < found.growth[2].interval[1]
+    assert abs(found.growth[3].value) < 0.02
+    assert found.poisson[1].value == pytest.approx(0.4, abs=0.03)
+
+
+def test_the_size_of_the_weight_makes_the_stiffness_absolute():
+    held = np.zeros((SIZE, SIZE, 2))
+    held[-1] = 1
+    m = np.full((SIZE, SIZE), 2.0)
+    loads = weight(m, (0.02, 0), spacing=1)
+    seen, sd = noisy(solve(Problem(0 * held, held, m, loads=loads)).displacement)
+    guess = Problem(0 * held, held, np.ones_like(m), loads=loads)
+    whole = np.ones((SIZE, SIZE), int)
+    found = fit(guess, whole, measured=seen, sd=sd, stiffness=[1])
+    assert found.stiffness[1].value == pytest.approx(2, rel=0.02)
+    found = fit(guess, whole, measured=seen, sd=sd, load=True)
+    assert found.load.value == pytest.approx(0.5, rel=0.02)
+    with pytest.raises(ProblemError, match="can change together"):
+        fit(guess, whole, measured=seen, sd=sd, stiffness=[1], load=True)
+
+
+def test_landmarks_alone_give_the_growth_of_a_tumour():
+    true = stretched(np.ones((SIZE, SIZE)), growth(0.3 * (LABELS == 4)))
+    field = solve(true).displacement
+    points = np.array([(14, 22), (30, 22), (14, 35), (31, 36), (22, 20), (22, 37)])
+    rng = np.random.default_rng(0)
+    targets = points + field[tuple(points.T)] + rng.normal(0, 0.05, points.shape)
+    found = fit(UNIFORM, LABELS, landmarks=Landmarks(points, targets, sd=0.05), growth=[4])
+    low, high = found.growth[4].interval
+    assert low < 0.3 < high < 0.4
+
+
+def test_missing_values_do_not_count():
+    seen = SEEN.copy()
+    seen[10:20, 20:30] = np.nan
+    found = fit(UNIFORM, LABELS, measured=seen, sd=SD, stiffness=[2, 3, 4], prior=ElasticPrior(NU))
+    assert found.stiffness[4].interval[0] < TRUE[4] < found.stiffness[4].interval[1]
+
+
+def test_intervals_are_longer_if_the_model_does_not_explain_the_motion():
+    right = fit(UNIFORM, LABELS, measured=SEEN, sd=SD, stiffness=[2, 3, 4], prior=ElasticPrior(NU))
+    wrong = fit(UNIFORM, LABELS, measured=SEEN, sd=SD / 3, stiffness=[2, 3, 4])
+    assert wrong.misfit > 5
+    assert wrong.stiffness[2].sd > 0.8 * right.stiffness[2].sd
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"stiffness": [1, 2, 3, 4]}, "only ratios of stiffness"),
+        ({"stiffness": [9]}, "label 9, which has no soft tissue"),
+        ({"load": True}, "has no forces"),
+        ({}, "name a label to fit"),
+        ({"growth": [2], "sd": None}, "sd: is missing"),
+        ({"growth": [2], "sd": -1.0}, "positive length"),
+        ({"growth": [2], "measured": None}, "measured: is missing"),
+        ({"growth": [2], "measured": np.zeros((3, 3, 2))}, "has shape"),
+        ({"growth": [2], "measured": np.full((SIZE, SIZE, 2), np.nan)}, "no values in tissue"),
+        ({"stiffness": [2], "sd": 100.0}, "hardly depends on the stiffness of label 2"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused_with_the_reason(given, reason):
+    with pytest.raises(ProblemError, match=reason):
+        fit(UNIFORM, LABELS, **{"measured": SEEN, "sd": SD, **given})
+
+
+def test_a_flag_is_not_a_number():
+    with pytest.raises(ArgumentError, match="load"):
+        fit(UNIFORM, LABELS, measured=SEEN, sd=SD, load=2)
+
+
+def test_a_fit_reports_progress_and_can_be_cancelled():
+    cancel, reports = threading.Event(), []
+
+    def report(monitor):
+        reports.append(monitor.message)
+        cancel.set()
+
+    with pytest.raises(Cancelled):
+        fit(UNIFORM, LABELS, measured=SEEN, sd=SD, stiffness=[2], progress=report, cancel=cancel)
+    assert reports == ["step 1 of the fit"]
