@@ -1,13 +1,14 @@
 """Uncertainty: standard deviations beside dense posteriors, coverage of intervals, and times.
 
-    python -m benchmarks.uncertainty [samples] [coverage] [fits] [times] [--problems 2000]
+    python -m benchmarks.uncertainty [samples] [coverage] [fits] [maps] [times] [--problems 2000]
 
 `samples` compares standard deviations of 30, 300 and 3000 samples with those of dense inverse
 matrices: contrast to 1000, tensors, landmarks, void, long pixels, images and volumes. `coverage`
 draws the true motion of random tissue from a matrix that scikit-fem assembled, observes it with
 noise, and counts how often the intervals of 68 % and 95 % contain it. `fits` finds the stiffness
-and the growth of labels from the motion that scikit-fem computed, with noise of 5 %. `times`
-compares a sample with a solve after a change of the motion, in turn.
+and the growth of labels from the motion that scikit-fem computed, with noise of 5 %, and `maps`
+two inclusions whose places are unknown. `times` compares a sample with a solve after a change of
+the motion, in turn.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ import time
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from benchmarks.fem import plane_stress_displacement, plane_stress_matrix
 from napari_hmrf import ElasticPrior, Problem, solve
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import growth
-from napari_hmrf.posterior import fit, sample_posterior, uncertainty
+from napari_hmrf.posterior import fit, sample_posterior, stiffness_map, uncertainty
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
@@ -32,6 +34,7 @@ from tests.support.posterior_oracle import posterior_covariance
 Array = npt.NDArray[np.float64]
 _SCALE = StrainScale(0.1)
 _COUNTS = (30, 300, 3000)
+_TABLES = ("samples", "coverage", "fits", "maps", "times")
 # Quantiles of the normal distribution for 68 % and 95 %.
 _BOUNDS = {68: 0.9945, 95: 1.96}
 
@@ -201,6 +204,44 @@ def fits(count: int = 100) -> None:
         )
 
 
+def maps(count: int = 10) -> None:
+    """Print the contrast and the outline of two inclusions in maps of the stiffness."""
+    size, prior = 64, ElasticPrior(0.3)
+    rows, cols = np.indices((size, size))
+    held, moved = np.zeros((2, size, size, 2))
+    held[[0, -1]], moved[-1, :, 0] = 1, -2
+    print("| seed | contrast (3 in truth) | outline: mean, largest distance (px) | pieces |")
+    print("| --- | --- | --- | --- |")
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        inside = np.zeros((size, size), bool)
+        for row, col in ((22, 20), (42, 44)):
+            middle = rng.uniform(-3, 3, 2) + np.array((row, col))
+            inside |= np.hypot(rows - middle[0], cols - middle[1]) < rng.uniform(7, 10)
+        field = plane_stress_displacement(Problem(moved, held, np.where(inside, 3.0, 1.0)))
+        sd = 0.05 * float(np.sqrt((field**2).mean()))
+        seen = field + rng.normal(0, sd, field.shape)
+        guess = Problem(moved, held, np.ones((size, size)))
+        found = stiffness_map(guess, seen, sd=sd, prior=prior, backend="cpu")
+        ratios = found.stiffness / np.median(found.stiffness[~inside])
+        stiff = ratios > np.sqrt(3)
+        distances = []
+        for one, other in ((stiff, inside), (inside, stiff)):
+            away = scipy.ndimage.distance_transform_edt(~_outline(other))
+            distances.append(away[_outline(one)])
+        apart = np.concatenate(distances)
+        pieces = scipy.ndimage.label(stiff)[1]
+        print(
+            f"| {seed} | {np.median(ratios[inside]):.2f} | {apart.mean():.2f}, {apart.max():.1f} "
+            f"| {pieces} |"
+        )
+
+
+def _outline(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return the outermost pixels of a mask."""
+    return np.asarray(mask & ~scipy.ndimage.binary_erosion(mask))
+
+
 def times(turns: int = 6) -> None:
     """Print the time of a sample relative to a solve after a change of the motion."""
     print("| grid | solve (s) | sample (s) | ratio (range) |")
@@ -242,16 +283,18 @@ def times(turns: int = 6) -> None:
 def main() -> None:
     """Print the chosen tables, or all."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("tables", nargs="*", choices=["samples", "coverage", "fits", "times", []])
+    parser.add_argument("tables", nargs="*", choices=[*_TABLES, []])
     parser.add_argument("--problems", type=int, default=2000, help="random problems of `coverage`")
     given = parser.parse_args()
-    tables = given.tables or ["samples", "coverage", "fits", "times"]
+    tables = given.tables or _TABLES
     if "samples" in tables:
         samples()
     if "coverage" in tables:
         coverage(given.problems)
     if "fits" in tables:
         fits()
+    if "maps" in tables:
+        maps()
     if "times" in tables:
         times()
 

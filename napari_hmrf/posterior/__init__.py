@@ -10,11 +10,13 @@
     result.labels[2].sd  # error bars of the mean displacement of label 2
 
 `study_uncertainty` does the same for a study, and `sample_posterior` returns whole fields. `fit`
-finds the growth and the stiffness of tissue from its measured motion.
+finds the growth and the stiffness of tissue from its measured motion, and `stiffness_map` the
+stiffness of each site.
 """
 
 from napari_hmrf.posterior.fit import Fit, FittedProperty, fit
 from napari_hmrf.posterior.sampling import sample_posterior
+from napari_hmrf.posterior.stiffness_map import StiffnessMap, stiffness_map
 from napari_hmrf.posterior.study_uncertainty import study_uncertainty
 from napari_hmrf.posterior.uncertainty import MeanDisplacement, Uncertainty, uncertainty
 
@@ -22,9 +24,11 @@ __all__ = [
     "Fit",
     "FittedProperty",
     "MeanDisplacement",
+    "StiffnessMap",
     "Uncertainty",
     "fit",
     "sample_posterior",
+    "stiffness_map",
     "study_uncertainty",
     "uncertainty",
 ]

@@ -211,7 +211,7 @@ def fit(
         )
     bare = variant_of(problem, precision=None, landmarks=None)
     elastic = checked_prior(bare, prior)
-    data = _Data.of(problem, measured, sd, landmarks)
+    data = FieldData.of(problem, measured, sd, landmarks)
     tissue = _Tissue(bare, elastic)
     wanted = {"stiffness": stiffness, "growth": growth, "poisson": poisson}
     properties = _properties(tissue, numbers, wanted, load)
@@ -346,7 +346,7 @@ class _Load(_Property):
         return tissue._replace(problem=variant_of(tissue.problem, loads=changed))
 
 
-class _Data:
+class FieldData:
     """Measured displacements, in units of their standard deviations."""
 
     def __init__(
@@ -371,7 +371,7 @@ class _Data:
         measured: npt.ArrayLike | None,
         sd: npt.ArrayLike | None,
         landmarks: Landmarks | None,
-    ) -> _Data:
+    ) -> FieldData:
         """Check measured displacements."""
         grid, axes = problem.shape, len(problem.shape)
         if measured is None and landmarks is None:
@@ -415,6 +415,17 @@ class _Data:
             parts.append((self._at_landmarks(response) / self._landmarks.sd).ravel())
         return np.concatenate(parts)
 
+    def pull(self, differences: Float64Array, field: npt.NDArray[Any]) -> Float64Array:
+        """Return the forces on sites that are the transpose of `derivative`, without landmarks."""
+        forces = np.zeros(field.shape)
+        forces[self._sites] = differences.reshape(self._values.shape) / self._sd
+        return forces
+
+    def tolerance(self, problem: Problem) -> float:
+        """Return the tolerance of a solve, in pixels, at which its error is negligible."""
+        low, high = _TOLERANCES
+        return min(max(_ACCURACY * self.least_sd / problem.unit, low), high)
+
     def _at_landmarks(self, field: npt.NDArray[Any]) -> Float64Array:
         """Interpolate a field at the landmarks."""
         assert self._landmarks is not None
@@ -432,7 +443,7 @@ class _Fitter:
     def __init__(
         self,
         tissue: _Tissue,
-        data: _Data,
+        data: FieldData,
         properties: Sequence[_Property],
         backend: str,
         cancel: CancelFlag | None,
@@ -441,9 +452,7 @@ class _Fitter:
         self._initial = tissue
         self._data, self._properties = data, properties
         self._backend, self._cancel, self._progress = backend, cancel, progress
-        low, high = _TOLERANCES
-        tolerance = min(max(_ACCURACY * data.least_sd / tissue.problem.unit, low), high)
-        self._optimizer = Multigrid(tolerance=tolerance)
+        self._optimizer = Multigrid(tolerance=data.tolerance(tissue.problem))
 
     def run(self) -> Fit:
         """Return the fitted properties."""

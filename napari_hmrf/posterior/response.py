@@ -29,7 +29,7 @@ _LARGER = 1e3
 #: Ratio of two factors that are close enough to end the trials.
 _CLOSE = 2.0
 #: Number of trial solves until the size of the displacements is known.
-_TRIALS = 4
+_TRIALS = 8
 
 
 class Units(NamedTuple):
@@ -82,7 +82,13 @@ class Response:
         force : ndarray, shape (H, W, 2) or (D, H, W, 3)
         """
         diagonal = math.hypot(*self._problem.shape)
-        units = Units(1.0, _ACCURACY * _SIZE * diagonal)
+        # Begin with forces that cannot move the softest tissue far, even all in one direction.
+        soft = self._problem.stiffness[self._moves & np.isfinite(self._problem.stiffness)]
+        least = self._prior.force_unit(self._problem) * self._problem.unit
+        least *= float(soft.min() / soft.max()) if soft.size else 1.0
+        total = float(np.abs(force).sum()) * self._problem.unit
+        begin = _SIZE * diagonal * least / total if total > 0 else 1.0
+        units = Units(begin, _ACCURACY * _SIZE * diagonal)
         for _ in range(_TRIALS):
             moved = self.to(force, units) / self._problem.unit
             sizes = np.sqrt((moved[self._moves] ** 2).sum(axis=-1))
