@@ -26,7 +26,7 @@ from tests.support.napari_caches import (
     read_manifests_once,
 )
 from tests.support.pulling import pull
-from tests.support.timeouts import LONG
+from tests.support.timeouts import LONG, LONG_MS
 
 # A slow machine must not fail a test.
 settings.register_profile("any machine", deadline=None)
@@ -185,14 +185,14 @@ def small_sample():
 
 
 @pytest.fixture
-def run(wait_for):
+def run(qtbot):
     """Return a function that presses Deform and returns the first value that `finished` emits."""
 
     def deform(widget):
         said = []
         widget.finished.connect(said.append)
         widget.deform()
-        wait_for(lambda: bool(said))
+        qtbot.waitUntil(lambda: bool(said), timeout=LONG_MS)
         widget.finished.disconnect(said.append)
         return said[0]
 
@@ -200,9 +200,9 @@ def run(wait_for):
 
 
 @pytest.fixture
-def wait_for(at_rest):
-    """Return a function that processes events and timers until a condition is true."""
-    return at_rest.wait_for
+def wait_for(qtbot):
+    """Return a function that processes events of the window until a condition is true."""
+    return lambda condition: qtbot.waitUntil(condition, timeout=LONG_MS)
 
 
 @pytest.fixture

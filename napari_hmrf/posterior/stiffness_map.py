@@ -46,6 +46,8 @@ _MISFIT = 1.02
 _SMOOTH = 0.02
 #: Largest change of u in a step, and largest |u|.
 _LARGEST_STEP, _LARGEST = 1.0, 5.0
+#: Steps that do not punish large jumps, their factor on the weight, and what a large jump is.
+_JUMP_STEPS, _JUMP_WEIGHT, _JUMP = 5, 2.0, 0.1
 #: Part of the weight that keeps u at 0 where the motion does not determine it.
 _RIDGE = 1e-4
 
@@ -163,13 +165,24 @@ class _Mapper:
             if misfit <= _MISFIT:
                 break
             for _ in range(_STEPS):
-                step = self._step(u, problem, solution, weight)
-                step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-30))
-                u = np.clip(u + step, -_LARGEST, _LARGEST)
-                problem, solution = self._at(u)
+                u, problem, solution = self._moved(u, problem, solution, weight, jumps=False)
             misfit = self._misfit(solution)
             weight *= _RATIO
-        return StiffnessMap(problem.stiffness, misfit, weight / _RATIO, solution)
+        weight /= _RATIO
+        for _ in range(_JUMP_STEPS):
+            u, problem, solution = self._moved(
+                u, problem, solution, _JUMP_WEIGHT * weight, jumps=True
+            )
+        return StiffnessMap(problem.stiffness, self._misfit(solution), weight, solution)
+
+    def _moved(
+        self, u: Float64Array, problem: Problem, solution: Solution, weight: float, jumps: bool
+    ) -> tuple[Float64Array, Problem, Solution]:
+        """Return u after a Gauss-Newton step, and the tissue with this stiffness."""
+        step = self._step(u, problem, solution, weight, jumps)
+        step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-30))
+        u = np.clip(u + step, -_LARGEST, _LARGEST)
+        return u, *self._at(u)
 
     def _at(self, u: Float64Array) -> tuple[Problem, Solution]:
         m = (self._initial.stiffness * np.exp(u)).astype(np.float32)
@@ -200,12 +213,12 @@ class _Mapper:
         return -self._products(problem, moved, solution.displacement)
 
     def _step(
-        self, u: Float64Array, problem: Problem, solution: Solution, weight: float
+        self, u: Float64Array, problem: Problem, solution: Solution, weight: float, jumps: bool
     ) -> Float64Array:
         """Return a Gauss-Newton step of u."""
         response = Response(problem, self._prior, self._backend, self._cancel)
         d = solution.displacement
-        shares = _variation_shares(u, self._tissue)
+        shares = _variation_shares(u, self._tissue, jumps)
         right = -self._gradient(problem, solution, response)
         right -= weight * (_variation(u, shares) + _RIDGE * u)
         units: dict[str, Units] = {}
@@ -288,7 +301,9 @@ def _on_sites(corners: Float64Array, shape: tuple[int, ...]) -> Float64Array:
     return field
 
 
-def _variation_shares(u: Float64Array, tissue: npt.NDArray[np.bool_]) -> list[Float64Array]:
+def _variation_shares(
+    u: Float64Array, tissue: npt.NDArray[np.bool_], jumps: bool
+) -> list[Float64Array]:
     """Return the weight of each difference of neighbours in the total variation of u.
 
     The variation is ``sum of sqrt(|grad u|^2 + e^2)``; its gradient divides each difference by the
@@ -304,6 +319,8 @@ def _variation_shares(u: Float64Array, tissue: npt.NDArray[np.bool_]) -> list[Fl
         first = tuple(slice(None, -1) if each == axis else slice(None) for each in range(u.ndim))
         squares[first] += both * np.diff(u, axis=axis) ** 2
     roots = np.sqrt(squares + _SMOOTH**2)
+    if jumps:
+        roots *= 1 + squares / _JUMP**2
     shares = []
     for axis, both in enumerate(inside):
         first = tuple(slice(None, -1) if each == axis else slice(None) for each in range(u.ndim))

@@ -61,16 +61,6 @@ class AtRest:
         self._qtbot.waitUntil(resting, timeout=LONG_MS)
         self()
 
-    def wait_for(self, condition):
-        """Run events and timers until a condition is true, also while the thread is at work."""
-
-        def passed():
-            if not condition():
-                self(thread=False)
-            return condition()
-
-        self._qtbot.waitUntil(passed, timeout=LONG_MS)
-
     def pass_through(self):
         """Process all events that Qt and the window system have received."""
         QApplication.sync()
