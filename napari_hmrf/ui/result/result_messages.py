@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.result_layers import Name, PlacedSolution
+from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.solver.optimizers import Monitor
 
 NO_RESULT = "There is no result yet: drag tissue, or press Deform."
@@ -117,6 +120,15 @@ def how_far(
     if compared is None:
         return moved
     return f"{moved}. {compared.in_words(result.solution, result.unit)}"
+
+
+def least_sure(answer: PlacedSolution, estimated: Uncertainty) -> str:
+    """Return a message about the patch with the longest error bar, where a landmark helps most."""
+    bars = np.where(answer.solution.tissue, estimated.along, 0)
+    site = np.unravel_index(int(bars.argmax()), bars.shape)
+    place = ", ".join(str(int(index)) for index in site)
+    longest = f"± {bars[site]:.2g} {answer.unit}"
+    return f"Least sure: {longest} at pixel ({place}). One more landmark helps most there."
 
 
 def arrow_scale(times: float) -> str:

@@ -1,5 +1,6 @@
 """Tests of the overlay of the uncertainty, and of the error bar in the status bar."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +37,11 @@ def test_the_overlay_shows_the_uncertainty_of_patches_and_the_status_bar_an_erro
     drawn = layer.data[np.isfinite(layer.data)]
     assert drawn.max() > 0.05
     assert "±" in elastic._view.cursor.line_at((10, 12))
+    row, col = map(int, re.search(r"at pixel \((\d+), (\d+)\)", elastic.status).groups())
+    shown = elastic._view.shown
+    assert (
+        shown.estimated.along[row, col] == shown.estimated.along[shown.answer.solution.tissue].max()
+    )
     elastic.overlay = "nothing"
     wait_for(lambda: bars(elastic) is None)
 
