@@ -19,7 +19,7 @@ from napari_hmrf.solver.solve import CancelFlag, solve
 Float64Array = npt.NDArray[np.float64]
 
 #: Largest error of a sample, relative to the median of its displacements.
-_ACCURACY = 0.01
+_ACCURACY = 0.03
 #: Median to which displacements are scaled for the solver, relative to the diagonal of the image.
 _SIZE = 0.01
 #: Limit of the largest displacement, in the same unit; the solver refuses 2.

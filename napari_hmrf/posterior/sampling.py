@@ -40,8 +40,8 @@ def sample_posterior(
     little is likely, and so are displacements close to uncertain observations. `solve` returns the
     most likely field. The fields of this function are other fields that the tissue may have, each
     with its probability. For held sites and quadratic observations (`precision`, `landmarks`), the
-    distribution is normal, and the samples follow it exactly up to the accuracy of the solver, 1 %
-    of their size.
+    distribution is normal, and the samples follow it up to an error of the solver of 3 % of their
+    median size.
 
     The displacement of a single point in a volume has no finite variance in the limit of small
     voxels, because elastic tissue may strain at any scale. Use means over patches or labels, as
