@@ -24,14 +24,15 @@ from napari_hmrf.arguments import require_flag
 from napari_hmrf.errors import ConvergenceError, ProblemError
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import checked_prior
+from napari_hmrf.posterior.uncertainty import checked_labels
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.solver.problem import Problem, as_numbers, variant_of, whole_numbers
+from napari_hmrf.solver.problem import Problem, as_numbers, variant_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
-from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, interpolated
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -202,13 +203,7 @@ def fit(
     """
     check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
     require_flag("load", load)
-    numbers = whole_numbers("labels", labels)
-    if numbers.shape != problem.shape:
-        raise ProblemError(
-            "labels",
-            f"has shape {numbers.shape}, but stiffness has shape {problem.shape}. Use the same "
-            "pixel grid for both.",
-        )
+    numbers = checked_labels(labels, problem)
     bare = variant_of(problem, precision=None, landmarks=None)
     elastic = checked_prior(bare, prior)
     data = FieldData.of(problem, measured, sd, landmarks)
@@ -404,7 +399,7 @@ class FieldData:
         parts = [((displacement[self._sites] - self._values) / self._sd).ravel()]
         if self._landmarks is not None:
             observed = self._landmarks.displacement(self._spacing)
-            found = self._at_landmarks(displacement) - observed
+            found = interpolated(displacement, self._landmarks.points) - observed
             parts.append((found / self._landmarks.sd).ravel())
         return np.concatenate(parts)
 
@@ -412,7 +407,8 @@ class FieldData:
         """Return the derivatives of the differences."""
         parts = [(response[self._sites] / self._sd).ravel()]
         if self._landmarks is not None:
-            parts.append((self._at_landmarks(response) / self._landmarks.sd).ravel())
+            found = interpolated(response, self._landmarks.points)
+            parts.append((found / self._landmarks.sd).ravel())
         return np.concatenate(parts)
 
     def pull(self, differences: Float64Array, field: npt.NDArray[Any]) -> Float64Array:
@@ -425,16 +421,6 @@ class FieldData:
         """Return the tolerance of a solve, in pixels, at which its error is negligible."""
         low, high = _TOLERANCES
         return min(max(_ACCURACY * self.least_sd / problem.unit, low), high)
-
-    def _at_landmarks(self, field: npt.NDArray[Any]) -> Float64Array:
-        """Interpolate a field at the landmarks."""
-        assert self._landmarks is not None
-        elements, within = corners_of(self._landmarks.points, field.shape[:-1])
-        found = np.zeros(within.shape)
-        for corner in np.ndindex(*(2,) * within.shape[1]):
-            shares = np.where(corner, within, 1 - within).prod(axis=1)
-            found += shares[:, np.newaxis] * field[tuple((elements + corner).T)]
-        return found
 
 
 class _Fitter:

@@ -18,7 +18,7 @@ would have another covariance.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.priors.elements import element_stiffness
 from napari_hmrf.solver.priors.growth import slabs
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.uncertain_landmarks import corners_of
+from napari_hmrf.solver.uncertain_landmarks import corner_shares
 
 Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
@@ -147,15 +147,13 @@ class _PointNoise(NamedTuple):
 
     Attributes
     ----------
-    elements : ndarray of int, shape (n, axes)
-    within : ndarray, shape (n, axes)
-        Position of each landmark in its element, from 0 to 1.
+    corners : tuple of (index, shares)
+        Sites at each corner of the elements, and their shares of the landmarks.
     roots : ndarray, shape (n, axes)
         Standard deviation of the force on each landmark.
     """
 
-    elements: npt.NDArray[np.intp]
-    within: Float64Array
+    corners: tuple[tuple[tuple[Any, ...], Float64Array], ...]
     roots: Float64Array
 
     @classmethod
@@ -164,13 +162,12 @@ class _PointNoise(NamedTuple):
         marks = problem.landmarks
         if marks is None:
             return None
-        elements, within = corners_of(marks.points, problem.shape)
         precision = marks.precision(problem.stiffness, problem.spacing)
-        return cls(elements, within, np.sqrt(energy * precision))
+        corners = tuple(corner_shares(marks.points, problem.shape))
+        return cls(corners, np.sqrt(energy * precision))
 
     def add(self, force: Float64Array, rng: np.random.Generator) -> None:
         """Add the noise to the forces on sites."""
         drawn = self.roots * rng.standard_normal(self.roots.shape)
-        for corner in np.ndindex(*(2,) * self.roots.shape[1]):
-            shares = np.where(corner, self.within, 1 - self.within).prod(axis=1)
-            np.add.at(force, tuple((self.elements + corner).T), shares[:, None] * drawn)
+        for sites, shares in self.corners:
+            np.add.at(force, sites, shares[:, None] * drawn)

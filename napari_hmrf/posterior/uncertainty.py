@@ -147,7 +147,7 @@ def uncertainty(
     longest = max(size * step for size, step in zip(problem.shape, problem.spacing, strict=True))
     side = _PATCH * longest if patch is None else real(patch)
     refuse_unless(0 < side < math.inf, "patch", patch, "a positive length, or None")
-    numbers = None if labels is None else _checked_labels(labels, problem)
+    numbers = None if labels is None else checked_labels(labels, problem)
     elastic, energy = checked_prior(problem, prior), energy_of(problem, scale)
     report = progress or (lambda _: None)
     solution = solve(problem, elastic, backend=backend, cancel=cancel)
@@ -173,7 +173,8 @@ def uncertainty(
     return Uncertainty(solution, sd, along, side, n, found)
 
 
-def _checked_labels(labels: npt.ArrayLike, problem: Problem) -> npt.NDArray[Any]:
+def checked_labels(labels: npt.ArrayLike, problem: Problem) -> npt.NDArray[Any]:
+    """Return labels as whole numbers, and check that they match a problem."""
     numbers = whole_numbers("labels", labels)
     if numbers.shape != problem.shape:
         raise ProblemError(

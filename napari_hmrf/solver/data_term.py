@@ -26,7 +26,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.uncertain_landmarks import corners_of
+from napari_hmrf.solver.uncertain_landmarks import corner_shares, corners_of
 
 Float64Array = npt.NDArray[np.float64]
 Planes = npt.NDArray[np.float64]
@@ -70,13 +70,12 @@ class PointTerm(NamedTuple):
         if landmarks is None:
             return None
         grid = problem.shape
-        elements, within = corners_of(landmarks.points, grid)
+        elements, _ = corners_of(landmarks.points, grid)
         padded = tuple(size + 4 for size in grid)
         corners, shares = [], []
-        for corner in np.ndindex(*(2,) * len(grid)):
-            at = tuple((elements + np.array(corner) + 2).T)
-            corners.append(np.ravel_multi_index(at, padded))
-            shares.append(np.where(corner, within, 1 - within).prod(axis=1))
+        for sites, share in corner_shares(landmarks.points, grid):
+            corners.append(np.ravel_multi_index(tuple(at + 2 for at in sites), padded))
+            shares.append(share)
         return cls(
             elements,
             np.stack(corners, axis=1),

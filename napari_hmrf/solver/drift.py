@@ -35,7 +35,7 @@ from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.growth import slabs
 from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, interpolated
 from napari_hmrf.solver.volume_memory import check_memory
 from napari_hmrf.solver.warm_start import Initial
 
@@ -390,12 +390,7 @@ def _dot(one: npt.NDArray[np.floating], other: npt.NDArray[np.floating]) -> floa
 def _at_points(problem: Problem, field: npt.NDArray[np.floating]) -> Float64Array:
     """Return the displacement at the landmarks, in pixels."""
     assert problem.landmarks is not None
-    elements, within = corners_of(problem.landmarks.points, problem.shape)
-    moved = np.zeros(within.shape)
-    for corner in np.ndindex(*(2,) * len(problem.shape)):
-        share = np.where(corner, within, 1 - within).prod(axis=1)
-        moved += share[:, None] * field[tuple((elements + np.array(corner)).T)]
-    return moved / problem.unit
+    return interpolated(field, problem.landmarks.points) / problem.unit
 
 
 def _product_of_points(

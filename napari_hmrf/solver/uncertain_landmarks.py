@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from typing import Any
@@ -258,6 +258,40 @@ def corners_of(points: Float64Array, grid: tuple[int, ...]) -> tuple[Any, Float6
     last = np.array(grid) - 2
     first = np.clip(np.floor(points).astype(np.intp), 0, last)
     return first, points - first
+
+
+def corner_shares(
+    points: Float64Array, grid: tuple[int, ...]
+) -> Iterator[tuple[tuple[Any, ...], Float64Array]]:
+    """Yield the sites at each corner of the elements of points, and the shares of these corners.
+
+    The linear interpolation of a field at the points is the sum of its values at the corners times
+    the shares.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, axes)
+        Positions inside the grid, in pixels.
+    grid : tuple of int
+
+    Yields
+    ------
+    tuple of ndarray of int, shape (n,)
+        Index of a corner, along each axis.
+    ndarray, shape (n,)
+    """
+    elements, within = corners_of(points, grid)
+    for corner in np.ndindex(*(2,) * len(grid)):
+        shares = np.where(corner, within, 1 - within).prod(axis=1)
+        yield tuple((elements + np.array(corner)).T), shares
+
+
+def interpolated(field: npt.NDArray[Any], points: Float64Array) -> Float64Array:
+    """Interpolate a field, shape (H, W, 2) or (D, H, W, 3), linearly at points, (n, axes)."""
+    found = np.zeros(points.shape)
+    for sites, shares in corner_shares(points, field.shape[:-1]):
+        found += shares[:, np.newaxis] * field[sites]
+    return found
 
 
 def _positions(field: str, values: npt.ArrayLike) -> Float64Array:
