@@ -17,7 +17,9 @@ would have another covariance.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,6 +33,8 @@ from napari_hmrf.solver.uncertain_landmarks import corner_shares
 
 Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
+# Number of sites of a slab, whose arrays fit into the cache.
+_SLAB = 1 << 14
 # Largest eigenvalue, relative to the largest of all, that counts as 0.
 _NULL = 1e-12
 
@@ -58,18 +62,27 @@ class PosteriorNoise:
         self._sites = _site_factors(problem, energy)
         self._points = _PointNoise.of(problem, energy)
 
-    def force(self, rng: np.random.Generator) -> Float64Array:
+    def force(self, seed: int, number: int) -> Float64Array:
         """Return a random force on each site, shape (H, W, 2) or (D, H, W, 3).
+
+        The force depends on the arguments only, and not on the number of threads.
 
         Parameters
         ----------
-        rng : numpy.random.Generator
+        seed, number : int
+            Seed, and number of the sample.
         """
         grid = self._problem.shape
         planes = np.zeros((len(grid), *grid), np.float32)
-        for slab in self._slabs:
-            self._add_elements(planes[:, slab.sites], slab, rng)
+        keys = [(seed, number, block) for block in range(len(self._slabs))]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            # Neighbouring slabs share sites, so their forces are added one after another.
+            for slab, pushes in zip(
+                self._slabs, pool.map(self._of_elements, self._slabs, keys), strict=True
+            ):
+                planes[:, slab.sites] += pushes
         force = np.moveaxis(planes, 0, -1).astype(np.float64)
+        rng = np.random.default_rng((seed, number, len(self._slabs)))
         if self._sites is not None:
             at, roots = self._sites
             drawn = rng.standard_normal((len(roots), len(grid)))
@@ -78,23 +91,22 @@ class PosteriorNoise:
             self._points.add(force, rng)
         return force
 
-    def _add_elements(self, planes: Float32Array, slab: _Slab, rng: np.random.Generator) -> None:
-        """Add the part of the elements of a slab to the forces on its sites, (n, h, W)."""
-        axes, count = len(planes), len(slab.first)
+    def _of_elements(self, slab: _Slab, key: tuple[int, ...]) -> Float32Array:
+        """Return the forces of the elements of a slab on its sites, (n, h, W) or (n, d, H, W)."""
+        rng = np.random.default_rng(key)
+        axes, count = slab.elements.ndim, len(slab.first)
         drawn = rng.standard_normal((count, len(self._factor)), dtype=np.float32)
         drawn[:, : self._count] *= slab.first[:, np.newaxis]
         drawn[:, self._count :] *= slab.shear[:, np.newaxis]
         pushes = np.zeros((2**axes * axes, *slab.elements.shape), np.float32)
         pushes[:, slab.elements] = (drawn @ self._factor).T
-        corners = np.ndindex(*(2,) * axes)
-        for corner, of_corner in zip(
-            corners, pushes.reshape(-1, axes, *pushes.shape[1:]), strict=True
-        ):
-            ends = tuple(
-                slice(end, end + size)
-                for end, size in zip(corner, slab.elements.shape, strict=True)
-            )
-            planes[(slice(None), *ends)] += of_corner
+        planes = np.zeros((axes, *(size + 1 for size in slab.elements.shape)), np.float32)
+        of_corners = pushes.reshape(-1, axes, *slab.elements.shape)
+        shape = slab.elements.shape
+        for corner, push in zip(np.ndindex(*(2,) * axes), of_corners, strict=True):
+            ends = (slice(end, end + size) for end, size in zip(corner, shape, strict=True))
+            planes[(slice(None), *ends)] += push
+        return planes
 
 
 class _Slab(NamedTuple):
@@ -116,7 +128,7 @@ class _Slab(NamedTuple):
 
 
 def _element_slabs(problem: Problem, prior: ElasticPrior) -> Iterator[_Slab]:
-    for sites in slabs(problem.shape):
+    for sites in slabs(problem.shape, _SLAB):
         lame = prior.lame(problem, sites)
         elements = lame.shear > 0
         roots = (np.sqrt(each[elements]).astype(np.float32) for each in lame)

@@ -192,4 +192,4 @@ class Sampler:
         return self._response.to(self._force(number), self._units)
 
     def _force(self, number: int) -> Float64Array:
-        return self._noise.force(np.random.default_rng([self._seed, number]))
+        return self._noise.force(self._seed, number)

@@ -82,10 +82,13 @@ def growth_load(
     return Load(forces, energy)
 
 
-def slabs(grid: tuple[int, ...]) -> Iterator[slice]:
-    """Yield ranges of sites along the first axis; each element is within exactly one range."""
+def slabs(grid: tuple[int, ...], size: int = _BLOCK_SIZE) -> Iterator[slice]:
+    """Yield ranges of about `size` sites, along the first axis.
+
+    Each element is within exactly one range.
+    """
     length, *others = grid
-    step = max(1, _BLOCK_SIZE // math.prod(others))
+    step = max(1, size // math.prod(others))
     for begin in range(0, length - 1, step):
         compute_thread.check_cancelled()
         yield slice(begin, min(begin + step, length - 1) + 1)
