@@ -16,6 +16,8 @@ Float64Array = npt.NDArray[np.float64]
 
 #: Number of brightness classes of the mutual information, and fraction of pixels that are compared.
 _CLASSES, _SHARE = 32, 0.2
+#: Seed of the choice of pixels, so that an alignment is reproducible.
+_SEED = 1
 #: Largest number of steps on each level, and their first and last length, in pixels of the level.
 _ITERATIONS, _FIRST_STEP, _LAST_STEP = 300, 0.5, 1e-3
 #: Factor by which the step is shortened where the direction reverses.
@@ -86,12 +88,13 @@ def align(
     def improved(transform: Any, by: str, levels: list[int]) -> tuple[float, Any]:
         """Return the metric at the end of an iteration over levels, and the transform."""
         method = sitk.ImageRegistrationMethod()
+        method.SetNumberOfWorkUnits(1)  # several threads add up the metric in any order
         if by == "correlation":
             method.SetMetricAsCorrelation()
         else:
             method.SetMetricAsMattesMutualInformation(_CLASSES)
         method.SetMetricSamplingStrategy(method.REGULAR)
-        method.SetMetricSamplingPercentage(_SHARE)
+        method.SetMetricSamplingPercentage(_SHARE, _SEED)
         method.SetMetricFixedMask(counted[0])
         method.SetMetricMovingMask(counted[1])
         method.SetInterpolator(sitk.sitkLinear)

@@ -206,6 +206,7 @@ class DockForm:
         self.tissue.margins = (0, 0, 0, 0)
         for choice in (self.result.reference, self.result.second):
             choice.listed.connect(self._show_comparison)
+        self.result.registration.shown.connect(self._show_comparison)
         self._show_comparison()
         FontFollower(self.motion.fields.radius.native, [*self.motion.tools.values(), *self.tables])
         # Nested widgets, which magicgui does not list, follow the forms that contain them.
@@ -214,9 +215,11 @@ class DockForm:
             name_fields(form)
 
     def _show_comparison(self) -> None:
-        """Show the section for comparisons only if there is a layer to compare with."""
+        """Show the section for comparisons only if it has a layer or a registration to show."""
         choices = (self.result.reference, self.result.second)
-        self.sections["comparison"].setVisible(any(choice.offered for choice in choices))
+        has_content = self.result.registration.is_registered
+        has_content = has_content or any(choice.offered for choice in choices)
+        self.sections["comparison"].setVisible(has_content)
 
     def _scroll_to(self, step: Section) -> None:
         """Scroll until all of an opened section is visible, or at least its top."""

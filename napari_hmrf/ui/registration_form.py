@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 
 from magicgui.widgets import Container, PushButton
+from psygnal import Signal
 
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.registration.alignment import Kind
@@ -43,7 +44,12 @@ class RegistrationForm(Container):
         Buttons that register the images, and remove the registration.
     description : Prose
         Name of the second image, and agreement before and after; the caller places it.
+    is_registered : bool
+        True if the visible slice is registered.
     """
+
+    #: Emitted after `show`.
+    shown = Signal()
 
     def __init__(self) -> None:
         self.alignment = menu("align first", _ALIGNMENTS, _ALIGN)
@@ -52,7 +58,7 @@ class RegistrationForm(Container):
         self.remove = PushButton(
             text="Unregister", tooltip="Remove the registration; the marks are kept"
         )
-        self.description = Prose()
+        self.description, self.is_registered = Prose(), False
         if importlib.util.find_spec("SimpleITK") is None:
             self.alignment.enabled = False
             self.alignment.tooltip = f"Requires SimpleITK: {how_to_install('medical')}"
@@ -87,8 +93,10 @@ class RegistrationForm(Container):
         self.register.tooltip = _ABOUT if is_elastic else _ELASTIC
         if not second_name:
             self.register.tooltip = _CHOOSE
-        self.remove.enabled = measured is not None and not is_busy
+        self.is_registered = measured is not None
+        self.remove.enabled = self.is_registered and not is_busy
         self.description.show_text(_described(measured))
+        self.shown.emit()
 
 
 def _described(measured: MeasuredMotion | None) -> str:
@@ -100,7 +108,7 @@ def _described(measured: MeasuredMotion | None) -> str:
     text = f"Registered to '{name}'." if name else "Registered."
     if isinstance(before, float) and isinstance(after, float):
         shares = (f"{100 * max(value, 0.0):.0f} %" for value in (before, after))
-        text += " Agreement {} before, {} after.".format(*shares)
+        text += " Agreement when registered: {} before, {} after.".format(*shares)
         if after < _POOR:
             text += " The images agree poorly: use 'align first', or choose another second image."
     return text

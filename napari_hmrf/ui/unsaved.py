@@ -221,6 +221,7 @@ class Unsaved:
     def open(self, path: str | Path) -> None:
         """Add the layers of a saved study, and keep the drawings on other layers."""
         self._add(path)
+        self._binding.begin()  # images that are opened later do not replace that of the study
         self._drop_recovery(self._model.slice, Path(path))
 
     def _add(self, path: str | Path, reuse: bool = False) -> None:

@@ -68,7 +68,7 @@ def test_a_press_moves_the_tissue_to_the_second_image(window, wait_for):
     assert error(dock, truth) < 0.1
     assert not dock.study.motion.hold_edge, "a fixed edge would contradict the images"
     assert "outer edge is no longer fixed" in dock.status
-    assert "Registered to 'after'. Agreement" in Screen(dock).words
+    assert "Registered to 'after'. Agreement when registered: " in Screen(dock).words
 
 
 def test_undo_removes_the_registration_and_fixes_the_edge_again(window, wait_for):
@@ -110,12 +110,17 @@ def test_a_registered_study_is_saved_and_opened_again(window, wait_for, tmp_path
     solution = dock.solution
     path = dock.save_study(tmp_path / "registered")
     assert read_study(path).study.motion.measured is not None
-    other = SoftTissue(ViewerModel())
+    viewer = ViewerModel()
+    other = SoftTissue(viewer)
     qtbot.addWidget(other.native)
     other.open_study(path)
     wait_for(lambda: not other.busy and other.solution is not None)
     assert np.array_equal(other.solution.displacement, solution.displacement)
     assert "Registered to 'after'" in Screen(other).words
+    assert not Screen(other).button("Unregister").parent().isHidden()
+    image = other.image
+    viewer.add_image(np.zeros(image.data.shape), name="after")
+    assert other.image is image, "the second image replaces that of the study"
 
 
 def test_an_image_on_another_grid_is_registered_by_its_place(window, wait_for):
