@@ -99,8 +99,13 @@ class MaterialTable(LabelTable[Material]):
 
 
 def _stiffness_title(unit: str, rows: Iterable[Material]) -> str:
-    """Return the title of the stiffness column; without a unit, 1 often means normal tissue."""
-    is_ratio = any(row.stiffness == 1 for row in rows)
+    """Return the title of the stiffness column; without a unit, normal tissue may be 1.
+
+    Normal tissue is a tissue of this name, or else the first tissue that is not rigid.
+    """
+    soft = [row for row in rows if row.is_deformable]
+    named = [row for row in soft if "normal" in row.name.lower()]
+    is_ratio = any(row.stiffness == 1 for row in (named or soft)[:1])
     return f"Stiffness\n({unit or ('x normal' if is_ratio else 'relative')})"
 
 
