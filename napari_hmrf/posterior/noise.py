@@ -95,11 +95,12 @@ class PosteriorNoise:
         """Return the forces of the elements of a slab on its sites, (n, h, W) or (n, d, H, W)."""
         rng = np.random.default_rng(key)
         axes, count = slab.elements.ndim, len(slab.first)
-        drawn = rng.standard_normal((count, len(self._factor)), dtype=np.float32)
-        drawn[:, : self._count] *= slab.first[:, np.newaxis]
-        drawn[:, self._count :] *= slab.shear[:, np.newaxis]
+        drawn = rng.standard_normal((len(self._factor), count), dtype=np.float32)
+        drawn[: self._count] *= slab.first
+        drawn[self._count :] *= slab.shear
         pushes = np.zeros((2**axes * axes, *slab.elements.shape), np.float32)
-        pushes[:, slab.elements] = (drawn @ self._factor).T
+        # Unlike a product of matrices, this starts no threads that would compete with the pool's.
+        pushes[:, slab.elements] = np.einsum("in,ik->kn", drawn, self._factor)
         planes = np.zeros((axes, *(size + 1 for size in slab.elements.shape)), np.float32)
         of_corners = pushes.reshape(-1, axes, *slab.elements.shape)
         shape = slab.elements.shape

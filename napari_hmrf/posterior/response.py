@@ -71,7 +71,9 @@ class Response:
         if problem.landmarks is not None:
             at_rest["landmarks"] = problem.landmarks.at_rest
         self._problem = variant_of(problem, **at_rest)
-        self._has_element = around_sites(in_elements(problem.tissue), np.logical_or)
+        # Single pixels belong to no element, and are held by their own precision only.
+        single = problem.tissue & ~around_sites(in_elements(problem.tissue), np.logical_or)
+        self._single = np.nonzero(single)
         self._moves = problem.tissue & ~problem.known.all(axis=-1)
 
     def units_for(self, force: Float64Array) -> Units:
@@ -117,8 +119,8 @@ class Response:
         ndarray, shape (H, W, 2) or (D, H, W, 3)
             Displacement in the unit of `spacing`.
         """
-        single = ~self._has_element
-        pulled = np.where(single[..., None], 0.0, units.factor * force)
+        pulled = np.multiply(force, units.factor, dtype=np.float32, casting="same_kind")
+        pulled[self._single] = 0
         loads = Loads(force=pulled, spacing=self._problem.spacing)
         solution = solve(
             variant_of(self._problem, loads=loads),
@@ -128,9 +130,8 @@ class Response:
             cancel=self._cancel,
         )
         moved = solution.displacement / np.float64(units.factor)
-        if single.any() and self._problem.precision is not None:
-            # Single pixels are held by their own precision only.
-            at = np.nonzero(single & self._problem.precision.any(axis=(-2, -1)))
-            tensors = self._problem.precision[at]
-            moved[at] = np.einsum("sij,sj->si", np.linalg.pinv(tensors), force[at])
+        if self._problem.precision is not None:
+            tensors = self._problem.precision[self._single]
+            own = np.einsum("sij,sj->si", np.linalg.pinv(tensors), force[self._single])
+            moved[self._single] = own
         return moved
