@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import require_flag
 from napari_hmrf.errors import ConvergenceError, ProblemError
+from napari_hmrf.posterior.field_data import FieldData
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import checked_prior
 from napari_hmrf.posterior.uncertainty import checked_labels
@@ -29,10 +30,10 @@ from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.solver.problem import Problem, as_numbers, variant_of
+from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
-from napari_hmrf.solver.uncertain_landmarks import Landmarks, interpolated
+from napari_hmrf.solver.uncertain_landmarks import Landmarks
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -48,10 +49,6 @@ _UNKNOWN = 1.0
 _LARGEST_LOGARITHM = 7.0
 #: Step of a finite difference of Poisson's ratio.
 _SMALL = 1e-3
-#: Error of a displacement, relative to the standard deviation of the measurement.
-_ACCURACY = 0.02
-#: Smallest and largest tolerance of a solve, in pixels.
-_TOLERANCES = (1e-4, 0.01)
 #: Half of an interval of 95 %, in standard deviations.
 _INTERVAL = 1.96
 
@@ -219,6 +216,13 @@ class _Tissue(NamedTuple):
     problem: Problem
     prior: ElasticPrior
 
+    def with_loads(self, **changes: npt.NDArray[Any]) -> _Tissue:
+        """Return the tissue with another `growth` or `force`."""
+        known = self.problem.loads
+        kept = {} if known is None else {"growth": known.growth, "force": known.force}
+        loads = Loads(**{**kept, **changes}, spacing=self.problem.spacing)
+        return self._replace(problem=variant_of(self.problem, loads=loads))
+
 
 class _Property:
     """Unknown property of the tissue of a label.
@@ -283,16 +287,11 @@ class _Growth(_Property):
 
     def apply(self, tissue: _Tissue, value: float) -> _Tissue:
         """Set the strain of growth, which is the same in all directions."""
-        return self._with(tissue, np.where(self.sites, value, _growth_of(tissue.problem)))
+        return tissue.with_loads(growth=np.where(self.sites, value, _growth_of(tissue.problem)))
 
     def change(self, tissue: _Tissue) -> tuple[_Tissue, float]:
         """Add a growth of 1, in which the forces are linear."""
-        return self._with(tissue, _growth_of(tissue.problem) + self.sites), 1.0
-
-    def _with(self, tissue: _Tissue, strain: Float64Array) -> _Tissue:
-        force = None if tissue.problem.loads is None else tissue.problem.loads.force
-        loads = Loads(growth=strain, force=force, spacing=tissue.problem.spacing)
-        return tissue._replace(problem=variant_of(tissue.problem, loads=loads))
+        return tissue.with_loads(growth=_growth_of(tissue.problem) + self.sites), 1.0
 
 
 class _Poisson(_Property):
@@ -326,101 +325,13 @@ class _Load(_Property):
 
     def apply(self, tissue: _Tissue, value: float) -> _Tissue:
         """Multiply the forces by the value."""
-        return self._with(tissue, value * self._force)
+        return tissue.with_loads(force=value * self._force)
 
     def change(self, tissue: _Tissue) -> tuple[_Tissue, float]:
         """Add the forces once more."""
         assert tissue.problem.loads is not None
         assert tissue.problem.loads.force is not None
-        return self._with(tissue, tissue.problem.loads.force + self._force), 1.0
-
-    def _with(self, tissue: _Tissue, force: npt.NDArray[Any]) -> _Tissue:
-        loads = tissue.problem.loads
-        growth = None if loads is None else loads.growth
-        changed = Loads(growth=growth, force=force, spacing=tissue.problem.spacing)
-        return tissue._replace(problem=variant_of(tissue.problem, loads=changed))
-
-
-class FieldData:
-    """Measured displacements, in units of their standard deviations."""
-
-    def __init__(
-        self,
-        sites: npt.NDArray[np.bool_],
-        values: Float64Array,
-        sd: Float64Array,
-        landmarks: Landmarks | None,
-        spacing: tuple[float, ...],
-    ) -> None:
-        self._sites, self._values, self._sd = sites, values, sd
-        self._landmarks, self._spacing = landmarks, spacing
-        sds = [sd.ravel()] if sites.any() else []
-        if landmarks is not None:
-            sds.append(landmarks.sd.ravel())
-        self.least_sd = float(min(each.min() for each in sds))
-
-    @classmethod
-    def of(
-        cls,
-        problem: Problem,
-        measured: npt.ArrayLike | None,
-        sd: npt.ArrayLike | None,
-        landmarks: Landmarks | None,
-    ) -> FieldData:
-        """Check measured displacements."""
-        grid, axes = problem.shape, len(problem.shape)
-        if measured is None and landmarks is None:
-            raise ProblemError("measured", "is missing. Pass a displacement field or landmarks.")
-        field = np.full((*grid, axes), np.nan)
-        if measured is not None:
-            field = np.array(as_numbers("measured", measured), dtype=np.float64)
-            if field.shape != (*grid, axes):
-                raise ProblemError(
-                    "measured",
-                    f"has shape {field.shape}, but stiffness has shape {grid}, so "
-                    f"{(*grid, axes)} is needed.",
-                )
-            if sd is None:
-                raise ProblemError("sd", "is missing: state how large the errors of measured are.")
-        spread = np.array(1.0 if sd is None else as_numbers("sd", sd), dtype=np.float64)
-        if spread.shape not in ((), grid) or not (np.isfinite(spread) & (spread > 0)).all():
-            raise ProblemError("sd", f"is not a positive length, or an array of shape {grid}.")
-        free = problem.tissue & ~problem.known.all(axis=-1)
-        sites = free & np.isfinite(field).all(axis=-1)
-        if measured is not None and not sites.any():
-            raise ProblemError("measured", "has no values in tissue that is free to move.")
-        if landmarks is not None:
-            landmarks.check(problem.stiffness, problem.spacing)
-        spread = np.broadcast_to(spread, grid)[sites][:, np.newaxis]
-        return cls(sites, field[sites], spread, landmarks, problem.spacing)
-
-    def misfit(self, displacement: npt.NDArray[Any]) -> Float64Array:
-        """Return the differences from the measured motion, in standard deviations."""
-        parts = [((displacement[self._sites] - self._values) / self._sd).ravel()]
-        if self._landmarks is not None:
-            observed = self._landmarks.displacement(self._spacing)
-            found = interpolated(displacement, self._landmarks.points) - observed
-            parts.append((found / self._landmarks.sd).ravel())
-        return np.concatenate(parts)
-
-    def derivative(self, response: Float64Array) -> Float64Array:
-        """Return the derivatives of the differences."""
-        parts = [(response[self._sites] / self._sd).ravel()]
-        if self._landmarks is not None:
-            found = interpolated(response, self._landmarks.points)
-            parts.append((found / self._landmarks.sd).ravel())
-        return np.concatenate(parts)
-
-    def pull(self, differences: Float64Array, field: npt.NDArray[Any]) -> Float64Array:
-        """Return the forces on sites that are the transpose of `derivative`, without landmarks."""
-        forces = np.zeros(field.shape)
-        forces[self._sites] = differences.reshape(self._values.shape) / self._sd
-        return forces
-
-    def tolerance(self, problem: Problem) -> float:
-        """Return the tolerance of a solve, in pixels, at which its error is negligible."""
-        low, high = _TOLERANCES
-        return min(max(_ACCURACY * self.least_sd / problem.unit, low), high)
+        return tissue.with_loads(force=tissue.problem.loads.force + self._force), 1.0
 
 
 class _Fitter:
@@ -450,7 +361,7 @@ class _Fitter:
             slopes = self._slopes(tissue, solution)
             inverse = self._covariance(slopes)
             step = -inverse @ (slopes.T @ differences)
-            spread = np.sqrt(np.diag(inverse) * self._excess(differences))
+            spread = np.sqrt(np.diag(inverse) * max(1.0, self._misfit(differences)))
             if (np.abs(step) <= _SETTLED * spread).all():
                 return self._result(values, tissue, solution, differences, inverse)
             step *= min(1.0, _LARGEST_STEP / float(np.abs(step).max()))
@@ -535,10 +446,10 @@ class _Fitter:
             )
         return np.asarray(np.linalg.inv(matrix))
 
-    def _excess(self, differences: Float64Array) -> float:
-        """Return the factor on variances if the differences are larger than their errors."""
+    def _misfit(self, differences: Float64Array) -> float:
+        """Return the mean squared difference, in units of its variance."""
         freedom = max(1, differences.size - len(self._properties))
-        return max(1.0, float(differences @ differences) / freedom)
+        return float(differences @ differences) / freedom
 
     def _result(
         self,
@@ -548,7 +459,9 @@ class _Fitter:
         differences: Float64Array,
         inverse: Float64Array,
     ) -> Fit:
-        covariance = inverse * self._excess(differences)
+        misfit = self._misfit(differences)
+        # Differences larger than their errors make the properties less certain.
+        covariance = inverse * max(1.0, misfit)
         found: dict[str, dict[int, FittedProperty]] = {
             kind: {} for kind in ("stiffness", "growth", "poisson", "load")
         }
@@ -559,14 +472,13 @@ class _Fitter:
                 reference = float(np.median(self._initial.problem.stiffness[each.sites]))
                 value, ends = reference * math.exp(value), reference * np.exp(ends)
             found[each.kind][each.label] = FittedProperty(float(value), sd, tuple(ends.tolist()))
-        freedom = max(1, differences.size - len(values))
         return Fit(
             found["stiffness"],
             found["growth"],
             found["poisson"],
             found["load"].get(0),
             covariance,
-            float(differences @ differences) / freedom,
+            misfit,
             tissue.problem,
             tissue.prior,
             solution,

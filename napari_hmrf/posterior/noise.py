@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.neighbours import corner_slices
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.priors.elements import element_stiffness
 from napari_hmrf.solver.priors.growth import slabs
@@ -103,10 +104,8 @@ class PosteriorNoise:
         pushes[:, slab.elements] = np.einsum("in,ik->kn", drawn, self._factor)
         planes = np.zeros((axes, *(size + 1 for size in slab.elements.shape)), np.float32)
         of_corners = pushes.reshape(-1, axes, *slab.elements.shape)
-        shape = slab.elements.shape
-        for corner, push in zip(np.ndindex(*(2,) * axes), of_corners, strict=True):
-            ends = (slice(end, end + size) for end, size in zip(corner, shape, strict=True))
-            planes[(slice(None), *ends)] += push
+        for sites, push in zip(corner_slices(slab.elements.shape), of_corners, strict=True):
+            planes[(slice(None), *sites)] += push
         return planes
 
 

@@ -7,7 +7,8 @@ The map of u = log m, the logarithm of the stiffness, minimizes
 where d is the displacement of the tissue, y the measured one and s its standard deviation. The
 second term, the total variation of u, keeps the map constant within a tissue and allows jumps
 between tissues. Its weight a is reduced until the differences from the measured motion are as large
-as their errors (the discrepancy principle).
+as their errors (the discrepancy principle). The total variation lowers the contrast of a jump; the
+last steps therefore weigh large gradients less.
 
 Each Gauss-Newton step solves a linear system by conjugate gradients. A product with its matrix
 takes two solves: the response to forces, and that to the differences (the adjoint).
@@ -23,13 +24,13 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.posterior.fit import FieldData
+from napari_hmrf.posterior.field_data import FieldData
 from napari_hmrf.posterior.response import Response, Units
 from napari_hmrf.posterior.sampling import checked_prior
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import around_sites, corner_slices, pairs
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, Prior
-from napari_hmrf.solver.priors.elements import element_stiffness, lame_parameters, of_elements
+from napari_hmrf.solver.priors.elements import Lame, element_stiffness, of_elements
 from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
@@ -150,25 +151,28 @@ class _Mapper:
         self._backend, self._cancel = backend, cancel
         self._optimizer = Multigrid(tolerance=data.tolerance(problem))
         self._tissue = problem.tissue
-        self._elements = in_elements(self._tissue)
-        self._matrices = element_stiffness(prior.shape(problem.spacing))
+        self._shape = prior.shape(problem.spacing)
+        self._matrices = element_stiffness(self._shape)
+        # Lame parameters of elements of stiffness 1; 0 in void.
+        uniform = self._tissue.astype(np.float32)
+        self._lame = prior.lame(variant_of(problem, stiffness=uniform))
+        self._unit = problem.unit ** (self._tissue.ndim - 2)
 
     def run(self, progress: Progress | None) -> StiffnessMap:
         """Return the map."""
         u = np.zeros(self._initial.shape)
         problem, solution = self._at(u)
         misfit = self._misfit(solution)
-        weight = self._first_weight(problem, solution)
+        weight = self._first_weight(problem, solution) / _RATIO
         for number in range(_WEIGHTS):
             if progress is not None:
                 progress(Monitor(f"map {number + 1} of at most {_WEIGHTS}", number / _WEIGHTS))
             if misfit <= _MISFIT:
                 break
+            weight *= _RATIO
             for _ in range(_STEPS):
                 u, problem, solution = self._moved(u, problem, solution, weight, jumps=False)
             misfit = self._misfit(solution)
-            weight *= _RATIO
-        weight /= _RATIO
         for _ in range(_JUMP_STEPS):
             u, problem, solution = self._moved(
                 u, problem, solution, _JUMP_WEIGHT * weight, jumps=True
@@ -253,52 +257,28 @@ class _Mapper:
         step[self._tissue] = inside
         return step
 
-    def _unit_lame(self) -> tuple[Float64Array, ...]:
-        """Return the Lame parameters of elements of stiffness 1; 0 in void."""
-        one = self._tissue.astype(np.float64)
-        strain = self._prior.plane == "strain" or one.ndim == 3
-        return tuple(lame_parameters(one, self._prior.poisson, strain))
-
     def _products(self, problem: Problem, back: Float64Array, d: npt.NDArray[Any]) -> Float64Array:
         """Return the derivatives of ``back . K d`` with respect to u, in the unit of `Loads`."""
-        energies = np.zeros(self._elements.shape)
-        for matrix, lame in zip(self._matrices, self._unit_lame(), strict=True):
-            one, other = _at_corners(back), _at_corners(d)
-            energies += lame * np.einsum("...i,ij,...j->...", one, matrix, other)
-        corners = 2**problem.stiffness.ndim
-        unit = problem.unit ** (problem.stiffness.ndim - 2)
-        return np.asarray(unit * problem.stiffness / corners * around_sites(energies, np.add))
+        one, other = _at_corners(back), _at_corners(d)
+        energies = sum(
+            lame * np.einsum("...i,ij,...j->...", one, matrix, other)
+            for matrix, lame in zip(self._matrices, self._lame, strict=True)
+        )
+        share = self._unit * problem.stiffness / 2**problem.stiffness.ndim
+        return np.asarray(share * around_sites(np.asarray(energies), np.add))
 
     def _forces(self, problem: Problem, v: Float64Array, d: npt.NDArray[Any]) -> Float64Array:
         """Return the change of the forces K d for a change v of u."""
         change = of_elements(problem.stiffness * v)
-        unit = problem.unit ** (problem.stiffness.ndim - 2)
-        other = _at_corners(d)
-        pushes = np.zeros(other.shape)
-        for matrix, lame in zip(self._matrices, self._unit_lame(), strict=True):
-            pushes += (lame * change)[..., np.newaxis] * (other @ matrix)
-        return np.asarray(unit * _on_sites(pushes, d.shape))
-
-
-def _ends(corner: tuple[int, ...], shape: tuple[int, ...]) -> tuple[slice, ...]:
-    return tuple(slice(end, end + size) for end, size in zip(corner, shape, strict=True))
+        lame = Lame(*(each * change for each in self._lame))
+        return np.asarray(self._unit * self._shape.forces(lame, d.astype(np.float64)))
 
 
 def _at_corners(field: npt.NDArray[Any]) -> Float64Array:
     """Return the components at the corners of each element, shape (h, w, 8) or (d, h, w, 24)."""
-    axes = field.shape[-1]
-    shape = tuple(size - 1 for size in field.shape[:-1])
-    parts = [field[_ends(corner, shape)] for corner in np.ndindex(*(2,) * axes)]
+    elements = tuple(size - 1 for size in field.shape[:-1])
+    parts = [field[sites] for sites in corner_slices(elements)]
     return np.concatenate(parts, axis=-1).astype(np.float64)
-
-
-def _on_sites(corners: Float64Array, shape: tuple[int, ...]) -> Float64Array:
-    """Add the components at the corners of elements to their sites."""
-    field, axes = np.zeros(shape), shape[-1]
-    for number, corner in enumerate(np.ndindex(*(2,) * axes)):
-        part = corners[..., number * axes : (number + 1) * axes]
-        field[_ends(corner, corners.shape[:-1])] += part
-    return field
 
 
 def _variation_shares(
@@ -307,34 +287,22 @@ def _variation_shares(
     """Return the weight of each difference of neighbours in the total variation of u.
 
     The variation is ``sum of sqrt(|grad u|^2 + e^2)``; its gradient divides each difference by the
-    root (lagged diffusivity).
+    root (lagged diffusivity). With `jumps`, large gradients count less.
     """
     squares = np.zeros(u.shape)
-    inside = []
-    for axis in range(u.ndim):
-        both = np.take(tissue, range(1, u.shape[axis]), axis) & np.take(
-            tissue, range(u.shape[axis] - 1), axis
-        )
-        inside.append(both)
-        first = tuple(slice(None, -1) if each == axis else slice(None) for each in range(u.ndim))
-        squares[first] += both * np.diff(u, axis=axis) ** 2
+    for first, last in pairs(u.ndim):
+        squares[first] += (tissue[first] & tissue[last]) * (u[last] - u[first]) ** 2
     roots = np.sqrt(squares + _SMOOTH**2)
     if jumps:
         roots *= 1 + squares / _JUMP**2
-    shares = []
-    for axis, both in enumerate(inside):
-        first = tuple(slice(None, -1) if each == axis else slice(None) for each in range(u.ndim))
-        shares.append(both / roots[first])
-    return shares
+    return [(tissue[first] & tissue[last]) / roots[first] for first, last in pairs(u.ndim)]
 
 
 def _variation(v: Float64Array, shares: list[Float64Array]) -> Float64Array:
     """Return the product of the matrix of the total variation with v."""
     found = np.zeros(v.shape)
-    for axis, share in enumerate(shares):
-        flow = share * np.diff(v, axis=axis)
-        first = tuple(slice(None, -1) if each == axis else slice(None) for each in range(v.ndim))
-        last = tuple(slice(1, None) if each == axis else slice(None) for each in range(v.ndim))
+    for (first, last), share in zip(pairs(v.ndim), shares, strict=True):
+        flow = share * (v[last] - v[first])
         found[first] -= flow
         found[last] += flow
     return found

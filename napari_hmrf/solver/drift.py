@@ -35,7 +35,7 @@ from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.growth import slabs
 from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.solver.uncertain_landmarks import Landmarks, interpolated
+from napari_hmrf.solver.uncertain_landmarks import interpolated
 from napari_hmrf.solver.volume_memory import check_memory
 from napari_hmrf.solver.warm_start import Initial
 
@@ -327,11 +327,8 @@ def _growth(problem: Problem, strain: Float64Array) -> npt.NDArray[np.float32]:
 def _response_problem(plain: Problem, unit: Float64Array) -> Problem:
     marks = plain.landmarks
     assert marks is not None
-    still = Landmarks(marks.points, marks.points, sd=marks.sd, scale=marks.scale)
-    rest = np.zeros_like(plain.observed)
-    return variant_of(
-        plain, observed=rest, loads=Loads(growth=_growth(plain, unit)), landmarks=still
-    )
+    rest, loads = np.zeros_like(plain.observed), Loads(growth=_growth(plain, unit))
+    return variant_of(plain, observed=rest, loads=loads, landmarks=marks.at_rest)
 
 
 def _tighter(optimizer: Optimizer, share: float, largest: float = np.inf) -> Optimizer:

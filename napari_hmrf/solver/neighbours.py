@@ -32,6 +32,18 @@ def of_corners(values: Values, combine: Callable[[Values, Values], Values]) -> V
     )
 
 
+def corner_slices(elements: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+    """Yield, for each corner of the elements, the index of the sites at this corner.
+
+    Parameters
+    ----------
+    elements : tuple of int
+        Number of elements along each axis.
+    """
+    for corner in np.ndindex(*(2,) * len(elements)):
+        yield tuple(slice(end, end + size) for end, size in zip(corner, elements, strict=True))
+
+
 def around_sites(values: Values, combine: Callable[[Values, Values], Values]) -> Values:
     """Combine the values of the elements around each site; elements beyond the grid count as 0."""
     return of_corners(np.pad(values, 1), combine)

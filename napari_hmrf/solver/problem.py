@@ -22,7 +22,7 @@ from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
 from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
-from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, corner_shares
 
 #: Largest ratio between two stiffnesses for which single precision is sufficient.
 MAX_STIFFNESS_RATIO = 1e7
@@ -232,9 +232,8 @@ class Problem:
         if self.precision is not None:
             mask |= self.precision.any(axis=-1)
         if self.landmarks is not None:
-            elements, _ = corners_of(self.landmarks.points, self.shape)
-            for corner in np.ndindex(*(2,) * len(self.shape)):
-                mask[tuple((elements + corner).T)] = True
+            for sites, _ in corner_shares(self.landmarks.points, self.shape):
+                mask[sites] = True
         return mask
 
     @property
