@@ -11,7 +11,7 @@ import numpy as np
 
 from napari_hmrf.field.held_forces import held_forces
 from napari_hmrf.layers.result_layers import Outputs, result_layers
-from napari_hmrf.posterior import study_uncertainty
+from napari_hmrf.posterior.study_uncertainty import ground_uncertainty
 from napari_hmrf.solver.priors import Elastic, ElasticPrior
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.engine import Deformation
@@ -48,17 +48,18 @@ def complete_result(
     place, pictures = study.grid.place, study.pictures
     if stated.labels is not None:
         pictures = replace(pictures, labels=stated.labels)
+    # A ground may be older than the drawing.
+    ground = replace(ground, study=study)
     forces = estimate = None
     if isinstance(stated.prior, Elastic):
         forces = partial(held_forces, stated.problem, solved, stated.prior)
     if isinstance(stated.prior, ElasticPrior):
-        estimate = partial(study_uncertainty, study, stated=stated)
+        estimate = partial(ground_uncertainty, ground, stated)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces, estimate)
     caveats = [*shortcomings(solved, study.grid.unit, outputs.folds, stated.problem)]
     if outputs.folds:
         del caveats[0]  # the warning chip reports the number of folds
-    # A ground may be older than the drawing.
-    notes = (*caveats, *replace(ground, study=study).notes_on(stated))
+    notes = (*caveats, *ground.notes_on(stated))
     return CompleteResult(moved, outputs, tuple(filter(None, notes)))
 
 

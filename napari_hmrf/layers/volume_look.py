@@ -35,7 +35,7 @@ class VolumeLook:
         self._picture: Any = None
         self._connections = ExitStack()
         self._is_copying = False
-        # Layers that are hidden in the 3-D view, also if the user has shown them again.
+        # Layers to show again when the deformed copy no longer covers them.
         self._hidden: list[Any] = []
         self._is_covering = False
 

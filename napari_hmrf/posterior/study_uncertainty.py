@@ -5,7 +5,7 @@ from __future__ import annotations
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.uncertainty import Uncertainty, uncertainty
 from napari_hmrf.solver.solve import CancelFlag, Progress
-from napari_hmrf.solver.uncertain_landmarks import StrainScale, typical_stiffness
+from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.ground import Ground, Statement
 from napari_hmrf.study.study import Study
 
@@ -16,7 +16,6 @@ def study_uncertainty(
     *,
     patch: float | None = None,
     seed: int = 0,
-    stated: Statement | None = None,
     backend: str = "auto",
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
@@ -32,8 +31,6 @@ def study_uncertainty(
         Study with the elastic model, and without measured motion, doubted observations or a drift.
     n, patch, seed, backend, progress, cancel
         As for `uncertainty`.
-    stated : Statement, optional
-        Result of `build_problem` for this study; computed by default.
 
     Returns
     -------
@@ -46,25 +43,57 @@ def study_uncertainty(
     Cancelled
         If `cancel` was set.
     """
+    ground = Ground.of(study)
+    return ground_uncertainty(
+        ground,
+        ground.statement(),
+        n,
+        patch=patch,
+        seed=seed,
+        backend=backend,
+        progress=progress,
+        cancel=cancel,
+    )
+
+
+def ground_uncertainty(
+    ground: Ground,
+    stated: Statement,
+    n: int = 30,
+    *,
+    patch: float | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+) -> Uncertainty:
+    """Estimate the uncertainty of a study whose problem is known.
+
+    Parameters
+    ----------
+    ground : Ground
+        Interpretation of the study.
+    stated : Statement
+        Problem of the study.
+    n, patch, seed, backend, progress, cancel
+        As for `study_uncertainty`.
+    """
+    study, problem = ground.study, stated.problem
     if study.motion.measured is not None:
         raise ProblemError(
             "measured motion",
             "has a precision that is relative to the similarity of two images, so its uncertainty "
             "is unknown. Remove the measured motion, or use landmarks with a standard deviation.",
         )
-    ground = Ground.of(study)
-    stated = stated or ground.statement()
-    problem, scale = stated.problem, None
+    scale = None  # landmarks have their own
     if problem.landmarks is None:
-        typical = typical_stiffness(ground.stiffness[ground.body])
-        scale = StrainScale(study.motion.typical_strain, stiffness=typical)
-    labels = study.tissue.labels if stated.labels is None else stated.labels
+        scale = StrainScale(study.motion.typical_strain, stiffness=ground.typical_stiffness)
     return uncertainty(
         problem,
         stated.prior,
         n,
         patch=patch,
-        labels=labels,
+        labels=study.tissue.labels if stated.labels is None else stated.labels,
         scale=scale,
         seed=seed,
         backend=backend,
