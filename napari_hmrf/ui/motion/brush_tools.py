@@ -8,10 +8,9 @@ from typing import ClassVar
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.drawing import Mark, Stroke
-from napari_hmrf.tissue.drawing.canvas import box_of, covers, is_empty, rim_of
+from napari_hmrf.tissue.drawing.canvas import covers, rim_of
 from napari_hmrf.tissue.drawing.growth import is_pull, patch_at, with_patch
 from napari_hmrf.tissue.drawing.marks import Action, Point, between
-from napari_hmrf.tissue.drawing.patch_motion import present_motion
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.tool import Origin, Tool, ToolError, ToolSettings, identity
 
@@ -285,9 +284,7 @@ class GrowTool(BrushTool):
         """Return a growing stroke that also moves, or only grows if the tissue is not displaced."""
         if math.hypot(*by) <= _NOTHING * min(self._spacing):
             return replace(stroke, action=self.action, by=(0.0,) * len(by), motion=None)
-        box = box_of(stroke, self._spacing, tuple(slice(0, size) for size in self._shape))
-        motion = None if is_empty(box) else present_motion(box, self._spacing, self.present)
-        return replace(stroke, action="move", by=by, motion=motion)
+        return replace(stroke, action="move", by=by, motion=self._motion_under(stroke))
 
     def _changed(self, settings: ToolSettings) -> Mark | None:
         mark = self.mark

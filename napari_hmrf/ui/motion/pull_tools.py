@@ -9,11 +9,9 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 
 from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
-from napari_hmrf.tissue.drawing.canvas import box_of, is_empty
 from napari_hmrf.tissue.drawing.drawing import Hit, ends_of
 from napari_hmrf.tissue.drawing.growth import patch_at
 from napari_hmrf.tissue.drawing.marks import COMPONENTS, Point, between, grows, is_painted
-from napari_hmrf.tissue.drawing.patch_motion import present_motion
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.tool import (
     LandmarkSettings,
@@ -126,10 +124,7 @@ class PullTool(Tool):
 
     def _held(self, mark: Arrow | Landmark) -> Arrow | Landmark:
         """Return a mark that holds its patch as it is now."""
-        box = box_of(mark, self._spacing, tuple(slice(0, size) for size in self._shape))
-        if is_empty(box) or not is_painted(mark):
-            return mark
-        return replace(mark, motion=present_motion(box, self._spacing, self.present))
+        return replace(mark, motion=self._motion_under(mark)) if is_painted(mark) else mark
 
     def _grown_patch(self, at: Point, settings: ToolSettings) -> int | None:
         """Find the round patch whose growth a new mark at an undeformed position would hide."""

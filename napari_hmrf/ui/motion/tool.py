@@ -11,8 +11,9 @@ import numpy as np
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Mark, Stroke
+from napari_hmrf.tissue.drawing.canvas import box_of, is_empty
 from napari_hmrf.tissue.drawing.marks import Components, Point
-from napari_hmrf.tissue.drawing.patch_motion import PresentMotion
+from napari_hmrf.tissue.drawing.patch_motion import PatchMotion, PresentMotion, present_motion
 
 #: Function that maps a visible point to its undeformed position, or to None outside tissue.
 Origin = Callable[[Point], Point | None]
@@ -272,6 +273,11 @@ class Tool(ABC):
     @abstractmethod
     def _changed(self, settings: ToolSettings) -> Mark | None:
         """Return the selected mark with new settings; None if no mark is selected."""
+
+    def _motion_under(self, mark: Mark) -> PatchMotion | None:
+        """Return the present motion of the tissue under a mark; None if it moves as a block."""
+        box = box_of(mark, self._spacing, tuple(slice(0, size) for size in self._shape))
+        return None if is_empty(box) else present_motion(box, self._spacing, self.present)
 
     # Edits within a drag
 

@@ -33,6 +33,7 @@ DRAWING_OVERLAY = Monitor("drawing the overlay", 1.0)
 ESTIMATING = "Estimating the uncertainty"
 #: Messages about an estimate that was cancelled, or that is not possible.
 NOT_ESTIMATED = "The uncertainty was not estimated."
+NO_UNCERTAINTY = "Only results of the elastic model, solved in this session, have it."
 NO_FORCES = (
     "Forces are available for elastic tissue and large motion, after Deform in this session. "
     "Results of the paper's model and results from files have no forces."

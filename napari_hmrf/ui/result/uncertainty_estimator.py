@@ -12,6 +12,7 @@ from napari_hmrf.errors import Cancelled, in_words
 from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.ui.gui_thread import GuiThread
+from napari_hmrf.ui.result.result_messages import NO_UNCERTAINTY
 from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
@@ -46,7 +47,7 @@ class UncertaintyEstimator:
             return
         self.cancel()
         if answer.estimate is None:
-            self.refused.emit("Only results of the elastic model, solved in this session, have it.")
+            self.refused.emit(NO_UNCERTAINTY)
             return
         self._answer, self._cancel = answer, threading.Event()
         self._monitor = Monitor("starting", 0.0)
