@@ -5,8 +5,6 @@ from __future__ import annotations
 import gc
 import os
 import sys
-import threading
-from concurrent.futures import Future
 from itertools import count
 
 import numpy as np
@@ -18,6 +16,7 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from tests.support.compile_once import compile_most, compile_once
 from tests.support.docks import dock_in, quick
 from tests.support.idle import AtRest
+from tests.support.long_work import long_work
 from tests.support.napari_caches import (
     check_callbacks_once,
     check_widgets_once,
@@ -26,7 +25,7 @@ from tests.support.napari_caches import (
     read_manifests_once,
 )
 from tests.support.pulling import pull
-from tests.support.timeouts import LONG, LONG_MS
+from tests.support.timeouts import LONG_MS
 
 # A slow machine must not fail a test.
 settings.register_profile("any machine", deadline=None)
@@ -144,11 +143,8 @@ def docked(unstyled, make_napari_viewer):
 @pytest.fixture
 def busy_thread():
     """Occupy the compute thread until released, as a long compilation would."""
-    release = threading.Event()
-    job: Future[bool] = compute_thread.submit(lambda: release.wait(LONG))
-    yield release
-    release.set()
-    job.result(timeout=LONG)
+    with long_work() as release:
+        yield release
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Tests of growth, forces and large motion in the dock."""
 
-import threading
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +10,11 @@ from qtpy.QtWidgets import QComboBox, QPushButton, QTableWidget
 from napari_hmrf import Arrow, Drawing, Landmark, NeoHookeanPrior, Stroke
 from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import work
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.support.long_work import long_work
 from tests.support.screen import Screen
-from tests.support.timeouts import LONG
 
 SIZE = 40
 ROWS, COLS = np.indices((SIZE, SIZE))
@@ -60,16 +57,6 @@ def do_and_wait(dock, wait_for):
 def offers(dock, words):
     buttons = dock.native.findChildren(QPushButton)
     return any(each.text().startswith(words) and not each.isHidden() for each in buttons)
-
-
-@contextmanager
-def long_work():
-    """Occupy the compute thread, as a long solve would."""
-    release = threading.Event()
-    job = compute_thread.submit(lambda: release.wait(LONG))
-    yield
-    release.set()
-    job.result(timeout=LONG)
 
 
 def test_typed_growth_moves_tissue_and_can_be_undone(dock, do_and_wait):
