@@ -10,13 +10,14 @@
     result.labels[2].sd  # error bars of the mean displacement of label 2
 
 `study_uncertainty` does the same for a study, and `sample_posterior` returns whole fields. `fit`
-finds the growth and the stiffness of tissue from its measured motion, and `stiffness_map` the
-stiffness of each site.
+finds the growth and the stiffness of tissue from its measured motion or from two images,
+`fit_study` those of the tissues of a study, and `stiffness_map` the stiffness of each site.
 """
 
 from napari_hmrf.posterior.fit import Fit, FittedProperty, fit
 from napari_hmrf.posterior.sampling import sample_posterior
 from napari_hmrf.posterior.stiffness_map import StiffnessMap, stiffness_map
+from napari_hmrf.posterior.study_fit import StudyFit, fit_study
 from napari_hmrf.posterior.study_uncertainty import study_uncertainty
 from napari_hmrf.posterior.uncertainty import MeanDisplacement, Uncertainty, uncertainty
 
@@ -25,8 +26,10 @@ __all__ = [
     "FittedProperty",
     "MeanDisplacement",
     "StiffnessMap",
+    "StudyFit",
     "Uncertainty",
     "fit",
+    "fit_study",
     "sample_posterior",
     "stiffness_map",
     "study_uncertainty",

@@ -81,13 +81,33 @@ class FieldData:
             parts.append((found / self._landmarks.sd).ravel())
         return np.concatenate(parts)
 
-    def derivative(self, response: Float64Array) -> Float64Array:
-        """Return the derivatives of the differences."""
+    def derivative(self, displacement: npt.NDArray[Any], response: Float64Array) -> Float64Array:
+        """Return the derivatives of the differences, which are the same at any displacement."""
         parts = [(response[self._sites] / self._sd).ravel()]
         if self._landmarks is not None:
             found = interpolated(response, self._landmarks.points)
             parts.append((found / self._landmarks.sd).ravel())
         return np.concatenate(parts)
+
+    def variance(self, differences: Float64Array) -> float:
+        """Return the variance of the differences, which is 1: their unit is the sd."""
+        return 1.0
+
+    def covariance(self, slopes: Float64Array, differences: Float64Array) -> Float64Array:
+        """Return the covariance of the properties.
+
+        Differences that are larger than their errors make the properties less certain.
+
+        Parameters
+        ----------
+        slopes : ndarray, shape (p, k)
+            Derivatives of p differences with respect to k properties.
+        differences : ndarray, shape (p,)
+            Differences at the solution.
+        """
+        freedom = max(1, differences.size - slopes.shape[1])
+        misfit = float(differences @ differences) / freedom
+        return np.asarray(np.linalg.inv(slopes.T @ slopes) * max(1.0, misfit))
 
     def pull(self, differences: Float64Array, field: npt.NDArray[Any]) -> Float64Array:
         """Return the forces on sites that are the transpose of `derivative`, without landmarks."""

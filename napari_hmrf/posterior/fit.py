@@ -7,40 +7,51 @@ to the measured one, y, in units of its standard deviation s:
     minimize  sum of |H d(p) - y|^2 / s^2
 
 by Gauss-Newton steps. The derivative of the displacement with respect to a property p_k is the
-response of the tissue to the forces ``- dg / dp_k``: one solve for each property and step.
+response of the tissue to the forces ``- dg / dp_k``: one solve for each property and step. In large
+motion, it is a difference of two solutions.
+
+Instead of a measured displacement, two images can be compared (`ImagePairData`), first with large
+pixels, so that large displacements are found.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import require_flag
-from napari_hmrf.errors import ConvergenceError, ProblemError
+from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.posterior.field_data import FieldData
+from napari_hmrf.posterior.pair_data import ImagePair, ImagePairData
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import checked_prior
 from napari_hmrf.posterior.uncertainty import checked_labels
+from napari_hmrf.registration.matching import schedule
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.solver.problem import Problem, variant_of
+from napari_hmrf.solver.problem import Problem, as_numbers, variant_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
 from napari_hmrf.solver.uncertain_landmarks import Landmarks
 
 Float64Array = npt.NDArray[np.float64]
 
-#: Largest number of Gauss-Newton steps, and of halvings of a step.
-_STEPS, _HALVINGS = 20, 8
-#: Change of a property, in units of its standard deviation, below which the steps end.
-_SETTLED = 0.02
+#: Largest number of steps, and of trials of a step with more damping.
+_STEPS, _TRIALS = 20, 8
+#: Change of a property, in units of its standard deviation, below which the steps end; on levels
+#: with large pixels, from which only a start is needed, the second number.
+_SETTLED, _NEARLY_SETTLED = 0.02, 0.2
+#: Damping of a step after a trial that failed, relative to the diagonal of the normal matrix, and
+#: factor between trials.
+_DAMPING, _DAMPING_FACTOR = 0.01, 10.0
 #: Largest change of a property in a step: of a logarithm, of a ratio or of a strain.
 _LARGEST_STEP = 1.0
 #: Standard deviation of a property above which it counts as unknown.
@@ -92,10 +103,12 @@ class Fit:
     misfit : float
         Mean squared difference from the measured motion, in units of its variance: about 1 if model
         and standard deviation are right. If it is larger, standard deviations are multiplied by its
-        square root.
+        square root. For images, whose noise is estimated from their differences, 1.
+    similarity : float, optional
+        Correlation of the normalized images after the motion, at most 1; None without images.
     problem : Problem
         Problem with the fitted properties, without the measured motion.
-    prior : ElasticPrior
+    prior : ElasticPrior or NeoHookeanPrior
         Prior with the fitted Poisson's ratios.
     solution : Solution
         Solution of this problem.
@@ -108,8 +121,9 @@ class Fit:
     covariance: Float64Array
     misfit: float
     problem: Problem
-    prior: ElasticPrior
+    prior: Elastic
     solution: Solution
+    similarity: float | None = None
 
     def __repr__(self) -> str:
         parts = [f"{name} {getattr(self, name)}" for name in ("stiffness", "growth", "poisson")]
@@ -126,6 +140,7 @@ def fit(
     measured: npt.ArrayLike | None = None,
     sd: npt.ArrayLike | None = None,
     landmarks: Landmarks | None = None,
+    images: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
     stiffness: Iterable[int] = (),
     growth: Iterable[int] = (),
     poisson: Iterable[int] = (),
@@ -154,12 +169,16 @@ def fit(
         sites are taken to be independent. Required with `measured`.
     landmarks : Landmarks, optional
         Further measured displacements, each with its own standard deviation.
+    images : (array_like, array_like), optional
+        Images of the tissue before and after the motion, of the same kind, instead of `measured`
+        and `landmarks`; each of shape (H, W) or (D, H, W), with NaN where pixels do not count.
+        Brightness, contrast and bias may differ. The noise is estimated from their difference.
     stiffness, growth, poisson : iterable of int
         Labels whose stiffness, growth strain or Poisson's ratio is fitted. Only ratios of stiffness
         affect a displacement: unless there are forces, leave out the stiffness of one label.
     load : bool
         True to fit a factor on the forces of the problem, relative to the stiffness.
-    prior : ElasticPrior, optional
+    prior : ElasticPrior or NeoHookeanPrior, optional
         By default elastic tissue, as for `solve`.
     backend, progress, cancel
         As for `solve`.
@@ -202,19 +221,102 @@ def fit(
     require_flag("load", load)
     numbers = checked_labels(labels, problem)
     bare = variant_of(problem, precision=None, landmarks=None)
-    elastic = checked_prior(bare, prior)
-    data = FieldData.of(problem, measured, sd, landmarks)
-    tissue = _Tissue(bare, elastic)
+    tissue = _Tissue(bare, _checked_prior(bare, prior))
     wanted = {"stiffness": stiffness, "growth": growth, "poisson": poisson}
+    if images is None:
+        levels: Iterable[FitData] = (FieldData.of(problem, measured, sd, landmarks),)
+        count = 1
+    else:
+        if measured is not None or landmarks is not None:
+            raise ProblemError(
+                "images", "replace a measured motion and landmarks. Pass one of them only."
+            )
+        pair, sizes = _checked_pair(images, bare), [size for size, _ in schedule(bare.shape)]
+        count, levels = len(sizes), _pair_levels(pair, bare, sizes, cancel)
     properties = _properties(tissue, numbers, wanted, load)
-    return _Fitter(tissue, data, properties, backend, cancel, progress).run()
+    values = np.array([each.initial for each in properties])
+    solver = _FitSolver(backend, cancel, progress, count)
+    for number, data in enumerate(levels):
+        fitter = _Fitter(tissue, data, properties, solver.on_level(number))
+        if number == count - 1:
+            return fitter.run(values)
+        # Large pixels may show too little of small tissue; the next level then starts as this one.
+        with suppress(ProblemError, ConvergenceError):
+            values = fitter.values(values)
+    raise AssertionError("no level")
+
+
+def _checked_prior(problem: Problem, prior: Prior | None) -> Elastic:
+    """Return the prior of a problem to which properties can be fitted."""
+    if not isinstance(prior, NeoHookeanPrior):
+        return checked_prior(problem, prior)
+    checked_prior(problem, prior.at_rest)
+    return prior.in_force(problem)
+
+
+def _checked_pair(images: tuple[npt.ArrayLike, npt.ArrayLike], problem: Problem) -> ImagePair:
+    """Check two images and mark their pixels that count.
+
+    Raises
+    ------
+    ProblemError
+        If there are not two images on the grid of the problem, or an image is uniform.
+    """
+    if len(images) != 2:
+        raise ProblemError("images", "are not two: pass the image before and the image after.")
+    pixels, counted = [], []
+    for name, image in zip(("before", "after"), images, strict=True):
+        values = np.array(as_numbers("images", image), dtype=np.float32)
+        if values.shape != problem.shape:
+            raise ProblemError(
+                "images",
+                f"have shape {values.shape} ({name}), but stiffness has shape {problem.shape}. "
+                "Use the same pixel grid for all.",
+            )
+        known = np.isfinite(values)
+        if not known.any() or np.ptp(values[known]) == 0:
+            raise ProblemError("images", f"show no structure {name} the motion.")
+        pixels.append(np.where(known, values, np.float32(0)))
+        counted.append(known)
+    return ImagePair(pixels[0], pixels[1], (counted[0], counted[1]))
+
+
+def _pair_levels(
+    pair: ImagePair, problem: Problem, sizes: Sequence[int], cancel: CancelFlag | None
+) -> Iterator[ImagePairData]:
+    """Return the differences of two images on each level, from large to small pixels."""
+
+    def checkpoint() -> None:
+        if cancel is not None and cancel.is_set():
+            raise Cancelled
+
+    return (ImagePairData(pair, problem, size, checkpoint) for size in sizes)
+
+
+class FitData(Protocol):
+    """Data to which properties are fitted, as differences in units of their noise."""
+
+    def misfit(self, displacement: npt.NDArray[Any]) -> Float64Array:
+        """Return the differences between a displacement and the data."""
+
+    def derivative(self, displacement: npt.NDArray[Any], response: Float64Array) -> Float64Array:
+        """Return the derivatives of the differences, given that of the displacement."""
+
+    def tolerance(self, problem: Problem) -> float:
+        """Return the tolerance of a solve, in pixels, at which its error is negligible."""
+
+    def variance(self, differences: Float64Array) -> float:
+        """Return the variance of the noise, from the differences at the solution."""
+
+    def covariance(self, slopes: Float64Array, differences: Float64Array) -> Float64Array:
+        """Return the covariance of the properties."""
 
 
 class _Tissue(NamedTuple):
     """Problem and prior with certain values of the properties."""
 
     problem: Problem
-    prior: ElasticPrior
+    prior: Elastic
 
     def with_loads(self, **changes: npt.NDArray[Any]) -> _Tissue:
         """Return the tissue with another `growth` or `force`."""
@@ -243,9 +345,12 @@ class _Property:
         Initial value; of a stiffness, 0: the logarithm of a factor.
     limits : (float, float)
         Range of values.
+    probe : float
+        Change for a difference of two solutions, in large motion.
     """
 
     kind: ClassVar[str]
+    probe: ClassVar[float] = 0.01
     limits: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
 
     def __init__(self, label: int, sites: npt.NDArray[np.bool_]) -> None:
@@ -264,6 +369,7 @@ class _Property:
 
 class _Stiffness(_Property):
     kind = "stiffness"
+    probe = 0.1
     limits = (-_LARGEST_LOGARITHM, _LARGEST_LOGARITHM)
 
     def apply(self, tissue: _Tissue, value: float) -> _Tissue:
@@ -298,7 +404,7 @@ class _Poisson(_Property):
     kind = "poisson"
     limits = POISSON_RANGE
 
-    def __init__(self, label: int, sites: npt.NDArray[np.bool_], prior: ElasticPrior) -> None:
+    def __init__(self, label: int, sites: npt.NDArray[np.bool_], prior: Elastic) -> None:
         super().__init__(label, sites)
         self.words = f"Poisson's ratio of label {label}"
         self.initial = float(_ratios_of(prior, sites.shape)[sites].mean())
@@ -334,50 +440,131 @@ class _Load(_Property):
         return tissue.with_loads(force=tissue.problem.loads.force + self._force), 1.0
 
 
-class _Fitter:
-    """Gauss-Newton iteration for the properties of tissue."""
+class _FitSolver:
+    """Solver of the problems of a fit, with progress over all levels."""
 
     def __init__(
         self,
-        tissue: _Tissue,
-        data: FieldData,
-        properties: Sequence[_Property],
         backend: str,
         cancel: CancelFlag | None,
         progress: Progress | None,
+        levels: int,
     ) -> None:
-        self._initial = tissue
-        self._data, self._properties = data, properties
-        self._backend, self._cancel, self._progress = backend, cancel, progress
-        self._optimizer = Multigrid(tolerance=data.tolerance(tissue.problem))
+        self.backend, self.cancel = backend, cancel
+        self._progress, self._levels, self._level = progress, levels, 0
 
-    def run(self) -> Fit:
-        """Return the fitted properties."""
-        values = np.array([each.initial for each in self._properties])
-        tissue, solution, differences = self._at(values)
+    def on_level(self, number: int) -> _FitSolver:
+        """Report the following steps as those of a level."""
+        self._level = number
+        return self
+
+    def begin(self, number: int) -> None:
+        """Report the start of a step."""
+        if self._progress is not None:
+            done = (self._level + number / _STEPS) / self._levels
+            self._progress(Monitor(f"step {number + 1} of the fit", done))
+
+    def solve(self, tissue: _Tissue, tolerance: float, initial: Solution | None) -> Solution:
+        """Return the motion of tissue.
+
+        Raises
+        ------
+        ProblemError
+            If large motion does not reach the boundary conditions or all growth.
+        """
+        solution = solve(
+            tissue.problem,
+            tissue.prior,
+            optimizer=Multigrid(tolerance=tolerance),
+            backend=self.backend,
+            cancel=self.cancel,
+            initial=initial,
+        )
+        reach = solution.reach
+        if reach is not None and min(reach.part, reach.grown) < 1:
+            raise ProblemError(
+                "motion",
+                "is not reached completely in large motion, because tissue would be crushed. Use "
+                "a smaller motion, or the elastic model.",
+            )
+        return solution
+
+
+class _State(NamedTuple):
+    """Tissue with certain properties, its motion, and the differences from the data."""
+
+    tissue: _Tissue
+    solution: Solution
+    differences: Float64Array
+
+    @property
+    def square(self) -> float:
+        """Sum of the squares of the differences."""
+        return float(self.differences @ self.differences)
+
+
+class _Fitter:
+    """Gauss-Newton iteration for the properties of tissue, on the data of a level."""
+
+    def __init__(
+        self, tissue: _Tissue, data: FitData, properties: Sequence[_Property], solver: _FitSolver
+    ) -> None:
+        self._initial, self._data, self._properties = tissue, data, properties
+        self._solver, self._tolerance = solver, data.tolerance(tissue.problem)
+
+    def values(self, start: Float64Array) -> Float64Array:
+        """Return the values of the properties to which they nearly settle, from initial values."""
+        return self._settle(start, _NEARLY_SETTLED)[0]
+
+    def run(self, start: Float64Array) -> Fit:
+        """Return the fitted properties, from initial values.
+
+        Raises
+        ------
+        ProblemError
+            If the measured motion does not determine a property.
+        ConvergenceError
+            If the steps do not settle.
+        """
+        values, state, slopes = self._settle(start, _SETTLED)
+        self._check_determined(slopes, state.differences)
+        return self._result(values, state, slopes)
+
+    def _settle(
+        self, values: Float64Array, accuracy: float
+    ) -> tuple[Float64Array, _State, Float64Array]:
+        """Return the values at which the steps settle, with their state and its derivatives.
+
+        Steps are those of Levenberg and Marquardt.
+        """
+        state, damping = self._at(values, None), 0.0
         for number in range(_STEPS):
-            if self._progress is not None:
-                self._progress(Monitor(f"step {number + 1} of the fit", number / _STEPS))
-            slopes = self._slopes(tissue, solution)
-            inverse = self._covariance(slopes)
-            step = -inverse @ (slopes.T @ differences)
-            spread = np.sqrt(np.diag(inverse) * max(1.0, self._misfit(differences)))
-            if (np.abs(step) <= _SETTLED * spread).all():
-                return self._result(values, tissue, solution, differences, inverse)
-            step *= min(1.0, _LARGEST_STEP / float(np.abs(step).max()))
-            before = float(differences @ differences)
-            for _ in range(_HALVINGS):
+            self._solver.begin(number)
+            slopes = self._slopes(values, state)
+            variance = self._data.variance(state.differences)
+            normal, gradient = slopes.T @ slopes, slopes.T @ state.differences
+            scale = np.diag(np.diag(normal))
+            # Properties that the motion does not determine yet change by less than `_UNKNOWN`.
+            normal += variance / _UNKNOWN**2 * np.eye(len(values))
+            spread = np.sqrt(variance * np.diag(np.linalg.inv(normal)))
+            for trial in range(_TRIALS):
+                step = -np.linalg.solve(normal + damping * scale, gradient)
+                if trial == 0 and (np.abs(step) <= accuracy * spread).all():
+                    return values, state, slopes
+                step *= min(1.0, _LARGEST_STEP / float(np.abs(step).max()))
                 tried = self._within_limits(values + step)
-                tissue, solution, differences = self._at(tried)
-                if float(differences @ differences) <= before:
-                    break
-                step /= 2
+                with suppress(ProblemError):  # a motion that large motion does not reach
+                    after = self._at(tried, state.solution)
+                    if after.square <= state.square:
+                        damping /= _DAMPING_FACTOR
+                        break
+                damping = max(_DAMPING, _DAMPING_FACTOR * damping)
             else:
-                tissue, solution, differences = self._at(values)
-                if (np.abs(step) * 2**_HALVINGS <= spread).all():
-                    return self._result(values, tissue, solution, differences, inverse)
+                # The differences are as small as the accuracy of the solver allows.
+                if (np.abs(np.linalg.solve(normal, gradient)) <= spread).all():
+                    return values, state, slopes
                 break
-            values = tried
+            values, state = tried, after
         raise ConvergenceError(
             "the fit did not settle. Fit fewer properties, or start from better values"
         )
@@ -386,45 +573,51 @@ class _Fitter:
         low, high = np.transpose([each.limits for each in self._properties])
         return np.clip(values, low, high)
 
-    def _at(self, values: Float64Array) -> tuple[_Tissue, Solution, Float64Array]:
-        """Return the tissue with certain properties, its motion and the differences."""
+    def _at(self, values: Float64Array, initial: Solution | None) -> _State:
+        """Return the state of the tissue with certain properties."""
         tissue = self._initial
         for each, value in zip(self._properties, values, strict=True):
             tissue = each.apply(tissue, float(value))
-        solution = solve(
-            tissue.problem,
-            tissue.prior,
-            optimizer=self._optimizer,
-            backend=self._backend,
-            cancel=self._cancel,
-        )
-        return tissue, solution, self._data.misfit(solution.displacement)
+        solution = self._solver.solve(tissue, self._tolerance, initial)
+        return _State(tissue, solution, self._data.misfit(solution.displacement))
 
-    def _slopes(self, tissue: _Tissue, solution: Solution) -> Float64Array:
+    def _slopes(self, values: Float64Array, state: _State) -> Float64Array:
         """Return the derivatives of the differences with respect to the properties."""
-        response = Response(tissue.problem, tissue.prior, self._backend, self._cancel)
+        linear = isinstance(state.tissue.prior, ElasticPrior)
+        responses = self._responses(state) if linear else self._probed(values, state)
+        here = state.solution.displacement
+        return np.stack([self._data.derivative(here, each) for each in responses], axis=1)
+
+    def _responses(self, state: _State) -> Iterator[Float64Array]:
+        """Return the derivatives of the displacement, as responses to forces."""
+        tissue, solution = state.tissue, state.solution
+        assert isinstance(tissue.prior, ElasticPrior)
+        response = Response(tissue.problem, tissue.prior, self._solver.backend, self._solver.cancel)
         forces = _forces(tissue, solution)
-        slopes = []
         for each in self._properties:
             changed, step = each.change(tissue)
             push = -(_forces(changed, solution) - forces) / step
-            moved = np.zeros_like(push)
-            if push.any():
-                moved = response.to(push, response.units_for(push))
-            slopes.append(self._data.derivative(moved))
-        return np.stack(slopes, axis=1)
+            moves = push.any()
+            yield response.to(push, response.units_for(push)) if moves else np.zeros_like(push)
 
-    def _covariance(self, slopes: Float64Array) -> Float64Array:
-        """Return the covariance of the properties.
+    def _probed(self, values: Float64Array, state: _State) -> Iterator[Float64Array]:
+        """Return the derivatives of the displacement, as differences of two solutions."""
+        for number, each in enumerate(self._properties):
+            tried = values.copy()
+            # Away from the nearer limit.
+            low, high = each.limits
+            step = each.probe if values[number] + each.probe < high else -each.probe
+            tried[number] += step if tried[number] + step > low else each.probe
+            moved = self._at(tried, state.solution).solution.displacement
+            change = moved.astype(np.float64) - state.solution.displacement
+            yield change / (tried[number] - values[number])
 
-        Raises
-        ------
-        ProblemError
-            If the measured motion does not determine a property.
-        """
+    def _check_determined(self, slopes: Float64Array, differences: Float64Array) -> None:
+        """Raise an error if the measured motion does not determine a property."""
+        least = math.sqrt(self._data.variance(differences)) / _UNKNOWN
         sizes = np.sqrt((slopes**2).sum(axis=0))
         for each, size in zip(self._properties, sizes, strict=True):
-            if size * _UNKNOWN < 1:
+            if size < least:
                 raise ProblemError(
                     each.kind,
                     f"cannot be fitted: the measured motion hardly depends on {each.words}. Leave "
@@ -432,7 +625,7 @@ class _Fitter:
                 )
         matrix = slopes.T @ slopes
         values, vectors = np.linalg.eigh(matrix)
-        if values[0] * _UNKNOWN**2 < 1:
+        if values[0] < least**2:
             parts = np.abs(vectors[:, 0])
             named = [
                 each.words
@@ -444,24 +637,9 @@ class _Fitter:
                 f"cannot be fitted: {' and '.join(named)} can change together without a change of "
                 "the measured motion. Leave one out.",
             )
-        return np.asarray(np.linalg.inv(matrix))
 
-    def _misfit(self, differences: Float64Array) -> float:
-        """Return the mean squared difference, in units of its variance."""
-        freedom = max(1, differences.size - len(self._properties))
-        return float(differences @ differences) / freedom
-
-    def _result(
-        self,
-        values: Float64Array,
-        tissue: _Tissue,
-        solution: Solution,
-        differences: Float64Array,
-        inverse: Float64Array,
-    ) -> Fit:
-        misfit = self._misfit(differences)
-        # Differences larger than their errors make the properties less certain.
-        covariance = inverse * max(1.0, misfit)
+    def _result(self, values: Float64Array, state: _State, slopes: Float64Array) -> Fit:
+        covariance = self._data.covariance(slopes, state.differences)
         found: dict[str, dict[int, FittedProperty]] = {
             kind: {} for kind in ("stiffness", "growth", "poisson", "load")
         }
@@ -472,16 +650,18 @@ class _Fitter:
                 reference = float(np.median(self._initial.problem.stiffness[each.sites]))
                 value, ends = reference * math.exp(value), reference * np.exp(ends)
             found[each.kind][each.label] = FittedProperty(float(value), sd, tuple(ends.tolist()))
+        pair = self._data if isinstance(self._data, ImagePairData) else None
+        freedom = max(1, state.differences.size - len(values))
         return Fit(
             found["stiffness"],
             found["growth"],
             found["poisson"],
             found["load"].get(0),
             covariance,
-            misfit,
-            tissue.problem,
-            tissue.prior,
-            solution,
+            1.0 if pair is not None else state.square / freedom,
+            *state.tissue,
+            state.solution,
+            None if pair is None else pair.similarity(state.solution.displacement),
         )
 
 
@@ -505,7 +685,7 @@ def _growth_of(problem: Problem) -> Float64Array:
     return growth.astype(np.float64)
 
 
-def _ratios_of(prior: ElasticPrior, shape: tuple[int, ...]) -> Float64Array:
+def _ratios_of(prior: Elastic, shape: tuple[int, ...]) -> Float64Array:
     return np.broadcast_to(np.asarray(prior.poisson, dtype=np.float64), shape)
 
 

@@ -241,7 +241,7 @@ class _Mapper:
             v = np.zeros(u.shape)
             v[self._tissue] = flat
             moved = solved("forward", -self._forces(problem, v, d))
-            back = solved("adjoint", self._data.pull(self._data.derivative(moved), d))
+            back = solved("adjoint", self._data.pull(self._data.derivative(d, moved), d))
             found = -self._products(problem, back, d)
             found += weight * (_variation(v, shares) + _RIDGE * v)
             return np.asarray(found[self._tissue])

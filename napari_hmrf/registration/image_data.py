@@ -163,7 +163,7 @@ class ImageLevel:
 
         def collected(pair: tuple[int, int]) -> FloatArray:
             one, other = slopes[pair[0]], (*slopes, difference)[pair[1]]
-            return _smoothed(weight * one * other, _WINDOW, self._checkpoint)
+            return smoothed(weight * one * other, _WINDOW, self._checkpoint)
 
         sums = _parallel(collected, [*pairs, *((axis, axes) for axis in range(axes))])
         precision = np.empty((*self.shape, axes, axes))
@@ -201,33 +201,72 @@ def _variance(residual: float) -> float:
 def _normalized(
     image: FloatArray, counted: BoolArray, step: int, checkpoint: Checkpoint
 ) -> tuple[FloatArray, FloatArray]:
-    """Return an image of a level, with mean 0 and contrast 1 around each pixel, and its weights.
+    """Return an image of a level, with mean 0 and contrast 1 around each pixel, and its weights."""
+    width = step / 2 if step > 1 else 0.0
+    return normalized(*reduced(image, counted, step, width, checkpoint), checkpoint)
 
-    Pixels that do not count have no effect on the others.
+
+def reduced(
+    image: FloatArray, counted: BoolArray, step: int, width: float, checkpoint: Checkpoint
+) -> tuple[FloatArray, FloatArray]:
+    """Return an image with larger pixels, in units of its brightness range, and their weights.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W) or (D, H, W)
+    counted : ndarray of bool
+        Mask of the pixels that count.
+    step : int
+        Size of the larger pixels.
+    width : float
+        Standard deviation of the window of the mean; 0 for no mean.
+    checkpoint : callable
+        Called between the steps; it may raise an error to cancel the computation.
+
+    Returns
+    -------
+    sums, share : ndarray, float32
+        Mean brightness of the pixels that count in each larger pixel, times their share of it, and
+        this share.
     """
     low, high = np.quantile(image[counted], (_BEYOND_RANGE, 1 - _BEYOND_RANGE))
     scaled = np.where(counted, (image - low) / max(float(high - low), _TINY), 0)
     share = counted.astype(np.float32)
     every = (slice(None, None, step),) * image.ndim
-    if step > 1:
-        width = step / 2
-        scaled = _smoothed(scaled.astype(np.float32), width, checkpoint)[every]
-        share = _smoothed(share, width, checkpoint)[every]
-    scaled, share = np.ascontiguousarray(scaled, np.float32), np.ascontiguousarray(share)
+    if width > 0:
+        scaled = smoothed(scaled.astype(np.float32), width, checkpoint)[every]
+        share = smoothed(share, width, checkpoint)[every]
+    return np.ascontiguousarray(scaled, np.float32), np.ascontiguousarray(share)
+
+
+def normalized(
+    sums: FloatArray, share: FloatArray, checkpoint: Checkpoint
+) -> tuple[FloatArray, FloatArray]:
+    """Return an image with mean 0 and contrast 1 around each pixel, and its weights, 0 or 1.
+
+    Pixels that do not count have no effect on the others.
+
+    Parameters
+    ----------
+    sums, share : ndarray
+        Result of `reduced`.
+    checkpoint : callable
+        As for `reduced`.
+    """
 
     def mean(values: FloatArray) -> FloatArray:
-        return _smoothed(values, _NORMALIZATION, checkpoint)
+        return smoothed(values, _NORMALIZATION, checkpoint)
 
-    whole, first, second = _parallel(mean, (share, scaled, scaled**2 / np.maximum(share, _TINY)))
+    whole, first, second = _parallel(mean, (share, sums, sums**2 / np.maximum(share, _TINY)))
     whole = np.maximum(whole, _TINY)
     average = first / whole
     contrast = np.sqrt(np.maximum(second / whole - average**2, 0))
-    normalized = (scaled / np.maximum(share, _TINY) - average) / (contrast + _LEAST_CONTRAST)
+    image = (sums / np.maximum(share, _TINY) - average) / (contrast + _LEAST_CONTRAST)
     # The gradient of a pixel beside others that do not count is unknown.
     inside = share > 0.5
     if not inside.all():
         inside = scipy.ndimage.binary_erosion(inside, border_value=1)
-    return np.where(inside, normalized, 0).astype(np.float32), inside.astype(np.float32)
+    return np.where(inside, image, 0).astype(np.float32), inside.astype(np.float32)
 
 
 def _solved(matrix: npt.NDArray[np.float64], right: list[Any]) -> list[npt.NDArray[np.float64]]:
@@ -259,10 +298,11 @@ def _sampled(image: FloatArray, places: list[FloatArray], checkpoint: Checkpoint
     return out
 
 
-def _smoothed(image: FloatArray, width: float, checkpoint: Checkpoint) -> FloatArray:
+def smoothed(image: FloatArray, width: float, checkpoint: Checkpoint) -> FloatArray:
+    """Return an image smoothed by a Gaussian window of a standard deviation in pixels."""
     checkpoint()
-    smoothed: FloatArray = scipy.ndimage.gaussian_filter(image, width, mode="nearest", truncate=3)
-    return smoothed
+    found: FloatArray = scipy.ndimage.gaussian_filter(image, width, mode="nearest", truncate=3)
+    return found
 
 
 def _parallel(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:

@@ -168,7 +168,7 @@ def match(
             raise Cancelled
 
     weight = smoothness * _SMOOTHNESS / _uniaxial_modulus(prior, len(problem.shape))
-    levels = _schedule(problem.shape) if start is None else ((1, _STEPS[0]),)
+    levels = schedule(problem.shape) if start is None else ((1, _STEPS[0]),)
     report = _Report(problem.shape, levels, progress)
     history: list[Step] = []
     displacement, tissue = start, problem.tissue
@@ -231,7 +231,7 @@ def _own_precision(problem: Problem, unit: float) -> npt.NDArray[np.float64] | N
     return np.where(own[..., None, None], precision, 0) if own.any() else None
 
 
-def _schedule(shape: Sequence[int]) -> tuple[tuple[int, int], ...]:
+def schedule(shape: Sequence[int]) -> tuple[tuple[int, int], ...]:
     """Return the pixel size and the number of steps of each level, from coarse to fine."""
     levels = []
     for number in range(_MOST_LEVELS):
