@@ -22,7 +22,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, layer
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.mri import MRI_SCALE, mri_slices
-from napari_hmrf.samples.phantoms import sample
+from napari_hmrf.samples.phantoms import image_pair, sample
 from napari_hmrf.solver.solution import Solution, is_solution_file
 
 if TYPE_CHECKING:
@@ -63,6 +63,16 @@ def sample_growth() -> list[LayerData]:
 def sample_mass_effect() -> list[LayerData]:
     """Return the layers of the paper's mass-effect sample: a tumour whose rim moves outward."""
     return _sample("mass-effect")
+
+
+def sample_pair() -> list[LayerData]:
+    """Return the layers of the pair sample: a brain before and after its tumour grew."""
+    _show_dock()
+    brain, after = image_pair()
+    image, tissue, _ = phantom_layers(brain)
+    image[1]["name"] = "Before"
+    second = {"name": "After", "metadata": layer_metadata(IMAGE), "visible": False}
+    return [(after.copy(), second, "image"), image, tissue]
 
 
 def sample_bar() -> list[LayerData]:

@@ -12,6 +12,7 @@ from napari_hmrf.samples.head import HeadPhantom, head_phantom
 from napari_hmrf.samples.phantoms import (
     PHANTOM_NAMES,
     Phantom,
+    image_pair,
     phantom,
     reference_displacement,
     sample,
@@ -22,6 +23,7 @@ __all__ = [
     "HeadPhantom",
     "Phantom",
     "head_phantom",
+    "image_pair",
     "phantom",
     "reference_displacement",
     "sample",

@@ -20,6 +20,7 @@ from napari_hmrf.contributions import (
     sample_head,
     sample_mass_effect,
     sample_mri,
+    sample_pair,
     write_solution,
 )
 from napari_hmrf.errors import FileFormatError, HmrfError
@@ -106,6 +107,14 @@ def test_a_sample_gives_the_problem_of_its_phantom(opened, drawn):
     assert (problem.loads is None) == (expected.loads is None)
     if expected.loads is not None:
         assert problem.loads.same_as(expected.loads)
+
+
+def test_the_pair_has_two_images_and_tissue_that_does_not_grow_yet():
+    after, before, tissue = (Layer.create(*data) for data in sample_pair())
+    assert (before.name, after.name) == ("Before", "After")
+    assert before.data.shape == after.data.shape == tissue.data.shape
+    assert not any(row.grows for row in rows_of(tissue, "tissue"))
+    assert not after.visible
 
 
 def test_the_real_mri_has_thick_slices_and_needs_a_download_once(monkeypatch):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import operator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from napari_hmrf.tissue.boundary_rules import (
     boundary_images,
     stiffness_image,
 )
+from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import growth_loads
 
 #: Names of the phantoms.
@@ -46,6 +48,7 @@ _TITLES = {
 }
 
 _GROWING = "Brain with a growing tumour"
+_PAIR = "Brain before and after its tumour grew"
 
 Uint8Array = npt.NDArray[np.uint8]
 FloatArray = npt.NDArray[np.float64]
@@ -200,6 +203,38 @@ def reference_displacement(name: str) -> npt.NDArray[np.float32]:
     return thousandths.astype(np.float32) / np.float32(1000)
 
 
+def image_pair() -> tuple[Phantom, Uint8Array]:
+    """Return a brain, and its image after its tumour has grown, from `sample_data`.
+
+    The tumour grew by 40 % in length, and the outline of the brain did not move. Both images have
+    noise; the second image has another contrast and a smooth bias.
+
+    Returns
+    -------
+    before : Phantom
+        Brain before the growth, with its tissues; its outline is fixed.
+    after : ndarray, shape (H, W), uint8
+        Image after the growth.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the installation is incomplete.
+    """
+    with np.load(_file("two-images"), allow_pickle=False) as file:
+        before, after = file["before"], file["after"]
+    for image in (before, after):
+        image.setflags(write=False)
+    return replace(held_brain(), title=_PAIR, image=before), after
+
+
+def held_brain() -> Phantom:
+    """Return the brain of "mass-effect" with fixed outermost pixels, and without growth."""
+    brain = sample("mass-effect").growing(0.0)
+    rim = outer_rim(brain.tissue_labels != _OUTSIDE.label).astype(np.uint8)
+    return replace(brain, boundary_labels=rim)
+
+
 def _checked(name: str, size: object) -> int:
     if not is_one_of(name, PHANTOM_NAMES):
         names = ", ".join(PHANTOM_NAMES)
@@ -214,8 +249,12 @@ def _checked(name: str, size: object) -> int:
 
 def _stored(name: str, *members: str) -> tuple[Uint8Array, ...]:
     _checked(name, _DRAWN_AT)
-    with np.load(resource_folder("sample_data") / f"{name}.npz", allow_pickle=False) as file:
+    with np.load(_file(name), allow_pickle=False) as file:
         return tuple(file[member] for member in members)
+
+
+def _file(name: str) -> Path:
+    return resource_folder("sample_data") / f"{name}.npz"
 
 
 def _assembled(
