@@ -137,7 +137,9 @@ def elastix(
         return np.array(itk.array_from_image(field))[..., ::-1]
 
 
-def syn(fixed: Array, moving: Array, spacing: tuple[float, ...], metric: str) -> Array:
+def syn(
+    fixed: Array, moving: Array, spacing: tuple[float, ...], metric: str, step: float = 0.2
+) -> Array:
     """Return the displacement by SyN of ANTs.
 
     Parameters
@@ -145,6 +147,8 @@ def syn(fixed: Array, moving: Array, spacing: tuple[float, ...], metric: str) ->
     fixed, moving : ndarray, shape (H, W) or (D, H, W)
     spacing : tuple of float
     metric : {"mattes", "CC"}
+    step : float
+        Length of a step of the gradient descent, in pixels.
     """
     import ants
 
@@ -159,6 +163,7 @@ def syn(fixed: Array, moving: Array, spacing: tuple[float, ...], metric: str) ->
             initial_transform="Identity",
             outprefix=str(Path(folder) / "syn"),
             syn_metric=metric,
+            grad_step=step,
             syn_sampling=4 if metric == "CC" else 32,
             reg_iterations=(40, 20, 10) if metric == "CC" else (100, 70, 30),
         )
@@ -198,4 +203,6 @@ def rivals(gaps: tuple[float, float], sigmas: tuple[float, float]) -> dict[str, 
         found[f"elastix-{gap:g}"] = Rival("itk", "itk-elastix", partial(elastix, gap=gap))
     for metric in ("mattes", "CC"):
         found[f"syn-{metric.lower()}"] = Rival("ants", "antspyx", partial(syn, metric=metric))
+    short = partial(syn, metric="mattes", step=0.1)
+    found["syn-mattes-short-steps"] = Rival("ants", "antspyx", short)
     return found
