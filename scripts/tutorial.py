@@ -22,6 +22,8 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QAbstractSpinBox, QApplication
 from window import LEFT, NO_BUTTON, ROOT, Person, save, save_animation, wait, wait_until
 
+from napari_hmrf.ui.fit_window import FitWindow
+
 FOLDER = ROOT / "docs" / "tutorials" / "images"
 #: Size of the windows, in pixels, which fit on a small screen.
 SIZE = (1280, 690)
@@ -31,6 +33,8 @@ PLUGIN, TITLE = "napari-hmrf", "Soft tissue"
 GROWING, PUSHED = "Brain with a growing tumour", "Brain with a tumour whose rim is pushed"
 #: Table columns: growth in per cent, and outward displacement of a boundary.
 GROWS, OUT = 4, 5
+#: Label of the tumour of the samples.
+TUMOUR = 3
 CTRL = Qt.KeyboardModifier.ControlModifier
 
 
@@ -430,6 +434,28 @@ def views(_: dict[str, Path]) -> None:
     viewer.close()
 
 
+def fit(_: dict[str, Path]) -> None:
+    """Take the picture of a fit to a second image."""
+    person = Person(SIZE)
+    open_sample(person, "Brain before and after its tumour grew (two images)")
+    dock = open_dock(person)
+    result = dock._form.result
+    person.show(result.second)
+    person.choose(result.second, "After")
+    wait_until(lambda: not dock.busy)
+    person.show(result.registration.fit)
+    person.click(result.registration.fit)
+    (window,) = person.window.findChildren(FitWindow)
+    window.tick(TUMOUR, "growth")
+    window.start()
+    wait_until(lambda: not dock.busy and dock.solution is not None)
+    place = person.window.rect().center() - window.rect().center()
+    window.move(person.window.mapToGlobal(place))
+    wait(0.5)
+    save(person.screen(False), ROOT / "docs" / "how-to" / "images" / "fit.png")
+    person.viewer.close()
+
+
 PAGES: dict[str, Callable[[dict[str, Path]], None]] = {
     "first": first,
     "animation": animation,
@@ -441,6 +467,7 @@ PAGES: dict[str, Callable[[dict[str, Path]], None]] = {
     "stack": stack,
     "volume": volume,
     "views": views,
+    "fit": fit,
 }
 
 

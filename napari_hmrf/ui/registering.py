@@ -100,18 +100,12 @@ class Registering:
 
     def _start(self, *_: Any) -> None:
         """Read the study and the second image, and register them in the background."""
-        form, second = self._controller.form, self._controller.form.result.second.value
-        if self.busy or second is None or not self._controller.refresh():
+        pair = None if self.busy else read_pair(self._controller)
+        if pair is None:
             return
-        study = self._controller.study
-        assert study is not None
-        try:
-            picture = second_picture(second, study.grid.known_place, study.grid.shape, form.view())
-        except Exception as error:  # noqa: BLE001 - a layer may raise anything
-            self._controller.refuse(error)
-            return
+        second = self._controller.form.result.second.value
         self._cancel = threading.Event()
-        work = partial(self._run, study, picture, self._form.alignment.value, self._cancel)
+        work = partial(self._run, *pair, self._form.alignment.value, self._cancel)
         self._controller.engine.cancel()
         self._jobs.submit(_JOB, work, partial(self._finish, self._model.measured_part, second))
         self._controller.progress.start("Registering", at_once=True)
@@ -192,3 +186,24 @@ class Registering:
             is_elastic=self._model.model.name == "elastic",
             is_busy=self.busy,
         )
+
+
+def read_pair(controller: Controller) -> tuple[Study, SecondPicture] | None:
+    """Return the current study and the second image on its grid.
+
+    Returns
+    -------
+    (Study, SecondPicture) or None
+        None if one of them is missing or invalid; the reason is shown.
+    """
+    form, second = controller.form, controller.form.result.second.value
+    if second is None or not controller.refresh():
+        return None
+    study = controller.study
+    assert study is not None
+    try:
+        picture = second_picture(second, study.grid.known_place, study.grid.shape, form.view())
+    except Exception as error:  # noqa: BLE001 - a layer may raise anything
+        controller.refuse(error)
+        return None
+    return study, picture

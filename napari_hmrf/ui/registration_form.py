@@ -26,6 +26,12 @@ _ABOUT = (
 _POOR = 0.25
 _CHOOSE = "Choose a second image first: a later image of the same tissue, of the same kind"
 _ELASTIC = "Choose the model 'elastic' first (under 'Model'); other models do not support this"
+_ABOUT_FIT = (
+    "Find the growth or the stiffness of tissues with which the image moves to the second image, "
+    "with intervals"
+)
+_TISSUES = "Paint tissues first: choose or make a tissue layer (under 'Tissue')"
+_ELASTIC_FIT = "Choose the model 'elastic' or 'large motion' first (under 'Model')"
 _ALIGN = (
     "Position of the second image before tissue moves: as the viewer shows it; or shifted and "
     "turned, or also stretched, to fit. Its layer moves there; this is no motion of the tissue. "
@@ -42,6 +48,8 @@ class RegistrationForm(Container):
         Alignment of the second image before the registration.
     register, remove : PushButton
         Buttons that register the images, and remove the registration.
+    fit : PushButton
+        Button that opens the window for a fit of the tissues.
     description : Prose
         Name of the second image, and agreement before and after; the caller places it.
     is_registered : bool
@@ -58,12 +66,13 @@ class RegistrationForm(Container):
         self.remove = PushButton(
             text="Unregister", tooltip="Remove the registration; the marks are kept"
         )
+        self.fit = PushButton(text="Fit to second image ...")
         self.description, self.is_registered = Prose(), False
         if importlib.util.find_spec("SimpleITK") is None:
             self.alignment.enabled = False
             self.alignment.tooltip = f"Requires SimpleITK: {how_to_install('medical')}"
         buttons, aligned = row(self.register, self.remove), Container(widgets=[self.alignment])
-        super().__init__(widgets=[aligned, buttons], labels=False)
+        super().__init__(widgets=[aligned, buttons, self.fit], labels=False)
         for part in (self, buttons, aligned):
             part.margins = (0, 0, 0, 0)
 
@@ -97,6 +106,23 @@ class RegistrationForm(Container):
         self.remove.enabled = self.is_registered and not is_busy
         self.description.show_text(_described(measured))
         self.shown.emit()
+
+    def show_fit(self, *, has_second: bool, has_tissues: bool, is_elastic: bool) -> None:
+        """Enable the button for a fit.
+
+        Parameters
+        ----------
+        has_second : bool
+            True if a second image is chosen.
+        has_tissues : bool
+            True if the image has a tissue table.
+        is_elastic : bool
+            True if the model supports a fit.
+        """
+        self.fit.enabled = has_second and has_tissues and is_elastic
+        reasons = ((has_second, _CHOOSE), (has_tissues, _TISSUES), (is_elastic, _ELASTIC_FIT))
+        missing = [reason for is_met, reason in reasons if not is_met]
+        self.fit.tooltip = missing[0] if missing else _ABOUT_FIT
 
 
 def _described(measured: MeasuredMotion | None) -> str:

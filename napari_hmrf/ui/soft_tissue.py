@@ -26,6 +26,7 @@ from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_values import DockValues
+from napari_hmrf.ui.fitting import Fitting
 from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.guide import Guide
@@ -126,7 +127,9 @@ class SoftTissue(DockValues):
         self._introduction = Introduction(self.native, controller, self._guide, self._on_sample)
         self._second = SecondImage(viewer, self._view, controller, undo.model)
         self._registering = Registering(controller, undo.model)
-        self._registering.message.connect(partial(self._guide.show_message, why="step"))
+        self._fitting = Fitting(controller, undo.model)
+        for job in (self._registering, self._fitting):
+            job.message.connect(partial(self._guide.show_message, why="step"))
         self._sides = PatientSides(viewer, form.image)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
         self.fields, self.more = form.motion.fields, self._view.more
@@ -194,7 +197,8 @@ class SoftTissue(DockValues):
     @property
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
-        return self._controller.busy or self._view.busy or self._registering.busy
+        jobs = (self._controller, self._view, self._registering, self._fitting)
+        return any(job.busy for job in jobs)
 
     @property
     def tool(self) -> str:
@@ -466,6 +470,7 @@ class SoftTissue(DockValues):
         parts = (
             self._second,
             self._registering,
+            self._fitting,
             self._sides,
             self._view,
             self._unsaved,

@@ -1,0 +1,176 @@
+"""Window that lists the properties of the tissues, to be fitted to the second image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+from qtpy import QtWidgets
+from qtpy.QtCore import Qt
+
+from napari_hmrf.posterior.fit import Fit
+from napari_hmrf.posterior.study_fit import value_in_words
+from napari_hmrf.tissue.boundary_rules import Material
+
+TITLE = "Fit to second image"
+_ABOUT = (
+    "Tick what is unknown, and press Fit. The values are then found with which the image moves to "
+    "the second image, with intervals of 95 %. What is not ticked, held and pulled tissue, and "
+    "forces, are used as they are."
+)
+_RATIOS = "Only ratios of stiffness have an effect: leave at least one tissue unticked"
+#: Message if no property is ticked.
+NOTHING = "Tick at least one property."
+# Size of the window in addition to the cells, and height of a row, in pixels.
+_MARGINS, _ROW = (40, 190), 32
+
+
+class FitColumn(NamedTuple):
+    """Column of the window: a property of tissue.
+
+    Attributes
+    ----------
+    name : {"growth", "stiffness", "poisson"}
+        Attribute of `Material` and of `Fit`.
+    title : str
+    factor : float
+        Factor from the value to the displayed number.
+    tip : str
+    """
+
+    name: str
+    title: str
+    factor: float = 1.0
+    tip: str = ""
+
+
+COLUMNS = (
+    FitColumn("growth", "grows (%)", 100.0, "Growth in length of free tissue"),
+    FitColumn("stiffness", "stiffness", tip=_RATIOS),
+    FitColumn("poisson", "Poisson's ratio"),
+)
+
+
+class FitWindow(QtWidgets.QDialog):
+    """Window with a row for each tissue and a box for each property.
+
+    Parameters
+    ----------
+    parent : QWidget
+        Main window.
+    start, cancel : callable
+        Called when the user presses **Fit** or **Cancel**.
+
+    Attributes
+    ----------
+    start : callable
+        The argument.
+    """
+
+    def __init__(
+        self,
+        parent: QtWidgets.QWidget,
+        start: Callable[[], object],
+        cancel: Callable[[], object],
+    ) -> None:
+        super().__init__(parent, windowTitle=TITLE)
+        self.start = start
+        self._rows: list[Material] = []
+        self._table = QtWidgets.QTableWidget(0, len(COLUMNS) + 1)
+        self._table.setObjectName("measurements")
+        self._table.setAccessibleName("Properties to fit")
+        self._table.setTabKeyNavigation(False)
+        self._table.setEditTriggers(self._table.EditTrigger.NoEditTriggers)
+        self._table.verticalHeader().hide()
+        self._table.setHorizontalHeaderLabels(["tissue", *(each.title for each in COLUMNS)])
+        self._fit, self._cancel = QtWidgets.QPushButton("Fit"), QtWidgets.QPushButton("Cancel")
+        self._fit.clicked.connect(lambda _: start())
+        self._cancel.clicked.connect(lambda _: cancel())
+        self._outcome = QtWidgets.QLabel(wordWrap=True)
+        about = QtWidgets.QLabel(_ABOUT, wordWrap=True)
+        buttons = QtWidgets.QHBoxLayout()
+        buttons.addStretch()
+        for button in (self._fit, self._cancel):
+            button.setAutoDefault(False)
+            buttons.addWidget(button)
+        layout = QtWidgets.QVBoxLayout(self)
+        for widget in (about, self._table, self._outcome):
+            layout.addWidget(widget)
+        layout.addLayout(buttons)
+        self.show_busy(False)
+
+    def show_rows(
+        self, rows: Iterable[Material], ticked: Mapping[str, set[int]], found: Fit | None
+    ) -> None:
+        """Show tissues with their properties.
+
+        Parameters
+        ----------
+        rows : iterable of Material
+            Deformable tissues.
+        ticked : mapping of str to set of int
+            Labels whose boxes are ticked, by property.
+        found : Fit or None
+            Fit to which the values belong, for the intervals; None if there is none.
+        """
+        self._rows = [*rows]
+        is_first = not self._table.rowCount()
+        self._table.setRowCount(len(self._rows))
+        for number, row in enumerate(self._rows):
+            name = QtWidgets.QTableWidgetItem(row.name or f"label {row.label}")
+            name.setFlags(Qt.ItemFlag.ItemIsEnabled)
+            self._table.setItem(number, 0, name)
+            for place, column in enumerate(COLUMNS, 1):
+                is_ticked = row.label in ticked.get(column.name, ())
+                self._table.setItem(number, place, _cell(row, column, is_ticked, found))
+        self._table.resizeColumnsToContents()
+        if is_first:
+            width = self._table.horizontalHeader().length() + _MARGINS[0]
+            self.resize(max(width, 480), _MARGINS[1] + _ROW * (len(self._rows) + 1))
+
+    def tick(self, label: int, name: str) -> None:
+        """Check the box of a property of a tissue."""
+        (row,) = [number for number, each in enumerate(self._rows) if each.label == label]
+        (column,) = [place for place, each in enumerate(COLUMNS, 1) if each.name == name]
+        item = self._table.item(row, column)
+        assert item is not None
+        item.setCheckState(Qt.CheckState.Checked)
+
+    @property
+    def ticked(self) -> dict[str, set[int]]:
+        """Labels whose boxes are ticked, by property."""
+        found: dict[str, set[int]] = {column.name: set() for column in COLUMNS}
+        for number, row in enumerate(self._rows):
+            for place, column in enumerate(COLUMNS, 1):
+                item = self._table.item(number, place)
+                if item is not None and item.checkState() == Qt.CheckState.Checked:
+                    found[column.name].add(row.label)
+        return found
+
+    def show_outcome(self, text: str) -> None:
+        """Show the outcome of the last fit, or the reason why there is none."""
+        self._outcome.setText(text)
+
+    def show_busy(self, is_busy: bool) -> None:
+        """Enable the button that applies: **Fit**, or **Cancel** during a fit."""
+        self._fit.setEnabled(not is_busy)
+        self._cancel.setEnabled(is_busy)
+
+
+def _cell(
+    row: Material, column: FitColumn, is_ticked: bool, found: Fit | None
+) -> QtWidgets.QTableWidgetItem:
+    """Return a box with the value of a property, and its interval if it was fitted."""
+    fitted: Mapping[int, Any] = {} if found is None else getattr(found, column.name)
+    value = getattr(row, column.name)
+    if row.label in fitted:
+        text = value_in_words(fitted[row.label], column.factor)
+    elif isinstance(value, tuple):
+        text = " / ".join(f"{column.factor * part:.4g}" for part in value)
+    else:
+        text = f"{column.factor * value:.4g}"
+    cell = QtWidgets.QTableWidgetItem(text)
+    cell.setFlags(Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsUserCheckable)
+    cell.setCheckState(Qt.CheckState.Checked if is_ticked else Qt.CheckState.Unchecked)
+    cell.setToolTip(column.tip)
+    return cell

@@ -1,0 +1,202 @@
+"""Fit of the tissues of the image to the second image, in the window."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from psygnal import Signal
+
+from napari_hmrf.posterior.fit import Fit
+from napari_hmrf.posterior.study_fit import StudyFit, fit_study
+from napari_hmrf.registration.study_registration import SecondPicture
+from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_model import Part, StudyModel
+from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.ui.background_jobs import BackgroundJobs
+from napari_hmrf.ui.controller import Controller
+from napari_hmrf.ui.events import EventConnections
+from napari_hmrf.ui.fit_window import NOTHING, FitWindow
+from napari_hmrf.ui.registering import read_pair
+from napari_hmrf.ui.registration_form import RegistrationForm
+
+_JOB = "fit"
+_INVALID = "Nothing was fitted, because the study is invalid; the dock shows the reason."
+#: Message after a fit of a registered slice.
+_UNREGISTERED = "The registration was removed; Undo restores it."
+
+
+class Fitting:
+    """Fit of properties in the tissue table to the second image, as one undo step.
+
+    The fit runs on the compute thread. Edits during the fit have their effect when it has ended.
+
+    Parameters
+    ----------
+    controller : Controller
+    model : StudyModel
+        Model with the tissue table, which receives the fitted values.
+    """
+
+    #: Emitted with a message about the fit.
+    message = Signal(str)
+
+    def __init__(self, controller: Controller, model: StudyModel) -> None:
+        self._controller, self._model = controller, model
+        self._form: RegistrationForm = controller.form.result.registration
+        self._jobs = BackgroundJobs(self._refuse)
+        self._cancel = threading.Event()
+        self._window: FitWindow | None = None
+        self._ticked: dict[str, set[int]] = {}
+        # Latest fit, and the tissue table that it made.
+        self._found: tuple[Fit, object] | None = None
+        self._form.fit.changed.connect(self.open)
+        controller.form.footer.cancel.changed.connect(self.cancel)
+        self._connections = EventConnections(
+            (model.changed, self._refresh),
+            (controller.slice_changed, self._refresh),
+            (controller.form.result.second.changed, self._refresh),
+        )
+        self._refresh()
+
+    @property
+    def busy(self) -> bool:
+        """True while a fit is running."""
+        return self._jobs.busy()
+
+    def open(self, *_: Any) -> None:
+        """Open the window in which the user ticks the unknown properties."""
+        if self._window is None:
+            native = self._controller.form.result.registration.native
+            self._window = FitWindow(native.window(), self.start, self.cancel)
+            self._ticked = {"growth": {row.label for row in self._rows if row.grows}}
+        self._window.show_outcome("")
+        self._refresh()
+        self._window.show()
+        self._window.raise_()
+
+    def start(self) -> None:
+        """Fit the ticked properties in the background."""
+        window = self._window
+        if window is None or self.busy:
+            return
+        self._ticked = window.ticked
+        if not any(self._ticked.values()):
+            window.show_outcome(NOTHING)
+            return
+        pair = read_pair(self._controller)
+        if pair is None:
+            window.show_outcome(_INVALID)
+            return
+        self._cancel = threading.Event()
+        work = partial(self._run, *pair, self._ticked, self._cancel)
+        self._controller.engine.cancel()
+        finish = partial(self._finish, self._part, self._model.measured_part)
+        self._jobs.submit(_JOB, work, finish)
+        self._controller.progress.start("Fitting", at_once=True)
+        window.show_outcome("Fitting ...")
+        self._refresh()
+
+    def cancel(self, *_: Any) -> None:
+        """Stop the fit; nothing is changed."""
+        if self.busy:
+            self._cancel.set()
+            self._jobs.cancel()
+            self._end("The fit was cancelled; nothing was changed.")
+
+    def release(self) -> None:
+        """Stop all work, close the window, and disconnect from all events."""
+        self._cancel.set()
+        self._jobs.release()
+        self._connections.release()
+        if self._window is not None:
+            self._window.close()
+
+    @property
+    def _part(self) -> Part:
+        """Key of the tissue table of the image."""
+        return Part("tissue", self._model.choice.tissue_layer)
+
+    @property
+    def _rows(self) -> list[Material]:
+        """Deformable tissues of the tissue table; empty if there is no table."""
+        table = self._model.get(self._part)
+        return [] if table is None else [row for row in table.rows if row.is_deformable]
+
+    def _run(
+        self,
+        study: Study,
+        second: SecondPicture,
+        ticked: dict[str, set[int]],
+        cancel: threading.Event,
+    ) -> StudyFit:
+        """Fit the study on the compute thread."""
+        progress = self._controller.engine.report
+        return fit_study(
+            study,
+            second,
+            growth=sorted(ticked["growth"]),
+            stiffness=sorted(ticked["stiffness"]),
+            poisson=sorted(ticked["poisson"]),
+            progress=progress,
+            cancel=cancel,
+        )
+
+    def _finish(self, part: Part, measured: Part, found: StudyFit) -> None:
+        """Write the fitted values into the tissue table, as one step."""
+        table = self._model.get(part)
+        if table is None:  # the layer was removed
+            self._end("")
+            return
+        fitted = {row.label: row for row in found.study.tissue.materials}
+        rows = []
+        for row in table.rows:
+            names = [name for name in self._ticked if row.label in getattr(found.fit, name)]
+            changes: dict[str, Any] = {name: getattr(fitted[row.label], name) for name in names}
+            rows.append(replace(row, **changes))
+        changed = table.edited(rows)
+        values: dict[Part, Any] = {part: changed}
+        was_registered = self._model.get(measured) is not None
+        if was_registered:
+            values[measured] = None
+        self._found = found.fit, changed
+        self._model.do_all(values, "fitted the tissue to the second image")
+        parts = [f"Fitted, with intervals of 95 %: {'; '.join(found.described())}."]
+        if found.fit.similarity is not None:
+            parts.append(f"Agreement of the images: {100 * found.fit.similarity:.0f} %.")
+        if was_registered:
+            parts.append(_UNREGISTERED)
+        self._controller.follow_edit()
+        self._end(" ".join(parts))
+
+    def _refuse(self, sentence: str) -> None:
+        self._end(f"Nothing was fitted. {sentence}")
+
+    def _end(self, text: str) -> None:
+        """Show that no fit is running, and its outcome."""
+        self._controller.progress.stop()
+        if self._window is not None:
+            self._window.show_outcome(text)
+        self._refresh()
+        self._controller.show_again()
+        if text:
+            self.message.emit(text)
+
+    def _refresh(self, *_: Any) -> None:
+        """Enable the button, and show the current tissues in the window."""
+        rows = self._rows
+        second = self._controller.form.result.second.value
+        self._form.show_fit(
+            has_second=second is not None,
+            has_tissues=bool(rows),
+            is_elastic=self._model.model.name in ("elastic", "large motion"),
+        )
+        window = self._window
+        if window is None:
+            return
+        window.show_busy(self.busy)
+        ticked = window.ticked if window.isVisible() else self._ticked
+        is_fitted = self._found is not None and self._found[1] == self._model.get(self._part)
+        window.show_rows(rows, ticked, self._found[0] if self._found and is_fitted else None)
