@@ -16,6 +16,7 @@ from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solve import CancelFlag, solve
 
+Floats = npt.NDArray[np.floating]
 Float64Array = npt.NDArray[np.float64]
 
 #: Largest error of a sample, relative to the median of its displacements.
@@ -76,13 +77,28 @@ class Response:
         self._single = np.nonzero(single)
         self._moves = problem.tissue & ~problem.known.all(axis=-1)
 
-    def units_for(self, force: Float64Array) -> Units:
+    def units_for(self, force: Floats) -> Units:
         """Return the units in which the displacements due to such forces are accurate.
 
         Parameters
         ----------
         force : ndarray, shape (H, W, 2) or (D, H, W, 3)
         """
+        return self._try(force)[0]
+
+    def moved_by(self, force: Floats) -> Float64Array:
+        """Return the displacement due to forces of unknown size, as `to`, with fewer solves.
+
+        Parameters
+        ----------
+        force : ndarray, shape (H, W, 2) or (D, H, W, 3)
+            Forces in the unit of `Loads`.
+        """
+        units, moved = self._try(force)
+        return self.to(force, units) if moved is None else moved
+
+    def _try(self, force: Floats) -> tuple[Units, Float64Array | None]:
+        """Return the units for forces, and the displacement if the last trial was accurate."""
         diagonal = math.hypot(*self._problem.shape)
         # Begin with forces that cannot move the softest tissue far, even all in one direction.
         soft = self._problem.stiffness[self._moves & np.isfinite(self._problem.stiffness)]
@@ -92,8 +108,8 @@ class Response:
         begin = _SIZE * diagonal * least / total if total > 0 else 1.0
         units = Units(begin, _ACCURACY * _SIZE * diagonal)
         for _ in range(_TRIALS):
-            moved = self.to(force, units) / self._problem.unit
-            sizes = np.sqrt((moved[self._moves] ** 2).sum(axis=-1))
+            moved = self.to(force, units)
+            sizes = np.sqrt((moved[self._moves] ** 2).sum(axis=-1)) / self._problem.unit
             if not sizes.any():
                 units = units._replace(factor=_LARGER * units.factor)
                 continue
@@ -102,10 +118,10 @@ class Response:
             factor = diagonal * min(_SIZE / size, _LARGEST / float(sizes.max()))
             units = Units(factor, _ACCURACY * size * factor)
             if 1 / _CLOSE < factor / before < _CLOSE:
-                break
-        return units
+                return units, moved
+        return units, None
 
-    def to(self, force: Float64Array, units: Units) -> Float64Array:
+    def to(self, force: Floats, units: Units) -> Float64Array:
         """Return the displacement due to forces.
 
         Parameters

@@ -221,7 +221,7 @@ def _label_means(
             force = np.zeros(solution.displacement.shape)
             force[..., axis] = share
             # The response to a force on the mean is the inverse of the matrix times its weights.
-            moved = response.to(force, response.units_for(force))
+            moved = response.moved_by(force)
             covariance[axis] = energy * (moved * share[..., None]).sum(
                 axis=tuple(range(axes)), dtype=np.float64
             )
