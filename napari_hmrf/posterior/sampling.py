@@ -10,10 +10,11 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, refuse_unless
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.posterior.blanket import blanket_samples
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import check_held
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
@@ -56,15 +57,17 @@ def sample_posterior(
     ----------
     problem : Problem
         Problem without doubted observations (a confidence between 0 and 1) and without a drift.
-    prior : ElasticPrior, optional
-        By default elastic tissue, as for `solve`.
+    prior : ElasticPrior or SeilerPrior, optional
+        By default elastic tissue, as for `solve`. The paper's model must have the blanket reading
+        and no penalty, and its sites are held exactly; the centred reading has no energy.
     n : int
         Number of samples.
     scale : StrainScale, optional
         Scale of the prior: the typical strain of tissue before any observation. By default that of
         the landmarks, otherwise a strain of 10 %. It is required if the problem has a `precision`,
         whose unit of energy it defines: the variance of an observation is the energy of the scale
-        divided by its precision.
+        divided by its precision. In the paper's model, the strains of neighbouring patches differ
+        by about this strain.
     seed : int
         Seed of the random numbers. Sample number i depends on the seed and on i only.
     backend : str
@@ -85,7 +88,8 @@ def sample_posterior(
         If an argument is invalid.
     ProblemError
         If the posterior is not a normal distribution (doubted observations, large motion, the
-        paper's models), if it is not implemented (drift), or if tissue can move freely.
+        paper's model in its centred reading), if it is not implemented (drift), or if tissue can
+        move freely.
     Cancelled
         If `cancel` was set.
 
@@ -96,6 +100,8 @@ def sample_posterior(
     check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
     refuse_unless(is_whole(n) and n >= 1, "n", n, "a number of samples, 1 or more")
     refuse_unless(is_whole(seed) and seed >= 0, "seed", seed, "a whole number, 0 or more")
+    if isinstance(prior, SeilerPrior):
+        return blanket_samples(problem, prior, n, scale, seed, backend, progress, cancel)
     elastic = checked_prior(problem, prior)
     energy = energy_of(problem, scale)
     response = Response(problem, elastic, backend, cancel)
