@@ -1,12 +1,14 @@
 """Uncertainty: standard deviations beside dense posteriors, coverage of intervals, and times.
 
-    python -m benchmarks.uncertainty [samples] [coverage] [fits] [maps] [accuracy] [times]
-                                    [--problems 2000]
+    python -m benchmarks.uncertainty [samples] [coverage] [scales] [power] [fits] [maps]
+                                     [accuracy] [times] [--problems 2000]
 
 `samples` compares standard deviations of 30, 300 and 3000 samples with those of dense inverse
 matrices: contrast to 1000, tensors, landmarks, void, long pixels, images and volumes. `coverage`
 draws the true motion of random tissue from a matrix that scikit-fem assembled, observes it with
-noise, and counts how often the intervals of 68 % and 95 % contain it. `fits` finds the stiffness
+noise, and counts how often the intervals of 68 % and 95 % contain it. `scales` fits the typical
+strain to such landmarks, and `power` counts how often a test of their agreement with the model
+finds that the model is wrong. `fits` finds the stiffness
 and the growth of labels from the motion that scikit-fem computed, with noise of 5 %, and `maps`
 two inclusions whose places are unknown. `accuracy` compares samples with those of a solver that is
 a thousand times more accurate. `times` compares a sample with a solve after a change of the motion,
@@ -17,6 +19,8 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,16 +31,19 @@ from napari_hmrf import ElasticPrior, Problem, solve
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import growth
 from napari_hmrf.posterior import fit, sample_posterior, stiffness_map, uncertainty
+from napari_hmrf.posterior.agreement import agreement_in
+from napari_hmrf.posterior.data_space import DataSpace, data_space
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
+from napari_hmrf.posterior.scale_fit import Likelihood
 from tests.support.data_oracle import interpolation
 from tests.support.posterior_oracle import posterior_covariance
 
 Array = npt.NDArray[np.float64]
 _SCALE = StrainScale(0.1)
 _COUNTS = (30, 300, 3000)
-_TABLES = ("samples", "coverage", "fits", "maps", "accuracy", "times")
+_TABLES = ("samples", "coverage", "scales", "power", "fits", "maps", "accuracy", "times")
 # Quantiles of the normal distribution for 68 % and 95 %.
 _BOUNDS = {68: 0.9945, 95: 1.96}
 
@@ -149,6 +156,150 @@ def coverage(count: int = 2000) -> None:
     for (what, percent), number in inside.items():
         share = 100 * number / total[what]
         print(f"| mean of a {what} | {percent} % | {share:.1f} % | {total[what]} |")
+
+
+class _Landmarked:
+    """Uniform tissue with random landmarks, and their motion in random fields.
+
+    The first row of 24 x 24 pixels is held, and the last one moved by 4 pixels.
+
+    Parameters
+    ----------
+    landmarks, seed : int
+    """
+
+    grid, sd = (24, 24), 0.1
+
+    def __init__(self, landmarks: int, seed: int) -> None:
+        self.rng = np.random.default_rng((seed, landmarks))
+        self._observed, self._confidence = np.zeros((2, *self.grid, 2))
+        self._confidence[[0, -1]], self._observed[-1] = 1, (4, 1)
+        points = self.rng.random((landmarks, 2)) * (np.array(self.grid) - 1)
+        marks = Landmarks(points, points, sd=self.sd, scale=_SCALE)
+        self._rows = interpolation(points, self.grid)
+        self._assumed = plane_stress_displacement(self._tissue(1.0)).ravel()
+        problem = Problem(self._observed, self._confidence, np.ones(self.grid), landmarks=marks)
+        prior = checked_prior(problem, ElasticPrior(0.3))
+        self.energy = energy_of(problem, None)
+        self.space = data_space(problem, prior, self.energy, "cpu", None, None)
+
+    def _tissue(self, stiffness: float) -> Problem:
+        m = np.ones(self.grid)
+        m[7:17, 7:17] = stiffness
+        return Problem(self._observed, self._confidence, m)
+
+    def truth(self, stiffness: float = 1.0) -> tuple[Array, Array]:
+        """Return the mean and a root of the covariance of the motion, by scikit-fem.
+
+        Parameters
+        ----------
+        stiffness : float
+            Stiffness of a square of 10 x 10 pixels, relative to the tissue around it. The mean is
+            relative to that of uniform tissue.
+        """
+        true, free = self._tissue(stiffness), (self._confidence == 0).ravel()
+        root = np.linalg.cholesky(plane_stress_matrix(true)[np.ix_(free, free)])
+        seen = self._rows[:, np.flatnonzero(free)].toarray()
+        mean = self._rows @ (plane_stress_displacement(true).ravel() - self._assumed)
+        return mean, scipy.linalg.solve_triangular(root, np.sqrt(self.energy) * seen.T, lower=True)
+
+    def draw(
+        self,
+        truth: tuple[Array, Array],
+        strain: float = 1.0,
+        noise: float = 1.0,
+        outlier: float = 0.0,
+    ) -> DataSpace:
+        """Return the data space with observations of a random field.
+
+        Parameters
+        ----------
+        truth : (ndarray, ndarray)
+            Result of `truth`.
+        strain, noise : float
+            Factors on the typical strain and on the standard deviations.
+        outlier : float
+            Displacement of the first landmark, in standard deviations.
+        """
+        mean, root = truth
+        seen = mean + strain * self.rng.normal(size=len(root)) @ root
+        seen += noise * self.sd * self.rng.normal(size=len(seen))
+        angle = self.rng.uniform(0, 2 * np.pi)
+        seen[:2] += outlier * self.sd * np.array((np.cos(angle), np.sin(angle)))
+        return replace(self.space, residual=self.space.basis.T @ seen)
+
+
+_COUNTS_OF_LANDMARKS = (5, 10, 50)
+
+
+def scales(tissues: int = 20, draws: int = 50) -> None:
+    """Print the errors of fitted strains and factors on errors, and the coverage of intervals."""
+    print(
+        "| landmarks | fitted | interval begins at 0 | median error "
+        "| 95 % intervals that contain it |"
+    )
+    print("| --- | --- | --- | --- | --- |")
+    for landmarks in _COUNTS_OF_LANDMARKS:
+        for noise in (False, True):
+            errors: dict[str, list[float]] = {"strain": [], "errors": []}
+            inside = dict.fromkeys(errors, 0)
+            missing, total = dict.fromkeys(errors, 0), 0
+            for seed in range(tissues):
+                tissue = _Landmarked(landmarks, seed)
+                truth = tissue.truth()
+                for _ in range(draws // 5 if noise else draws):
+                    true = tissue.rng.uniform(0.5, 2, 2) if noise else (2.0, 1.0)
+                    given = Likelihood.of(tissue.draw(truth, *true), tissue.energy, noise)
+                    best = given.most_likely()
+                    found: dict[str, tuple[float, Callable[[float], float]]] = {
+                        "strain": (best, given.profile_strain)
+                    }
+                    if noise:
+                        found["errors"] = given.noise_at(best), given.profile_noise
+                    total += 1
+                    for (what, (value, profile)), right in zip(found.items(), true, strict=False):
+                        low, high = given.interval(profile, value)
+                        inside[what] += low <= right <= high
+                        missing[what] += low == 0
+                        errors[what].append(abs(np.exp(value) / right - 1))
+            for what in ("strain", "errors")[: 1 + noise]:
+                both = ", with the errors" if noise and what == "strain" else ""
+                print(
+                    f"| {landmarks} | {what}{both} | {missing[what] / total:.1%} "
+                    f"| {np.median(errors[what]):.0%} | {inside[what] / total:.1%} of {total} |"
+                )
+
+
+# Errors of the model: words, stiffness of the square, and arguments of `_Landmarked.draw`.
+_CHANGES: tuple[tuple[str, float, dict[str, float]], ...] = (
+    ("nothing", 1.0, {}),
+    *((f"one landmark displaced by {k} sd", 1.0, {"outlier": float(k)}) for k in (3, 5, 10)),
+    *((f"errors {k:g} times as large", 1.0, {"noise": k}) for k in (1.5, 2.0, 3.0)),
+    *((f"strain {k:g} times as large", 1.0, {"strain": k}) for k in (1.5, 2.0)),
+    *((f"square {k:.2g} times as stiff", k, {}) for k in (0.1, 1 / 3, 3.0, 10.0)),
+)
+
+
+def power(tissues: int = 20, draws: int = 25) -> None:
+    """Print how often tests of landmarks find that the model is wrong, at a level of 5 %."""
+    counts = len(_COUNTS_OF_LANDMARKS)
+    found = np.zeros((len(_CHANGES), 2 * counts))
+    for column, landmarks in enumerate(_COUNTS_OF_LANDMARKS):
+        for seed in range(tissues):
+            tissue = _Landmarked(landmarks, seed)
+            truths = {stiffness: tissue.truth(stiffness) for _, stiffness, _ in _CHANGES}
+            for row, (_, stiffness, change) in enumerate(_CHANGES):
+                for _ in range(draws):
+                    space = tissue.draw(truths[stiffness], **change)
+                    agreement = agreement_in(space, tissue.energy, landmarks, 2)
+                    least = agreement.landmark_p_values.min()
+                    found[row, 2 * column] += agreement.p_value < 0.05
+                    found[row, 2 * column + 1] += least < 0.05 / landmarks
+    heads = (f"{n} landmarks: {test}" for n in _COUNTS_OF_LANDMARKS for test in ("all", "one"))
+    print(f"| wrong in the model | {' | '.join(heads)} |")
+    print("| --- |" + " --- |" * 2 * counts)
+    for (words, _, _), shares in zip(_CHANGES, found / (tissues * draws), strict=True):
+        print(f"| {words} | {' | '.join(f'{share:.0%}' for share in shares)} |")
 
 
 def fits(count: int = 100) -> None:
@@ -324,6 +475,10 @@ def main() -> None:
         samples()
     if "coverage" in tables:
         coverage(given.problems)
+    if "scales" in tables:
+        scales()
+    if "power" in tables:
+        power()
     if "fits" in tables:
         fits()
     if "maps" in tables:

@@ -77,6 +77,8 @@ WHAT_A_CALL_IS_ABOUT = {
     "register": 2,
     "fit": 2,
     "sample_posterior": 3,
+    "check_agreement": 2,
+    "fit_scale": 2,
     "stiffness_map": 2,
     "study_uncertainty": 2,
     "uncertainty": 3,

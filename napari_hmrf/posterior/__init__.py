@@ -9,26 +9,34 @@
     result.along  # error bar of the length of the displacement of each patch
     result.labels[2].sd  # error bars of the mean displacement of label 2
 
-`study_uncertainty` does the same for a study, and `sample_posterior` returns whole fields. `fit`
-finds the growth and the stiffness of tissue from its measured motion or from two images,
-`fit_study` those of the tissues of a study, and `stiffness_map` the stiffness of each site.
+`study_uncertainty` does the same for a study, and `sample_posterior` returns whole fields.
+`fit_scale` finds the typical strain from landmarks, and `check_agreement` tests whether landmarks
+agree with the model. `fit` finds the growth and the stiffness of tissue from its measured motion or
+from two images, `fit_study` those of the tissues of a study, and `stiffness_map` the stiffness of
+each site.
 """
 
+from napari_hmrf.posterior.agreement import Agreement, check_agreement
 from napari_hmrf.posterior.fit import Fit, FittedProperty, fit
 from napari_hmrf.posterior.sampling import sample_posterior
+from napari_hmrf.posterior.scale_fit import ScaleFit, fit_scale
 from napari_hmrf.posterior.stiffness_map import StiffnessMap, stiffness_map
 from napari_hmrf.posterior.study_fit import StudyFit, fit_study
 from napari_hmrf.posterior.study_uncertainty import study_uncertainty
 from napari_hmrf.posterior.uncertainty import MeanDisplacement, Uncertainty, uncertainty
 
 __all__ = [
+    "Agreement",
     "Fit",
     "FittedProperty",
     "MeanDisplacement",
+    "ScaleFit",
     "StiffnessMap",
     "StudyFit",
     "Uncertainty",
+    "check_agreement",
     "fit",
+    "fit_scale",
     "fit_study",
     "sample_posterior",
     "stiffness_map",
