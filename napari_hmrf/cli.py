@@ -13,6 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from napari_hmrf.augmentation.ground_truth import Truth, truth_files, write_truth
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.errors import HmrfError, in_words
@@ -26,7 +28,7 @@ from napari_hmrf.io.images import read_image
 from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.registration_files import RegistrationCase, register_files
-from napari_hmrf.io.results import image_of, labels_in, measured
+from napari_hmrf.io.results import estimate_uncertainty, image_of, labels_in, measured
 from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.io.study_file import read_study, replay
 from napari_hmrf.io.tables import (
@@ -161,9 +163,12 @@ def _materials(options: argparse.Namespace) -> int:
 def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame  # heavy: pandas
 
-    measurement = measured(options.result, options.labels)
     if options.out is not None:
         refuse_overwriting([options.out], overwrite=options.force)
+    with _shown_progress() as progress:
+        measurement = measured(
+            options.result, options.labels, uncertainty=options.uncertainty, progress=progress
+        )
     rows, is_volume = measurement.rows, measurement.of_volume
     titles, cells = measurement_table(rows, volume=is_volume)
     table = DataFrame(cells, columns=titles)
@@ -173,6 +178,36 @@ def _measure(options: argparse.Namespace) -> int:
     if options.out is not None:
         path = write_measurements(options.out, rows, measurement.unit, volume=is_volume)
         print(f"written: {path}")
+    return 0
+
+
+def _uncertainty(options: argparse.Namespace) -> int:
+    with _shown_progress() as progress:
+        estimated = estimate_uncertainty(
+            options.study,
+            options.out,
+            n=options.samples,
+            patch=options.patch,
+            within=options.within,
+            backend=options.backend,
+            overwrite=options.force,
+            progress=progress,
+        )
+    found, site, unit = estimated.found, estimated.least_sure, estimated.unit
+    bars = found.along[found.solution.tissue]
+    print(
+        f"estimated: patches of {found.patch:.3g} {unit}, {found.n} samples, ± "
+        f"{float(np.median(bars)):.2g} {unit} in the median, up to ± {float(bars.max()):.2g} {unit}"
+    )
+    place = ", ".join(str(index) for index in site)
+    print(
+        f"least sure: ± {float(found.along[site]):.2g} {unit} at pixel ({place}), where one more "
+        "landmark helps most"
+    )
+    if estimated.note:
+        _note(estimated.note)
+    if estimated.paths:
+        print(f"written: {', '.join(str(path) for path in estimated.paths)}")
     return 0
 
 
@@ -509,6 +544,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "selftest": _selftest,
     "solve": _solve,
     "truth": _truth,
+    "uncertainty": _uncertainty,
 }
 
 # Time between progress lines, in seconds, if stderr is not a terminal.

@@ -207,7 +207,14 @@ def _add_result_commands(commands: Commands) -> None:
     measure.add_argument(
         "-o", "--out", type=Path, metavar="TABLE", help="also write the table to a .csv file"
     )
+    measure.add_argument(
+        "--uncertainty",
+        action="store_true",
+        help="add the standard deviation of the mean displacement of each tissue, along its motion "
+        "and, in the .csv file, along each axis; for a study of the elastic model",
+    )
     _add_force(measure)
+    _add_uncertainty(commands)
     play = commands.add(
         "play",
         "Write an animation of the deformation, forward and back, as .gif or .mp4.",
@@ -238,6 +245,49 @@ def _add_result_commands(commands: Commands) -> None:
         metavar="IMAGE",
         help="image of the study, if the study file does not contain it",
     )
+
+
+def _add_uncertainty(commands: Commands) -> None:
+    uncertainty = commands.add(
+        "uncertainty",
+        "Estimate how sure a displacement is, and where one more landmark helps most.",
+        "napari-hmrf uncertainty out/scan.study -o sd.nii.gz",
+        "The study must have the elastic model. Error bars are standard deviations of the mean "
+        "displacement of patches of tissue; those of whole tissues are printed by the command "
+        "measure.",
+    )
+    uncertainty.add_argument("study", type=Path, metavar="STUDY", help="solved study")
+    uncertainty.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="IMAGE",
+        help="also write the standard deviations along the motion as an image (.nii.gz, .nii, "
+        ".mha, .nrrd or .tif), and those along each axis beside it, such as sd-row.nii.gz and "
+        "sd-col.nii.gz for sd.nii.gz",
+    )
+    uncertainty.add_argument(
+        "--patch",
+        type=positive_option,
+        metavar="SIDE",
+        help="side of a patch, in the unit of the image (default: 5 %% of its longest side)",
+    )
+    uncertainty.add_argument(
+        "--samples",
+        type=size_option(2),
+        default=30,
+        metavar="N",
+        help="number of random fields from which the standard deviations are estimated; 30 give "
+        "an accuracy of 13 %% (default: %(default)s)",
+    )
+    uncertainty.add_argument(
+        "--within",
+        type=Path,
+        metavar="IMAGE",
+        help="pixels in which a landmark can be set: those that are not 0 (default: all tissue)",
+    )
+    _add_force(uncertainty)
+    _add_backend(uncertainty)
 
 
 def _add_solve(commands: Commands) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,38 @@ from napari_hmrf.solver.solution import Solution
 
 # Number of planes of cells processed together.
 _SLAB = 8
+# Largest difference between two means of the same tissue, relative to the size of a pixel plus the
+# standard deviation.
+_SAME_MEAN = 0.05
+
+
+class MeanBars(Protocol):
+    """Mean displacement of a label with its standard deviations, as in `MeanDisplacement`."""
+
+    @property
+    def mean(self) -> Float64Array:
+        """Mean displacement along each axis, shape (n,)."""
+
+    @property
+    def sd(self) -> Float64Array:
+        """Standard deviation along each axis, shape (n,)."""
+
+    @property
+    def along(self) -> float:
+        """Standard deviation along the motion."""
+
+
+@runtime_checkable
+class LabelBars(Protocol):
+    """Record with the mean displacements of labels, as in `Uncertainty`."""
+
+    @property
+    def labels(self) -> Mapping[int, MeanBars]:
+        """Mean displacement of each label."""
+
+    @property
+    def along(self) -> npt.NDArray[np.float32]:
+        """Standard deviations of patches."""
 
 
 class Measurement(NamedTuple):
@@ -46,6 +78,12 @@ class Measurement(NamedTuple):
         "elastic": the model's elastic strain in all three directions, without growth, as in
         `Solution.strain`. "in-plane": total strain within an image, for models without a third
         direction such as the paper's. "total": total strain of a volume.
+    mean_displacement_sd : float, optional
+        Standard deviation of the mean displacement along the motion: the error bar of
+        `mean_displacement`. None if the uncertainty is unknown.
+    mean_vector, mean_vector_sd : tuple of float
+        Mean displacement along each axis, and its standard deviation, in the unit of the spacing;
+        empty if the uncertainty is unknown.
     """
 
     label: int
@@ -59,10 +97,17 @@ class Measurement(NamedTuple):
     largest_strain: float
     folds: int
     strain: StrainKind = "elastic"
+    mean_displacement_sd: float | None = None
+    mean_vector: tuple[float, ...] = ()
+    mean_vector_sd: tuple[float, ...] = ()
 
 
 def measure(
-    solution: Solution, labels: npt.ArrayLike, *, names: Mapping[int, str] | None = None
+    solution: Solution,
+    labels: npt.ArrayLike,
+    *,
+    names: Mapping[int, str] | None = None,
+    uncertainty: LabelBars | None = None,
 ) -> tuple[Measurement, ...]:
     """Measure the deformation of each tissue.
 
@@ -73,6 +118,9 @@ def measure(
         Labels before the motion. Pixels outside the solution's tissue are ignored.
     names : mapping of int to str, optional
         Name of the tissue with each label.
+    uncertainty : Uncertainty, optional
+        Uncertainty of this solution with these labels, for the error bars of the mean
+        displacements. Labels that it lacks, such as the label 0, have no error bar.
 
     Returns
     -------
@@ -84,9 +132,14 @@ def measure(
     ArgumentError
         If `solution` is not a Solution, or `names` is not a mapping with integer keys.
     ProblemError
-        If the labels are not integers on the pixels of the solution.
+        If the labels are not integers on the pixels of the solution, or if `uncertainty` belongs to
+        other labels or another solution.
     """
     require_kind(Solution, "solution", solution, "the result of solve()")
+    if uncertainty is not None:
+        requirement = "the result of uncertainty(problem, labels=labels)"
+        is_known = isinstance(uncertainty, LabelBars)
+        refuse_unless(is_known, "uncertainty", uncertainty, requirement)
     if names is not None:
         requirement = 'a mapping of labels to names, such as {1: "bone"}'
         is_by_label = isinstance(names, Mapping) and all(map(is_whole, names))
@@ -111,6 +164,7 @@ def measure(
     measurements = []
     for label in np.unique(image[tissue]).tolist():
         mask = tissue & (image == label)
+        bars = None if uncertainty is None else uncertainty.labels.get(int(label))
         measurements.append(
             Measurement(
                 label=int(label),
@@ -124,9 +178,46 @@ def measure(
                 largest_strain=float(100 * np.nanmax(strain[mask])),
                 folds=int(folded[mask].sum()),
                 strain=kind,
+                **({} if bars is None else _error_bars(bars, d[mask], int(label), spacing)),
             )
         )
+    has_bars = any(row.mean_displacement_sd is not None for row in measurements)
+    if measurements and uncertainty is not None and not has_bars:
+        raise ProblemError(
+            "uncertainty",
+            "has none of these labels. Pass uncertainty(problem, labels=labels) with the same "
+            "labels.",
+        )
     return tuple(measurements)
+
+
+def _error_bars(
+    bars: MeanBars, moved: npt.NDArray[np.floating], label: int, spacing: tuple[float, ...]
+) -> dict[str, Any]:
+    """Return the error bars of a label, after checking that they belong to its tissue.
+
+    Parameters
+    ----------
+    bars : MeanBars
+    moved : ndarray, shape (N, n)
+        Displacement of each site of the label.
+    label : int
+    spacing : tuple of float
+    """
+    mean = moved.mean(axis=0, dtype=np.float64)
+    allowed = _SAME_MEAN * (np.array(spacing) + bars.sd)
+    if len(bars.mean) != len(mean) or (np.abs(mean - bars.mean) > allowed).any():
+        raise ProblemError(
+            "uncertainty",
+            f"has another mean displacement of the label {label}, so it belongs to other labels or "
+            "to another solution. Pass uncertainty(problem, labels=labels) with the same problem "
+            "and labels.",
+        )
+    return {
+        "mean_displacement_sd": float(bars.along),
+        "mean_vector": tuple(mean.tolist()),
+        "mean_vector_sd": tuple(bars.sd.tolist()),
+    }
 
 
 def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:

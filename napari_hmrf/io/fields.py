@@ -497,7 +497,7 @@ def export_field(
     require_flag("placed", placed)
     if grid is not None:
         require_kind(Grid, "grid", grid, "Grid.from_image(image)")
-    displacement, place = _place_solution(solution, grid, placed)
+    displacement, place = place_solution(solution, grid, placed)
     return write_field(
         path,
         displacement,
@@ -513,10 +513,24 @@ def _not_a_field(source: Path, error: Unreadable) -> str:
     return f"{source.name}: not a displacement field that can be read{reason}."
 
 
-def _place_solution(
+def place_solution(
     solution: Solution, grid: Grid | None, placed_only: bool
 ) -> tuple[npt.NDArray[np.floating], Place]:
-    """Return the displacement of a solution, and the place of the solution or of a grid."""
+    """Return the displacement of a solution in mm, and the place of the solution or of a grid.
+
+    Parameters
+    ----------
+    solution : Solution
+    grid : Grid or None
+        Grid of the image.
+    placed_only : bool
+        If True, a solution without a place raises an error.
+
+    Raises
+    ------
+    ProblemError
+        As for `export_field`.
+    """
     if grid is not None:
         if grid.shape != solution.tissue.shape:
             raise ProblemError(

@@ -15,10 +15,23 @@ from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.case import labels_of
 from napari_hmrf.io.fields import place_of
-from napari_hmrf.io.images import ImageFile, read_image
+from napari_hmrf.io.images import PICTURE_SUFFIXES, ImageFile, read_image
+from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import read_solved
+from napari_hmrf.io.uncertainty_files import uncertainty_paths, write_uncertainty
+from napari_hmrf.posterior import Uncertainty
+from napari_hmrf.posterior.study_uncertainty import ground_uncertainty
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solve import Progress
+from napari_hmrf.study.ground import Ground
+from napari_hmrf.study.study import Study
+
+#: Note on images without a place.
+_NO_PLACE = (
+    "the image has no position in world coordinates, so the uncertainty is at the origin, and its "
+    "spacing is assumed to be in mm"
+)
 
 
 class Measured(NamedTuple):
@@ -43,7 +56,14 @@ class Measured(NamedTuple):
     note: str = ""
 
 
-def measured(path: Path, labels: Path | None = None) -> Measured:
+def measured(
+    path: Path,
+    labels: Path | None = None,
+    *,
+    uncertainty: bool = False,
+    backend: str = "auto",
+    progress: Progress | None = None,
+) -> Measured:
     """Measure the deformation of each tissue in a solved study or saved result.
 
     Parameters
@@ -53,15 +73,22 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     labels : Path, optional
         Label image. By default, the labels of the study are used, or the same label for all tissue
         if there are no labels.
+    uncertainty : bool
+        True to estimate the error bar of the mean displacement of each tissue.
+    backend, progress
+        As for `study_uncertainty`.
 
     Raises
     ------
     HmrfError
-        If a file is invalid, or contains no displacement field.
+        If a file is invalid, or contains no displacement field, or if the uncertainty of the result
+        is unknown.
     OSError
         If a file cannot be opened.
     """
     study, solution = read_solved(path)
+    if uncertainty:
+        refuse_without_study(path, study)
     tissue = None if study is None else study.tissue
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
     image = None if tissue is None else tissue.labels
@@ -70,8 +97,118 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     if image is None:
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
-    rows, of_volume = solution.measure(image, names=names), solution.tissue.ndim == 3
-    return Measured(rows, unit, of_volume, strain_note(solution))
+    found = None
+    if study is not None and uncertainty:
+        try:
+            ground = Ground.of(study)
+            found = ground_uncertainty(
+                ground,
+                ground.statement(),
+                0,
+                labels=image,
+                where=solution.tissue,
+                backend=backend,
+                progress=progress,
+            )
+        except ProblemError as error:
+            raise HmrfError(f"--uncertainty is not possible for {path.name}: {error}") from error
+    rows = solution.measure(image, names=names, uncertainty=found)
+    return Measured(rows, unit, solution.tissue.ndim == 3, strain_note(solution))
+
+
+def refuse_without_study(path: Path, study: Study | None) -> None:
+    """Raise an error if a saved result, from which no uncertainty follows, is not a study."""
+    if study is None:
+        raise HmrfError(
+            f"{path.name} is a saved result, which does not contain the inputs from which an "
+            "uncertainty is estimated. Give a study (.study)."
+        )
+
+
+class EstimatedFile(NamedTuple):
+    """Uncertainty of a study, with its files.
+
+    Attributes
+    ----------
+    found : Uncertainty
+    least_sure : tuple of int
+        Site where one more landmark helps most.
+    unit : str
+        Symbol of the unit of length.
+    paths : tuple of Path
+        Written files; empty if no path was given.
+    note : str
+        Note for the user, a clause; "" if there is none.
+    """
+
+    found: Uncertainty
+    least_sure: tuple[int, ...]
+    unit: str
+    paths: tuple[Path, ...] = ()
+    note: str = ""
+
+
+def estimate_uncertainty(
+    path: Path,
+    out: Path | None = None,
+    *,
+    n: int = 30,
+    patch: float | None = None,
+    within: Path | None = None,
+    backend: str = "auto",
+    overwrite: bool = True,
+    progress: Progress | None = None,
+) -> EstimatedFile:
+    """Estimate the uncertainty of the displacement of a study, and write it as images.
+
+    Parameters
+    ----------
+    path : Path
+        Solved study.
+    out : Path, optional
+        Image to write, as for `Uncertainty.export`.
+    n, patch, backend, progress
+        As for `study_uncertainty`.
+    within : Path, optional
+        Mask of the sites where a landmark can be, for `Uncertainty.least_sure`.
+    overwrite : bool
+        True if existing images may be replaced.
+
+    Raises
+    ------
+    HmrfError
+        If the file is not a study, or if the uncertainty is not defined or not implemented.
+    OSError
+        If a file cannot be opened or written.
+    """
+    study, solution = read_solved(path)
+    refuse_without_study(path, study)
+    assert study is not None
+    mask = None if within is None else labels_of(_on_grid(within, solution), within)
+    if out is not None:
+        refuse_overwriting(uncertainty_paths(out, len(study.grid.shape)), overwrite=overwrite)
+    nowhere = np.zeros(study.grid.shape, np.bool_)  # labels are measured by `measured`
+    try:
+        ground = Ground.of(study)
+        found = ground_uncertainty(
+            ground,
+            ground.statement(),
+            n,
+            patch=patch,
+            where=nowhere,
+            backend=backend,
+            progress=progress,
+        )
+    except ProblemError as error:
+        raise HmrfError(f"the uncertainty of {path.name} is unknown: {error}") from error
+    place = found.least_sure(mask)
+    unit = unit_symbol(Frame.of_solution(found.solution).unit)
+    if out is None:
+        return EstimatedFile(found, place, unit)
+    is_placed = bool(found.solution.frame)
+    paths = write_uncertainty(out, found, placed=is_placed)
+    note = "" if is_placed or out.name.lower().endswith(PICTURE_SUFFIXES) else _NO_PLACE
+    return EstimatedFile(found, place, unit, paths, note)
 
 
 def labels_in(path: Path) -> tuple[int, ...]:

@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -55,6 +56,8 @@ _OF_IMAGES = {"size": "area", "size_change": "area_change"}
 _OF_VOLUMES = {"pixels": "voxels", "size": "volume", "size_change": "volume_change"}
 #: Measurements in per cent, for which the column titles contain the unit.
 _PER_CENT = ("size_change", "mean_strain", "largest_strain")
+#: Measurement that is a column only if the uncertainty is known.
+_SD = "mean_displacement_sd"
 #: Share of the magnitude of a force below which a component is shown as 0.
 _NOISE = 1e-3
 
@@ -320,16 +323,44 @@ def measurement_table(
     -------
     titles : list of str
         Titles of the columns. The titles of strain columns contain the kind of strain, as in
-        "mean_elastic_strain_percent".
+        "mean_elastic_strain_percent". Measurements with error bars have the further column
+        "mean_displacement_sd".
     cells : list of tuple
         Cells of each row.
     """
     kind = _strain_of(rows).replace("-", "_")
     words = {name: name.replace("strain", f"{kind}_strain") for name in Measurement._fields}
     words |= _OF_VOLUMES if volume else _OF_IMAGES
-    names = [name for name in Measurement._fields if name != "strain"]
+    hidden = {"strain", "mean_vector", "mean_vector_sd"}
+    if not has_error_bars(rows):
+        hidden.add(_SD)
+    names = [name for name in Measurement._fields if name not in hidden]
+    if _SD in names:  # beside its mean
+        names.remove(_SD)
+        names.insert(names.index("mean_displacement") + 1, _SD)
     titles = [f"{words[name]}{'_percent' * (name in _PER_CENT)}" for name in names]
     return titles, [tuple(getattr(row, name) for name in names) for row in rows]
+
+
+def has_error_bars(rows: Sequence[Measurement]) -> bool:
+    """Return whether measurements have error bars of the mean displacement."""
+    return any(row.mean_displacement_sd is not None for row in rows)
+
+
+def _vector_table(
+    rows: Sequence[Measurement], *, volume: bool
+) -> tuple[list[str], list[tuple[float | None, ...]]]:
+    """Return the columns of the mean displacement along each axis; none without error bars."""
+    if not has_error_bars(rows):
+        return [], [() for _ in rows]
+    axes = ("plane", "row", "col")[-3 if volume else -2 :]
+    titles = [f"mean_displacement_{axis}{sd}" for axis in axes for sd in ("", "_sd")]
+    empty: tuple[float | None, ...] = (None,) * len(titles)
+    cells = []
+    for row in rows:
+        pairs = zip(row.mean_vector, row.mean_vector_sd, strict=True)
+        cells.append((*chain.from_iterable(pairs),) or empty)
+    return titles, cells
 
 
 def _strain_of(rows: Sequence[Measurement]) -> StrainKind:
@@ -419,7 +450,10 @@ def _in_words(row: Measurement, name: str, axes: int) -> str:
     if name != "size":
         pixel = (row.size / row.pixels) ** (1 / axes)
         value = as_seen(value, [pixel if name.endswith("displacement") else 1.0])
-    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+    words = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+    if name == "mean_displacement" and row.mean_displacement_sd is not None:
+        words = f"{words} ± {row.mean_displacement_sd:.2g}"
+    return words
 
 
 def write_measurements(
@@ -430,6 +464,9 @@ def write_measurements(
     volume: bool = False,
 ) -> Path:
     """Write measurements to a .csv, with a row for each tissue.
+
+    Measurements with error bars also have the mean displacement along each axis, with its standard
+    deviation. Tissues without error bars have empty cells there.
 
     Parameters
     ----------
@@ -449,8 +486,12 @@ def write_measurements(
     """
     more = {"unit": unit} if unit else {}
     titles, cells = measurement_table(rows, volume=volume)
-    lines = ([*row, *more.values()] for row in cells)
-    return write_csv(path, [*titles, *more], lines, what="measurements")
+    of_axes, vectors = _vector_table(rows, volume=volume)
+    lines = (
+        ["" if cell is None else cell for cell in (*row, *vector, *more.values())]
+        for row, vector in zip(cells, vectors, strict=True)
+    )
+    return write_csv(path, [*titles, *of_axes, *more], lines, what="measurements")
 
 
 def _read(

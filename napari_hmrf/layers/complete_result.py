@@ -19,6 +19,10 @@ from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.tissue.drawing.record import record_of
 
+#: Largest number of labels whose mean displacements are estimated. More labels would take longer
+#: than the samples of the patches.
+_MOST_LABELS = 10
+
 
 class CompleteResult(NamedTuple):
     """Completed deformation, its layers, and notes for the user; each note is a clause."""
@@ -54,7 +58,10 @@ def complete_result(
     if isinstance(stated.prior, Elastic):
         forces = partial(held_forces, stated.problem, solved, stated.prior)
     if isinstance(stated.prior, ElasticPrior):
-        estimate = partial(ground_uncertainty, ground, stated)
+        labels = pictures.labels
+        is_quick = labels is None or len(np.unique(labels)) <= _MOST_LABELS
+        where = kept.tissue if is_quick else np.zeros_like(kept.tissue)
+        estimate = partial(ground_uncertainty, ground, stated, labels=labels, where=where)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces, estimate)
     caveats = [*shortcomings(solved, study.grid.unit, outputs.folds, stated.problem)]
     if outputs.folds:

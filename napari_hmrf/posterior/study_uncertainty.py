@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.posterior.uncertainty import Uncertainty, uncertainty
+from napari_hmrf.posterior.uncertainty import Uncertainty, checked_labels, uncertainty
+from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
-from napari_hmrf.study.ground import Ground, Statement
+from napari_hmrf.study.ground import Ground, Statement, at_place_of
 from napari_hmrf.study.study import Study
 
 
@@ -15,6 +21,7 @@ def study_uncertainty(
     n: int = 30,
     *,
     patch: float | None = None,
+    labels: npt.ArrayLike | None = None,
     seed: int = 0,
     backend: str = "auto",
     progress: Progress | None = None,
@@ -22,8 +29,8 @@ def study_uncertainty(
 ) -> Uncertainty:
     """Estimate how sure the displacement of the tissue of a study is.
 
-    The scale of the prior is `Motion.typical_strain`. If the tissue has labels, the result includes
-    the mean displacement of each label.
+    The scale of the prior is `Motion.typical_strain`. The result includes the mean displacement of
+    each label.
 
     Parameters
     ----------
@@ -31,6 +38,9 @@ def study_uncertainty(
         Study with the elastic model, and without measured motion, doubted observations or a drift.
     n, patch, seed, backend, progress, cancel
         As for `uncertainty`.
+    labels : array_like of int, shape (H, W) or (D, H, W), optional
+        Labels whose mean displacements are returned, including 0; by default those of the tissue,
+        or the label 1 for all tissue if it has no labels.
 
     Returns
     -------
@@ -49,6 +59,7 @@ def study_uncertainty(
         ground.statement(),
         n,
         patch=patch,
+        labels=labels,
         seed=seed,
         backend=backend,
         progress=progress,
@@ -62,6 +73,8 @@ def ground_uncertainty(
     n: int = 30,
     *,
     patch: float | None = None,
+    labels: npt.ArrayLike | None = None,
+    where: npt.NDArray[np.bool_] | None = None,
     seed: int = 0,
     backend: str = "auto",
     progress: Progress | None = None,
@@ -75,7 +88,10 @@ def ground_uncertainty(
         Interpretation of the study.
     stated : Statement
         Problem of the study.
-    n, patch, seed, backend, progress, cancel
+    where : ndarray of bool, shape (H, W) or (D, H, W), optional
+        Sites that count in the mean displacement of a label; by default all tissue, without its
+        dark surroundings if it has no labels.
+    n, patch, labels, seed, backend, progress, cancel
         As for `study_uncertainty`.
     """
     study, problem = ground.study, stated.problem
@@ -85,18 +101,41 @@ def ground_uncertainty(
             "has a precision that is relative to the similarity of two images, so its uncertainty "
             "is unknown. Remove the measured motion, or use landmarks with a standard deviation.",
         )
+    if not isinstance(stated.prior, ElasticPrior):
+        raise ProblemError(
+            "model",
+            f"is {study.model_name!r}, whose uncertainty is not defined or not implemented. Use "
+            "the elastic model (`model='elastic'`), or leave the uncertainty out.",
+        )
     scale = None  # landmarks have their own
     if problem.landmarks is None:
         scale = StrainScale(study.motion.typical_strain, stiffness=ground.typical_stiffness)
-    return uncertainty(
+    image, sites = _labels_of(ground, stated) if labels is None else (labels, problem.tissue)
+    image, sites = checked_labels(image, problem), sites if where is None else where
+    # `uncertainty` ignores the label 0, which is a tissue of a study.
+    shift = 1 - min(0, int(image.min(initial=0)))
+    shifted = np.where(sites, image.astype(np.int64) + shift, 0)
+    found = uncertainty(
         problem,
         stated.prior,
         n,
         patch=patch,
-        labels=study.tissue.labels if stated.labels is None else stated.labels,
+        labels=shifted,
         scale=scale,
         seed=seed,
         backend=backend,
         progress=progress,
         cancel=cancel,
     )
+    means = {label - shift: mean for label, mean in found.labels.items()}
+    return replace(found, solution=at_place_of(study, found.solution), labels=means)
+
+
+def _labels_of(
+    ground: Ground, stated: Statement
+) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.bool_]]:
+    """Return the labels of the tissue, or 1 at each site, and the sites that count."""
+    own = ground.study.tissue.labels if stated.labels is None else stated.labels
+    if own is None:
+        return np.ones(stated.problem.shape, np.int64), ground.body
+    return own, stated.problem.tissue

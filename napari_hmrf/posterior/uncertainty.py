@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +20,13 @@ from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
-from napari_hmrf.solver.problem import Problem, whole_numbers
+from napari_hmrf.solver.problem import Problem, as_numbers, whole_numbers
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
+
+if TYPE_CHECKING:
+    from napari_hmrf.study.study import Grid
 
 Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
@@ -40,10 +45,19 @@ class MeanDisplacement:
         Mean displacement along each axis, in the unit of `spacing`.
     covariance : ndarray, shape (n, n)
         Covariance of the mean displacement, exact up to the accuracy of the solver.
+    length : float
+        Mean length of the displacement, in the unit of `spacing`. It is longer than `mean` if parts
+        of the tissue move in different directions, as in a tumour that grows.
+    along : float
+        Standard deviation of the mean displacement along the motion: the error bar of `length`. The
+        direction is that of the most likely displacement of each site. For tissue that does not
+        move, the largest standard deviation of a component.
     """
 
     mean: Float64Array
     covariance: Float64Array
+    length: float
+    along: float
 
     @property
     def sd(self) -> Float64Array:
@@ -52,7 +66,8 @@ class MeanDisplacement:
 
     def __repr__(self) -> str:
         parts = (f"{d:.3g} +- {sd:.2g}" for d, sd in zip(self.mean, self.sd, strict=True))
-        return f"MeanDisplacement({', '.join(parts)})"
+        length = f"length {self.length:.3g} +- {self.along:.2g}"
+        return f"MeanDisplacement({', '.join(parts)}, {length})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +80,8 @@ class Uncertainty:
         Most likely field, the mean of the posterior.
     sd : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
         Standard deviation of the mean displacement of the patch around each site, along each axis,
-        in the unit of `spacing`; 0 in void. The relative standard error is ``1 / sqrt(2 n)``.
+        in the unit of `spacing`; 0 in void. The relative standard error is ``1 / sqrt(2 n)``. NaN
+        in tissue if `n` is 0.
     along : ndarray, shape (H, W) or (D, H, W), float32
         Standard deviation along the mean displacement of the patch: the error bar of its length. At
         patches that do not move, the largest standard deviation of a component.
@@ -85,8 +101,121 @@ class Uncertainty:
     labels: Mapping[int, MeanDisplacement]
 
     def __repr__(self) -> str:
+        if not self.n:
+            return f"Uncertainty({len(self.labels)} labels, no samples)"
         most = float(self.sd.max(initial=0.0))
         return f"Uncertainty(patches of {self.patch:.3g}, {self.n} samples, sd up to {most:.3g})"
+
+    def at(self, points: npt.ArrayLike) -> Float64Array:
+        """Return the standard deviation of the displacement of the patches around points.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, n)
+            Positions before the motion, in pixels, in the order of the axes. The value is that of
+            the nearest site of the grid.
+
+        Returns
+        -------
+        ndarray, shape (N, n), float64
+            Standard deviations along each axis, in the unit of `spacing`; NaN for points in void.
+
+        Raises
+        ------
+        ProblemError
+            If the points have another number of axes, or if there are no samples.
+        """
+        self._require_samples()
+        tissue = self.solution.tissue
+        places = np.array(as_numbers("points", points), np.float64)
+        if places.ndim != 2 or places.shape[1] != tissue.ndim or not np.isfinite(places).all():
+            raise ProblemError(
+                "points",
+                f"has shape {places.shape} or infinite values. Pass finite positions of shape "
+                f"(N, {tissue.ndim}).",
+            )
+        last = np.array(tissue.shape) - 1
+        sites = tuple(np.rint(np.clip(places, 0, last)).astype(np.intp).T)
+        return np.where(tissue[sites][:, None], self.sd[sites].astype(np.float64), np.nan)
+
+    def least_sure(self, where: npt.ArrayLike | None = None) -> tuple[int, ...]:
+        """Return the site with the longest error bar, where one more landmark helps most.
+
+        The information that a measurement of a patch gives about the whole displacement increases
+        with the variance of this patch.
+
+        Parameters
+        ----------
+        where : array_like of bool, shape (H, W) or (D, H, W), optional
+            Sites that count, such as the visible surface of an organ; by default all tissue.
+
+        Returns
+        -------
+        tuple of int
+            Index of the site, at which `along` is largest.
+
+        Raises
+        ------
+        ProblemError
+            If there are no samples, or `where` contains no tissue or has another shape.
+        """
+        self._require_samples()
+        sites = self.solution.tissue
+        if where is not None:
+            mask = np.asarray(as_numbers("where", where)) != 0
+            if mask.shape != sites.shape:
+                raise ProblemError(
+                    "where",
+                    f"has shape {mask.shape}, but the tissue has shape {sites.shape}. Use the same "
+                    "pixel grid for both.",
+                )
+            sites = sites & mask
+        if not sites.any():
+            raise ProblemError("where", "contains no tissue. Mark the sites that can be measured.")
+        longest = int(np.where(sites, self.along, -1).argmax())
+        return tuple(int(index) for index in np.unravel_index(longest, sites.shape))
+
+    def export(
+        self, path: str | os.PathLike[str], *, grid: Grid | None = None, placed: bool = True
+    ) -> tuple[Path, ...]:
+        """Write the standard deviations of patches as images, at the position of the image.
+
+        The images have the grid of `Solution.displacement`: each pixel shows the error bar of the
+        tissue that was there before the motion, and 0 outside tissue. Values are in mm; in a .tif,
+        they are in the unit of `spacing`.
+
+        Parameters
+        ----------
+        path : str or path-like
+            File of the standard deviation along the motion, `along`: .nii.gz, .nii, .mha or .nrrd,
+            which require SimpleITK, or .tif, which does not store a position. The standard
+            deviations along each axis are written beside it, such as ``sd-row.nii.gz`` and
+            ``sd-col.nii.gz`` for ``sd.nii.gz``, and in a volume also ``sd-plane.nii.gz``.
+        grid, placed
+            As for `Solution.export`; ignored for .tif.
+
+        Returns
+        -------
+        tuple of Path
+            The written files; the first one is `path`.
+
+        Raises
+        ------
+        ProblemError
+            If there are no samples; or as for `Solution.export`.
+        HmrfError, OSError
+            As for `Solution.export`.
+        """
+        from napari_hmrf.io.uncertainty_files import write_uncertainty  # above: io
+
+        self._require_samples()
+        return write_uncertainty(path, self, grid=grid, placed=placed)
+
+    def _require_samples(self) -> None:
+        if not self.n:
+            raise ProblemError(
+                "n", "is 0, so the standard deviations of patches are unknown. Pass 2 or more."
+            )
 
 
 def uncertainty(
@@ -107,14 +236,15 @@ def uncertainty(
     Standard deviations are those of means over patches, square in an image and cubic in a volume,
     and are estimated from samples of the posterior (see `sample_posterior`). The displacement of a
     single point in a volume has no finite variance in the limit of small voxels. Those of means
-    over labels are computed without samples, with one solve for each label and axis.
+    over labels are computed without samples, from a few solves for each label and axis.
 
     Parameters
     ----------
     problem, prior, scale, seed, backend, progress, cancel
         As for `sample_posterior`.
     n : int
-        Number of samples, 2 or more. With 30 samples, a standard deviation is accurate to 13 %.
+        Number of samples, 2 or more. With 30 samples, a standard deviation is accurate to 13 %. 0
+        computes only the means over labels: `sd` and `along` are then NaN in tissue.
     patch : float, optional
         Side of a patch, in the unit of `spacing`; by default 5 % of the longest side of the image.
         The number of pixels along an axis is odd. Only the tissue in a patch counts.
@@ -142,35 +272,60 @@ def uncertainty(
     True
     """
     check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
-    refuse_unless(is_whole(n) and n >= 2, "n", n, "a number of samples, 2 or more")
+    counts = is_whole(n) and (n >= 2 or n == 0)
+    refuse_unless(counts, "n", n, "a number of samples, 2 or more, or 0 for labels only")
     refuse_unless(is_whole(seed) and seed >= 0, "seed", seed, "a whole number, 0 or more")
     longest = max(size * step for size, step in zip(problem.shape, problem.spacing, strict=True))
     side = _PATCH * longest if patch is None else real(patch)
     refuse_unless(0 < side < math.inf, "patch", patch, "a positive length, or None")
     numbers = None if labels is None else checked_labels(labels, problem)
     elastic, energy = checked_prior(problem, prior), energy_of(problem, scale)
-    report = progress or (lambda _: None)
     solution = solve(problem, elastic, backend=backend, cancel=cancel)
     response = Response(problem, elastic, backend, cancel)
-    noise = PosteriorNoise(problem, elastic, energy)
-    sampler = Sampler(response, noise, seed)
-    patches = _Patches(problem, side)
+    means = _LabelMeans(numbers, solution, response, energy)
+    steps = max(1, n + len(means.labels))
+    report = progress or (lambda _: None)
+    if n:
+        sampler = Sampler(response, PosteriorNoise(problem, elastic, energy), seed)
+        sd, along = _of_patches(
+            _Patches(problem, side),
+            solution,
+            sampler,
+            n,
+            lambda number: report(Monitor(f"sample {number + 1} of {n}", number / steps)),
+        )
+    else:
+        along = np.where(problem.tissue, np.float32(np.nan), np.float32(0))
+        sd = np.repeat(along[..., None], along.ndim, axis=-1)
+    found = {}
+    for done, label in enumerate(means.labels):
+        report(Monitor(f"label {done + 1} of {len(means.labels)}", (n + done) / steps))
+        found[label] = means.of(label)
+    report(Monitor(f"{n} samples" if n else f"{len(found)} labels", 1.0))
+    return Uncertainty(solution, sd, along, side, n, found)
+
+
+def _of_patches(
+    patches: _Patches, solution: Solution, sampler: Sampler, n: int, report: Callable[[int], None]
+) -> tuple[Float32Array, Float32Array]:
+    """Return the standard deviations of patches, along each axis and along their motion.
+
+    `report` is called with the number of each sample before the sample is computed.
+    """
     means = patches.means(solution.displacement)
     lengths = np.sqrt((means**2).sum(axis=-1, keepdims=True))
     ways = np.divide(means, lengths, out=np.zeros_like(means), where=lengths > 0)
     squares = np.zeros_like(means)
-    squares_along = np.zeros(problem.shape, np.float32)
+    squares_along = np.zeros(means.shape[:-1], np.float32)
     for number in range(n):
-        report(Monitor(f"sample {number + 1} of {n}", number / n))
+        report(number)
         moved = patches.means(sampler.deviation(number))
         squares += moved**2
         squares_along += (moved * ways).sum(axis=-1) ** 2
     # The mean of the deviations is 0, and need not be estimated.
     sd = np.sqrt(squares / n)
     along = np.where(lengths[..., 0] > 0, np.sqrt(squares_along / n), sd.max(axis=-1))
-    found = {} if numbers is None else _label_means(numbers, solution, response, energy)
-    report(Monitor(f"{n} samples", 1.0))
-    return Uncertainty(solution, sd, along, side, n, found)
+    return sd, along
 
 
 def checked_labels(labels: npt.ArrayLike, problem: Problem) -> npt.NDArray[Any]:
@@ -207,24 +362,62 @@ class _Patches:
         return means
 
 
-def _label_means(
-    labels: npt.NDArray[Any], solution: Solution, response: Response, energy: float
-) -> dict[int, MeanDisplacement]:
-    """Return the mean displacement of each label, with its covariance."""
-    found = {}
-    for number in np.unique(labels[(labels != 0) & solution.tissue]):
-        sites = (labels == number) & solution.tissue
-        axes = solution.displacement.shape[-1]
+class _LabelMeans:
+    """Mean displacements of labels, with their covariance.
+
+    The response of the tissue to forces that are the weights of a mean is the inverse of the matrix
+    times these weights.
+
+    Parameters
+    ----------
+    numbers : ndarray of int, optional
+        Label of each site; 0 is no label.
+    solution : Solution
+    response : Response
+    energy : float
+        Unit of energy.
+    """
+
+    def __init__(
+        self,
+        numbers: npt.NDArray[Any] | None,
+        solution: Solution,
+        response: Response,
+        energy: float,
+    ) -> None:
+        tissue = solution.tissue
+        self._numbers = np.zeros(tissue.shape, int) if numbers is None else numbers
+        self._solution, self._response, self._energy = solution, response, energy
+        present = np.unique(self._numbers[(self._numbers != 0) & tissue])
+        #: Labels with tissue, in ascending order.
+        self.labels = [int(number) for number in present]
+
+    def of(self, label: int) -> MeanDisplacement:
+        """Return the mean displacement of a label."""
+        d = self._solution.displacement
+        axes = d.shape[-1]
+        sites = (self._numbers == label) & self._solution.tissue
         share = sites / np.float64(sites.sum())
         covariance = np.zeros((axes, axes))
         for axis in range(axes):
-            force = np.zeros(solution.displacement.shape)
-            force[..., axis] = share
-            # The response to a force on the mean is the inverse of the matrix times its weights.
-            moved = response.moved_by(force)
-            covariance[axis] = energy * (moved * share[..., None]).sum(
-                axis=tuple(range(axes)), dtype=np.float64
-            )
-        mean = solution.displacement[sites].mean(axis=0, dtype=np.float64)
-        found[int(number)] = MeanDisplacement(mean, (covariance + covariance.T) / 2)
-    return found
+            moved = self._response_to(share[..., None] * np.eye(axes)[axis])
+            covariance[axis] = self._mean(moved * share[..., None])
+        covariance = (covariance + covariance.T) / 2
+        lengths = np.sqrt((d.astype(np.float64) ** 2).sum(axis=-1, keepdims=True))
+        length = float(lengths[sites].mean())
+        along = float(np.sqrt(np.diag(covariance).max()))
+        if length:
+            ways = np.divide(d, lengths, out=np.zeros(d.shape), where=lengths > 0)
+            weights = ways * share[..., None]
+            variance = float(self._mean(self._response_to(weights) * weights).sum())
+            along = math.sqrt(max(0.0, variance))
+        mean = d[sites].mean(axis=0, dtype=np.float64)
+        return MeanDisplacement(mean, covariance, length, along)
+
+    def _response_to(self, weights: Float64Array) -> Float64Array:
+        return self._response.moved_by(weights)
+
+    def _mean(self, products: Float64Array) -> Float64Array:
+        """Return the sum over all sites, in the unit of a variance."""
+        sites = tuple(range(products.ndim - 1))
+        return np.asarray(self._energy * products.sum(axis=sites, dtype=np.float64))

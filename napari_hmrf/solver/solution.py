@@ -21,7 +21,7 @@ from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Reach
 from napari_hmrf.solver.problem import grid_in_words
 
 if TYPE_CHECKING:
-    from napari_hmrf.field.measurement import Measurement
+    from napari_hmrf.field.measurement import LabelBars, Measurement
     from napari_hmrf.study.study import Grid
 
 
@@ -320,7 +320,11 @@ class Solution:
         return np.asarray(at + step / np.array(self.spacing))
 
     def measure(
-        self, labels: npt.ArrayLike, *, names: Mapping[int, str] | None = None
+        self,
+        labels: npt.ArrayLike,
+        *,
+        names: Mapping[int, str] | None = None,
+        uncertainty: LabelBars | None = None,
     ) -> tuple[Measurement, ...]:
         """Measure the deformation of each tissue.
 
@@ -330,6 +334,9 @@ class Solution:
             Labels of the tissue before the motion.
         names : mapping of int to str, optional
             Names of the labels.
+        uncertainty : Uncertainty, optional
+            Result of `napari_hmrf.posterior.uncertainty` for the same problem and labels, for the
+            error bars of the mean displacements.
 
         Returns
         -------
@@ -339,11 +346,12 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the labels do not have the pixel grid of the solution.
+            If the labels do not have the pixel grid of the solution, or if `uncertainty` belongs to
+            other labels or another solution.
         """
         from napari_hmrf.field.measurement import measure  # above: field
 
-        return measure(self, labels, names=names)
+        return measure(self, labels, names=names, uncertainty=uncertainty)
 
     def export(
         self,

@@ -16,9 +16,11 @@ from napari_hmrf import (
     ProblemError,
     Study,
     Tissue,
+    solve,
     solve_study,
 )
 from napari_hmrf.landmarks import Landmarks, StrainScale
+from napari_hmrf.loads import growth
 from napari_hmrf.posterior import study_uncertainty, uncertainty
 from napari_hmrf.registration import MeasuredMotion
 from tests.support.posterior_oracle import posterior_covariance
@@ -49,6 +51,70 @@ def test_the_covariance_of_the_mean_of_a_label_is_that_of_the_posterior():
             label.covariance, expected, rtol=0.01, atol=0.01 * expected.max()
         )
         np.testing.assert_allclose(label.sd, np.sqrt(np.diag(expected)), rtol=0.01)
+
+
+def test_the_error_bar_of_a_growing_tumour_is_that_of_its_outward_motion():
+    """The mean vector of the tumour is about 0, but its tissue moves outwards."""
+    labels = np.ones((12, 12), int)
+    labels[4:8, 4:8] = 2
+    c = np.zeros((12, 12, 2))
+    c[[0, -1]] = c[:, [0, -1]] = 1
+    problem = Problem(0 * c, c, np.ones((12, 12)), loads=growth(0.3 * (labels == 2)))
+    result = uncertainty(problem, n=0, labels=labels, backend="cpu")
+    d, tumour = result.solution.displacement, labels == 2
+    (row,) = result.solution.measure(2 * tumour, uncertainty=result)[1:]
+    covariance, free = posterior_covariance(problem, ElasticPrior(), SCALE)
+    outward = d / np.maximum(np.linalg.norm(d, axis=-1, keepdims=True), 1e-9)
+    weights = (outward * tumour[..., None] / tumour.sum()).ravel()[free]
+    assert row.mean_displacement_sd == pytest.approx(
+        np.sqrt(weights @ covariance @ weights), rel=0.01
+    )
+    assert row.mean_displacement == pytest.approx(result.labels[2].length)
+    assert np.abs(row.mean_vector).max() < 0.01 * row.mean_displacement
+    assert row.mean_vector_sd == pytest.approx(result.labels[2].sd)
+
+
+def test_error_bars_of_other_labels_or_of_another_solution_are_refused():
+    labels = np.ones((10, 10), int)
+    labels[:, 5:] = 2
+    problem = held_left(10)
+    c, move = problem.confidence, np.zeros((10, 10, 2))
+    move[..., 1] = 3.0
+    result = uncertainty(problem, n=0, labels=labels, backend="cpu")
+    other = solve(Problem(move, c, np.ones((10, 10))), backend="cpu")
+    with pytest.raises(ProblemError, match="another mean displacement of the label 1"):
+        other.measure(labels, uncertainty=result)
+    with pytest.raises(ProblemError, match="has none of these labels"):
+        result.solution.measure(labels + 5, uncertainty=result)
+    with pytest.raises(ProblemError, match="n: is 0, so the standard deviations of patches"):
+        result.least_sure()
+    with pytest.raises(TypeError, match="uncertainty must be the result of"):
+        other.measure(labels, uncertainty=0.5)
+
+
+def test_one_more_landmark_helps_most_at_the_least_sure_patch():
+    marks = Landmarks([(4, 15)], [(4, 16)], sd=0.3, scale=SCALE)
+    result = uncertainty(held_left(20, marks), n=60, backend="cpu")
+    place, surface = result.least_sure(), np.zeros((20, 20), bool)
+    surface[-1] = True
+    assert result.along[place] == result.along.max()
+    assert result.least_sure(where=surface)[0] == 19
+    bars = result.at([place, (10, 1.2)])
+    np.testing.assert_array_equal(bars[0], result.sd[place])
+    assert bars[1].max() < 0.4 * bars[0].min()
+
+    def gain(at):
+        """Return the variance that a landmark at a point removes."""
+        points = [(4, 15), at]
+        both = Landmarks(points, points, sd=0.3, scale=SCALE)
+        known = uncertainty(held_left(20, both), n=60, backend="cpu")
+        return float((result.sd**2).sum() - (known.sd**2).sum())
+
+    assert gain(place) > 3 * gain((10, 4))
+    with pytest.raises(ProblemError, match="where: contains no tissue"):
+        result.least_sure(where=np.zeros((20, 20)))
+    with pytest.raises(ProblemError, match=r"points: has shape \(2,\)"):
+        result.at((3, 4))
 
 
 def test_standard_deviations_of_patches_agree_with_the_posterior():
@@ -133,11 +199,29 @@ def test_a_study_gives_the_uncertainty_of_each_of_its_labels():
         result.solution.displacement, solve_study(study, backend="cpu").displacement
     )
     assert set(result.labels) == {1, 2}
+    rows = result.solution.measure(study.tissue.labels, uncertainty=result)
+    assert [row.mean_displacement_sd for row in rows] == [
+        result.labels[1].along,
+        result.labels[2].along,
+    ]
     middle = result.labels[2].sd
     assert (middle > 0).all()
     assert (middle < result.sd[11, 11] * 1.5).all()
     wider = study_uncertainty(grown_study(typical_strain=0.1), n=2, backend="cpu")
     assert wider.labels[2].sd == pytest.approx(2 * middle, rel=0.02)
+
+
+def test_unpainted_tissue_has_an_error_bar_and_a_study_without_labels_has_one():
+    study = grown_study()
+    zero = replace(study, tissue=replace(study.tissue, labels=study.tissue.labels - 1))
+    rows = (Material(0, "brain", 1.0), Material(1, "tumour", 5.0, growth=0.2))
+    zero = replace(zero, tissue=replace(zero.tissue, materials=rows))
+    by_label = study_uncertainty(study, n=0, backend="cpu").labels
+    from_zero = study_uncertainty(zero, n=0, backend="cpu").labels
+    assert list(from_zero) == [0, 1]
+    np.testing.assert_array_equal(from_zero[0].covariance, by_label[1].covariance)
+    whole = study_uncertainty(replace(study, tissue=Tissue()), n=0, backend="cpu").labels
+    assert list(whole) == [1]
 
 
 def test_landmarks_of_a_drawing_make_a_study_surer():
@@ -153,5 +237,5 @@ def test_measured_motion_and_large_motion_of_a_study_are_refused():
     measured = MeasuredMotion(np.zeros((*shape, 2)), precision)
     with pytest.raises(ProblemError, match="relative to the similarity"):
         study_uncertainty(grown_study(measured=measured))
-    with pytest.raises(ProblemError, match="NeoHookeanPrior"):
+    with pytest.raises(ProblemError, match="large motion"):
         study_uncertainty(replace(grown_study(), model="large motion"))

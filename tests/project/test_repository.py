@@ -52,6 +52,7 @@ ROOMS = (
 #: Modules that import from higher levels, in functions or for types only. A `Solution` has methods
 #: for functions of a displacement, which supply spacing and tissue; a `Grid` is made from an image.
 LATE = {
+    "posterior/uncertainty.py": {"io", "study"},
     "solver/solution.py": {"field", "io", "study"},
     "study/study.py": {"io"},
     # Names of a public package, which is a level, too.

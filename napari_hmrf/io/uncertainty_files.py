@@ -1,0 +1,87 @@
+"""Images of the uncertainty of a displacement."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from napari_hmrf.arguments import checked_path
+from napari_hmrf.errors import FileFormatError
+from napari_hmrf.io.fields import place_solution
+from napari_hmrf.io.images import ImageFile, write_image
+from napari_hmrf.posterior import Uncertainty
+from napari_hmrf.study.study import Grid
+
+#: Suffixes of images with real numbers, and of those without a position.
+IMAGE_SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd", ".tif", ".tiff")
+_WITHOUT_PLACE = (".tif", ".tiff")
+#: Names of the axes, from the last to the first.
+_AXES = ("col", "row", "plane")
+
+
+def uncertainty_paths(path: str | os.PathLike[str], axes: int) -> tuple[Path, ...]:
+    """Return the paths of the images of an uncertainty: along the motion, and along each axis.
+
+    Parameters
+    ----------
+    path : str or path-like
+        File of the standard deviation along the motion.
+    axes : int
+        Number of axes of the displacement.
+
+    Raises
+    ------
+    FileFormatError
+        If the suffix is not that of an image with real numbers.
+    """
+    target = Path(checked_path(path))
+    suffix = next((each for each in IMAGE_SUFFIXES if target.name.lower().endswith(each)), "")
+    if not suffix:
+        raise FileFormatError(
+            f"{target.name}: standard deviations cannot be written in this format. Use one of the "
+            f"suffixes {', '.join(IMAGE_SUFFIXES)}."
+        )
+    stem, ending = target.name[: -len(suffix)], target.name[-len(suffix) :]
+    parts = (target.with_name(f"{stem}-{axis}{ending}") for axis in _AXES[:axes][::-1])
+    return target, *parts
+
+
+def write_uncertainty(
+    path: str | os.PathLike[str],
+    found: Uncertainty,
+    *,
+    grid: Grid | None = None,
+    placed: bool = True,
+) -> tuple[Path, ...]:
+    """Write the standard deviations of patches as images; see `Uncertainty.export`.
+
+    Parameters
+    ----------
+    path : str or path-like
+    found : Uncertainty
+        Uncertainty with samples.
+    grid, placed
+        As for `export_field`.
+
+    Returns
+    -------
+    tuple of Path
+        The written files, in the order of `uncertainty_paths`.
+
+    Raises
+    ------
+    ProblemError, HmrfError, OSError
+        As for `export_field`.
+    """
+    solution = found.solution
+    paths = uncertainty_paths(path, solution.tissue.ndim)
+    if paths[0].name.lower().endswith(_WITHOUT_PLACE):
+        place, factor = None, 1.0
+    else:
+        _, place = place_solution(solution, grid, placed)
+        factor = place.spacing[-1] / solution.spacing[-1]
+    for target, values in zip(paths, (found.along, *np.moveaxis(found.sd, -1, 0)), strict=True):
+        write_image(target, ImageFile(np.ascontiguousarray(values * np.float32(factor)), place))
+    return paths
