@@ -83,5 +83,6 @@ def write_uncertainty(
         _, place = place_solution(solution, grid, placed)
         factor = place.spacing[-1] / solution.spacing[-1]
     for target, values in zip(paths, (found.along, *np.moveaxis(found.sd, -1, 0)), strict=True):
-        write_image(target, ImageFile(np.ascontiguousarray(values * np.float32(factor)), place))
+        in_mm = np.where(solution.tissue, values * np.float32(factor), np.float32(0))
+        write_image(target, ImageFile(in_mm, place))
     return paths

@@ -82,6 +82,8 @@ class SecondImage:
         # Layer with the residuals, and the name of their feature column.
         self._residuals: tuple[Any, str] | None = None
         self._distances: LandmarkRows | None = None
+        # Positions of these landmarks before the motion, in pixels, shape (N, n).
+        self._places = np.zeros((0, 2))
         view.more.landmarks, view.more.set_sd = self.list_distances, self._set_sd
 
     def release(self) -> None:
@@ -106,9 +108,17 @@ class SecondImage:
         Returns
         -------
         LandmarkRows or None
-            None if there are no landmarks or no result.
+            None if there are no landmarks or no result. The rows have error bars once the
+            uncertainty of the result is estimated.
         """
-        return self._distances
+        shown, listed = self._view.shown, self._distances
+        if listed is None or shown is None or shown.estimated is None:
+            return listed
+        along = shown.estimated.along
+        sites = np.rint(np.clip(self._places, 0, np.array(along.shape) - 1)).astype(np.intp)
+        bars = along[tuple(sites.T)].tolist()
+        rows = [row._replace(bar=bar) for row, bar in zip(listed.rows, bars, strict=True)]
+        return listed._replace(rows=rows)
 
     def _set_sd(self, mark: Landmark, sd: float) -> None:
         """Set the standard deviation of a landmark of the drawing, as one undo step."""
@@ -178,7 +188,7 @@ class SecondImage:
             column[pairs.numbers] = left
             self._residuals = where, f"residual ({unit})"
             where.features = where.features.assign(**{self._residuals[1]: column})
-        marks = self._marks_of(pairs)
+        marks, self._places = self._marks_of(pairs), pairs.at
         columns = zip(pairs.numbers.tolist(), at_first.tolist(), left.tolist(), marks, strict=True)
         largest = largest_spread(shown.answer.shape, spacing)
         rows = [LandmarkRow(*row) for row in columns]

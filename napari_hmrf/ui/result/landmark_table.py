@@ -19,6 +19,10 @@ _SD_TIP = (
     "at the point is moved, and it may miss the target by about this distance, for the elastic "
     "model only. Double-click to change it."
 )
+_BAR_TIP = (
+    "Uncertainty of the result: standard deviation of the displacement of the tissue around the "
+    "landmark, along its motion."
+)
 _NOT_DRAWN = "This pair is not a landmark of the drawing. Press 'Use as landmarks' first."
 #: Message for a standard deviation that is not a length, or is larger than the image.
 INVALID = (
@@ -40,12 +44,16 @@ class LandmarkRow(NamedTuple):
         Distance from the target before and after the motion.
     mark : Landmark or None
         Landmark in the drawing; None if a pair of a layer is not in the drawing.
+    bar : float or None
+        Standard deviation of the displacement of the tissue around the landmark, along its motion;
+        None if the uncertainty is not estimated.
     """
 
     number: int
     before: float
     now: float
     mark: Landmark | None
+    bar: float | None = None
 
 
 class LandmarkRows(NamedTuple):
@@ -90,7 +98,7 @@ class LandmarkTable(QtWidgets.QDialog):
         self._set_sd, self._refuse = set_sd, refuse
         self._content = LandmarkRows([], "")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self._table = QtWidgets.QTableWidget(0, _COLUMN + 1)
+        self._table = QtWidgets.QTableWidget(0, _COLUMN + 2)
         self._table.setObjectName("measurements")
         self._table.verticalHeader().hide()
         self._table.itemChanged.connect(self._on_item)
@@ -104,12 +112,15 @@ class LandmarkTable(QtWidgets.QDialog):
         table.blockSignals(True)
         now = "last result" if content.is_outdated else "now"
         titles = ["landmark", f"before ({unit})", f"{now} ({unit})", f"± ({unit})"]
-        table.setHorizontalHeaderLabels(titles)
+        table.setHorizontalHeaderLabels([*titles, f"tissue ± ({unit})"])
         table.horizontalHeaderItem(_COLUMN).setToolTip(_SD_TIP)
+        table.horizontalHeaderItem(_COLUMN + 1).setToolTip(_BAR_TIP)
+        table.setColumnHidden(_COLUMN + 1, all(row.bar is None for row in content.rows))
         table.setRowCount(len(content.rows))
         for number, row in enumerate(content.rows):
             spread = "" if row.mark is None else f"{row.mark.sd:g}"
-            words = [str(row.number), f"{row.before:.3g}", f"{row.now:.3g}", spread]
+            bar = "" if row.bar is None else f"{row.bar:.2g}"
+            words = [str(row.number), f"{row.before:.3g}", f"{row.now:.3g}", spread, bar]
             for column, text in enumerate(words):
                 table.setItem(number, column, self._cell(text, column, row))
         table.blockSignals(False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,17 +40,25 @@ from napari_hmrf.ui.result.result_messages import (
     NO_IMAGE,
     NO_RESULT,
     SAVING,
+    UNKNOWN_UNCERTAINTY,
     film_content,
     saved,
+    saved_uncertainty,
 )
 
 # Alignment flag for the full width of the layout.
 _ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
+_IMAGES = "Images (*.nii.gz *.nii *.mha *.nrrd *.tif)"
 _FILMS = "Films (*.gif *.mp4)"
 _BACK = "Moves images in SimpleITK, ANTs, elastix, Slicer: maps deformed to original positions"
 _FORTH = "Moves points. Maps original to deformed positions; the file records the direction"
+_EXPORT_BARS = "Export uncertainty"
+_BARS = (
+    "Standard deviations along the motion and along each axis, as images on the undeformed image; "
+    "choose 'uncertainty' in 'overlay' first"
+)
 _GIFS = "GIFs (*.gif)"
 _GIF = (
     "Animation that repeats forever: the image deforms and returns, with the visible overlay and "
@@ -118,16 +127,25 @@ class ResultMenu:
         ------
         HmrfError
             If there is no result.
+
+        Notes
+        -----
+        Once the uncertainty of the result is estimated, mean displacements have error bars.
         """
         shown = self._shown
         answer = shown.answer
+        known = shown.estimated
+        # The labels are too many, see `complete_result`.
+        if known is not None and not known.labels:
+            known = None
         labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
         layer = tissue_labels(self._viewer.layers, answer) if labels is None else None
         if layer is not None:  # a result read from a file has no labels
-            labels, rows = picture_of(layer, answer), rows_of(layer, TISSUE)
+            labels, rows, known = picture_of(layer, answer), rows_of(layer, TISSUE), None
+        names = {row.label: row.name for row in rows}
         if labels is None:
-            return answer.solution.measure(np.ones(answer.shape, int), names={1: "tissue"})
-        return answer.solution.measure(labels, names={row.label: row.name for row in rows})
+            labels, names = np.ones(answer.shape, int), {1: "tissue"}
+        return answer.solution.measure(labels, names=names, uncertainty=known)
 
     def save_pictures(self, folder: str | Path, own_folder: bool = False) -> None:
         """Write pictures into a folder or a new subfolder, then emit `saved`.
@@ -162,6 +180,25 @@ class ResultMenu:
         field = FieldFile.of(self._shown.answer.solution)
         self._jobs.submit(
             f"{path}", partial(write_field_file, path, field, forward=forward), self._show_message
+        )
+
+    def save_uncertainty(self, path: str | Path) -> None:
+        """Write images of the standard deviations of patches; see `Uncertainty.export`.
+
+        Raises
+        ------
+        HmrfError
+            If there is no result, or if its uncertainty is not estimated.
+        """
+        shown = self._shown
+        if shown.estimated is None:
+            raise HmrfError(UNKNOWN_UNCERTAINTY)
+        # The solution of the estimate has neither the place of the layers nor the air removed.
+        found = replace(shown.estimated, solution=shown.answer.solution)
+        self._jobs.submit(
+            f"{path}",
+            partial(found.export, path, placed=False),
+            lambda paths: self._show_message(saved_uncertainty(paths)),
         )
 
     def save_film(self, path: str | Path) -> None:
@@ -267,14 +304,23 @@ class ResultMenu:
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
         name = "result" if source is None else str(source.name)
-        for title, about, save, file, kinds in (
-            ("Export warp (backward)", _BACK, self.save_field, "warp-backward.mha", _FOR_IMAGES),
-            ("Export warp (forward)", _FORTH, forth, "warp-forward.nrrd", _FOR_POINTS),
-            ("Save looping GIF", _GIF, self.save_gif, f"{name}.gif", _GIFS),
-            ("Save as film", _FILM, self.save_film, "film.gif", _FILMS),
+        has_bars = shown is not None and shown.estimated is not None
+        for title, about, save, file, kinds, is_possible in (
+            (
+                "Export warp (backward)",
+                _BACK,
+                self.save_field,
+                "warp-backward.mha",
+                _FOR_IMAGES,
+                True,
+            ),
+            ("Export warp (forward)", _FORTH, forth, "warp-forward.nrrd", _FOR_POINTS, True),
+            ("Export uncertainty", _BARS, self.save_uncertainty, "sd.nrrd", _IMAGES, has_bars),
+            ("Save looping GIF", _GIF, self.save_gif, f"{name}.gif", _GIFS, True),
+            ("Save as film", _FILM, self.save_film, "film.gif", _FILMS, True),
         ):
             ask = partial(self._choose_file, save, title, file, kinds)
-            add_entry(menu, f"{title} ...", about, ask)
+            add_entry(menu, f"{title} ...", about, ask).setEnabled(is_possible)
 
     def _on_save(self, *_: Any) -> None:
         title = "Choose where to create a folder of pictures"

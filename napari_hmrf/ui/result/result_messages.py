@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.units import as_seen
@@ -34,6 +32,8 @@ ESTIMATING = "Estimating the uncertainty"
 #: Messages about an estimate that was cancelled, or that is not possible.
 NOT_ESTIMATED = "The uncertainty was not estimated."
 NO_UNCERTAINTY = "Only results of the elastic model, solved in this session, have it."
+#: Message for an export of an uncertainty that is not estimated yet.
+UNKNOWN_UNCERTAINTY = "The uncertainty is not estimated. Choose 'uncertainty' in 'overlay' first."
 NO_FORCES = (
     "Forces are available for elastic tissue and large motion, after Deform in this session. "
     "Results of the paper's model and results from files have no forces."
@@ -125,10 +125,10 @@ def how_far(
 
 def least_sure(answer: PlacedSolution, estimated: Uncertainty) -> str:
     """Return a message about the patch with the longest error bar, where a landmark helps most."""
-    bars = np.where(answer.solution.tissue, estimated.along, 0)
-    site = np.unravel_index(int(bars.argmax()), bars.shape)
-    place = ", ".join(str(int(index)) for index in site)
-    longest = f"± {bars[site]:.2g} {answer.unit}"
+    # Without air, which is tissue of the problem only.
+    site = estimated.least_sure(where=answer.solution.tissue)
+    place = ", ".join(str(index) for index in site)
+    longest = f"± {estimated.along[site]:.2g} {answer.unit}"
     return f"Least sure: {longest} at pixel ({place}). One more landmark helps most there."
 
 
@@ -136,6 +136,11 @@ def arrow_scale(times: float) -> str:
     """Return a clause about arrows that are longer or shorter than the displacement, or ""."""
     ratio = f"{times:.2g}"
     return "" if ratio == "1" else f"Arrows are drawn {ratio} times as long as the motion"
+
+
+def saved_uncertainty(paths: Sequence[Path]) -> str:
+    """Return a message about the written images of the uncertainty."""
+    return f"{saved(paths)} The first image is ± along the motion, the others along each axis."
 
 
 def saved(paths: Sequence[Path]) -> str:

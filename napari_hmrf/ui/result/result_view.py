@@ -331,6 +331,7 @@ class ResultView:
         if self.shown is not None and self.shown.answer is answer:
             self.shown.estimated = estimated
             self._lay_over(chosen=True)
+            self.more.refresh_landmarks()
             self.message.emit(words.least_sure(answer, estimated))
             self.cursor.refresh()
 

@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from qtpy.QtWidgets import QFileDialog, QTableWidget
 
-from napari_hmrf import Drawing, Landmark
+from napari_hmrf import Drawing, HmrfError, Landmark
+from napari_hmrf.io.images import read_image
 from tests.support.docks import viewer_of
 from tests.support.screen import Screen
 
@@ -77,3 +79,43 @@ def test_results_of_the_papers_model_have_no_uncertainty(widget, small_sample, r
     widget.overlay = "uncertainty"
     wait_for(lambda: widget.overlay == "nothing")
     assert "Only results of the elastic model" in widget.status
+
+
+def test_an_estimated_uncertainty_is_exported_and_gives_measurements_error_bars(
+    elastic, wait_for, tmp_path, monkeypatch
+):
+    screen, path = Screen(elastic), tmp_path / "sd.tif"
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_, **__: (str(path), ""))
+    assert not screen.entry("More", "Export uncertainty").isEnabled()
+    assert all(row.mean_displacement_sd is None for row in elastic.more.measure())
+    with pytest.raises(HmrfError, match="Choose 'uncertainty' in 'overlay' first"):
+        elastic.more.save_uncertainty(path)
+    elastic.overlay = "uncertainty"
+    wait_for(lambda: bars(elastic) is not None)
+    estimated = elastic._view.shown.estimated
+    (row,) = elastic.more.measure()
+    assert row.mean_displacement_sd == estimated.labels[row.label].along > 0
+    screen.entry("More", "Measurements").trigger()
+    (table,) = elastic.native.window().findChildren(QTableWidget, "measurements")
+    cells = [table.item(0, at).text() for at in range(table.columnCount())]
+    assert f"{row.mean_displacement:.4g} ± {row.mean_displacement_sd:.2g}" in cells
+    table.window().close()
+    screen.entry("More", "Export uncertainty").trigger()
+    wait_for(lambda: not elastic.busy)
+    assert "sd.tif, sd-row.tif, sd-col.tif" in elastic.status
+    np.testing.assert_array_equal(read_image(path).pixels, estimated.along)
+
+
+def test_the_table_of_landmarks_shows_the_error_bar_of_the_tissue(elastic, wait_for):
+    elastic.drawing = Drawing((Landmark((10, 12), (10, 13), 3.0, sd=0.5),))
+    wait_for(lambda: not elastic.busy)
+    Screen(elastic).entry("More", "Landmarks ...").trigger()
+    (table,) = elastic.native.window().findChildren(QTableWidget, "measurements")
+    assert table.isColumnHidden(4)
+    elastic.overlay = "uncertainty"
+    wait_for(lambda: bars(elastic) is not None)
+    assert not table.isColumnHidden(4)
+    assert table.horizontalHeaderItem(4).text() == "tissue ± (px)"
+    bar = elastic._view.shown.estimated.along[10, 12]
+    assert table.item(0, 4).text() == f"{bar:.2g}"
+    table.window().close()
