@@ -1,6 +1,7 @@
 """Tests of the command line: help, options, errors and overwritten files."""
 
 import argparse
+import csv
 import os
 import re
 import shlex
@@ -28,7 +29,7 @@ from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.fields import write_field
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_tables import read_cases
-from napari_hmrf.io.images import ImageFile, write_image
+from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.study.models import parts_of
 
@@ -320,3 +321,56 @@ def test_a_demo_overwrites_only_its_own_folder_and_prints_a_note(tmp_path, capsy
     assert code == 1
     assert "demo-output already exists and is not empty" in err
     assert run(f"{line} --out demo-output --force", capsys)[0] == 0
+
+
+def test_measure_adds_error_bars_and_uncertainty_writes_images_and_a_place(files, capsys):
+    assert run(f"{SOLVE} -o out", capsys)[0] == 0
+    code, out, _ = run("measure out/image.study --uncertainty -o m.csv --force", capsys)
+    assert code == 0
+    assert "mean_displacement_sd" in out
+    with open("m.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["unit"] for row in rows] == ["px", "px"]
+    for axis in ("", "_row", "_col"):
+        assert all(float(row[f"mean_displacement{axis}_sd"]) > 0 for row in rows)
+    assert float(rows[1]["mean_displacement_row"]) == pytest.approx(
+        float(rows[1]["mean_displacement"]), rel=0.05
+    )
+    code, out, _ = run("measure out/image.study -o m.csv --force", capsys)
+    assert "_sd" not in (files / "m.csv").read_text() + out
+
+    surface = np.zeros(SHAPE, np.uint8)
+    surface[7] = 1
+    write_image("surface.png", ImageFile(surface))
+    command = "uncertainty out/image.study --samples 4 --within surface.png -o sd.tif"
+    code, out, _ = run(command, capsys)
+    assert code == 0
+    assert "px at pixel (7, " in out
+    assert "written: sd.tif, sd-row.tif, sd-col.tif" in out
+    assert read_image("sd.tif").pixels.shape == SHAPE
+    code, _, err = run(command, capsys)
+    assert code == 1
+    assert "--force" in err
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("measure a.study --uncertainty", "--uncertainty is not possible for a.study: model: is"),
+        ("uncertainty a.study", "the uncertainty of a.study is unknown: model: is"),
+        ("measure a.npz --uncertainty", "a.npz is a saved result, which does not contain"),
+        ("uncertainty a.npz", "a.npz is a saved result, which does not contain"),
+    ],
+)
+def test_a_result_without_a_known_uncertainty_is_refused_with_the_reason(
+    files, capsys, command, said
+):
+    pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=3),))
+    motion = Motion(hold_edge=True, drawing=pull)
+    study = Study(Grid(SHAPE, (1, 1)), Tissue(), motion, model="paper")
+    solution = solve_study(study, backend="cpu")
+    write_study("a.study", study, solution)
+    solution.write("a.npz")
+    code, _, err = run(command, capsys)
+    assert code == 1
+    assert said in err

@@ -450,10 +450,15 @@ def _in_words(row: Measurement, name: str, axes: int) -> str:
     if name != "size":
         pixel = (row.size / row.pixels) ** (1 / axes)
         value = as_seen(value, [pixel if name.endswith("displacement") else 1.0])
-    words = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
-    if name == "mean_displacement" and row.mean_displacement_sd is not None:
-        words = f"{words} ± {row.mean_displacement_sd:.2g}"
-    return words
+    if name == "mean_displacement" and row.mean_displacement_sd:
+        return _with_error_bar(value, row.mean_displacement_sd)
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def _with_error_bar(value: float, sd: float) -> str:
+    """Format a value with its standard deviation, with two significant digits of the latter."""
+    decimals = max(0, 1 - math.floor(math.log10(sd)))
+    return f"{value:.{decimals}f} ± {sd:.{decimals}f}"
 
 
 def write_measurements(
