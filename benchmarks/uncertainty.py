@@ -1,18 +1,18 @@
 """Uncertainty: standard deviations beside dense posteriors, coverage of intervals, and times.
 
-    python -m benchmarks.uncertainty [samples] [coverage] [scales] [power] [fits] [maps]
-                                     [accuracy] [times] [--problems 2000]
+    python -m benchmarks.uncertainty [samples] [coverage] [landmark] [scales] [power] [fits]
+                                     [maps] [accuracy] [times] [--problems 2000]
 
 `samples` compares standard deviations of 30, 300 and 3000 samples with those of dense inverse
 matrices: contrast to 1000, tensors, landmarks, void, long pixels, images and volumes. `coverage`
 draws the true motion of random tissue from a matrix that scikit-fem assembled, observes it with
-noise, and counts how often the intervals of 68 % and 95 % contain it. `scales` fits the typical
+noise, and counts how often the intervals of 68 % and 95 % contain it. `landmark` compares one more
+landmark at the least sure patch with one at the best and at any place. `scales` fits the typical
 strain to such landmarks, and `power` counts how often a test of their agreement with the model
-finds that the model is wrong. `fits` finds the stiffness
-and the growth of labels from the motion that scikit-fem computed, with noise of 5 %, and `maps`
-two inclusions whose places are unknown. `accuracy` compares samples with those of a solver that is
-a thousand times more accurate. `times` compares a sample with a solve after a change of the motion,
-in turn.
+finds that the model is wrong. `fits` finds the stiffness and the growth of labels from the motion
+that scikit-fem computed, with noise of 5 %, and `maps` two inclusions whose places are unknown.
+`accuracy` compares samples with those of a solver that is a thousand times more accurate. `times`
+compares a sample with a solve after a change of the motion, in turn.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +44,8 @@ from tests.support.posterior_oracle import posterior_covariance
 Array = npt.NDArray[np.float64]
 _SCALE = StrainScale(0.1)
 _COUNTS = (30, 300, 3000)
-_TABLES = ("samples", "coverage", "scales", "power", "fits", "maps", "accuracy", "times")
+_TABLES = ("samples", "coverage", "landmark", "scales", "power", "fits", "maps")
+_TABLES += ("accuracy", "times")
 # Quantiles of the normal distribution for 68 % and 95 %.
 _BOUNDS = {68: 0.9945, 95: 1.96}
 
@@ -108,8 +110,9 @@ def samples(count: int = 24) -> None:
 
 def coverage(count: int = 2000) -> None:
     """Print how often intervals contain the true motion of patches and labels."""
-    inside = {(what, percent): 0 for what in ("label", "patch") for percent in _BOUNDS}
-    total = {"label": 0, "patch": 0}
+    kinds = ("label", "label along its motion", "label, of its true length", "patch")
+    inside = {(what, percent): 0 for what in kinds for percent in _BOUNDS}
+    total = dict.fromkeys(kinds, 0)
     for seed in range(count):
         rng = np.random.default_rng(seed)
         grid = tuple(int(size) for size in rng.integers(8, 15, 2))
@@ -141,6 +144,16 @@ def coverage(count: int = 2000) -> None:
             total["label"] += errors.size
             for percent, bound in _BOUNDS.items():
                 inside["label", percent] += int((errors < bound).sum())
+            moved = field[labels == number]
+            likely = result.solution.displacement[labels == number].astype(np.float64)
+            ways = likely / np.linalg.norm(likely, axis=-1, keepdims=True)
+            for what, true in (
+                ("label along its motion", (moved * ways).sum(axis=-1).mean()),
+                ("label, of its true length", np.linalg.norm(moved, axis=-1).mean()),
+            ):
+                total[what] += 1
+                for percent, bound in _BOUNDS.items():
+                    inside[what, percent] += int(abs(true - found.length) < bound * found.along)
         row, col = grid[0] - 3, int(rng.integers(2, grid[1] - 2))
         width = 1 if spacing[1] == 1 else 0
         around = (slice(row - 1, row + 2), slice(col - width, col + width + 1))
@@ -300,6 +313,42 @@ def power(tissues: int = 20, draws: int = 25) -> None:
     print("| --- |" + " --- |" * 2 * counts)
     for (words, _, _), shares in zip(_CHANGES, found / (tissues * draws), strict=True):
         print(f"| {words} | {' | '.join(f'{share:.0%}' for share in shares)} |")
+
+
+def next_landmark(count: int = 30) -> None:
+    """Print how much of the variance of all patches one more landmark removes, by its place."""
+    side, sd, size = 3, 0.3, 16
+    shares: list[tuple[float, float]] = []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        m = scipy.ndimage.gaussian_filter(np.exp(rng.normal(size=(size, size))), 2)
+        c = np.zeros((size, size, 2))
+        for axis in rng.permutation(2)[: rng.integers(1, 3)]:
+            c.swapaxes(0, axis)[0] = 1
+        points = rng.uniform(1, size - 2, (int(rng.integers(1, 5)), 2))
+        targets = points + rng.normal(size=points.shape)
+        marks = Landmarks(points, targets, sd=sd, scale=_SCALE)
+        problem = Problem(0 * c, c, m, landmarks=marks)
+        dense, free = posterior_covariance(problem, ElasticPrior(), _SCALE)
+        covariance = np.zeros((c.size, c.size))
+        covariance[np.ix_(free, free)] = dense
+        # Mean over the patch around each site.
+        one = (np.abs(np.subtract.outer(np.arange(size), np.arange(size))) <= side // 2) * 1.0
+        means = np.kron(np.kron(one, one), np.eye(2))
+        means /= means.sum(axis=1, keepdims=True)
+        patches = (means @ covariance @ means.T).reshape(size**2, 2, size**2, 2)
+        removed = np.zeros(size**2)
+        for place in range(size**2):
+            known = patches[place, :, place, :] + sd**2 * np.eye(2)
+            shared = patches[:, :, place, :].reshape(-1, 2)
+            removed[place] = np.trace(shared @ np.linalg.solve(known, shared.T))
+        found = uncertainty(problem, patch=side, seed=seed, backend="cpu").least_sure()
+        best = removed.max()
+        shares.append((removed[np.ravel_multi_index(found, m.shape)] / best, removed.mean() / best))
+    print("| place of one more landmark | mean | 10th percentile |")
+    print("| --- | --- | --- |")
+    for name, values in zip(("least sure patch", "any"), np.transpose(shares), strict=True):
+        print(f"| {name} | {values.mean():.0%} | {np.quantile(values, 0.1):.0%} |")
 
 
 def fits(count: int = 100) -> None:
@@ -470,23 +519,19 @@ def main() -> None:
     parser.add_argument("tables", nargs="*", choices=[*_TABLES, []])
     parser.add_argument("--problems", type=int, default=2000, help="random problems of `coverage`")
     given = parser.parse_args()
-    tables = given.tables or _TABLES
-    if "samples" in tables:
-        samples()
-    if "coverage" in tables:
-        coverage(given.problems)
-    if "scales" in tables:
-        scales()
-    if "power" in tables:
-        power()
-    if "fits" in tables:
-        fits()
-    if "maps" in tables:
-        maps()
-    if "accuracy" in tables:
-        accuracy()
-    if "times" in tables:
-        times()
+    tables: dict[str, Callable[[], None]] = {
+        "samples": samples,
+        "coverage": partial(coverage, given.problems),
+        "landmark": next_landmark,
+        "scales": scales,
+        "power": power,
+        "fits": fits,
+        "maps": maps,
+        "accuracy": accuracy,
+        "times": times,
+    }
+    for name in given.tables or tables:
+        tables[name]()
 
 
 if __name__ == "__main__":

@@ -49,9 +49,11 @@ class MeanDisplacement:
         Mean length of the displacement, in the unit of `spacing`. It is longer than `mean` if parts
         of the tissue move in different directions, as in a tumour that grows.
     along : float
-        Standard deviation of the mean displacement along the motion: the error bar of `length`. The
-        direction is that of the most likely displacement of each site. For tissue that does not
-        move, the largest standard deviation of a component.
+        Standard deviation of the mean displacement along the motion, whose direction is that of the
+        most likely displacement of each site: the error bar of `length`. It does not include that
+        the tissue may also move sideways, which makes the true length larger if the displacement is
+        not much longer than its error bar. For tissue that does not move, the largest standard
+        deviation of a component.
     """
 
     mean: Float64Array
