@@ -24,6 +24,7 @@ from napari_hmrf.io.batch import SUMMARY, solve_cases
 from napari_hmrf.io.case import solve_case
 from napari_hmrf.io.case_options import Case, energy_of
 from napari_hmrf.io.case_tables import read_cases
+from napari_hmrf.io.fit_files import fit_file
 from napari_hmrf.io.images import read_image
 from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.overwriting import refuse_overwriting
@@ -178,6 +179,29 @@ def _measure(options: argparse.Namespace) -> int:
     if options.out is not None:
         path = write_measurements(options.out, rows, measurement.unit, volume=is_volume)
         print(f"written: {path}")
+    return 0
+
+
+def _fit(options: argparse.Namespace) -> int:
+    with _shown_progress() as progress:
+        found = fit_file(
+            options.study,
+            options.out,
+            second=options.second,
+            stiffness=options.stiffness,
+            growth=options.growth,
+            poisson=options.poisson,
+            load=options.load,
+            backend=options.backend,
+            overwrite=options.force,
+            progress=progress,
+        )
+    for clause in found.described():
+        print(f"fitted: {clause}")
+    if found.fit.similarity is not None:
+        print(f"agreement of the images: {100 * found.fit.similarity:.0f} %")
+    if options.out is not None:
+        print(f"written: {options.out}")
     return 0
 
 
@@ -536,6 +560,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "batch": _batch,
     "demo": _demo,
     "export": _export,
+    "fit": _fit,
     "materials": _materials,
     "measure": _measure,
     "play": _show_result_in_napari,

@@ -215,6 +215,7 @@ def _add_result_commands(commands: Commands) -> None:
     )
     _add_force(measure)
     _add_uncertainty(commands)
+    _add_fit(commands)
     play = commands.add(
         "play",
         "Write an animation of the deformation, forward and back, as .gif or .mp4.",
@@ -245,6 +246,43 @@ def _add_result_commands(commands: Commands) -> None:
         metavar="IMAGE",
         help="image of the study, if the study file does not contain it",
     )
+
+
+def _add_fit(commands: Commands) -> None:
+    fit = commands.add(
+        "fit",
+        "Find the growth or the stiffness of tissues with which a study moves to a second image.",
+        "napari-hmrf fit before.study --second after.nii.gz --growth tumour -o fitted.study",
+        "Values are printed with intervals of 95 %. Without a second image, the landmarks of the "
+        "study that have a standard deviation are used.",
+    )
+    fit.add_argument("study", type=Path, metavar="STUDY", help="study with its image and labels")
+    fit.add_argument(
+        "--second",
+        type=Path,
+        metavar="IMAGE",
+        help="image of the same kind after the motion, at its position in world coordinates",
+    )
+    for name, words in (
+        ("growth", "growth"),
+        ("stiffness", "stiffness"),
+        ("poisson", "Poisson's ratio"),
+    ):
+        fit.add_argument(
+            f"--{name}",
+            nargs="+",
+            default=[],
+            metavar="TISSUE",
+            help=f"tissues whose {words} is unknown, by name or label",
+        )
+    fit.add_argument(
+        "--load", action="store_true", help="find a factor on all forces of the study, too"
+    )
+    fit.add_argument(
+        "-o", "--out", type=Path, metavar="STUDY", help="write the study with the fitted values"
+    )
+    _add_force(fit)
+    _add_backend(fit)
 
 
 def _add_uncertainty(commands: Commands) -> None:

@@ -292,7 +292,7 @@ class _Pair:
             tissue = Tissue(stiffness=np.ones(study.grid.shape, np.float32))
         study = replace(study, tissue=tissue)
         masks = _mask(case.fixed, case.mask), _mask(case.moving, case.moving_mask)
-        positions, notes = _relative_place(case, study, other)
+        positions, notes = relative_place((case.fixed.name, case.moving.name), study, other)
         return cls(
             study,
             other,
@@ -360,10 +360,17 @@ def _is_placed(grid: Grid) -> bool:
     return grid.place is not None and grid.unit != "pixel"
 
 
-def _relative_place(
-    case: RegistrationCase, study: Study, other: Study
+def relative_place(
+    names: tuple[str, str], study: Study, other: Study
 ) -> tuple[Float64Array, tuple[str, ...]]:
     """Return the matrix from positions in the fixed to the moving image, and notes.
+
+    Parameters
+    ----------
+    names : (str, str)
+        Names of the files of `study` and `other`, for messages.
+    study, other : Study
+        Studies of the fixed and the moving image.
 
     Raises
     ------
@@ -374,7 +381,7 @@ def _relative_place(
     n = len(grid.shape)
     placed = _is_placed(grid), _is_placed(moving)
     if placed[0] != placed[1]:
-        without, placed_one = case.moving.name, case.fixed.name
+        placed_one, without = names
         if placed[1]:
             without, placed_one = placed_one, without
         raise ProblemError(
@@ -387,17 +394,16 @@ def _relative_place(
     (turn, first), (moving_turn, moving_first) = _axes_in_world(grid), _axes_in_world(moving)
     if len(first) != len(moving_first):
         raise ProblemError(
-            case.moving.name,
-            f"has a position in {len(moving_first)} dimensions, but that of {case.fixed.name} has "
+            names[1],
+            f"has a position in {len(moving_first)} dimensions, but that of {names[0]} has "
             f"{len(first)}. Save both images in the same way.",
         )
     back = np.linalg.pinv(moving_turn)
     tilt = np.linalg.norm(turn - moving_turn @ back @ turn, axis=0).max()
     if tilt > _TILT:
         raise ProblemError(
-            case.moving.name,
-            f"is a slice that is tilted against {case.fixed.name}. Give parallel slices, or "
-            "volumes.",
+            names[1],
+            f"is a slice that is tilted against {names[0]}. Give parallel slices, or volumes.",
         )
     offset = first - moving_first
     apart = float(np.linalg.norm(offset - moving_turn @ back @ offset))
