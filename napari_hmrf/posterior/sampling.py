@@ -17,6 +17,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import check_held
+from napari_hmrf.solver.sliding_parts import refuse_sliding
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 
@@ -140,6 +141,7 @@ def checked_prior(problem: Problem, prior: Prior | None) -> ElasticPrior:
             "and the posterior is not a normal distribution. Pass a precision or landmarks with "
             "standard deviations instead, or hold the sites with a confidence of 1.",
         )
+    refuse_sliding(problem.sliding, "a posterior")
     if problem.landmarks is not None and problem.landmarks.drift:
         raise ProblemError(
             "landmarks",

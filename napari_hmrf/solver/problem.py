@@ -16,12 +16,14 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.precision import MAX_PRECISION, checked_precision
 from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
 from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
+from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corner_shares
 
 #: Largest ratio between two stiffnesses for which single precision is sufficient.
@@ -74,6 +76,9 @@ class Problem:
     landmarks : Landmarks, optional
         Observed displacements of points between pixels, with standard deviations, for
         `ElasticPrior`.
+    sliding : SlidingParts, optional
+        Labels of parts of the tissue that slide along each other, for `ElasticPrior`. By default,
+        all tissue is connected.
 
     Raises
     ------
@@ -88,6 +93,7 @@ class Problem:
     loads: Loads | None
     precision: npt.NDArray[np.float64] | None
     landmarks: Landmarks | None
+    sliding: SlidingParts | None
 
     def __init__(
         self,
@@ -99,6 +105,7 @@ class Problem:
         loads: Loads | None = None,
         precision: npt.ArrayLike | None = None,
         landmarks: Landmarks | None = None,
+        sliding: SlidingParts | None = None,
     ) -> None:
         # If `observed` has one value per pixel, do not interpret the stiffness as a volume.
         image = isinstance(observed, np.ndarray) and observed.ndim == 2
@@ -140,6 +147,8 @@ class Problem:
         _check_landmarks(landmarks, m, pixel)
         object.__setattr__(self, "loads", loads)
         _check_loads(loads, m, pixel)
+        object.__setattr__(self, "sliding", sliding)
+        _check_sliding(sliding, m)
 
     def __repr__(self) -> str:
         size, pixel = grid_in_words(self.shape), grid_in_words(self.spacing)
@@ -152,6 +161,8 @@ class Problem:
         if self.precision is not None:
             data = int(np.count_nonzero(self.precision.any(axis=(-2, -1))))
             loads = f", precision at {data:,}{loads}"
+        if self.sliding is not None:
+            loads = f", {self.sliding}{loads}"
         return (
             f"Problem({size} sites of {pixel}{void}, {observed:,} observed, "
             f"stiffness {_range_in_words(self.stiffness)}{loads})"
@@ -204,6 +215,8 @@ class Problem:
             arrays["landmarks"] = np.stack(values)
             if own.drift:
                 arrays["drift"] = np.ones(1)
+        if self.sliding is not None:
+            arrays["sliding"] = self.sliding.labels
         return _Digests(arrays)
 
     def with_rest(self, at_rest: npt.NDArray[np.bool_]) -> Problem:
@@ -221,7 +234,13 @@ class Problem:
             loads=self.loads,
             precision=self.precision,
             landmarks=self.landmarks,
+            sliding=self.sliding,
         )
+
+    @property
+    def coupling(self) -> Coupling | None:
+        """Coupling of the fields of sliding parts; None except in an unfolded problem."""
+        return None
 
     @property
     def observed_components(self) -> npt.NDArray[np.bool_]:
@@ -502,6 +521,17 @@ def _check_landmarks(landmarks: object, m: FloatArray, pixel: tuple[float, ...])
             f"{int(lengths.argmax())}), but the diagonal of the image is only {_shown(diagonal)}. "
             "Correct the targets.",
         )
+
+
+def _check_sliding(sliding: object, m: FloatArray) -> None:
+    if sliding is None:
+        return
+    if not isinstance(sliding, SlidingParts):
+        kind = type(sliding).__name__
+        raise ProblemError(
+            "sliding", f"is {shown(sliding)}, of type {kind}. Pass SlidingParts(labels)."
+        )
+    sliding.check(m)
 
 
 def _check_known(known: npt.NDArray[np.bool_]) -> None:

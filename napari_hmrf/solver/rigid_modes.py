@@ -133,6 +133,8 @@ def holding_strength(problem: Problem) -> float:
     ProblemError
         As for `check_held`.
     """
+    if problem.coupling is not None:
+        return 1.0  # `sliding_solve` has checked all parts together
     held = problem.known
     for firm in _firm:  # checked first, because every frame of a drag needs the result
         if firm.covers_problem(problem):

@@ -36,6 +36,7 @@ from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.preparation import loop_watch, prepare, provide_loops
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.sliding_solve import solve_with_sliding
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.solver.staged_progress import StagedProgress
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
@@ -297,6 +298,14 @@ def run_here(
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
     progress = None if progress is None else StagedProgress(progress)
     with compute_thread.unless(cancel.is_set):
+        if problem.sliding is not None:
+
+            def solve_parts(
+                parts: Problem, of_parts: ElasticPrior, schedule: Optimizer, begin: Initial | None
+            ) -> Solution:
+                return _solution_of(parts, of_parts, schedule, backend, progress, begin)
+
+            return solve_with_sliding(problem, prior, optimizer, initial, solve_parts)
         if not has_drift(problem, prior):
             return _solution_of(problem, prior, optimizer, backend, progress, initial)
         elastic = prior if isinstance(prior, ElasticPrior) else ElasticPrior()

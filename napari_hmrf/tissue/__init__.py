@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from napari_hmrf.field.brightness import edge_confidence, luminance
     from napari_hmrf.io.material_tables import read_preset, write_preset
     from napari_hmrf.io.segmentation_tables import read_label_names
+    from napari_hmrf.solver.sliding_parts import SlidingParts
     from napari_hmrf.tissue.boundary_rules import (
         RIGID,
         boundary_images,
@@ -38,6 +39,7 @@ __all__ = [
     "KnownTissue",
     "NamedMaterials",
     "Preset",
+    "SlidingParts",
     "StiffnessCurve",
     "boundary_images",
     "edge_confidence",
@@ -60,6 +62,7 @@ _HOMES = {
     "KnownTissue": "napari_hmrf.tissue.tissue_names",
     "NamedMaterials": "napari_hmrf.tissue.tissue_names",
     "Preset": "napari_hmrf.tissue.material_presets",
+    "SlidingParts": "napari_hmrf.solver.sliding_parts",
     "StiffnessCurve": "napari_hmrf.tissue.stiffness_curve",
     "boundary_images": "napari_hmrf.tissue.boundary_rules",
     "edge_confidence": "napari_hmrf.field.brightness",

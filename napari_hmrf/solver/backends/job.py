@@ -41,6 +41,8 @@ class SolveJob:
         True if some stiffness is infinite.
     has_data : bool
         True if there is a quadratic data term.
+    has_sliding_parts : bool
+        True if parts of the tissue slide along each other.
     """
 
     shape: tuple[int, ...]
@@ -50,6 +52,7 @@ class SolveJob:
     has_loads: bool = False
     has_rigid_tissue: bool = False
     has_data: bool = False
+    has_sliding_parts: bool = False
 
     @classmethod
     def of(cls, problem: Problem, prior: Prior, optimizer: Schedule) -> SolveJob:
@@ -62,6 +65,7 @@ class SolveJob:
             has_loads=problem.loads is not None,
             has_rigid_tissue=math.isinf(float(problem.stiffness.max())),
             has_data=problem.has_data,
+            has_sliding_parts=problem.coupling is not None,
         )
 
     @property
@@ -84,7 +88,7 @@ class SolveJob:
         """Name of the set of compiled loops that contains most of the required loops."""
         if self.has_large_motion:
             return LARGE_VOLUMES if self.is_volume else "large-motion"
-        if self.has_data:
+        if self.has_data or self.has_sliding_parts:
             return VOLUME_DATA if self.is_volume else DATA
         if isinstance(self.prior, ElasticPrior):
             if self.is_volume:

@@ -118,6 +118,10 @@ class Cycle:
         """Smoothing steps on all levels except the coarsest, and on the coarsest."""
         return self._steps, self._coarsest
 
+    def use_steps(self, steps: Steps, coarsest: Steps) -> None:
+        """Set the smoothing steps, for a cycle that is a part of another cycle."""
+        self._steps, self._coarsest = steps, coarsest
+
     def run(self, load: Any) -> Any:
         """Return the correction for a load on the finest level; valid until the next run."""
         self.levels[0].load = load

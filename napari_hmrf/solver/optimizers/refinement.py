@@ -26,6 +26,7 @@ from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
+from napari_hmrf.solver.priors.elements import ElasticMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
 #: Message for a system that cannot be factorized in double precision.
@@ -56,6 +57,9 @@ _WARM_MARGIN = 1.5
 # Ratio of the reported error to the estimate that ends an iteration. The reported error never
 # exceeds the tolerance.
 _REPORTED = 1.5
+# Largest accepted ratio of true to estimated error for sliding parts, for which no factorization is
+# available. The error estimate is multiplied by this ratio and by a safety factor.
+_BELIEVABLE_COUPLED = 30.0
 # Number of sites up to which a factorization takes no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Largest number of search directions for free motions at hinges between touching rigid bodies.
@@ -119,6 +123,7 @@ class Refinement:
             start_quality,
         )
         self._mild = model.mild and is_firm
+        self._believable = _BELIEVABLE_COUPLED if _is_coupled(model) else BELIEVABLE
         # A bound method would create a reference cycle, which would keep the factorization in
         # memory until garbage collection.
         self._iteration = ConjugateGradients(
@@ -141,7 +146,7 @@ class Refinement:
 
     def require_rehearsal(self) -> None:
         """Require a new trial solve, because new constraints may change the spectrum."""
-        if self._underestimate is not None and self._underestimate <= BELIEVABLE:
+        if self._underestimate is not None and self._underestimate <= self._believable:
             self._underestimate = None
 
     def run(
@@ -211,13 +216,13 @@ class Refinement:
                 self._underestimate = 1.0
                 if not self._mild:
                     self._underestimate = self._rehearse(d.shape)
-                    while self._underestimate > BELIEVABLE and self._take_care():
+                    while self._underestimate > self._believable and self._take_care():
                         self._underestimate = self._rehearse(d.shape)
                     balance = self._model.balance(d, load)  # the rehearsal overwrote the residual
             earlier.underestimate = self._underestimate
             earlier.least = self._iteration.least
             earlier.care = self._iteration.care
-        if earlier.underestimate is None or earlier.underestimate > BELIEVABLE:
+        if earlier.underestimate is None or earlier.underestimate > self._believable:
             return False
         self._iteration.least = min(self._iteration.least, earlier.least)
         if self._start_quality is not None:
@@ -463,9 +468,19 @@ def _double_level_of(model: LinearModel) -> Any:
 
 
 def factors_fit(model: LinearModel) -> bool:
-    """Return whether a factorization is available; never for volumes in the paper's model."""
+    """Return whether a factorization is available.
+
+    There is none for sliding parts, and none for volumes in the paper's model.
+    """
+    if _is_coupled(model):
+        return False  # the factorization has no coupling between distant sites
     exist = len(model.shape) == 2 or not isinstance(model.material, SeilerMaterial)
     return exist and Factors.fit(model.shape)
+
+
+def _is_coupled(model: LinearModel) -> bool:
+    """Return whether parts of the tissue slide along each other."""
+    return isinstance(model.material, ElasticMaterial) and model.material.coupling is not None
 
 
 def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
@@ -479,11 +494,17 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
         If the factorization needs too much memory or the system is singular in double precision.
     """
     if model.earlier.factors is None:
-        if len(model.shape) == 3 and not factors_fit(model):
+        if len(model.shape) == 3 and not factors_fit(model) and not _is_coupled(model):
             raise ConvergenceError(
                 "cycles may miss motions of this volume, and no factorization is available. "
                 "Raise max_iterations, crop the volume, hold more of it, or reduce the ratio of "
                 f"the stiffest to the softest tissue{known}"
+            )
+        if _is_coupled(model):
+            raise ConvergenceError(
+                "cycles may miss motions of parts that slide along each other, and no "
+                "factorization is available. Hold more of the tissue, reduce the ratio of the "
+                f"stiffest to the softest tissue, or use fewer parts{known}"
             )
         if not factors_fit(model):
             raise ConvergenceError(

@@ -38,6 +38,7 @@ from napari_hmrf.solver.priors.growth import Load, growth_load, slabs
 from napari_hmrf.solver.priors.hexahedra import BrickShape, brick_shape
 from napari_hmrf.solver.problem import Problem, as_numbers, grid_in_words
 from napari_hmrf.solver.rigid_modes import check_held
+from napari_hmrf.solver.sliding_parts import refuse_sliding
 
 Plane = Literal["stress", "strain"]
 
@@ -180,8 +181,16 @@ class ElasticPrior:
     def material(self, problem: Problem) -> ElasticMaterial:
         """Return the properties of a problem's tissue that the kernels require."""
         shape = self.shape(problem.spacing)
-        data = DataTerm.of(problem, self.force_unit(problem) / problem.unit)
-        return ElasticMaterial(problem.stiffness, self.poisson, self._strain(problem), shape, data)
+        unit = self.force_unit(problem) / problem.unit
+        return ElasticMaterial(
+            problem.stiffness,
+            self.poisson,
+            self._strain(problem),
+            shape,
+            DataTerm.of(problem, unit),
+            problem.coupling,
+            unit,
+        )
 
     def _strain(self, problem: Problem) -> bool:
         """Return True in plane strain and in volumes, where tissue cannot bulge out of the grid."""
@@ -236,6 +245,7 @@ class ElasticPrior:
 
         U is the elastic energy minus the work of forces.
         """
+        refuse_sliding(problem.sliding, "the energy of one displacement")
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         stored, load = self._stored(problem, d), self.load(problem)
         return stored if load is None else stored + load.energy - float((load.forces * d).sum())
@@ -260,6 +270,7 @@ class ElasticPrior:
 
         The gradient consists of the internal forces of the tissue minus the forces of the loads.
         """
+        refuse_sliding(problem.sliding, "the force of one displacement")
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         shape, load, forces = self.shape(problem.spacing), self.load(problem), np.zeros(d.shape)
         for sites in slabs(problem.shape):

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.data_term import DataTerm, are_same
 from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
 
@@ -65,6 +66,10 @@ class ElasticMaterial:
         Constants of an element for the size of a pixel or voxel.
     data : DataTerm, optional
         Quadratic data term, which adds to the matrix of the tissue.
+    coupling : Coupling, optional
+        Coupling of the fields of sliding parts, which adds to the matrix, too.
+    unit : float
+        Precision of 1 in the units of the model, for the coupling.
     """
 
     m: npt.NDArray[np.float32]
@@ -72,6 +77,8 @@ class ElasticMaterial:
     strain: bool
     shape: Any
     data: DataTerm | None = None
+    coupling: Coupling | None = None
+    unit: float = 1.0
 
     def __eq__(self, other: object) -> bool:
         return (
@@ -80,6 +87,7 @@ class ElasticMaterial:
             and np.array_equal(self.poisson, other.poisson)
             and np.array_equal(self.m, other.m)
             and are_same(self.data, other.data)
+            and self.coupling == other.coupling
         )
 
     __hash__ = None  # type: ignore[assignment]

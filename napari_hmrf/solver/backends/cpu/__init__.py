@@ -224,6 +224,10 @@ class CpuBackend:
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Return the model of elastic tissue with all its levels."""
+        if material.coupling is not None:
+            from napari_hmrf.solver.backends.cpu import sliding_model  # heavy: numba
+
+            return sliding_model.the_model(material, self._checkpoint)
         if material.m.ndim == 3:
             from napari_hmrf.solver.backends.cpu import volume_model  # heavy: numba
 

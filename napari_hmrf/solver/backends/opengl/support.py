@@ -27,6 +27,7 @@ def missing_shaders(job: SolveJob) -> str | None:
         "volumes with rigid tissue": job.is_volume and job.has_rigid_tissue,
         "volumes in which tissue may slip": job.is_volume and job.can_slip,
         "problems with a precision or uncertain landmarks": job.has_data,
+        "parts that slide along each other": job.has_sliding_parts,
     }
     missing = next((kind for kind, is_so in kinds.items() if is_so), None)
     return None if missing is None else f"only the compiled loops solve {missing}"

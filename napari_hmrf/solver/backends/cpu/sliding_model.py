@@ -1,0 +1,332 @@
+"""Model of parts that slide along each other, composed of ordinary models.
+
+The fields of all parts are on one unfolded grid (`solver.coupling`). Each part has an ordinary
+model on its own box, with the precision ``k n n^T`` at its coupled sites; the coupling between two
+parts adds ``-k n n^T`` between a site and its copy.
+
+The preconditioner is a symmetric Schwarz iteration of three steps, each an ordinary cycle:
+
+1. The parts slide: each part is corrected on its own, along fixed surfaces.
+2. All tissue moves as if it were connected: the residual is folded to the image, corrected by the
+   cycle of the ordinary model, and the correction is copied to all fields.
+3. The parts slide again.
+
+Any motion without gaps is the sum of a motion of the connected tissue and of motions of the parts
+along their surfaces. The number of iterations therefore depends neither on the size of the image
+nor on the strength k, and a step of the iteration costs about three ordinary cycles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends import volume_caches
+from napari_hmrf.solver.backends.base import Checkpoint
+from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
+from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
+from napari_hmrf.solver.backends.host_model import HostModel
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.planes import inside, planes
+from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
+from napari_hmrf.solver.coarse_levels import smoother_bounds
+from napari_hmrf.solver.coupling import Box, Coupling
+from napari_hmrf.solver.data_term import DataTerm, packed_axes
+from napari_hmrf.solver.optimizers.cycle import Cycle, smoothing_of
+from napari_hmrf.solver.priors.elements import ElasticMaterial, stiffest
+
+#: Factor on the correction of each cycle. A cycle may correct a motion by twice its error; without
+#: the factor, two such corrections would cancel, and the iteration would hardly reduce the motion.
+_DAMPING = 0.75
+
+_Model = CpuElasticModel | CpuVolumeModel
+Values = npt.NDArray[Any]
+
+
+class _Component:
+    """Ordinary model of a part or of the image, with its cycle.
+
+    Parameters
+    ----------
+    material : ElasticMaterial
+    scale : float
+        Stiffness unit of this model in units of the composed model.
+    checkpoint : callable
+    """
+
+    def __init__(self, material: ElasticMaterial, scale: float, checkpoint: Checkpoint) -> None:
+        volume = material.m.ndim == 3
+        self.model: _Model = (
+            CpuVolumeModel(material, checkpoint) if volume else CpuElasticModel(material)
+        )
+        self.scale = scale
+        self.cycle = Cycle(self.model, smoothing_of(material))
+        shape = (material.m.ndim, *(size + 4 for size in material.m.shape))
+        self.given, self.result = (np.zeros(shape, np.float32) for _ in range(2))
+        self.exact: Planes = np.zeros(shape)
+
+    def correction(self, steps: Steps, coarsest: Steps) -> Values:
+        """Run a cycle for the load in `given`; return a view of the correction without border."""
+        self.cycle.use_steps(steps, coarsest)
+        load = self.given
+        load *= np.float32(_DAMPING / self.scale)
+        return inside(np.asarray(self.cycle.run(load)))
+
+
+class _PartModel(_Component):
+    """Model of a part in its box of the unfolded grid."""
+
+    def __init__(
+        self, material: ElasticMaterial, scale: float, box: Box, checkpoint: Checkpoint
+    ) -> None:
+        super().__init__(material, scale, checkpoint)
+        self.box = box
+        #: 1 at the free components of the part, 0 elsewhere.
+        self.free: Values = np.zeros((material.m.ndim, *material.m.shape), np.float32)
+
+    def view(self, values: Values) -> Values:
+        """Return the values of this part in planes of the unfolded grid."""
+        return inside(values)[(slice(None), *self.box.unfolded)]
+
+
+class SlidingLevel(CpuLevel):
+    """Finest level of the composed model; its `finish` runs the cycles of all components."""
+
+    finishes_cycle = True
+
+    def __init__(
+        self,
+        grid: tuple[int, ...],
+        parts: Sequence[_PartModel],
+        whole: _Component,
+        coupling: Coupling,
+        unit: float,
+    ) -> None:
+        super().__init__(grid)
+        self._parts, self._whole = parts, whole
+        self._coupling = coupling
+        padded = tuple(size + 4 for size in grid)
+        places = []
+        for sites in (coupling.first, coupling.second):
+            index = np.unravel_index(sites, grid)
+            places.append(np.ravel_multi_index(tuple(at + 2 for at in index), padded))
+        self._first, self._second = places
+        self._normals = np.ascontiguousarray(coupling.normals.T)
+        self._strength = coupling.strength / unit
+        self._image, self._sum = self.vector(), self.vector()
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Set the prescribed components of all models."""
+        free = np.zeros(held.shape, np.bool_)
+        for part in self._parts:
+            part.model.hold(_bordered(part.view(held)))
+            moves = inside(part.model.moves)
+            part.free[...] = moves
+            part.view(free)[...] = moves
+        image = np.moveaxis(self._coupling.folded(np.moveaxis(inside(held), 0, -1)), -1, 0)
+        self._whole.model.hold(_bordered(image))
+        self.inverse[...] = free
+
+    def clear(self) -> None:
+        """Set all corrections to zero."""
+        super().clear()
+        for component in (*self._parts, self._whole):
+            component.model.clear()
+
+    def couple(self, d: Values, out: Values, scale: float) -> None:
+        """Add ``scale`` times the forces between different fields to `out`, in place."""
+        flat, total = d.reshape(len(d), -1), out.reshape(len(out), -1)
+        for one, two in ((self._first, self._second), (self._second, self._first)):
+            along = (flat[:, one] * self._normals).sum(axis=0) * self._strength
+            for plane, normal in zip(total, self._normals, strict=True):
+                np.add.at(plane, two, (-scale * along * normal).astype(out.dtype))
+
+    def apply(self, direction: Vector, image: Vector) -> float:
+        """Compute ``image = A @ direction``; return ``direction . image``."""
+        image.fill(0)
+        self.couple(direction, image, 1.0)
+        for part in self._parts:
+            compute_thread.check_cancelled()
+            inside(part.given)[...] = part.view(direction)
+            part.model.levels[0].apply(part.given, part.result)
+            view = part.view(image)
+            view += np.float32(part.scale) * inside(part.result)
+            view *= part.free
+        return self.product(direction, image)
+
+    def finish(self, steps: Steps, coarsest: Steps) -> None:
+        """Compute the correction: slide, move as connected tissue, slide."""
+        total, rest = self.correction, self._image
+        total.fill(0)
+        self._slide(self.load, steps, coarsest)
+        self._subtract_image(self.load, rest)
+        self._move_together(rest, steps, coarsest)
+        self._subtract_image(self.load, rest)
+        self._slide(rest, steps, coarsest)
+
+    def _subtract_image(self, load: Vector, rest: Vector) -> None:
+        """Write the residual of the correction to `rest`."""
+        self.apply(self.correction, self._sum)
+        np.subtract(load, self._sum, out=rest)
+
+    def _slide(self, rest: Vector, steps: Steps, coarsest: Steps) -> None:
+        """Add the corrections of the parts, each along fixed surfaces."""
+        for part in self._parts:
+            compute_thread.check_cancelled()
+            part.given.fill(0)
+            inside(part.given)[...] = part.view(rest)
+            view = part.view(self.correction)
+            view += part.correction(steps, coarsest) * part.free
+
+    def _move_together(self, rest: Vector, steps: Steps, coarsest: Steps) -> None:
+        """Add the correction of the connected tissue to the fields of all parts."""
+        compute_thread.check_cancelled()
+        whole = self._whole
+        whole.given.fill(0)
+        load = inside(whole.given)
+        for part in self._parts:
+            image = (slice(None), *part.box.image)
+            load[image] += part.view(rest)
+        moved = whole.correction(steps, coarsest)
+        for part in self._parts:
+            view = part.view(self.correction)
+            view += moved[(slice(None), *part.box.image)] * part.free
+
+    def pull(self, d: Planes, out: Planes) -> None:
+        """Write the forces of tissue and coupling, -A d, to `out`, in double precision."""
+        out.fill(0)
+        for part in self._parts:
+            part.exact.fill(0)
+            inside(part.exact)[...] = part.view(d)
+            part.view(out)[...] = part.scale * inside(part.model.pull(part.exact))
+        self.couple(d, out, -1.0)
+
+    def steepness(self, out: Planes) -> None:
+        """Write the diagonal of A to `out`."""
+        for part in self._parts:
+            part.view(out)[...] = part.scale * inside(part.model.steepness)
+
+
+class SlidingModel(HostModel):
+    """`LinearModel` of sliding parts.
+
+    Parameters
+    ----------
+    material : ElasticMaterial
+        Material on the unfolded grid, with its coupling.
+    checkpoint : callable
+        Function called several times a second; it raises an exception to cancel the work.
+    """
+
+    def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint) -> None:
+        coupling = material.coupling
+        assert coupling is not None
+        self.material = material
+        self.bounds = smoother_bounds(material)
+        self._held = None
+        most, grid = stiffest(material.m), material.m.shape
+        tensors = coupling.tensors() / material.unit
+        data = _packed(tensors)
+        if material.data is not None:
+            data += inside(material.data.weights)
+        parts = []
+        for box in coupling.boxes:
+            checkpoint()
+            m = np.ascontiguousarray(material.m[box.unfolded])
+            m.setflags(write=False)
+            scale = stiffest(m) / most
+            weights = data[(slice(None), *box.unfolded)] / scale
+            of_part = _material(material, m, material.poisson, box.unfolded, weights)
+            parts.append(_PartModel(of_part, scale, box, checkpoint))
+        image = np.zeros((len(packed_axes(len(grid))), *coupling.stiffness.shape))
+        if material.data is not None:
+            own = np.moveaxis(inside(material.data.weights), 0, -1)
+            image = np.moveaxis(coupling.folded(own), -1, 0)
+        nu = material.poisson
+        if isinstance(nu, np.ndarray):
+            nu = coupling.folded(nu)
+            nu.setflags(write=False)
+        connected = _material(material, coupling.stiffness, nu, (), image)
+        self._whole = _Component(connected, 1.0, checkpoint)
+        self._level = SlidingLevel(grid, parts, self._whole, coupling, material.unit)
+        self.levels = (self._level,)
+        self._rest = self._level.vector()
+        self._pull: Planes = np.zeros(self._rest.shape)
+
+    @property
+    def mild(self) -> bool:
+        """True if the connected tissue is mild; the iteration watches for slow motions."""
+        return self._whole.model.mild
+
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        rest = self.pull(d)
+        if load is not None:
+            rest += load
+        rest *= self._level.inverse
+        np.copyto(self._rest, rest / unit, casting="same_kind")
+        most, square = self._level.weigh(self._rest, self._rest)
+        return most, math.sqrt(square)
+
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
+        """Return -A d at all components, in double precision; valid until the next call."""
+        self._level.pull(d if low is None else d + low, self._pull)
+        return self._pull
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """Return the energy and the norm of the forces."""
+        forces = self.pull(d)
+        return -float((forces * d).sum()) / 2, float(np.linalg.norm(forces))
+
+    @property
+    def steepness(self) -> Planes:
+        """Diagonal of the matrix, as planes."""
+        out: Planes = np.zeros(self._rest.shape)
+        self._level.steepness(out)
+        return out
+
+    def clear_cache(self) -> None:
+        """Clear the model cache, because vectors of the model may contain non-finite values."""
+        _last[:] = ()
+
+
+def _packed(tensors: Planes) -> Planes:
+    """Return tensors, shape (..., axes, axes), as packed values, without a border."""
+    pairs = packed_axes(tensors.shape[-1])
+    return np.stack([tensors[..., i, j] for i, j in pairs])
+
+
+def _material(
+    material: ElasticMaterial, m: Values, poisson: Any, at: tuple[slice, ...], weights: Planes
+) -> ElasticMaterial:
+    """Return an ordinary material with the given stiffness and weights of the data term."""
+    if isinstance(poisson, np.ndarray) and at:
+        poisson = np.ascontiguousarray(poisson[at])
+        poisson.setflags(write=False)
+    data = DataTerm(planes(np.moveaxis(weights, 0, -1)))
+    return ElasticMaterial(m, poisson, material.strain, material.shape, data)
+
+
+def _bordered(held: Values) -> HeldPlanes:
+    """Return a mask with a border of False, two sites wide."""
+    return np.pad(held, ((0, 0), *((2, 2),) * (held.ndim - 1)))
+
+
+_last: list[SlidingModel] = []
+in_child_of_fork(_last.clear)
+volume_caches.register(_last.clear)
+
+
+def the_model(material: ElasticMaterial, checkpoint: Checkpoint) -> SlidingModel:
+    """Return the model of a material, reusing the cached model if possible.
+
+    Call this function only on the compute thread, because all solves share the model.
+    """
+    if not _last or _last[0].material != material:
+        _last[:] = ()  # free the old model before the new one is allocated
+        _last.append(SlidingModel(material, checkpoint))
+    return _last[0]

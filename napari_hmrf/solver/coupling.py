@@ -1,0 +1,115 @@
+"""Coupling of the fields of sliding parts along the normals of their interfaces.
+
+The fields of all parts are stored in one *unfolded* grid: the boxes of the parts are placed one
+below the other along the first axis, separated by void. In its box, a part has its own sites and
+*copies* of the sites of other parts that share an element with it. The energy is the elastic energy
+of the unfolded grid plus the coupling
+
+    U_coupling = 1/2 sum over pairs of  k (n . (d_first - d_second))^2
+
+where a pair consists of a site and a copy of it in the field of another part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Float64Array = npt.NDArray[np.float64]
+Index = tuple[slice, ...]
+
+
+class Box(NamedTuple):
+    """Box of a part: its index in the image, and its index in the unfolded grid."""
+
+    image: Index
+    unfolded: Index
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """Pairs of sites in an unfolded grid that are coupled along a normal.
+
+    Attributes
+    ----------
+    first, second : ndarray of int, shape (n,)
+        Index of each site and of its copy, in the flattened unfolded grid.
+    normals : ndarray, shape (n, axes)
+        Unit normals.
+    strength : ndarray, shape (n,)
+        Strength k, in the unit of `Problem.precision`.
+    stiffness : ndarray, shape (H, W) or (D, H, W), float32
+        Stiffness of the image.
+    boxes : tuple of Box
+        Boxes of the parts.
+    own : ndarray of bool, shape of the unfolded grid
+        Mask of the sites that are no copies.
+    """
+
+    first: npt.NDArray[np.intp]
+    second: npt.NDArray[np.intp]
+    normals: Float64Array
+    strength: Float64Array
+    stiffness: npt.NDArray[np.float32]
+    boxes: tuple[Box, ...]
+    own: npt.NDArray[np.bool_]
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (
+            isinstance(other, Coupling)
+            and all(
+                np.array_equal(getattr(self, name), getattr(other, name))
+                for name in ("first", "second", "normals", "strength", "stiffness")
+            )
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def energy(self, displacement: npt.NDArray[Any]) -> float:
+        """Return the energy of the coupling.
+
+        Parameters
+        ----------
+        displacement : ndarray, shape of the unfolded grid, with the component as the last axis
+        """
+        return float((self.strength * self._gaps(displacement) ** 2).sum()) / 2
+
+    def forces(self, displacement: npt.NDArray[Any]) -> Float64Array:
+        """Return the gradient of the energy with respect to the displacement."""
+        pulls = (self.strength * self._gaps(displacement))[:, None] * self.normals
+        forces = np.zeros((self.own.size, self.normals.shape[1]))
+        np.add.at(forces, self.first, pulls)
+        np.add.at(forces, self.second, -pulls)
+        return forces.reshape(displacement.shape)
+
+    def _gaps(self, displacement: npt.NDArray[Any]) -> Float64Array:
+        """Return the distance n . (d_first - d_second) of each pair."""
+        flat = displacement.reshape(-1, displacement.shape[-1]).astype(np.float64)
+        return np.asarray(((flat[self.first] - flat[self.second]) * self.normals).sum(axis=1))
+
+    def tensors(self) -> Float64Array:
+        """Return the sum of ``k n n^T`` at each site of the unfolded grid."""
+        axes = self.normals.shape[1]
+        sums = np.zeros((self.own.size, axes, axes))
+        each = self.strength[:, None, None] * self.normals[:, :, None] * self.normals[:, None, :]
+        np.add.at(sums, self.first, each)
+        np.add.at(sums, self.second, each)
+        return sums.reshape(*self.own.shape, axes, axes)
+
+    def folded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the values of an unfolded grid on the image, taken from the sites that own them.
+
+        Parameters
+        ----------
+        values : ndarray
+            The first axes are those of the unfolded grid.
+        """
+        axes = self.own.ndim
+        image = np.zeros((*self.stiffness.shape, *values.shape[axes:]), values.dtype)
+        for box in self.boxes:
+            own = self.own[box.unfolded]
+            image[box.image][own] = values[box.unfolded][own]
+        return image

@@ -1,0 +1,215 @@
+"""Solution of a problem with parts that slide along each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.backends.thread import in_child_of_fork
+from napari_hmrf.solver.elasticity import Elasticity
+from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.optimizers import Multigrid, Optimizer
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.unfolded import UnfoldedProblem, unfolded
+from napari_hmrf.solver.warm_start import Initial
+
+Float64Array = npt.NDArray[np.float64]
+#: Function that solves an unfolded problem with a prior, from a warm start.
+Solve = Callable[[Problem, ElasticPrior, Optimizer, Initial | None], Solution]
+
+#: Smallest part of a rigid motion at an interface that must be along the normal; with less, the
+#: motion counts as free, because fitted normals are not exact. The value is a square.
+_ALONG_NORMAL = 1e-3
+# Weight of prescribed components in the search for free motions: any constraint suffices.
+_CERTAIN = 1e6
+# Value that keeps the comparison regular for a piece without any constraint.
+_TINY = 1e-9
+# Largest number of rigid motions that are compared together.
+_MOST = 3000
+# Latest solution: of the problem, and of the unfolded problem, for a warm start.
+_last: list[tuple[Solution, Solution]] = []
+in_child_of_fork(_last.clear)
+
+
+def solve_with_sliding(
+    problem: Problem,
+    prior: Prior | None,
+    optimizer: Optimizer | None,
+    initial: Initial | None,
+    solve: Solve,
+) -> Solution:
+    """Solve a problem with sliding parts.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : Prior, optional
+        Elastic prior; by default ``ElasticPrior()``.
+    optimizer : Optimizer, optional
+        Multigrid; by default ``Multigrid()``.
+    initial : Solution or sequence of Solution, optional
+        Warm start. Only the latest solution of sliding parts on the same grid is used.
+    solve : callable
+        Function that solves an unfolded problem.
+
+    Raises
+    ------
+    ProblemError
+        If the model does not support sliding parts, or a part can move freely.
+    """
+    elastic = ElasticPrior() if prior is None else prior
+    schedule = Multigrid() if optimizer is None else optimizer
+    _check_support(problem, elastic, schedule)
+    assert isinstance(elastic, ElasticPrior)
+    parts, of_parts = unfolded(problem, elastic)
+    _check_held(parts)
+    begin = _start(initial, parts)
+    found = solve(parts, of_parts, schedule, begin)
+    # An energy is reported per site of tissue, and a copy is no site.
+    share = np.count_nonzero(parts.tissue) / np.count_nonzero(problem.tissue)
+    solution = replace(
+        found,
+        displacement=parts.coupling.folded(found.displacement),
+        energy=found.energy * share,
+        levels=tuple(replace(level, shape=problem.shape) for level in found.levels),
+        tissue=problem.tissue,
+        loads=problem.loads,
+        elasticity=Elasticity.of_problem(problem, elastic, 1.0),
+        provenance=replace(found.provenance, inputs=problem.digests),
+    )
+    _last[:] = [(solution, found)]
+    return solution
+
+
+def _check_support(problem: Problem, prior: Prior, optimizer: Optimizer) -> None:
+    """Raise an error if parts cannot slide in this model."""
+    if not isinstance(prior, ElasticPrior) or not isinstance(optimizer, Multigrid):
+        raise ProblemError(
+            "sliding",
+            "is for ElasticPrior with Multigrid. Use this model, or remove the sliding parts.",
+        )
+    if prior.can_slip(problem):
+        raise ProblemError(
+            "sliding",
+            "cannot be used beside observations with a confidence between 0 and 1 or a finite "
+            "penalty. Use a precision instead, or a confidence of 1.",
+        )
+    if problem.landmarks is not None:
+        raise ProblemError(
+            "sliding",
+            "cannot be used with landmarks that have a standard deviation. Prescribe their motion "
+            "with a confidence of 1, or give it a precision at the sites around each landmark.",
+        )
+
+
+def _start(initial: Initial | None, parts: UnfoldedProblem) -> Solution | None:
+    """Return the solution of the unfolded problem that belongs to a warm start, or None."""
+    if initial is None or not _last:
+        return None
+    given = (initial,) if isinstance(initial, Solution) else tuple(initial)
+    folded, found = _last[0]
+    known = any(each.displacement is folded.displacement for each in given)
+    return found if known and found.tissue.shape == parts.shape else None
+
+
+def _check_held(parts: UnfoldedProblem) -> None:
+    """Raise an error if a part can move freely, on its own or with the parts around it.
+
+    The motions of all connected pieces are compared: a motion is free if no prescribed component
+    prevents it and its gaps at the interfaces are almost zero.
+    """
+    pieces, count = scipy.ndimage.label(in_elements(parts.stiffness))
+    of_sites = around_sites(pieces, np.maximum)
+    axes = of_sites.ndim
+    turns = [(i, j) for i in range(axes) for j in range(i + 1, axes)]
+    freedom = axes + len(turns)
+    held = parts.known & (of_sites > 0)[..., None]
+    extent = float(max(parts.shape))
+
+    def motions(sites: npt.NDArray[np.intp]) -> tuple[Float64Array, npt.NDArray[np.intp]]:
+        """Return the rigid motions of sites, shape (n, freedom, axes), and their pieces."""
+        index = np.stack(np.unravel_index(sites, parts.shape), axis=1)
+        piece = of_sites.ravel()[sites] - 1
+        from_middle = (index - middle[piece]) / extent
+        moves = np.zeros((len(sites), freedom, axes))
+        moves[:, range(axes), range(axes)] = 1
+        for number, (i, j) in enumerate(turns, start=axes):
+            moves[:, number, i], moves[:, number, j] = -from_middle[:, j], from_middle[:, i]
+        # Positions are in the image: boxes differ by a shift, which only changes the basis.
+        return moves, piece
+
+    middle = np.array(
+        scipy.ndimage.center_of_mass(of_sites > 0, of_sites, range(1, count + 1))
+    ).reshape(count, axes)
+    between = parts.coupling
+    coupled = (of_sites.ravel()[between.first] > 0) & (of_sites.ravel()[between.second] > 0)
+    first, second = between.first[coupled], between.second[coupled]
+    normals = between.normals[coupled]
+    one, two = motions(first), motions(second)
+    links = scipy.sparse.coo_array((np.ones(len(first)), (one[1], two[1])), shape=(count, count))
+    clusters, cluster_of = scipy.sparse.csgraph.connected_components(links, directed=False)
+    at_held = np.flatnonzero(held.any(axis=-1))
+    of_held, held_piece = motions(at_held)
+    known = held.reshape(-1, axes)[at_held]
+    data, data_piece = np.zeros((0, freedom, axes)), np.zeros(0, np.intp)
+    tensors = np.zeros((0, axes, axes))
+    if parts.precision is not None:
+        flat = parts.precision.reshape(-1, axes, axes)
+        at_data = np.flatnonzero(flat.any(axis=(1, 2)) & (of_sites.ravel() > 0))
+        data, data_piece = motions(at_data)
+        tensors = flat[at_data] / np.trace(flat[at_data], axis1=1, axis2=2)[:, None, None]
+    for cluster in range(clusters):
+        mine = np.flatnonzero(cluster_of == cluster)
+        if len(mine) * freedom > _MOST:
+            continue
+        place = np.full(count, -1)
+        place[mine] = np.arange(len(mine))
+        size = len(mine) * freedom
+        cost, scale = np.zeros((size, size)), np.zeros((size, size))
+        for moves, piece, weights in (
+            (of_held, held_piece, known[:, :, None] * np.eye(axes)),
+            (data, data_piece, tensors),
+        ):
+            here = place[piece] >= 0
+            rows = _rows(moves[here], place[piece[here]], freedom, size)
+            cost += _CERTAIN * np.einsum("nai,nij,nbj->ab", rows, weights[here], rows)
+            scale += np.einsum("nai,nbi->ab", rows, rows)
+        here = place[one[1]] >= 0
+        gaps = _rows(one[0][here], place[one[1][here]], freedom, size)
+        gaps -= _rows(two[0][here], place[two[1][here]], freedom, size)
+        along = np.einsum("nai,ni->na", gaps, normals[here])
+        cost += along.T @ along
+        scale += np.einsum("nai,nbi->ab", gaps, gaps)
+        scale += _TINY * max(float(np.trace(scale)), 1.0) * np.eye(size)
+        values, modes = scipy.linalg.eigh(cost, scale, subset_by_index=[0, 0])
+        if values[0] < _ALONG_NORMAL:
+            moved = np.abs(modes[:, 0].reshape(len(mine), freedom)).max(axis=1)
+            _refuse(parts, of_sites == 1 + mine[int(moved.argmax())])
+
+
+def _rows(
+    moves: Float64Array, place: npt.NDArray[np.intp], freedom: int, size: int
+) -> Float64Array:
+    """Return the motions of sites, shape (n, size, axes), in the numbering of a cluster."""
+    rows = np.zeros((len(moves), size, moves.shape[2]))
+    at = place[:, None] * freedom + np.arange(freedom)
+    rows[np.arange(len(moves))[:, None], at] = moves
+    return rows
+
+
+def _refuse(parts: UnfoldedProblem, piece: npt.NDArray[Any]) -> None:
+    image = parts.coupling.folded(piece)
+    centre = tuple(int(np.mean(at)) for at in np.nonzero(image))
+    raise ProblemError(
+        "sliding",
+        f"leaves a piece of tissue free: the piece of {int(image.sum())} pixels around {centre} "
+        "can slide or turn without any force. Hold or move part of it.",
+    )

@@ -1,0 +1,261 @@
+"""Unfolded problem: one field for each of the parts that slide along each other (`coupling`)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.solver.backends import volume_caches
+from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
+from napari_hmrf.solver.coupling import Box, Coupling, Index
+from napari_hmrf.solver.interface_normals import interface_normals
+from napari_hmrf.solver.loads import Loads
+from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
+from napari_hmrf.solver.priors.elastic import ElasticPrior
+from napari_hmrf.solver.problem import Problem
+
+Mask = npt.NDArray[np.bool_]
+Values = npt.NDArray[Any]
+
+#: Stiffness of a copy, relative to the part's own sites next to it. An element has the mean
+#: stiffness of its sites, so a copy adds almost nothing; 0 would remove the element.
+COPY_STIFFNESS = 1e-6
+# Number of sites around an interface that determine its normals.
+_MARGIN = 50
+
+
+class UnfoldedProblem(Problem):
+    """Problem on the unfolded grid of the parts, with their coupling.
+
+    Attributes
+    ----------
+    between : Coupling
+        Coupling of the parts.
+    """
+
+    between: Coupling
+
+    @property
+    def coupling(self) -> Coupling:
+        """Coupling of the parts."""
+        return self.between
+
+
+class _Part(NamedTuple):
+    """Part in its box: its own sites, and the copies of sites of other parts."""
+
+    number: int
+    box: Index
+    own: Mask
+    copies: Mask
+
+
+def unfolded(problem: Problem, prior: ElasticPrior) -> tuple[UnfoldedProblem, ElasticPrior]:
+    """Return the unfolded problem of sliding parts, and the prior for its grid.
+
+    Parameters
+    ----------
+    problem : Problem
+        Problem with `SlidingParts`, without landmarks.
+    prior : ElasticPrior
+    """
+    m = problem.stiffness
+    parts, between = _layout(problem)
+    boxes, grid = between.boxes, between.own.shape
+
+    def of_own(values: Values) -> Values:
+        """Return values at own sites, and 0 elsewhere."""
+        made = np.zeros((*grid, *values.shape[m.ndim :]), values.dtype)
+        for part, box in zip(parts, boxes, strict=True):
+            made[box.unfolded][part.own] = values[box.image][part.own]
+        made.setflags(write=False)
+        return made
+
+    def of_all(values: Values) -> Values:
+        """Return values at own sites, and the mean of the own sites around a copy."""
+        made = of_own(values).copy()
+        for part, box in zip(parts, boxes, strict=True):
+            _fill(made[box.unfolded], part)
+        made.setflags(write=False)
+        return made
+
+    stiffness = of_all(m).copy()
+    for part, box in zip(parts, boxes, strict=True):
+        stiffness[box.unfolded][part.copies] *= np.float32(COPY_STIFFNESS)
+    stiffness.setflags(write=False)
+    loads = problem.loads
+    if loads is not None:
+        loads = Loads(
+            growth=None if loads.growth is None else of_all(loads.growth),
+            force=None if loads.force is None else of_own(loads.force),
+            spacing=loads.spacing,
+        )
+    made = object.__new__(UnfoldedProblem)
+    for name, value in {
+        "observed": of_own(problem.observed),
+        "confidence": of_own(problem.confidence),
+        "stiffness": stiffness,
+        "spacing": problem.spacing,
+        "loads": loads,
+        "precision": None if problem.precision is None else of_own(problem.precision),
+        "landmarks": None,
+        "sliding": None,
+        "between": between,
+    }.items():
+        object.__setattr__(made, name, value)
+    if isinstance(prior.poisson, np.ndarray):
+        prior = replace(prior, poisson=of_all(prior.poisson))
+    return made, prior
+
+
+class _Layout(NamedTuple):
+    """Parts and coupling of the last problem, cached because each frame of a drag needs them."""
+
+    problem: Problem
+    parts: list[_Part]
+    between: Coupling
+
+    def is_valid_for(self, problem: Problem) -> bool:
+        """Return whether a problem has the same parts; its observations may differ."""
+        one, two = self.problem.sliding, problem.sliding
+        assert one is not None
+        assert two is not None
+        return (
+            self.problem.spacing == problem.spacing
+            and one.strength == two.strength
+            and np.array_equal(one.labels, two.labels)
+            and np.array_equal(self.problem.stiffness, problem.stiffness)
+        )
+
+
+# Layout of the last problem; used on the compute thread only.
+_last: list[_Layout] = []
+in_child_of_fork(_last.clear)
+volume_caches.register(_last.clear)
+
+
+def _layout(problem: Problem) -> tuple[list[_Part], Coupling]:
+    """Return the parts and their coupling, from the cache if possible."""
+    if not _last or not _last[0].is_valid_for(problem):
+        _last[:] = ()
+        numbers = _numbers(problem)
+        parts = list(_parts(numbers, problem.stiffness))
+        boxes = _boxes(parts)
+        ends = np.array([[side.stop for side in box.unfolded] for box in boxes])
+        own = np.zeros(tuple(map(int, ends.max(axis=0))), np.bool_)
+        for part, box in zip(parts, boxes, strict=True):
+            own[box.unfolded] = part.own
+        between = _coupling(problem, numbers, parts, boxes, own)
+        _last.append(_Layout(problem, parts, between))
+    return _last[0].parts, _last[0].between
+
+
+def _numbers(problem: Problem) -> npt.NDArray[np.intp]:
+    """Return the number of the part of each site of tissue, from 1; 0 in void."""
+    assert problem.sliding is not None
+    numbers = np.zeros(problem.shape, np.intp)
+    tissue = problem.tissue
+    numbers[tissue] = np.unique(problem.sliding.labels[tissue], return_inverse=True)[1] + 1
+    return numbers
+
+
+def _parts(numbers: npt.NDArray[np.intp], m: Values) -> Iterator[_Part]:
+    """Yield the parts; the box of a part includes its copies."""
+    for number, found in enumerate(scipy.ndimage.find_objects(numbers), start=1):
+        compute_thread.check_cancelled()
+        box = tuple(
+            slice(max(side.start - 1, 0), min(side.stop + 1, length))
+            for side, length in zip(found, numbers.shape, strict=True)
+        )
+        own = numbers[box] == number
+        elements = in_elements(m[box]) & of_corners(own, np.logical_or)
+        copies = around_sites(elements, np.logical_or) & ~own
+        yield _Part(number, box, own, copies)
+
+
+def _boxes(parts: list[_Part]) -> tuple[Box, ...]:
+    """Place the boxes below each other, with a row of void between them."""
+    boxes, start = [], 0
+    for part in parts:
+        sizes = part.own.shape
+        across = tuple(slice(0, size) for size in sizes[1:])
+        boxes.append(Box(part.box, (slice(start, start + sizes[0]), *across)))
+        start += sizes[0] + 1
+    return tuple(boxes)
+
+
+def _fill(values: Values, part: _Part) -> None:
+    """Set the values of copies to the mean of the own sites around them, in place."""
+    counts = _sums(part.own.astype(np.float64))[part.copies]
+    flat = values.reshape(*part.own.shape, -1)
+    for number in range(flat.shape[-1]):
+        total = _sums(np.where(part.own, flat[..., number], 0).astype(np.float64))
+        values.reshape(*part.own.shape, -1)[..., number][part.copies] = total[part.copies] / counts
+
+
+def _sums(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the sums over each site and the sites around it."""
+    return np.asarray(scipy.ndimage.convolve(values, np.ones((3,) * values.ndim), mode="constant"))
+
+
+def _coupling(
+    problem: Problem,
+    numbers: npt.NDArray[np.intp],
+    parts: list[_Part],
+    boxes: tuple[Box, ...],
+    own: Mask,
+) -> Coupling:
+    """Return the coupling of each copy with the site that it copies."""
+    axes, m = numbers.ndim, problem.stiffness
+    at: list[Values] = []
+    second: list[Values] = []
+    of_copy: list[Values] = []
+    for part, box in zip(parts, boxes, strict=True):
+        inside = np.argwhere(part.copies)
+        at.append(inside + np.array([side.start for side in box.image]))
+        origin = np.array([side.start for side in box.unfolded])
+        second.append(np.ravel_multi_index(tuple((inside + origin).T), own.shape))
+        of_copy.append(np.full(len(inside), part.number))
+    sites, copied = np.concatenate(at), np.concatenate(of_copy)
+    owner = numbers[tuple(sites.T)]
+    first = np.zeros(len(sites), np.intp)
+    soft = np.full(len(sites), np.inf)
+    for part, box in zip(parts, boxes, strict=True):
+        start = np.array([side.start for side in box.image])
+        move = np.array([side.start for side in box.unfolded]) - start
+        mine = owner == part.number
+        first[mine] = np.ravel_multi_index(tuple((sites[mine] + move).T), own.shape)
+        near = scipy.ndimage.maximum_filter(np.where(part.own, m[box.image], 0), 3)
+        both = mine | (copied == part.number)
+        soft[both] = np.minimum(soft[both], near[tuple((sites[both] - start).T)])
+    normals = np.zeros((len(sites), axes))
+    low, high = np.minimum(owner, copied), np.maximum(owner, copied)
+    for one, two in np.unique(np.stack([low, high], axis=1), axis=0):
+        compute_thread.check_cancelled()
+        mine = (low == one) & (high == two)
+        normals[mine] = _normals(numbers, int(one), int(two), sites[mine], problem.spacing)
+    assert problem.sliding is not None
+    strength = problem.sliding.strength * soft * problem.unit ** (axes - 2)
+    return Coupling(first, np.concatenate(second), normals, strength, m, boxes, own)
+
+
+def _normals(
+    numbers: npt.NDArray[np.intp],
+    one: int,
+    two: int,
+    sites: npt.NDArray[np.intp],
+    spacing: tuple[float, ...],
+) -> npt.NDArray[np.float64]:
+    """Return the normals of the interface between two parts, from a box around its sites."""
+    size = np.asarray(spacing) / max(spacing)
+    margin = np.ceil(_MARGIN / size).astype(int)
+    low = np.maximum(sites.min(axis=0) - margin, 0)
+    high = np.minimum(sites.max(axis=0) + margin + 1, numbers.shape)
+    near = numbers[tuple(itertools.starmap(slice, zip(low, high, strict=True)))]
+    return interface_normals(near == one, near == two, sites - low, spacing)

@@ -1,0 +1,194 @@
+"""Parts of the tissue that slide along each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, ProblemError, SeilerPrior, solve
+from napari_hmrf.landmarks import Landmarks
+from napari_hmrf.loads import Loads
+from napari_hmrf.solver.coupling import Coupling
+from napari_hmrf.solver.unfolded import unfolded
+from napari_hmrf.tissue import SlidingParts
+from tests.support.sliding_oracle import least_energy
+
+SLIP = 4.0
+
+
+def tilted(degrees, size=64):
+    """Return the depth of sites below a tilted plane, its normal and its direction."""
+    angle = np.radians(degrees)
+    normal = np.array([np.cos(angle), -np.sin(angle)])
+    along = np.array([np.sin(angle), np.cos(angle)])
+    place = np.moveaxis(np.indices((size, size)), 0, -1) - (size - 1) / 2
+    return place @ normal - 0.2, normal, along
+
+
+def both(mask, axes=2):
+    """Return a confidence of 1 in all components at the sites of a mask."""
+    return np.repeat(mask[..., None], axes, axis=-1).astype(float)
+
+
+def turning(size, radius, axes):
+    """Return the distance from the middle, the mask of a ball and its rotation."""
+    place = np.moveaxis(np.indices((size,) * axes), 0, -1) - (size - 1) / 2 - 0.15
+    away = np.linalg.norm(place, axis=-1)
+    turn = np.zeros(place.shape)
+    turn[..., -2], turn[..., -1] = -place[..., -1], place[..., -2]
+    return away, away < radius, turn * SLIP / radius
+
+
+@pytest.mark.parametrize("degrees", [0, 17, 45])
+def test_a_block_slides_along_a_tilted_plane_without_a_gap(degrees):
+    depth, normal, along = tilted(degrees)
+    above = depth < 0
+    y = np.where(above[..., None], SLIP * along, 0.0)
+    parts = SlidingParts(above.astype(int))
+    problem = Problem(y, both(abs(depth) > 20), np.ones(depth.shape), sliding=parts)
+    error = solve(problem, backend="cpu").displacement - y
+    assert abs(error @ along).max() <= 0.05 * SLIP
+    near = abs(depth) < 3
+    near[:8] = near[-8:] = near[:, :8] = near[:, -8:] = False
+    assert abs(error[near] @ normal).max() <= 0.05
+    assert abs(error[near]).max() <= 0.05  # no kink along the interface
+
+
+def test_a_pushed_block_climbs_a_wedge():
+    depth, _, along = tilted(17)
+    rows, cols = np.indices(depth.shape)
+    block = (depth < 0) & (cols > 17) & (cols < 44) & (rows > 16)
+    pushed = block & (cols == 18)
+    y, c = np.zeros((64, 64, 2)), both(rows == 63)
+    y[pushed, 1], c[pushed, 1] = SLIP, 1  # horizontally; free to rise
+    tissue = block | (depth >= 0)
+    problem = Problem(y, c, tissue, sliding=SlidingParts((depth < 0).astype(int)))
+    moved = solve(problem, backend="cpu").displacement
+    assert abs(moved[block] - SLIP / along[1] * along).max() <= 0.05
+    assert abs(moved[depth > 0]).max() <= 0.05
+
+
+@pytest.mark.parametrize(("axes", "size", "radius"), [(2, 64, 20), (3, 24, 8)])
+def test_a_disc_turns_in_a_ring_and_a_ball_in_a_shell(axes, size, radius):
+    away, inside, turn = turning(size, radius, axes)
+    held = away < radius / 3
+    for axis in range(axes):
+        held.swapaxes(0, axis)[[0, -1]] = True
+    y = np.where(inside[..., None], turn, 0.0)
+    parts = SlidingParts(inside.astype(int))
+    problem = Problem(y, both(held, axes), np.ones(away.shape), sliding=parts)
+    moved = solve(problem, backend="cpu").displacement
+    shell = abs(away - radius) < 3
+    fast = inside & shell & (np.linalg.norm(turn, axis=-1) > SLIP / 2)
+    share = (moved * turn).sum(axis=-1)[fast] / (turn**2).sum(axis=-1)[fast]
+    assert share.min() >= 0.95
+    assert abs(moved - y)[shell].max() <= (0.05 if axes == 2 else 0.15)
+
+
+@pytest.mark.parametrize("degrees", [0, 17, 45])
+def test_pressure_passes_through_an_interface_of_any_direction(degrees):
+    """A block of two parts is compressed along the normal, and slips at the same time."""
+    depth, normal, along = tilted(degrees)
+    above = depth < 0
+    y = 0.05 * depth[..., None] * normal + np.where(above[..., None], SLIP * along, 0.0)
+    edge = np.ones(depth.shape, np.bool_)
+    edge[1:-1, 1:-1] = False
+    parts = SlidingParts(above.astype(int))
+    problem = Problem(y, both(edge), np.ones(depth.shape), sliding=parts)
+    error = solve(problem, ElasticPrior(0.0), backend="cpu").displacement - y
+    assert abs(error).max() <= 0.06
+
+
+@pytest.mark.parametrize(
+    ("grid", "spacing", "count"),
+    [((30, 40), (1, 1), 2), ((28, 24), (1, 2), 4), ((11, 12, 13), (1, 1, 1), 3)],
+)
+def test_sliding_parts_give_the_field_of_least_energy(grid, spacing, count):
+    rng, axes = np.random.default_rng(count), len(grid)
+    place = np.moveaxis(np.indices(grid), 0, -1)
+    seeds = rng.random((count, axes)) * grid
+    labels = np.linalg.norm(place[..., None, :] - seeds, axis=-1).argmin(axis=-1)
+    m = (10.0 ** rng.uniform(0, 2, count))[labels] * rng.uniform(1, 2, grid)
+    m[(slice(6, 9),) * axes] = 0
+    y, c = rng.normal(size=(*grid, axes)), both(rng.random(grid) < 0.2, axes)
+    force = rng.normal(size=y.shape) * (m > 0)[..., None]
+    problem = Problem(
+        y,
+        c,
+        m,
+        spacing=spacing,
+        loads=Loads(force=force, growth=0.05 * rng.random(grid)),
+        precision=rng.random(grid) * (rng.random(grid) < 0.1),
+        sliding=SlidingParts(labels),
+    )
+    prior = ElasticPrior(rng.uniform(0.2, 0.45, grid))
+    solution = solve(problem, prior, backend="cpu")
+    error = abs(solution.displacement - least_energy(problem, prior)).max() / problem.unit
+    assert error <= 1e-3
+    assert solution.convergence.error <= 1e-3
+    again = solve(problem, prior, backend="cpu", initial=solution)
+    assert len(again.energy) <= 2  # at most one cycle is left to do
+
+
+def test_the_coupling_is_the_gradient_of_its_energy_and_resists_gaps_only():
+    away, inside, _ = turning(16, 5, 2)
+    rest = np.zeros((16, 16, 2))
+    labels = SlidingParts(inside.astype(int))
+    problem = Problem(rest, both(away > 7), np.ones(away.shape), sliding=labels)
+    parts, _ = unfolded(problem, ElasticPrior(0.3))
+    between: Coupling = parts.coupling
+    rng = np.random.default_rng(0)
+    d, way = rng.normal(size=(2, *parts.observed.shape))
+    slope = (between.energy(d + 1e-4 * way) - between.energy(d - 1e-4 * way)) / 2e-4
+    assert slope == pytest.approx((between.forces(d) * way).sum(), rel=1e-6)
+    slip = np.zeros(parts.observed.shape).reshape(-1, 2)
+    slip[between.second] = between.normals[:, ::-1] * (1, -1)
+    assert between.energy(slip.reshape(d.shape)) <= 1e-9 * between.energy(d)
+
+
+@pytest.mark.parametrize("contrast", [1.0, 10.0, 1000.0])
+def test_sliding_takes_at_most_twice_the_cycles_of_connected_tissue(contrast):
+    away, inside, turn = turning(64, 20, 2)
+    held = both((away < 6) | (away > 31))
+    m, y = np.where(inside, 1.0, contrast), np.where(inside[..., None], turn, 0.0)
+    counts = [
+        len(solve(Problem(y, held, m, sliding=parts), backend="cpu").energy) - 1
+        for parts in (SlidingParts(inside.astype(int)), None)
+    ]
+    assert counts[0] <= 2 * counts[1]
+
+
+def test_a_part_that_nothing_holds_is_named():
+    away, inside, _ = turning(40, 12, 2)
+    rest, parts = np.zeros((40, 40, 2)), SlidingParts(inside.astype(int))
+    with pytest.raises(ProblemError, match=r"around \(19, 19\).*slide or turn"):
+        solve(Problem(rest, both(away > 19), np.ones(away.shape), sliding=parts), backend="cpu")
+
+
+def test_parts_that_cannot_slide_are_refused_with_the_reason():
+    rest, one = np.zeros((20, 20, 2)), np.ones((20, 20))
+    labels = (np.arange(20) < 10) * np.ones((20, 1), int)
+    parts = SlidingParts(labels)
+    held = both(labels < 2)
+
+    def problem(c=held, m=one, sliding=parts, **more):
+        return Problem(rest, c, m, sliding=sliding, **more)
+
+    with pytest.raises(ProblemError, match=r"shape \(10, 20\)"):
+        problem(sliding=SlidingParts(labels[:10]))
+    with pytest.raises(ProblemError, match="label 1, so that nothing slides"):
+        problem(sliding=SlidingParts(np.ones((20, 20), int)))
+    with pytest.raises(ProblemError, match="rigid"):
+        problem(m=np.where(labels, 1.0, np.inf))
+    with pytest.raises(ProblemError, match=r"Pass SlidingParts\(labels\)"):
+        problem(sliding=labels)
+    for prior in (SeilerPrior(), NeoHookeanPrior()):
+        with pytest.raises(ProblemError, match="is for ElasticPrior"):
+            solve(problem(), prior, backend="cpu")
+    with pytest.raises(ProblemError, match="confidence between 0 and 1"):
+        solve(problem(0.5 * held), backend="cpu")
+    marks = Landmarks([[5.0, 5.0]], [[6.0, 5.0]], sd=1.0)
+    with pytest.raises(ProblemError, match="landmarks that have a standard deviation"):
+        solve(problem(landmarks=marks), backend="cpu")
+    with pytest.raises(ProblemError, match="energy of one displacement is not available"):
+        ElasticPrior().energy(problem(), rest)
