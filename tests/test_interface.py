@@ -49,6 +49,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "Problem": 3,
     "RandomDeformation": 2,
     "SeilerPrior": 0,
+    "SlidingParts": 1,
     "StrainScale": 1,
     "StiffnessCurve": 1,
     "Warper": 1,

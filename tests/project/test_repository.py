@@ -56,7 +56,7 @@ LATE = {
     "solver/solution.py": {"field", "io", "study"},
     "study/study.py": {"io"},
     # Names of a public package, which is a level, too.
-    "tissue/__init__.py": {"field", "io", "tissue"},
+    "tissue/__init__.py": {"field", "io", "solver", "tissue"},
 }
 #: Modules started by users, napari and other processes.
 ENTRIES = {"__init__", "__main__", "cli", "command_line", "compiling", "contributions"}
