@@ -1,13 +1,14 @@
 """Parts that slide along each other: two fields beside a layer that is soft in shear.
 
-    python -m benchmarks.sliding_interfaces [rivals] [cycles] [normals] [errors]
+    python -m benchmarks.sliding_interfaces [rivals] [spheres] [cycles] [normals] [errors]
 
 `rivals` moves blocks along tilted planes and up a wedge, and turns a disc in a ring; the exact
 motion is rigid on both sides. It prints the slip as a fraction of the exact slip, the gap along the
 normal and the kink of two rivals: one field for each part, and a layer of elements between the
-parts that transmits only forces along the normal. `cycles` compares the numbers of cycles and the
-times with those of connected tissue, in images and volumes. `normals` prints the errors of normals
-that are fitted to labels, and `errors` compares random problems with sparse direct solutions.
+parts that transmits only forces along the normal. `spheres` turns a ball in a shell. `cycles`
+compares the numbers of cycles and the times with those of connected tissue, in images and volumes.
+`normals` prints the errors of normals that are fitted to labels, beside those of blurred labels.
+`errors` compares random problems with sparse direct solutions.
 """
 
 from __future__ import annotations
@@ -226,8 +227,8 @@ def measure(case: Case, field: Array) -> tuple[float, float, float]:
     return worst, float(gaps.max()), kink
 
 
-def _field(case: Case, *, connected: bool = False) -> Solution:
-    return solve(case.problem(connected=connected), ElasticPrior(_NU), backend="cpu")
+def _field_of(problem: Problem) -> Solution:
+    return solve(problem, ElasticPrior(_NU), backend="cpu")
 
 
 def rivals() -> None:
@@ -235,7 +236,7 @@ def rivals() -> None:
     print("| case | method | slip | gap (px) | kink (px) |\n| --- | --- | --- | --- | --- |")
     for case in (plane(0), plane(17), plane(45), wedge(), disc(20.3)):
         fields = {
-            "two fields": _field(case).displacement.astype(float),
+            "two fields": _field_of(case.problem()).displacement.astype(float),
             "layer, shear 1e-2": layer(case, 1e-2, along=False),
             "layer, shear 1e-4": layer(case, 1e-4, along=False),
             "layer, shear 1e-4, stiff along": layer(case, 1e-4, along=True),
@@ -263,6 +264,22 @@ def _ball(size: int) -> tuple[Problem, Problem]:
     )
 
 
+def spheres() -> None:
+    """Print slip and gap of a ball that turns in a shell."""
+    print("| ball | slip | gap | along |\n| --- | --- | --- | --- |")
+    for size in (24, 36, 48):
+        problem, _ = _ball(size)
+        place = np.moveaxis(np.indices((size,) * 3), 0, -1) - (size - 1) / 2
+        away, radius = np.linalg.norm(place, axis=-1), 0.32 * size
+        turn = 0.1 * np.stack([0 * away, -place[..., 2], place[..., 1]], axis=-1)
+        field = _field_of(problem).displacement
+        near, inner = np.abs(away - radius) < 1.5, away < radius
+        fast = near & inner & (np.linalg.norm(turn, axis=-1) > 0.05 * radius)
+        slips = ((field * turn).sum(axis=-1) / np.maximum((turn**2).sum(axis=-1), 1e-9))[fast]
+        gap = np.abs((field * place).sum(axis=-1) / away)[near].max()
+        print(f"| radius {radius:.1f} | {slips.min():.3f} | {gap:.3f} px | {0.1 * radius:.1f} px |")
+
+
 def cycles() -> None:
     """Print the numbers of cycles and the times beside those of connected tissue."""
     print("| case | cycles | connected | time, as a ratio |\n| --- | --- | --- | --- |")
@@ -276,7 +293,7 @@ def cycles() -> None:
             times = []
             for _ in range(3):
                 begun = time.perf_counter()
-                found = solve(problem, ElasticPrior(_NU), backend="cpu")
+                found = _field_of(problem)
                 times.append(time.perf_counter() - begun)
             counts.append(len(found.energy) - 1)
             seconds.append(min(times))
@@ -326,23 +343,39 @@ def errors(count: int = 24) -> None:
     print(f"beyond the reported error; up to {max(cycles for *_, cycles in found)} cycles")
 
 
+def _blurred(case: Case, sites: npt.NDArray[np.intp]) -> Array:
+    """Return the normals of a label that is blurred by 3 pixels."""
+    blurred = scipy.ndimage.gaussian_filter(np.where(case.inner, -1.0, 0.0), 3, mode="nearest")
+    slopes = np.stack(np.gradient(blurred), axis=-1)[tuple(sites.T)]
+    return np.asarray(slopes / np.linalg.norm(slopes, axis=1, keepdims=True))
+
+
 def normals() -> None:
-    """Print the errors of fitted normals."""
-    print("| interface | mean error (degrees) | largest error |\n| --- | --- | --- |")
+    """Print the mean and the largest errors of fitted and of blurred normals, in degrees."""
+    print("| interface | fitted, mean | largest | blurred, mean | largest |")
+    print("| --- | --- | --- | --- | --- |")
     cases = [plane(angle) for angle in (0, 2, 5, 17, 30, 45)]
     for case in cases + [disc(radius) for radius in (5.3, 9.3, 14.7, 20.3, 26.4)]:
         sites = np.unique(np.round(case.points).astype(int), axis=0)
-        fitted = interface_normals(case.inner, ~case.inner, sites, (1.0, 1.0))
         true = case.normals[scipy.spatial.cKDTree(case.points).query(sites)[1]]
-        cosine = np.clip((fitted * true).sum(axis=1), -1, 1)
-        degrees = np.degrees(np.arccos(cosine))
-        print(f"| {case.name} | {degrees.mean():.2f} | {degrees.max():.2f} |")
+        fitted = interface_normals(case.inner, ~case.inner, sites, (1.0, 1.0))
+        row = []
+        for found in (fitted, _blurred(case, sites)):
+            degrees = np.degrees(np.arccos(np.clip((found * true).sum(axis=1), -1, 1)))
+            row += [f"{degrees.mean():.2f}", f"{degrees.max():.2f}"]
+        print(f"| {case.name} | {' | '.join(row)} |")
 
 
 def main() -> None:
     """Run the chosen parts, or all of them."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parts = {"rivals": rivals, "cycles": cycles, "normals": normals, "errors": errors}
+    parts = {
+        "rivals": rivals,
+        "spheres": spheres,
+        "cycles": cycles,
+        "normals": normals,
+        "errors": errors,
+    }
     parser.add_argument("parts", nargs="*", choices=[*parts, []], default=list(parts))
     for name in parser.parse_args().parts or parts:
         parts[name]()
