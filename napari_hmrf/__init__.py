@@ -28,7 +28,7 @@ package                  contents
 napari_hmrf              problems, studies, models, solvers, results, errors
 napari_hmrf.fields       image warping, strain, folds, inverse fields, field files, movies
 napari_hmrf.tissue       materials with published stiffness; stiffness from labels and intensities
-napari_hmrf.loads        growth, weight, pressure, traction, reaction forces
+napari_hmrf.loads        growth, weight, pressure, traction, cavities, reaction forces
 napari_hmrf.landmarks    landmark files
 napari_hmrf.cases        batches of cases, solved in parallel
 napari_hmrf.random       random deformations for data augmentation and registration validation
@@ -67,6 +67,7 @@ from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 
 __version__ = "0.1.0"
@@ -78,6 +79,7 @@ __all__ = [
     "BackendError",
     "BoundaryRule",
     "Cancelled",
+    "Cavity",
     "ConvergenceError",
     "Drawing",
     "ElasticPrior",

@@ -285,6 +285,7 @@ def _solve(options: argparse.Namespace) -> int:
         budget=options.budget,
         penalty=options.penalty,
         weight=options.weight or (),
+        cavity=options.cavity,
     )
     with _shown_progress() as progress:
         solved = solve_case(

@@ -408,6 +408,14 @@ def _add_solve(commands: Commands) -> None:
         "as 0.00981/0 for water in kPa and mm; if the first number is negative, use an equals "
         "sign: --weight=-0.01/0",
     )
+    solve.add_argument(
+        "--cavity",
+        type=energy_option("cavity"),
+        metavar="PRESSURE/FLUID/LEVEL",
+        help="pressure, in units of stiffness, and fluid on the surface where a rule removes "
+        "tissue: weight of the fluid per volume, as in --weight, and its level as a fraction of "
+        "the height of the cavity, such as 0/0.00981/0.5 (default: nothing acts there)",
+    )
     _add_backend(solve)
 
 

@@ -1,4 +1,4 @@
-"""Loads on tissue (growth, weight, pressure and traction) and reaction forces.
+"""Loads on tissue (growth, weight, pressure, traction and cavities) and reaction forces.
 
 Loads are passed to a `Problem` as its argument `loads`. The operator ``+`` adds two loads::
 
@@ -10,8 +10,8 @@ Loads are passed to a `Problem` as its argument `loads`. The operator ``+`` adds
 A `Study` derives its loads from its `Material`, `BoundaryRule` and `Motion`.
 """
 
-from napari_hmrf.solver.body_forces import pressure, traction, weight
+from napari_hmrf.solver.body_forces import cavity, pressure, traction, weight
 from napari_hmrf.solver.loads import Loads, growth
 from napari_hmrf.solver.reactions import reactions
 
-__all__ = ["Loads", "growth", "pressure", "reactions", "traction", "weight"]
+__all__ = ["Loads", "cavity", "growth", "pressure", "reactions", "traction", "weight"]

@@ -34,6 +34,8 @@ TERMS: dict[str, Term] = {
     "model='elastic'": Term("--model elastic", ""),
     "drift=False": Term("", "'affine drift' off"),
     "measured=None": Term("", "'Unregister'"),
+    "weight=...": Term("--weight", "'gravity'"),
+    "weight=..., cavity=...": Term("--weight, --cavity", "'gravity', 'cavity'"),
     "sd=0": Term("a file without this column", ""),
     "penalty=None": Term(
         "without --penalty", "'spring strength' under 'Advanced' at 'by confidence'"

@@ -71,6 +71,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "pressure": 3,
     "sliding_precision": 2,
     "reactions": 3,
+    "cavity": 2,
     "traction": 3,
     "weight": 2,
     "write_movie": 3,
@@ -163,7 +164,7 @@ def test_optional_arguments_are_keyword_only(name, count):
 def test_every_callable_with_options_is_in_the_list():
     """Except `phantom(name, size)` and records: rows of tables, marks, studies and results."""
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
-    records |= {"Study", "Grid", "Frame", "Tissue", "Motion", "Pictures"}
+    records |= {"Study", "Grid", "Frame", "Tissue", "Motion", "Cavity", "Pictures"}
     records |= {"Field", "LandmarkFile", "Measurement", "NamedMaterials"}
     records |= {"BatchProgress", "Case", "CaseOutcome", "NamedCase", "Update"}
     records |= {"Drawing", "Arrow", "Landmark", "Stroke"}

@@ -18,7 +18,7 @@ from napari_hmrf.field.quantities import (
     within,
     without_folds,
 )
-from napari_hmrf.field.resample import emptiness
+from napari_hmrf.field.resample import emptiness, without_removed
 from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.solver.solution import Solution
@@ -59,7 +59,8 @@ class Moment:
 class Motion:
     """Motion from the state at rest to a solution, as a function of a fraction f.
 
-    At fraction f, the tissue with reference position X is at X + f d(X).
+    At fraction f, the tissue with reference position X is at X + f d(X). At fraction 0, removed
+    tissue is visible; above 0, it is not.
 
     Attributes
     ----------
@@ -108,6 +109,8 @@ class Motion:
                 self._warper.replace(len(self._pictures) - 1, self._overlaid(values))
             moved = self._warper(solution.displacement, solution.tissue, fraction)
             parts = dict(zip(self._pictures, moved, strict=True))
+            if fraction == 0:
+                parts |= self._intact
         if self.overlay is not None and self.overlay.dtype == bool:
             parts["overlay"] = moved_marks(solution, self.overlay, fraction)
         moment = Moment(**parts, grid=moved_grid(solution, fraction) if self.grid else None)
@@ -133,12 +136,23 @@ class Motion:
     def _cache(self) -> dict[float, Moment]:
         return {}
 
+    @property
+    def _intact(self) -> dict[str, npt.NDArray[Any]]:
+        """Pictures with the removed tissue before the motion; empty if no tissue is removed."""
+        if self.solution.removed is None:
+            return {}
+        parts = {"image": self.image}
+        if self.overlay is not None and self.overlay.dtype.kind in "iu":
+            parts["overlay"] = self.overlay
+        return {name: part.copy() for name, part in parts.items() if part is not None}
+
     @cached_property
     def _pictures(self) -> dict[str, Picture]:
         pictures = {}
         if self.image is not None:
             fill = emptiness(self.image, self.solution.tissue.ndim)
-            pictures["image"] = Picture(self.image, order=1, fill=fill)
+            remaining = without_removed(self.image, self.solution.removed, fill)
+            pictures["image"] = Picture(remaining, order=1, fill=fill)
         if self.overlay is not None and self.overlay.dtype != bool:
             whole = self._values_at(1, self.overlay) if self.quantity else self.overlay
             pictures["overlay"] = self._overlaid(whole)
@@ -146,7 +160,7 @@ class Motion:
 
     def _overlaid(self, values: npt.NDArray[Any]) -> Picture:
         if values.dtype.kind != "f":
-            return Picture(values, order=0, fill=0)
+            return Picture(without_removed(values, self.solution.removed, 0), order=0, fill=0)
         if self.quantity is None or values.ndim == 2:
             return Picture(values, order=0, fill=np.nan)
         # In a 3-D view, vispy may draw NaN next to tissue in the colour of an end of the scale.

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.field.live_warp import Picture, Warper
-from napari_hmrf.field.resample import emptiness
+from napari_hmrf.field.resample import emptiness, mask_on_finer_grid, without_removed
 from napari_hmrf.field.volume_preview import CutPlane, VolumePreview
 from napari_hmrf.solver.solution import Solution
 
@@ -23,6 +23,8 @@ class MovedPictures:
     """
 
     def __init__(self) -> None:
+        # Image without removed tissue, with the image and the mask from which it was computed.
+        self._emptied: tuple[Array, Array, Array] | None = None
         self._warper: tuple[Array | None, tuple[Picture, ...], Warper] | None = None
         # For a volume: axis perpendicular to the displayed slices, the image, and the warper.
         self._slicer: tuple[int, Array, Warper] | None = None
@@ -50,6 +52,7 @@ class MovedPictures:
             return image, tuple(np.array(picture.image) for picture in over)
         if image is None and not over:
             return None, ()
+        image = self._without(image, solution.removed)
         d, tissue, known = solution.displacement, solution.tissue, self._warper
         if known is None or known[0] is not image or known[1] != over:
             shown = [] if image is None else [Picture(image, fill=emptiness(image, tissue.ndim))]
@@ -67,6 +70,7 @@ class MovedPictures:
         tissue: npt.NDArray[np.bool_],
         spacing: Sequence[float],
         every: int,
+        removed: npt.NDArray[np.bool_] | None = None,
     ) -> Array:
         """Warp one slice of a volume by a displacement on a coarse grid.
 
@@ -82,11 +86,14 @@ class MovedPictures:
             Size of a voxel along each axis.
         every : int
             Step between the voxels of the displacement along each axis.
+        removed : ndarray of bool, shape (D, H, W), optional
+            Mask of removed tissue, which the slice does not show.
 
         Returns
         -------
         ndarray, shape of the slice
         """
+        image = self._without(image, removed)
         order = (axis, *(each for each in range(3) if each != axis))
         known = self._slicer
         if known is None or known[0] != axis or known[1] is not image:
@@ -123,6 +130,9 @@ class MovedPictures:
         ndarray
             Values at `CutPlane.voxels` of the plane, or the volume at the sites of the coarse grid.
         """
+        if solution is not None and solution.removed is not None:
+            removed = mask_on_finer_grid(solution.removed, image.shape[:3], every)
+            image = self._without(image, removed)
         known = self._preview
         if known is None or known.image is not image or known.every != every:
             known = self._preview = VolumePreview(image, every, spacing)
@@ -134,3 +144,13 @@ class MovedPictures:
         if cut is None:
             return known.coarse(solution.displacement, solution.tissue)
         return known.cut(solution.displacement, solution.tissue, cut)
+
+    def _without(self, image: Any, removed: npt.NDArray[np.bool_] | None) -> Any:
+        """Return an image without removed tissue, as the same array while both are unchanged."""
+        if image is None or removed is None:
+            return image
+        known = self._emptied
+        if known is None or known[0] is not image or not np.array_equal(known[1], removed):
+            fill = emptiness(image, removed.ndim)
+            known = self._emptied = (image, removed, without_removed(image, removed, fill))
+        return known[2]

@@ -185,7 +185,7 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
     solution : Solution
         Solution on the coarser grid, ([d,] h, w).
     tissue : ndarray of bool, shape ([D,] H, W)
-        Tissue on the finer grid.
+        Tissue on the finer grid, including tissue that is removed.
     step : int
         Distance between neighbouring sites of the solution along each axis, in pixels.
 
@@ -202,14 +202,60 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
     ]
     d = np.where(tissue[..., None], np.stack(finer, axis=-1), np.float32(0))
     spacing = tuple(size / step for size in solution.spacing)
-    nearest = np.ix_(
-        *(
-            np.minimum(np.rint(np.arange(size) / step).astype(np.intp), last - 1)
-            for size, last in zip(shape, solution.tissue.shape, strict=True)
-        )
-    )
+    nearest = _nearest_sites(solution.tissue.shape, shape, step)
     elasticity = solution.elasticity and solution.elasticity.mapped(lambda each: each[nearest])
-    return replace(solution, displacement=d, tissue=tissue, spacing=spacing, elasticity=elasticity)
+    removed = None if solution.removed is None else solution.removed[nearest] & tissue
+    if removed is not None:
+        tissue = tissue & ~removed
+        d[removed] = 0
+    return replace(
+        solution,
+        displacement=d,
+        tissue=tissue,
+        spacing=spacing,
+        elasticity=elasticity,
+        removed=removed,
+    )
+
+
+def mask_on_finer_grid(mask: BoolArray, shape: tuple[int, ...], step: int) -> BoolArray:
+    """Return a mask on every `step`-th pixel, repeated for all pixels of a finer grid."""
+    finer: BoolArray = mask[_nearest_sites(mask.shape, shape, step)]
+    return finer
+
+
+def _nearest_sites(
+    sites: tuple[int, ...], shape: tuple[int, ...], step: int
+) -> tuple[npt.NDArray[np.intp], ...]:
+    """Return the index of the nearest site of a coarser grid for each pixel of a finer grid."""
+    lines = (
+        np.minimum(np.rint(np.arange(size) / step).astype(np.intp), last - 1)
+        for size, last in zip(shape, sites, strict=True)
+    )
+    return np.ix_(*lines)
+
+
+def without_removed(picture: npt.ArrayLike, removed: BoolArray | None, fill: float) -> Any:
+    """Return a picture with the pixels of removed tissue replaced, to warp the remaining tissue.
+
+    Parameters
+    ----------
+    picture : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
+    removed : ndarray of bool, shape ([D,] H, W), optional
+        Mask of the removed tissue; None to return the picture itself.
+    fill : float
+        Value of the replaced pixels.
+
+    Raises
+    ------
+    ProblemError
+        If the picture does not have the pixel grid of the mask.
+    """
+    if removed is None:
+        return picture
+    remaining = np.array(as_image(picture, removed.shape))
+    remaining[removed] = checked_fill(fill, remaining.dtype)
+    return remaining
 
 
 def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:

@@ -18,7 +18,7 @@ from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
-from napari_hmrf.field.resample import unknown_values
+from napari_hmrf.field.resample import unknown_values, without_removed
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.fields import Place, placed, read_field, write_field
 from napari_hmrf.io.images import SAME, ImageFile, read_image, write_image
@@ -70,6 +70,8 @@ class FieldFile:
         Unit of `place`; "pixel" if the pixel size is unknown.
     is_placed : bool
         False if the file stores no place. `place` is then at the origin, aligned with the axes.
+    removed : ndarray of bool or None
+        Mask of removed tissue, which moved images do not show; None if no tissue is removed.
     """
 
     field: DisplacementField
@@ -77,6 +79,7 @@ class FieldFile:
     tissue: npt.NDArray[np.bool_] | None = None
     unit: str = "millimeter"
     is_placed: bool = True
+    removed: npt.NDArray[np.bool_] | None = None
 
     @classmethod
     def of(cls, solution: Solution) -> FieldFile:
@@ -85,7 +88,8 @@ class FieldFile:
         sizes = place.spacing[-solution.tissue.ndim :]
         unit = "pixel" if Frame.of_solution(solution).unit == "pixel" else "millimeter"
         field = DisplacementField(d, sizes)
-        return cls(field, place, solution.tissue, unit, bool(solution.frame))
+        is_placed, removed = bool(solution.frame), solution.removed
+        return cls(field, place, solution.tissue, unit, is_placed, removed)
 
     @property
     def in_patient(self) -> Place | None:
@@ -268,7 +272,8 @@ def _note_on_labels(pixels: Pixels, name: str) -> str:
 
 
 def _warp_pixels(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
-    return warp(pixels, field.displacement, spacing=field.spacing, order=order, tissue=field.tissue)
+    remaining, d = without_removed(pixels, field.removed, 0), field.displacement
+    return warp(remaining, d, spacing=field.spacing, order=order, tissue=field.tissue)
 
 
 def _sample_backward(field: FieldFile, pixels: Pixels, order: int) -> Pixels:

@@ -40,6 +40,7 @@ from napari_hmrf.tissue.boundary_rules import (
     Material,
     unlisted,
 )
+from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.tissue_maps import MapRange, most_likely, scale_in_words, scale_of
@@ -83,7 +84,10 @@ def read_case(case: Case) -> Study:
     materials, unit, notes = _materials(case.materials, labels)
     notes = (*notes, *filter(None, [scale_in_words(scale)]))
     motion = replace(
-        _motion(case, grid, place, whole), hold_edge=case.hold_edge, weight=weight_of(case, grid)
+        _motion(case, grid, place, whole),
+        hold_edge=case.hold_edge,
+        weight=weight_of(case, grid),
+        cavity=case.cavity or Cavity(),
     )
     prior, optimizer = energy_of(case, volume=len(grid.shape) == 3)
     tissue = Tissue(labels=labels, materials=materials, unit=unit)

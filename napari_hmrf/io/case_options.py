@@ -20,6 +20,7 @@ from napari_hmrf.tissue.boundary_rules import (
     default_material,
     unlisted,
 )
+from napari_hmrf.tissue.cavity import Cavity
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ class Case:
         model.
     weight : tuple of float
         Body force on elastic tissue along each axis, in units of stiffness per length.
+    cavity : Cavity, optional
+        Pressure and fluid that act where a boundary rule removes tissue; by default, nothing.
     """
 
     image: Path
@@ -89,6 +92,7 @@ class Case:
     budget: float | None = None
     penalty: float | None = None
     weight: tuple[float, ...] = ()
+    cavity: Cavity | None = None
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -137,6 +141,7 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
             "plane stress and plane strain are defined for slices only",
         ),
         (bool(case.weight), "--weight", elastic, "the paper's model does not support forces"),
+        (bool(case.cavity), "--cavity", elastic, "the paper's model does not support forces"),
         (
             case.tolerance is not None,
             "--tolerance",

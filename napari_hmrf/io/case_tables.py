@@ -5,7 +5,7 @@ A table can have the following columns:
 - the ``name`` of the case;
 - the input and options of ``napari-hmrf solve``: ``image`` or ``study``, ``labels``, ``maps``,
   ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
-  ``model``, ``plane``, ``tolerance``, ``budget``, ``penalty`` and ``weight``;
+  ``model``, ``plane``, ``tolerance``, ``budget``, ``penalty``, ``weight`` and ``cavity``;
 - values that replace numbers in the files of the case: ``poisson``, ``growth:TISSUE``,
   ``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, in which a tissue or boundary is
   identified by its label or name.
@@ -21,13 +21,13 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, get_args
 
 from napari_hmrf.arguments import checked_path
-from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.csv_files import read_csv, unknown_column
 from napari_hmrf.io.images import read_image
@@ -35,11 +35,12 @@ from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
 from napari_hmrf.io.tables import value_of
 from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.tissue.cavity import Cavity
 
 #: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**24
 _FILES = "image", "labels", "materials", "boundary", "rules", "confidence"
-_ENERGY_OPTIONS = "plane", "tolerance", "budget", "penalty", "weight"
+_ENERGY_OPTIONS = "plane", "tolerance", "budget", "penalty", "weight", "cavity"
 _COLUMNS = (
     *("name", "study", *_FILES, "maps", "forward", "slice", "hold-edge", "model", "poisson"),
     *_ENERGY_OPTIONS,
@@ -87,6 +88,9 @@ class NamedCase:
                 values[option] = f"{value:g}" if isinstance(value, float) else as_word(value)
         if self.case.weight:
             values["weight"] = "/".join(f"{part:g}" for part in self.case.weight)
+        if (cavity := self.case.cavity) is not None:
+            numbers = cavity.pressure, cavity.fluid, cavity.level
+            values["cavity"] = "/".join(f"{number:g}" for number in numbers)
         for change in self.changes:
             title = f"{change.what}:{change.of}" if change.of else change.what
             parts = change.value if isinstance(change.value, tuple) else (change.value,)
@@ -167,13 +171,14 @@ def read_energy(name: str, text: str) -> Any:
 
     Parameters
     ----------
-    name : {"plane", "tolerance", "budget", "penalty", "weight"}
+    name : {"plane", "tolerance", "budget", "penalty", "weight", "cavity"}
     text : str
-        Text from a shell or a table. The components of a weight are separated by slashes.
+        Text from a shell or a table. The components of a weight, and the pressure, the fluid and
+        the level of a cavity, are separated by slashes.
 
     Returns
     -------
-    str, float or tuple of float
+    str, float, tuple of float or Cavity
         Value of the option.
 
     Raises
@@ -193,6 +198,14 @@ def read_energy(name: str, text: str) -> Any:
         if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
             raise ValueError("a number for each axis, such as 0.01/0")
         return numbers
+    if name == "cavity":
+        right = "pressure/fluid/level, such as 0/0.00981/0.5"
+        if not 1 <= len(numbers) <= len(fields(Cavity)):
+            raise ValueError(right)
+        try:
+            return Cavity(*numbers)
+        except ProblemError:
+            raise ValueError(right) from None
     if name == "budget" and numbers == (math.inf,):
         return math.inf
     if len(numbers) != 1 or not 0 < numbers[0] < math.inf:

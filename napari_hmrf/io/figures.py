@@ -21,7 +21,6 @@ from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opac
 from napari_hmrf.field.deformation import arrows, deformation_grid, pixels_between
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.quantities import Coloured, Quantity, coloured, title_and_unit
-from napari_hmrf.field.warp import warp
 from napari_hmrf.io.energy_figure import draw_energy
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
@@ -137,7 +136,7 @@ def write_volume_pictures(
         Paths of the files: before, after, magnitude.
     """
     grey = np.asarray(image)
-    moved = warp(grey, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    moved = solution.warp(grey)
     magnitude = coloured(solution, "magnitude")
     figures = {
         "before": _slices_picture("before", grey, solution, at),
@@ -205,7 +204,7 @@ def displacement_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
 def warped_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
     """Draw the undeformed and the deformed image side by side."""
     figure, (before, after) = _figure(solution.spacing, "before", "after")
-    moved = warp(image, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    moved = solution.warp(image)
     _show(before, image)
     _show(after, moved, greys_of=image)
     return figure

@@ -162,8 +162,9 @@ def _slice_frames(
     pictures, d = MovedPictures(), solution.displacement
 
     def picture_at(step: float) -> npt.NDArray[np.generic]:
-        part = d * np.float32(step)
-        return pictures.plane(image, axis, number, part, solution.tissue, solution.spacing, every=1)
+        part, removed = d * np.float32(step), solution.removed if step else None
+        where, spacing = (axis, number, part, solution.tissue), solution.spacing
+        return pictures.plane(image, *where, spacing, every=1, removed=removed)
 
     return [compute_thread.result_of(partial(picture_at, step), "drawing") for step in steps]
 

@@ -36,6 +36,7 @@ from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing.record import drawing_of, held_motion, record_of
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -352,6 +353,8 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "notes": list(study.notes),
         "solution": None,
     }
+    if motion.cavity != Cavity():  # earlier versions read studies without a load on cavities
+        header["motion"]["cavity"] = asdict(motion.cavity)
     if content.overlay:  # earlier versions, and Python by default, write no view
         header["view"] = {"overlay": content.overlay}
     poisson = study.prior.poisson if isinstance(study.prior, Elastic) else 0.0
@@ -420,6 +423,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 weight=_LENGTHS.validate_python(motion.get("weight", ())),
                 typical_strain=float(motion.get("typical_strain", StrainScale.strain)),
                 drift=bool(motion.get("drift", False)),
+                cavity=Cavity(**motion.get("cavity", {})),
                 measured=_measured_in(motion.get("measured"), arrays),
             ),
             prior=_prior_from_dict(header["prior"], arrays.get("poisson")),

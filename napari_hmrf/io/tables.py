@@ -140,6 +140,7 @@ _USED: dict[Action, tuple[str, ...]] = {
     "press": ("amount",),
     "pull": ("plane", "row", "col"),
     "slide": ("amount",),
+    "remove": (),
 }
 #: Actions whose distance is 0 by default.
 _STILL: tuple[Action, ...] = ("slide",)

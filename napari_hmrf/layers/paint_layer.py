@@ -43,6 +43,7 @@ COLOURS: dict[str, Colour] = {
     "expand": (0.80, 0.47, 0.65),
     "confidence": (0.0, 0.62, 0.45),
     "slide": (0.84, 0.37, 0.0),
+    "remove": (0.35, 0.25, 0.45),
 }
 #: Colours of painted tissues, if their colours are not defined by a Labels layer.
 _HUES = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.study.study_model import BRIGHTNESS, StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -102,6 +103,7 @@ class Request:
     without_border: bool = False
     curve: StiffnessCurve | None = None
     weight: tuple[float, ...] = ()
+    cavity: Cavity = field(default_factory=Cavity)
 
     @classmethod
     def of(cls, model: StudyModel, view: View, preset: Preset | None = None) -> Request:
@@ -134,6 +136,7 @@ class Request:
             without_border=choice.without_border,
             curve=model.curve if choice.tissue == BRIGHTNESS else None,
             weight=choice.weight,
+            cavity=choice.cavity,
         )
 
     @property
@@ -189,7 +192,8 @@ class _Reader:
     def study(self) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
         image = None if request.image is None else self._slice(request.image)
-        tissue, motion = self._tissue(), replace(self._motion(), weight=request.weight)
+        tissue, motion = self._tissue(), self._motion()
+        motion = replace(motion, weight=request.weight, cavity=request.cavity)
         parts = {
             "image": reference,
             "tissue": request.tissue,

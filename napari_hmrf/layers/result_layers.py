@@ -35,7 +35,7 @@ from napari_hmrf.field.deformation import (
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured, title_and_unit
-from napari_hmrf.field.resample import emptiness, resample
+from napari_hmrf.field.resample import emptiness, resample, without_removed
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers import label_colours
@@ -242,7 +242,8 @@ def result_layers(
         if (image := pictures.image) is not None:
             checkpoint()
             fill = emptiness(image, solution.tissue.ndim)
-            moved = resample(image, origin, covered, order=1, fill=fill)
+            remaining = without_removed(image, solution.removed, fill)
+            moved = resample(remaining, origin, covered, order=1, fill=fill)
             layers["image"] = answer.layer("image", moved, "deformed", pictures.look)
     checkpoint()
     layers["arrows"] = _arrow_layer(answer)

@@ -1,21 +1,23 @@
-"""Forces at sites due to weight, pressure and traction.
+"""Forces at sites due to weight, pressure, traction, and the contents of a cavity.
 
 The surface of the tissue consists of the faces (in an image, the edges) that belong to a single
 element. A force per volume or area is distributed equally to the corners of the element or face, as
-in finite elements.
+in finite elements. The pressure of a fluid varies linearly on a face, so each corner bears the part
+that its shape function weighs.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.arguments import shown
+from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners, pairs
@@ -160,6 +162,101 @@ def traction(
     return Loads(force=force, spacing=size)
 
 
+def cavity(
+    stiffness: npt.ArrayLike,
+    removed: npt.ArrayLike,
+    *,
+    spacing: float | Sequence[float],
+    pressure: float = 0.0,
+    fluid: npt.ArrayLike | None = None,
+    level: float = 1.0,
+) -> Loads:
+    """Return the loads on the surface that appears where tissue is removed.
+
+    This surface consists of the faces between a removed element and a remaining element. An element
+    is removed if any of its corners is removed. At height z, the load is the pressure
+    ``pressure + |fluid| max(0, z_level - z)``, along the normal of the face into the tissue. On a
+    face, the pressure is interpolated linearly between its values at the corners.
+
+    Parameters
+    ----------
+    stiffness : array_like, shape (H, W) or (D, H, W)
+        Stiffness of the problem: above 0 in the remaining tissue. Values at removed sites are
+        ignored.
+    removed : array_like of bool, shape (H, W) or (D, H, W)
+        Mask of the removed tissue.
+    spacing : float or sequence of float, shape (n,)
+        Size of a pixel, as in the problem; a single number applies to all axes.
+    pressure : float
+        Constant pressure in the cavity, in the unit of stiffness. Negative values are suction.
+    fluid : sequence of float, shape (n,), optional
+        Weight of the fluid per volume: its density times the acceleration due to gravity, as a
+        vector that points downwards, in the order of the axes and in the unit of stiffness per
+        length. By default there is no fluid.
+    level : float
+        Height of the fluid, as a fraction of the height of the surface: 0 at its lowest site, 1 at
+        its highest site. Values above 1 mean fluid that stands above the cavity.
+
+    Returns
+    -------
+    Loads
+
+    Raises
+    ------
+    ProblemError
+        If an input is invalid; the message names the input and a remedy.
+    """
+    tissue, size = _tissue(stiffness), _size(stiffness, spacing)
+    hole = _sites_of("removed", removed, tissue)
+    remaining = tissue & ~hole
+    if not (math.isfinite(real(pressure)) and 0 <= real(level) < math.inf):
+        raise ProblemError(
+            "cavity",
+            f"has the pressure {shown(pressure)} and the level {shown(level)}. Pass a finite "
+            "pressure, and a level of 0 (empty) or more.",
+        )
+    faces_of_axes = [*_new_faces(remaining, hole)]
+    presses = np.full(tissue.shape, float(pressure))
+    if fluid is not None:
+        down = _vector("fluid", fluid, tissue.shape, of_sites=False)
+        presses += _fluid_pressure(faces_of_axes, down, level, size)
+    force = np.zeros((*tissue.shape, tissue.ndim))
+    for faces in faces_of_axes:
+        area = math.prod(size) / size[faces.axis]
+        force[..., faces.axis] -= area * faces.consistent(presses)
+    return Loads(force=force, spacing=size)
+
+
+def _new_faces(remaining: Mask, hole: Mask) -> Iterator[_Faces]:
+    """Yield the faces between remaining and removed elements, for each axis."""
+    elements = in_elements(remaining)
+    gone = in_elements(remaining | hole) & ~elements
+    for axis, (first, last) in enumerate(pairs(remaining.ndim)):
+        ends = [(1 if along == axis else 0,) * 2 for along in range(remaining.ndim)]
+        around, holes = np.pad(elements, ends), np.pad(gone, ends)
+        before, after = around[first] & holes[last], around[last] & holes[first]
+        yield _Faces(axis, before.astype(np.int8) - after.astype(np.int8))
+
+
+def _fluid_pressure(
+    faces_of_axes: list[_Faces], down: Float64Array, level: float, size: tuple[float, ...]
+) -> Float64Array:
+    """Return the pressure of a fluid at each site, given its weight per volume as a vector."""
+    heaviness = float(np.linalg.norm(down))
+    shape = np.add(faces_of_axes[0].outward.shape, [int(axis != 0) for axis in range(len(size))])
+    if heaviness == 0:
+        return np.zeros(shape)
+    lines = np.ix_(*(np.arange(count) * length for count, length in zip(shape, size, strict=True)))
+    depth = sum(line * part / heaviness for line, part in zip(lines, down, strict=True))
+    at_surface = np.zeros(shape, dtype=bool)
+    for faces in faces_of_axes:
+        at_surface |= faces.corners((faces.outward != 0).astype(np.float64)) > 0
+    if not at_surface.any():
+        return np.zeros(shape)
+    highest, lowest = depth[at_surface].min(), depth[at_surface].max()
+    return np.asarray(heaviness * np.maximum(depth - (lowest - level * (lowest - highest)), 0))
+
+
 class _Faces(NamedTuple):
     """Faces of a grid perpendicular to one axis, with the sign of their outward normal."""
 
@@ -178,6 +275,31 @@ class _Faces(NamedTuple):
         total = _across(np.pad(values, padding), self.axis, np.add)
         return np.asarray(total / 2 ** (values.ndim - 1))
 
+    def consistent(self, values: Float64Array) -> Float64Array:
+        """Distribute a normal traction, given at sites, to the corners of each face.
+
+        Returns the integrals of the traction times the shape function of each site, along the
+        outward normal and for faces of area 1, for bilinear shape functions: the weight of one
+        corner for another corner is 1/3 for each axis on which they agree, and 1/6 for others.
+        """
+        total = np.zeros(values.shape)
+        corners = [*product((0, 1), repeat=values.ndim - 1)]
+        for corner in corners:
+            borne = np.zeros(self.outward.shape)
+            for other in corners:
+                apart = sum(map(int.__ne__, corner, other))
+                share = 1 / (3 ** (values.ndim - 1 - apart) * 6**apart)
+                borne += share * values[self._at(other)]
+            total[self._at(corner)] += self.outward * borne
+        return total
+
+    def _at(self, corner: tuple[int, ...]) -> tuple[slice, ...]:
+        """Return the index of the sites at a corner, which is 0 or 1 for each axis of a face."""
+        ends = [*corner]
+        ends.insert(self.axis, 0)
+        sizes = zip(ends, self.outward.shape, strict=True)
+        return tuple(slice(end, end + size) for end, size in sizes)
+
 
 def _across(
     values: npt.NDArray[Any], axis: int, combine: Callable[[Any, Any], Any]
@@ -191,14 +313,7 @@ def _across(
 
 def _surface(tissue: Mask, surface: npt.ArrayLike) -> list[_Faces]:
     """Return the marked faces of the tissue's surface, for each axis."""
-    painted = as_float32("surface", surface)
-    if painted.shape != tissue.shape:
-        raise ProblemError(
-            "surface",
-            f"has shape {painted.shape}, but stiffness has shape {tissue.shape}. Use the same "
-            "pixel grid for both.",
-        )
-    mask, elements, faces_of_axes = painted > 0, in_elements(tissue), []
+    mask, elements, faces_of_axes = _sites_of("surface", surface, tissue), in_elements(tissue), []
     for axis, (first, last) in enumerate(pairs(tissue.ndim)):
         ends = [(1 if along == axis else 0,) * 2 for along in range(tissue.ndim)]
         around = np.pad(elements, ends).astype(np.int8)
@@ -237,6 +352,18 @@ def _areas(surface: list[_Faces], size: tuple[float, ...]) -> Iterator[tuple[_Fa
             facing = faces.outward == sign
             total[facing] = math.prod(size) / size[faces.axis] * own[facing] / slope[facing]
         yield faces, total
+
+
+def _sites_of(name: str, mask: npt.ArrayLike, tissue: Mask) -> Mask:
+    """Return a validated mask on the grid of the tissue."""
+    sites = as_float32(name, mask)
+    if sites.shape != tissue.shape:
+        raise ProblemError(
+            name,
+            f"has shape {sites.shape}, but stiffness has shape {tissue.shape}. Use the same pixel "
+            "grid for both.",
+        )
+    return sites > 0
 
 
 def _tissue(stiffness: npt.ArrayLike) -> Mask:

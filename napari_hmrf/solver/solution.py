@@ -113,6 +113,9 @@ class Solution:
     unit : str
         Unit of `spacing` and `displacement`, such as "mm", as in the `Grid` of a study; "" if
         unknown, as for a `Problem`.
+    removed : ndarray of bool, shape (H, W) or (D, H, W), optional
+        Mask of the tissue that a study removes, before the motion. It is not part of `tissue`, and
+        images of the result do not show it. None if no tissue is removed.
 
     Raises
     ------
@@ -133,6 +136,7 @@ class Solution:
     elasticity: Elasticity | None = None
     notes: tuple[str, ...] = ()
     unit: str = ""
+    removed: npt.NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         shape = self.tissue.shape
@@ -181,13 +185,13 @@ class Solution:
     def warp(
         self, image: npt.ArrayLike, *, order: int = 1, fill: float = 0
     ) -> npt.NDArray[np.generic]:
-        """Move an image with the tissue; use ``order=0`` for labels.
+        """Move an image with the tissue, without removed tissue; use ``order=0`` for labels.
 
         Parameters
         ----------
         image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
         order, fill
-            As for the function `warp`.
+            As for the function `warp`; removed tissue also has the value `fill`.
 
         Returns
         -------
@@ -199,9 +203,11 @@ class Solution:
         ProblemError
             If the image does not have the pixel grid of the solution.
         """
+        from napari_hmrf.field.resample import without_removed  # above: field
         from napari_hmrf.field.warp import warp  # above: field
 
-        return warp(image, self.displacement, order=order, fill=fill, **self._on_grid)
+        remaining = without_removed(image, self.removed, fill)
+        return warp(remaining, self.displacement, order=order, fill=fill, **self._on_grid)
 
     def jacobian(self) -> npt.NDArray[np.float32]:
         """Return the factor by which area or volume changes at each site.
@@ -489,6 +495,7 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
         arrays |= {} if isinstance(nu, float) else {"poisson": nu}
         arrays |= {} if growth is None else {"growth": growth}
         arrays |= {} if elasticity.rigid is None else {"rigid": elasticity.rigid}
+    arrays |= {} if solution.removed is None else {"removed": solution.removed}
     return header, arrays
 
 
@@ -509,6 +516,11 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         raise array_file.Invalid(f"its pixel spacing is invalid: {spacing}")
     if not array_file.is_finite(displacement):
         raise array_file.Invalid("its displacement contains values that are not numbers")
+    removed = arrays.get("removed")
+    if removed is not None and removed.shape != tissue.shape:
+        raise array_file.Invalid(
+            f"its removed tissue {removed.shape} does not match its tissue {tissue.shape}"
+        )
     if len(energy) != max(1, sum(run.iterations for run in levels)):
         raise array_file.Invalid("its energies do not match its iterations")
     frame = header["frame"]
@@ -532,6 +544,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         reach=_reach(header.get("reach")),
         elasticity=read_elasticity(header, arrays),
         unit=str(header.get("unit", "")),  # missing in older files
+        removed=removed,
     )
 
 
@@ -566,6 +579,7 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
         "poisson": array_file.Kind(("<f4",), (2, 3), optional=True),
         "growth": array_file.Kind(("<f4",), (2, 3, 4, 5), optional=True),
         "rigid": array_file.Kind(("|b1",), (2, 3), optional=True),
+        "removed": array_file.Kind(("|b1",), (2, 3), optional=True),
     },
     describe=_describe,
     parse=_parse,

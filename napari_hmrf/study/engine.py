@@ -22,7 +22,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.moved_pictures import MovedPictures
-from napari_hmrf.field.resample import on_finer_grid
+from napari_hmrf.field.resample import mask_on_finer_grid, on_finer_grid
 from napari_hmrf.field.tissue_point import Points, first_tissue, holds
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import Input, Known, LiveSolver, Update, has_stopped
@@ -209,7 +209,7 @@ class Engine:
         if self._overlay is not None and grid.step == 1:
             self._over = self._overlay(ground, drawing, canvas, window, self._over)
         measured = study.motion.measured is not None
-        moves = drawing.marks or study.bears_loads or canvas.observed.any()
+        moves = drawing.marks or study.bears_loads or canvas.observed.any() or study.removes
         if not (cold_start or moves or measured):
             raise _StillError
         stated = replace(ground.statement(canvas, drawing), optimizer=study.optimizer)
@@ -239,6 +239,9 @@ class Engine:
         assert self._request is not None
         request = replace(self._request, generation=update.number, is_earlier=update.is_earlier)
         error, latest = update.error, self.latest
+        if update.solution is not None and request.stated is not None:
+            whole = replace(update.solution, removed=request.stated.removed)
+            update = replace(update, solution=whole)
         if update.final and error is None:
             self.report(DRAWING)
         if update.solution is not None or isinstance(error, _StillError):
@@ -290,8 +293,12 @@ class Engine:
             return None, ()
         if solution is None or request.ground is None:
             return np.asarray(image.take(preview.number, preview.axis)), ()
-        where = preview.axis, preview.number, solution.displacement, request.ground.stiffness > 0
-        return self._pictures.plane(image, *where, spacing, preview.grid.step), ()
+        tissue, removed, step = request.ground.stiffness > 0, solution.removed, preview.grid.step
+        if removed is not None:
+            removed = mask_on_finer_grid(removed, tissue.shape, step)
+            tissue &= ~removed
+        where = preview.axis, preview.number, solution.displacement, tissue
+        return self._pictures.plane(image, *where, spacing, step, removed), ()
 
 
 def _is_of(solution: Solution, stated: Statement) -> bool:

@@ -70,6 +70,11 @@ _OVER = (
     "make the drawing smaller, or move it farther away"
 )
 
+_NOTHING_ACTS = (
+    "nothing acts on the tissue that remains, so it does not move: set its weight, or what acts on "
+    "the cavity (`weight=..., cavity=...`)"
+)
+
 _NO_UNIT = (
     "forces are in the unit of stiffness, which is not known here: a pressure of 0.1 strains "
     "tissue of stiffness 1 by about a tenth"
@@ -89,6 +94,8 @@ class Statement:
     at_rest : ndarray of bool, shape ([D,] H, W)
         Mask of insufficiently constrained tissue, which is excluded from the problem and does not
         move.
+    removed : ndarray of bool, shape ([D,] H, W), optional
+        Mask of the tissue that labels or strokes remove; None if no tissue is removed.
     labels : ndarray of int, shape ([D,] H, W), optional
         Tissue labels including brush strokes; None unless strokes changed labels of the tissue's
         own table.
@@ -102,6 +109,7 @@ class Statement:
     at_rest: npt.NDArray[np.bool_]
     labels: npt.NDArray[np.int32] | None = None
     study: Study | None = None
+    removed: npt.NDArray[np.bool_] | None = None
 
     def __repr__(self) -> str:
         return f"Statement({self.problem!r}, {self.prior!r}, {self.optimizer!r})"
@@ -213,6 +221,10 @@ class Ground:
         painted = self.palette.is_table and m is not self.stiffness
         labels = canvas.labels.copy() if painted else None
         at_rest = np.zeros(m.shape, dtype=bool)
+        removed = canvas.removed & (m > 0) if canvas.removed.any() else None
+        if removed is not None:
+            m = np.where(removed, np.float32(0), m)
+            self._check_remaining(m, canvas)
         marks = uncertain_landmarks(drawing)
         if marks and not isinstance(prior, ElasticPrior):
             raise _no_landmark_data(self.study, len(marks))
@@ -228,7 +240,7 @@ class Ground:
             if at_rest.any():
                 m = np.where(at_rest, np.float32(0), m)
         with self.study.naming():
-            loads, spacing = self._loads(canvas.labels, m), self.study.grid.spacing
+            loads, spacing = self._loads(canvas.labels, m, removed), self.study.grid.spacing
             refuse_sliding(self.study, canvas.slides)
             y, precision = sliding_data(canvas.observed, canvas.slides, m, spacing)
             motion = self.study.motion
@@ -250,33 +262,49 @@ class Ground:
                 precision=precision,
                 landmarks=landmarks,
             )
-        return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study)
+        return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study, removed)
+
+    def _check_remaining(self, m: FloatArray, canvas: Canvas) -> None:
+        """Raise an error if no tissue, or no constrained tissue, remains after the removal."""
+        name = self.study.named("drawing" if self.study.motion.drawing.marks else "boundary")
+        if not (m > 0).any():
+            raise ProblemError(name, "removes all tissue, so nothing can deform. Remove less.")
+        held = (canvas.confidence > 0).any(axis=-1)
+        if held.any() and not (held & (m > 0)).any():
+            raise ProblemError(
+                name,
+                "removes all tissue that is held or moved. Remove less, or hold other tissue.",
+            )
 
     @cached_property
     def typical_stiffness(self) -> float:
         """Stiffness to which the precision of measured motion is relative."""
         return typical_stiffness(self.stiffness[self.body])
 
-    def _loads(self, labels: npt.NDArray[Any], m: FloatArray) -> Loads | None:
-        """Return the loads due to growth, surface forces and weight; None if there are none."""
+    def _loads(
+        self, labels: npt.NDArray[Any], m: FloatArray, removed: npt.NDArray[np.bool_] | None
+    ) -> Loads | None:
+        """Return the loads due to growth, forces, weight and cavities; None if there are none."""
         motion, spacing = self.study.motion, self.study.grid.spacing
         parts = [growth_loads(labels, self.palette.materials)]
         if motion.labels is not None:
             parts.append(boundary_loads(motion.labels, motion.rules, m, spacing=spacing))
         if any(motion.weight):
             parts.append(weight(m, motion.weight, spacing=spacing))
+        if removed is not None and motion.cavity.acts:
+            parts.append(motion.cavity.loads(m, removed, motion.weight, spacing=spacing))
         known = [part for part in parts if part is not None]
         return reduce(add, known) if known else None
 
     def refuse_motionless(self, statement: Statement) -> None:
-        """Raise an error if a problem has no displacement, force or growth.
+        """Raise an error if a problem has no displacement, force, growth or removed tissue.
 
         Raises
         ------
         ProblemError
             If no tissue would move; the error lists inputs without effect and suggests a remedy.
         """
-        if not asks_motion(statement.problem):
+        if not asks_motion(statement.problem) and statement.removed is None:
             idle = (*self.unused(statement), *self.idle_marks(statement))
             notes = "".join(f"; {note}" for note in idle)
             raise ProblemError(
@@ -288,6 +316,8 @@ class Ground:
     def idle_marks(self, statement: Statement) -> tuple[str, ...]:
         """Return clauses about marks of the drawing that have no effect."""
         drawing, tissue = self.study.motion.drawing, statement.problem.tissue | statement.at_rest
+        if statement.removed is not None:
+            tissue |= statement.removed
         return tuple(marks_without_effect(drawing, tissue, self.base))
 
     def _assumed_tissues(self) -> list[str]:
@@ -318,6 +348,7 @@ class Ground:
         notes = [*self.notes]
         notes += self._assumed_tissues()
         notes += self.idle_marks(statement)
+        notes.append(self._removed_constraints(statement))
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
         if motion.labels is not None:
@@ -326,7 +357,9 @@ class Ground:
             notes.append(_OVER if over else "")
         notes += landmark_caveats(motion, problem)
         is_marked = motion.labels is not None or problem.observed.any()
-        if is_marked and not landmarks_hold(motion.drawing, problem):
+        if statement.removed is not None and not asks_motion(problem):
+            notes.append(_NOTHING_ACTS)
+        elif is_marked and not landmarks_hold(motion.drawing, problem):
             notes.append(missing_constraint(problem))
         if self.study.slides:
             slides = motion.drawing.render(self.base).slides
@@ -338,6 +371,17 @@ class Ground:
             notes.append(air_that_is_tissue(image, self.body))
         notes += caveats(problem, statement.prior, statement.optimizer)
         return tuple(filter(None, notes))
+
+    def _removed_constraints(self, statement: Statement) -> str:
+        """Return a clause about removed tissue that is also held or moved; "" if there is none."""
+        if statement.removed is None:
+            return ""
+        both = statement.removed & (statement.problem.confidence > 0).any(axis=-1)
+        if self.study.motion.hold_edge:  # the outer edge of removed tissue is not held on purpose
+            both &= ~(outer_rim(self.stiffness > 0) | outer_rim(self.body))
+        if not both.any():
+            return ""
+        return f"{how_many(both)} of removed tissue are also held or moved, which has no effect"
 
 
 def _no_landmark_data(study: Study, count: int) -> LayerError:
@@ -531,7 +575,7 @@ def at_place_of(study: Study, solution: Solution) -> Solution:
     """Return a solution with the place and the unit of the grid of a study."""
     place = study.grid.place
     frame = None if place is None else place.as_dict()
-    return replace(solution, frame=frame, unit=study.grid.unit)
+    return replace(solution, frame=frame, unit=study.grid.unit, removed=stated.removed)
 
 
 def _check_study(study: object) -> None:
@@ -642,9 +686,11 @@ def _observe(study: Study, base: Canvas) -> list[str]:
         painted = motion.labels != 0
         base.observed[painted], base.confidence[painted] = y[painted], c[painted]
         for rule in rules:
+            under = motion.labels == rule.label
             if rule.action == "slide":
-                under = motion.labels == rule.label
                 base.slides[under], base.observed[under, 0] = True, rule.amount
+            elif rule.action == "remove":
+                base.removed[under] = True
     with study.naming(drawn=False):
         check_reach(base.observed, base.spacing)
     return notes

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, is_by_name, parts_of
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
+from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing, Landmark, Stroke
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -377,6 +378,8 @@ class Motion:
     weight : tuple of float
         Body force on all tissue along each axis, which is density times acceleration, in the unit
         of stiffness per length; empty if there is no body force.
+    cavity : Cavity
+        Pressure and fluid that act where a label or a stroke removes tissue; by default, nothing.
     typical_strain : float
         Typical strain of the tissue, such as 0.1 for 10 %, against which landmarks with a standard
         deviation are weighed; see `StrainScale`. With a larger strain, tissue follows these
@@ -403,6 +406,7 @@ class Motion:
     typical_strain: float = StrainScale.strain
     drift: bool = False
     measured: MeasuredMotion | None = None
+    cavity: Cavity = field(default_factory=Cavity)
 
     def __post_init__(self) -> None:
         is_flag = isinstance(self.hold_edge, bool | np.bool_)
@@ -412,6 +416,7 @@ class Motion:
         rules = tuple_of(BoundaryRule, "rules", self.rules, '(BoundaryRule(1, "fixed"),)')
         object.__setattr__(self, "rules", rules)
         require_kind(Drawing, "drawing", self.drawing, "Drawing((Arrow(...),))")
+        require_kind(Cavity, "cavity", self.cavity, "Cavity(pressure=0.1)")
         if self.measured is not None:
             require_kind(
                 MeasuredMotion, "measured", self.measured, "registration.motion().measured"
@@ -437,6 +442,7 @@ class Motion:
             "measured" if self.measured is not None else "",
             repr(self.drawing) if self.drawing.marks else "",
             f"weight {self.weight}" if any(self.weight) else "",
+            repr(self.cavity) if self.cavity.acts else "",
             ""
             if self.typical_strain == StrainScale.strain
             else f"typical strain {self.typical_strain:g}",
@@ -619,17 +625,25 @@ class Study:
         """True if the study has growth or forces."""
         motion = self.motion
         forces = any(motion.weight) or any(rule.action in FORCES for rule in motion.rules)
+        forces = forces or (motion.cavity.acts and self.removes)
         return forces or any(row.grows for row in self.tissue.materials)
 
     @property
     def slides(self) -> bool:
         """True if tissue slides along a painted label or a stroke."""
+        return self._has("slide")
+
+    @property
+    def removes(self) -> bool:
+        """True if a painted label or a stroke removes tissue."""
+        return self._has("remove")
+
+    def _has(self, action: Literal["slide", "remove"]) -> bool:
+        """Return whether a painted label or a stroke has an action."""
         marks, labels = self.motion.drawing.marks, self.motion.labels
-        sliding = [rule.label for rule in self.motion.rules if rule.action == "slide"]
-        drawn = any(isinstance(mark, Stroke) and mark.action == "slide" for mark in marks)
-        return drawn or (
-            bool(sliding) and labels is not None and bool(np.isin(labels, sliding).any())
-        )
+        rules = [rule.label for rule in self.motion.rules if rule.action == action]
+        drawn = any(isinstance(mark, Stroke) and mark.action == action for mark in marks)
+        return drawn or (bool(rules) and labels is not None and bool(np.isin(labels, rules).any()))
 
     def named(self, *parts: str) -> str:
         """Return the name of the first given part with a name in `names`, else the first part."""

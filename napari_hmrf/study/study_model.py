@@ -31,6 +31,7 @@ from napari_hmrf.study.models import (
 )
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
+from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -61,6 +62,7 @@ _STEP_NAMES = {
     "without_border": "changed whether the dark border is tissue",
     "hold_edge": "changed whether the edge is held",
     "weight": "changed the weight",
+    "cavity": "changed the contents of the cavity",
     "extent": "changed between slice and volume",
 }
 
@@ -102,6 +104,8 @@ class ImageChoice:
         True if the outer edge of the tissue is fixed.
     weight : tuple of float
         Body force, as in `Motion`.
+    cavity : Cavity
+        Pressure and fluid where tissue is removed, as in `Motion`.
     extent : {"slice", "volume"}
         Part of the image that is solved.
     compare_with : layer or None
@@ -114,6 +118,7 @@ class ImageChoice:
     without_border: bool = True
     hold_edge: bool = True
     weight: tuple[float, ...] = ()
+    cavity: Cavity = field(default_factory=Cavity)
     extent: str = "slice"
     compare_with: Any = None
 
@@ -308,6 +313,7 @@ class StudyModel(EditHistory):
             without_border=tissue.without_border,
             hold_edge=motion.hold_edge,
             weight=motion.weight,
+            cavity=motion.cavity,
             extent="volume" if len(study.grid.shape) == 3 else "slice",
         )
         device = self.model.details.device
@@ -449,7 +455,7 @@ class StudyModel(EditHistory):
         """
         choice, model = self.choice, self.model
         edge = choice.hold_edge if choice.boundary is not None else ImageChoice.hold_edge
-        usual = replace(choice, without_border=True, hold_edge=edge, weight=())
+        usual = replace(choice, without_border=True, hold_edge=edge, weight=(), cavity=Cavity())
         usual_model = ModelChoice(details=SolverDetails(device=model.details.device))
         chosen, model_part = Part("choice", self.image), self.model_part
         values: dict[Part, Any] = {self.slice: Drawing(), chosen: usual, model_part: usual_model}

@@ -21,7 +21,7 @@ from napari_hmrf.tissue.sliding import is_inner
 # Largest number of marks whose positions a clause lists.
 _LISTED = 4
 #: Actions of strokes that have no effect outside tissue; other strokes can change earlier marks.
-_HOLD_OR_MOVE = ("pin", "move", "expand", "slide")
+_HOLD_OR_MOVE = ("pin", "move", "expand", "slide", "remove")
 
 
 def asks_motion(problem: Problem) -> bool:
@@ -138,7 +138,7 @@ def slides_inside(
 
 
 def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterator[str]:
-    """Yield clauses about rules and growth of labels that do not occur in their images.
+    """Yield clauses about rules, growth and cavities without pixels.
 
     Parameters
     ----------
@@ -163,6 +163,8 @@ def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterat
         if labels is not None:
             where = f"'{study.named('tissue', 'image')}' has no such label"
         yield f"{_rows('growth', growing)} no effect: {where}"
+    if motion.cavity.acts and not study.removes:
+        yield "the load on the cavity has no effect: no tissue is removed"
 
 
 def _needs_tissue(mark: Mark) -> bool:

@@ -21,9 +21,11 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import FloatArray, as_numbers, checked_spacing
 from napari_hmrf.tissue.normals import outward_normals
 
-Action = Literal["fixed", "move", "expand", "press", "pull", "slide"]
-#: Actions that are forces rather than observed displacements.
+Action = Literal["fixed", "move", "expand", "press", "pull", "slide", "remove"]
+#: Actions that are forces on tissue, rather than observed displacements.
 FORCES: tuple[Action, ...] = "press", "pull"
+#: Actions that neither observe a displacement nor apply a force.
+_UNOBSERVED: tuple[Action, ...] = "slide", "remove"
 #: Growth strain: one number for all directions, or one number for each axis of the image.
 Growth = float | tuple[float, ...]
 
@@ -130,7 +132,7 @@ class BoundaryRule:
     ----------
     label : int
         Value in the label image, above 0, because 0 means unpainted.
-    action : {"fixed", "move", "expand", "press", "pull", "slide"}
+    action : {"fixed", "move", "expand", "press", "pull", "slide", "remove"}
         Effect on the tissue under the label. "fixed": the tissue does not move. "move": the tissue
         moves by `vector`. "expand": the tissue moves outward by `amount`, or inward if `amount` is
         negative. A painted ring moves as a whole; a filled patch moves only at its rim. "press"
@@ -138,7 +140,7 @@ class BoundaryRule:
         on its surface under the label. "slide": the tissue moves freely along its surface under
         the label, and by `amount` along the outward normal of this surface; a label inside tissue
         that does not cover a surface slides along its own outline. Only the elastic model supports
-        this action.
+        this action. "remove": the tissue is removed; `Cavity` is what then acts on the new surface.
     vector : tuple of float
         Displacement along (row, col), or (plane, row, col) in a volume, in the unit of the pixel
         spacing; with two components in a volume, the plane component is 0. For "pull", force per
@@ -285,9 +287,9 @@ def boundary_images(
     observed : ndarray, shape ([D,] H, W, n), float32
         Material displacement in the order of the axes, in the unit of `spacing`.
     confidence : ndarray, shape ([D,] H, W, n), float32
-        Confidence of each component; 0 in unpainted pixels, under forces, where tissue slides, in
-        the interior of an expanding patch, and in an expanding spot that is too small to have a
-        direction.
+        Confidence of each component; 0 in unpainted pixels, under forces, where tissue slides or is
+        removed, in the interior of an expanding patch, and in an expanding spot that is too small
+        to have a direction.
 
     Raises
     ------
@@ -305,7 +307,7 @@ def boundary_images(
     for label in present:
         rule = table[int(label)]
         painted = image == label
-        if rule.action in FORCES or rule.action == "slide":
+        if rule.action in (*FORCES, *_UNOBSERVED):
             continue
         c[painted] = (*(max(rule.confidence),) * (n - len(rule.confidence)), *rule.confidence)
         if rule.action == "move":
@@ -366,7 +368,7 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
         (
             "action",
             is_one_of(rule.action, get_args(Action)),
-            '"fixed", "move", "expand", "press", "pull" or "slide"',
+            '"fixed", "move", "expand", "press", "pull", "slide" or "remove"',
         ),
         ("vector", all(map(math.isfinite, vector)), f"a number for each of {each}"),
         ("amount", math.isfinite(real(rule.amount)), "a number"),

@@ -48,7 +48,7 @@ _SECTIONS = {
     ),
     "edges": (
         "Edges, rules, gravity",
-        "Outer edge, painted regions that are held or moved, landmark layers, and weight",
+        "Outer edge, painted regions that are held or moved, landmark layers, weight, and cavities",
     ),
     "comparison": (
         "Second image, known field",
@@ -119,7 +119,8 @@ class DockForm:
         self.tissue.edited.connect(self._on_tissue)
         self.extent.changed.connect(lambda _: self.model.extent_is(self.extent.is_volume))
         model, motion = self.model, self.motion
-        fields = (self.extent, model, model.in_detail, motion.edge, motion.weight)
+        loads = motion.weight, motion.cavity
+        fields = (self.extent, model, model.in_detail, motion.edge, *loads)
         presets = motion.fields.preset
         parts = (self.tissue.edited, motion.boundary.edited)
         for signal in (*parts, *(field.changed for field in (*fields, presets))):
@@ -149,6 +150,7 @@ class DockForm:
         self.motion.fields.show_place(unit, ways)
         for part in (self.motion.boundary.table, self.motion.weight):
             part.show_place(unit, ways, stiffness)
+        self.motion.cavity.show_place(unit, stiffness)
 
     def release(self) -> None:
         """Disconnect the tables from their layers."""

@@ -10,6 +10,7 @@ from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.form_binding import FormBinding
@@ -132,6 +133,16 @@ class DockValues(Dock):
     @weight.setter
     def weight(self, value: tuple[float, ...]) -> None:
         self._form.motion.weight.value = value
+
+    @property
+    def cavity(self) -> Cavity:
+        """Pressure and fluid that act where tissue is removed."""
+        value: Cavity = self._form.motion.cavity.value
+        return value
+
+    @cavity.setter
+    def cavity(self, value: Cavity) -> None:
+        self._form.motion.cavity.value = value
 
     @property
     def without_border(self) -> bool:

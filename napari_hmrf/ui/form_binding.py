@@ -68,6 +68,7 @@ class FormBinding:
             "without_border": form.tissue.border,
             "hold_edge": motion.edge,
             "weight": motion.weight,
+            "cavity": motion.cavity,
             "extent": form.extent,
             "compare_with": form.result.second,
         }

@@ -52,7 +52,10 @@ _ACTIONS: dict[Action, str] = {
     "press": "pressed",
     "pull": "pulled",
     "slide": "slides",
+    "remove": "removed",
 }
+#: Actions without a confidence.
+_WITHOUT_CONFIDENCE: tuple[Action, ...] = *FORCES, "slide", "remove"
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
 _FILES = f"Materials (*{ENDING})"
 _TABLES = f"Materials, names of labels ({' '.join(f'*{ending}' for ending in ENDINGS)})"
@@ -165,7 +168,8 @@ class BoundaryTable(LabelTable[BoundaryRule]):
                 "expands: outward, by a distance; the paint must be a closed ring or a patch.\n"
                 "pressed, pulled: by a force per area, on the surface of tissue under the paint.\n"
                 "slides: keeps its distance from a wall, and moves freely along its surface; erase "
-                "the wall from the tissue (stiffness 0). In the elastic model.",
+                "the wall from the tissue (stiffness 0). In the elastic model.\n"
+                "removed: the tissue is cut out; 'cavity' below is what then acts there.",
                 lambda row: _ACTIONS[row.action],
                 _action,
                 tuple(_BY_WORD),
@@ -182,7 +186,7 @@ class BoundaryTable(LabelTable[BoundaryRule]):
                 "confi-\ndence",
                 "Confidence from 0 to 1.\nTwo numbers, such as 1 / 0.5: along rows and columns.",
                 lambda row: _joined(
-                    () if row.action in (*FORCES, "slide") else dict.fromkeys(row.confidence)
+                    () if row.action in _WITHOUT_CONFIDENCE else dict.fromkeys(row.confidence)
                 ),
                 _confidence,
             ),

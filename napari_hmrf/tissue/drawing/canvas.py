@@ -40,6 +40,7 @@ KINDS: dict[Action, int] = {
     "expand": 4,
     "confidence": 5,
     "slide": 6,
+    "remove": 7,
 }
 
 
@@ -69,6 +70,8 @@ class Canvas:
         the stiffness; see `sliding_surface`.
     surroundings : ndarray of bool, shape ([D,] H, W), optional
         Mask of void and dark surroundings; growing patches do not extend into them.
+    removed : ndarray of bool, shape ([D,] H, W)
+        Mask of the paint that removes tissue.
     """
 
     observed: FloatArray
@@ -77,6 +80,7 @@ class Canvas:
     kinds: npt.NDArray[np.uint8]
     spacing: tuple[float, ...]
     slides: npt.NDArray[np.bool_]
+    removed: npt.NDArray[np.bool_]
     surroundings: npt.NDArray[np.bool_] | None = None
 
     @classmethod
@@ -91,7 +95,8 @@ class Canvas:
         y, kinds = np.zeros((*shape, n), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         tissue = kinds.copy() if labels is None else labels
         sizes = (1.0,) * n if spacing is None else tuple(map(float, spacing))
-        return cls(y, y.copy(), tissue, kinds, sizes, np.zeros(shape, dtype=bool))
+        slides, removed = np.zeros((2, *shape), dtype=bool)
+        return cls(y, y.copy(), tissue, kinds, sizes, slides, removed)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -105,8 +110,9 @@ class Canvas:
 
     @property
     def images(self) -> tuple[npt.NDArray[Any], ...]:
-        """Tuple of all images: observed, confidence, labels, kinds, slides."""
-        return self.observed, self.confidence, self.labels, self.kinds, self.slides
+        """Tuple of all images: observed, confidence, labels, kinds, slides, removed."""
+        motion = self.observed, self.confidence
+        return *motion, self.labels, self.kinds, self.slides, self.removed
 
     def copy(self) -> Canvas:
         """Return a deep copy."""
@@ -160,7 +166,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     where = distance <= reach
     components = COMPONENTS[mark.components]
     y, c = canvas.observed[box][..., components], canvas.confidence[box][..., components]
-    if isinstance(mark, Arrow) or mark.action not in ("confidence", "tissue"):
+    if isinstance(mark, Arrow) or mark.action not in ("confidence", "tissue", "remove"):
         _stop_sliding(canvas, box, where)
     if grows(mark):
         normals, region = _outward_in_tissue(mark, canvas)
@@ -183,6 +189,8 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         y[where], c[where] = 0, mark.confidence
     elif mark.action == "free":
         y[where], c[where] = 0, 0
+    elif mark.action == "remove":
+        canvas.removed[box][where] = True
     elif mark.action == "slide":
         y[where], c[where] = 0, 0
         canvas.observed[box][where, 0] = mark.amount
@@ -194,6 +202,8 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         c += share * (np.float32(mark.confidence) - c)
     else:
         canvas.labels[box][where] = mark.label
+        canvas.kinds[box][where & canvas.removed[box]] = 0
+        canvas.removed[box][where] = False
         return
     kinds = canvas.kinds[box]
     if isinstance(mark, Arrow):

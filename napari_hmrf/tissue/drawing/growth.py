@@ -95,7 +95,7 @@ def with_patch(
 def _moves_tissue(mark: Mark) -> bool:
     """Return whether a mark prescribes or releases the motion of tissue."""
     if isinstance(mark, Stroke):
-        return mark.action not in ("confidence", "tissue")
+        return mark.action not in ("confidence", "tissue", "remove")
     return is_painted(mark)
 
 

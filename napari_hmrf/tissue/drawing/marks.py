@@ -25,7 +25,7 @@ Components = Literal["both", "row", "col"]
 #: Index slice that selects the prescribed components, counted from the last axis.
 COMPONENTS = {"both": slice(None), "row": slice(-2, -1), "col": slice(-1, None)}
 #: Effects of a brush on the tissue under it.
-Action = Literal["pin", "free", "move", "expand", "confidence", "tissue", "slide"]
+Action = Literal["pin", "free", "move", "expand", "confidence", "tissue", "slide", "remove"]
 
 
 def between(start: Point, end: Point, spacing: Iterable[float]) -> Point:
@@ -232,14 +232,15 @@ class Stroke(_Checked):
 
     Attributes
     ----------
-    action : {"pin", "free", "move", "expand", "confidence", "tissue", "slide"}
+    action : {"pin", "free", "move", "expand", "confidence", "tissue", "slide", "remove"}
         Effect on the tissue under the brush. "pin": the tissue does not move. "free": the motion
         is not observed, even under earlier marks. "move": the tissue moves by `by`. "expand": the
         tissue moves by `amount` along the outward normal of the painted region. A ring moves as a
         whole; a filled patch moves only at its rim, and its interior is not observed.
         "confidence": the confidence of earlier marks changes. "tissue": the label changes to
         `label`. "slide": the tissue moves freely along the painted surface, and by `amount` along
-        its outward normal; see `BoundaryRule`.
+        its outward normal; see `BoundaryRule`. "remove": the tissue is removed, whatever else
+        holds or moves it; a later stroke with the action "tissue" fills the cavity with new tissue.
     lines : tuple of tuple of tuple of float
         Points of each path of the brush, (row, col) or (plane, row, col) in pixels. A path with
         one point is a spot. All paths together paint one region.

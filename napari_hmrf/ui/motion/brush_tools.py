@@ -173,6 +173,21 @@ class SlideTool(BrushTool):
     step = "painted a sliding surface"
 
 
+class ResectTool(BrushTool):
+    """Brush that removes tissue."""
+
+    name = "remove"
+    title = "Resect"
+    key = "R"
+    fields = ("radius",)
+    hint = (
+        "Paint tissue to remove it. Gravity, and the contents of the cavity, are set under 'Edges, "
+        "rules, gravity'."
+    )
+    action = "remove"
+    step = "removed tissue"
+
+
 class PushTool(BrushTool):
     """Brush for moving tissue; dragging the selected stroke sets its displacement."""
 

@@ -1,4 +1,4 @@
-"""Forms for the motion of tissue: tools with their fields; edge, boundary and weight."""
+"""Forms for the motion of tissue: tools with their fields; edge, boundary, weight and cavity."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from qtpy.QtWidgets import QGridLayout, QSizePolicy, QToolButton
 
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.forms import row
+from napari_hmrf.ui.motion.cavity_form import CavityForm
 from napari_hmrf.ui.motion.tool import Tool
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import TOOLS
@@ -22,7 +23,7 @@ from napari_hmrf.ui.motion.weight_form import WeightForm
 from napari_hmrf.ui.tissue_form import BoundarySection
 
 #: Number of tool buttons in each row; the buttons of the first row are larger.
-_ROWS = 4, 3, 2
+_ROWS = 4, 3, 3
 #: Number of columns of the grid of buttons, which the number of buttons in each row divides.
 _COLUMNS = 12
 #: Place of each button in the grid: row, column, and number of rows and columns.
@@ -57,10 +58,11 @@ class MotionForm(Container):
     fields : ToolFields
     remove, clear : PushButton
     edges : Container
-        Section with the outer edge, the boundary and the weight.
+        Section with the outer edge, the boundary, the weight and the cavity.
     edge : CheckBox
     boundary : BoundarySection
     weight : WeightForm
+    cavity : CavityForm
 
     picked : Signal(str)
         Emitted with the name of a tool when its button is pressed.
@@ -80,14 +82,15 @@ class MotionForm(Container):
             tooltip="Fix the outline of the tissue, and tissue at the edge of the image, unless a "
             "mark or the boundary moves it; edges of holes in the tissue stay free",
         )
-        self.weight = WeightForm()
+        self.weight, self.cavity = WeightForm(), CavityForm()
         self.boundary = BoundarySection(layers, view)
         self.remove = PushButton(
             text="Remove", enabled=False, tooltip="Remove the selected mark (Delete)"
         )
         self.clear = PushButton(text="Remove all", enabled=False, tooltip="Remove all marks")
         drawn = row(self.remove, self.clear)
-        self.edges = Container(widgets=[self.edge, self.boundary, self.weight], labels=False)
+        parts = [self.edge, self.boundary, self.weight, self.cavity]
+        self.edges = Container(widgets=parts, labels=False)
         super().__init__(widgets=[self.fields, drawn], labels=False)
         for container in (drawn, self.boundary):
             container.margins = (0, 0, 0, 0)

@@ -9,6 +9,7 @@ from napari_hmrf.ui.motion.brush_tools import (
     GrowTool,
     HoldTool,
     PushTool,
+    ResectTool,
     SlideTool,
     TissueTool,
 )
@@ -25,6 +26,7 @@ TOOLS: tuple[type[Tool], ...] = (
     PushTool,
     SlideTool,
     TissueTool,
+    ResectTool,
     ConfidenceTool,
 )
 BY_NAME = {tool.name: tool for tool in TOOLS}
