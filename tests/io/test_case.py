@@ -212,7 +212,7 @@ def test_a_slice_of_a_stack_without_a_place_stores_its_number(tmp_path):
     [
         (
             "label,action\n1,fixed\n2,push\n",
-            r"t\.csv: line 3: action is 'push'\. Give fixed, move, expand, press, pull, slide or rem",
+            r"t\.csv: line 3: action is 'push'\. Give fixed, move, expand, press, pull, slide or",
         ),
         ("label,action\n0,fixed\n", r"line 2: label is '0'\. Give a whole number, 1 or more"),
         ("label,action,confidence\n1,fixed,2\n", r"confidence is '2'\. Give a number from 0 to 1"),

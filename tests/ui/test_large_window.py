@@ -7,7 +7,7 @@ import pytest
 from napari.components import ViewerModel
 from qtpy.QtWidgets import QComboBox, QPushButton, QTableWidget
 
-from napari_hmrf import Arrow, Drawing, Landmark, NeoHookeanPrior, Stroke
+from napari_hmrf import Arrow, Cavity, Drawing, Landmark, NeoHookeanPrior, Stroke
 from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.solver.optimizers import work
@@ -326,3 +326,46 @@ def test_large_motion_is_not_offered_beside_an_uncertain_landmark(dock, do_and_w
     do_and_wait(setattr, dock, "drawing", Drawing((mark,)))
     assert dock.solution.count_folds() > 0
     assert not offers(dock, "Use large motion")
+
+
+def test_tissue_sinks_into_the_cavity_of_a_painted_resection(dock, viewer, do_and_wait, tmp_path):
+    paint = np.where(DISC, 1, 0)
+    rules = (BoundaryRule(1, "fixed", name="tumour bed"),)
+    layer = viewer.add_labels(paint, name="Bed", metadata=layer_metadata(BOUNDARY, rules))
+    dock.boundary, dock.hold_edge = layer, True
+    screen = Screen(dock)
+    still = do_and_wait(screen.cell("tumour bed", "Action").choose, "removed")
+    assert screen.cell("tumour bed", "confi-").text() == ""
+    assert not still.displacement.any()
+    assert "Nothing acts on the tissue" in dock.warning
+    assert "'gravity'" in dock.warning
+    sunk = do_and_wait(screen.choose, "down")
+    roof, floor = (20 - np.argmax(DISC[20::-1, 20] == 0), 20 + np.argmax(DISC[20:, 20] == 0))
+    assert sunk.displacement[roof, 20, 0] > 0.1
+    filled = do_and_wait(screen.choose, "fluid")
+    assert dock.cavity == Cavity(fluid=0.00981)
+    assert filled.displacement[floor, 20, 0] > sunk.displacement[floor, 20, 0] + 0.1
+    half = do_and_wait(setattr, dock, "cavity", Cavity(fluid=0.00981, level=0.5))
+    assert sunk.displacement[floor, 20, 0] < half.displacement[floor, 20, 0]
+    assert half.displacement[floor, 20, 0] < filled.displacement[floor, 20, 0]
+    path = dock.save_study(tmp_path / "removed")
+    do_and_wait(dock.undo)
+    assert dock.cavity == Cavity(fluid=0.00981)
+    do_and_wait(dock.undo)
+    assert dock.cavity == Cavity()
+    do_and_wait(dock.open_study, path)
+    assert dock.cavity == Cavity(fluid=0.00981, level=0.5)
+    assert dock.rules[0].action == "remove"
+
+
+def test_a_fluid_without_gravity_is_refused_with_the_name_of_the_menu(dock, viewer, wait_for):
+    layer = viewer.add_labels(
+        np.where(DISC, 1, 0),
+        name="Bed",
+        metadata=layer_metadata(BOUNDARY, (BoundaryRule(1, "remove"),)),
+    )
+    dock.boundary, dock.hold_edge = layer, True
+    dock.cavity = Cavity(fluid=0.01)
+    wait_for(lambda: not dock.busy)
+    assert "no direction of gravity is set" in dock.status
+    assert "('gravity')" in dock.status

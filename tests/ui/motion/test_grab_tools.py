@@ -9,6 +9,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from scipy import ndimage
 
+from napari_hmrf import Cavity
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
 from napari_hmrf.layers.compat import camera_of, drawn_node, text_of
@@ -179,6 +180,24 @@ def test_a_stroke_on_the_surface_lets_tissue_slide_until_it_is_undone(pulling_be
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert displacement(widget)[10, 0] == pytest.approx((0, 0), abs=1e-3)
+
+
+def test_a_stroke_removes_tissue_in_one_step_and_suction_closes_the_cavity(pulling_beside, settle):
+    person, widget = pulling_beside
+    widget.hold_edge, widget.drawing, widget.cavity = True, Drawing(), Cavity(pressure=-0.05)
+    person.key(Qt.Key.Key_R)
+    widget.fields.radius.value = 6.0
+    person.paint((32, 28), (32, 36))
+    settle(widget)
+    (stroke,) = widget.drawing.marks
+    assert stroke.action == "remove"
+    assert widget.solution.removed[32, 29:36].all()
+    assert not widget.solution.tissue[32, 29:36].any()
+    assert displacement(widget)[24, 32, 0] > 0.1
+    assert displacement(widget)[40, 32, 0] < -0.1
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert not widget.drawing.marks
 
 
 def test_a_ring_expands_or_shrinks(brushing_beside, settle):
