@@ -24,6 +24,7 @@ from report import (
     metropolis,
     paper,
     registration,
+    resection,
     speed,
 )
 from report.page import Section, Settings, write_page
@@ -40,6 +41,7 @@ SECTIONS: dict[str, Callable[[Settings], Section]] = {
     "analytic": analytic.section,
     "volumes": bricks.section,
     "loads": load_cases.section,
+    "resection": resection.section,
 }
 ORDER = (
     "paper",
@@ -50,6 +52,7 @@ ORDER = (
     "analytic",
     "volumes",
     "loads",
+    "resection",
     "speed",
 )
 

@@ -148,6 +148,13 @@ def removed_tumour(names: Names) -> Figure:
     return panels(*images, *shown, unit="px")
 
 
+def resected_tumour(names: Names) -> Figure:
+    """Draw the brain before the operation, and with an empty and a full cavity."""
+    images = names["images"]
+    titles = {"intact": "before", "empty": "empty cavity", "full": "cavity full of water"}
+    return panels(*((title, images[name], "gray", None) for name, title in titles.items()))
+
+
 def sections(names: Names) -> Figure:
     """Draw a cut across all sections: of the block, as cut, and registered."""
     shown = []
@@ -240,6 +247,7 @@ PICTURES: dict[str, Callable[[Names], Figure]] = {
         paper_beside_elastic,
         registration,
         removed_tumour,
+        resected_tumour,
         sections,
         uncertainty,
         volume,

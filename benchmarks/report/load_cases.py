@@ -36,13 +36,17 @@ _FACES = {
 
 
 class Case(NamedTuple):
-    """Tissue that is fixed at its first sites, with growth, weight and pressure."""
+    """Tissue that is fixed at its first sites, with growth, weight and pressure.
+
+    The pressure is one number, or a number for each site; a face then bears the mean of its
+    corners.
+    """
 
     stiffness: Float64Array
     strain: Float64Array
     pull: tuple[float, ...]
     surface: npt.NDArray[np.bool_]
-    amount: float
+    amount: float | Float64Array
     spacing: tuple[float, ...]
 
     @property
@@ -173,7 +177,7 @@ def deck(case: Case, poisson: float, stress: bool) -> str:
     lines += [f"{node}, 1, {axes}" for node in nodes if node in number[0]]
     lines += ["*TEMPERATURE"]
     lines += [f"{node}, {case.strain.flat[node - 1]:.12g}" for node in nodes]
-    size = math.hypot(*case.pull)
+    size, presses = math.hypot(*case.pull), np.broadcast_to(case.amount, shape)
     way = ", ".join(f"{each / size:.15g}" for each in (*case.pull, 0.0)[:3])
     lines += ["*DLOAD", f"EVERY, GRAV, {size:.15g}, {way}"]
     for first, (face, corners) in itertools.product(elements, enumerate(_FACES[axes], start=1)):
@@ -183,7 +187,8 @@ def deck(case: Case, poisson: float, stress: bool) -> str:
         beyond = tuple(at + step * (along == axis) for along, at in enumerate(first))
         painted = all(case.surface[tuple(place)] for place in places + first)
         if beyond not in elements and painted:
-            lines.append(f"{named[first]}, P{face}, {case.amount:.12g}")
+            amount = np.mean([presses[tuple(place)] for place in places + first])
+            lines.append(f"{named[first]}, P{face}, {amount:.12g}")
     lines += ["*NODE PRINT, NSET=ALL", "U", "*END STEP", ""]
     return "\n".join(lines)
 

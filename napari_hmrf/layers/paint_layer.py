@@ -56,6 +56,8 @@ _UNKNOWN: Colour = (0.5, 0.5, 0.5)
 _TISSUE, _TISSUES = 64, 128
 #: Opacity of actions, and of painted tissue.
 _OPACITY, _TISSUE_OPACITY = 0.55, 0.6
+#: Opacity of paint that removes tissue, through which the blank cavity remains visible.
+_REMOVED_OPACITY = 0.3
 #: Number of marks along the shorter side of an image.
 _ACROSS = 32
 
@@ -142,7 +144,8 @@ def _colours(tissues: tuple[tuple[float, ...], ...]) -> CyclicLabelColormap:
     # compile the mapping of a direct colormap that lists only some of the values.
     colours = np.zeros((256, 4))
     for action, kind in KINDS.items():
-        colours[kind] = (*COLOURS[action], _OPACITY)
+        opacity = _REMOVED_OPACITY if action == "remove" else _OPACITY
+        colours[kind] = (*COLOURS[action], opacity)
     colours[_TISSUE : _TISSUE + _TISSUES] = (*_UNKNOWN, _TISSUE_OPACITY)
     for label, *colour in tissues:
         colours[_TISSUE + int(label) % _TISSUES] = (*colour, _TISSUE_OPACITY)

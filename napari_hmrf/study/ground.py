@@ -379,9 +379,15 @@ class Ground:
         both = statement.removed & (statement.problem.confidence > 0).any(axis=-1)
         if self.study.motion.hold_edge:  # the outer edge of removed tissue is not held on purpose
             both &= ~(outer_rim(self.stiffness > 0) | outer_rim(self.body))
-        if not both.any():
+        count = int(both.sum())
+        if not count:
             return ""
-        return f"{how_many(both)} of removed tissue are also held or moved, which has no effect"
+        pixels = (
+            "1 pixel of removed tissue is"
+            if count == 1
+            else f"{count} pixels of removed tissue are"
+        )
+        return f"{pixels} also held or moved, which has no effect"
 
 
 def _no_landmark_data(study: Study, count: int) -> LayerError:

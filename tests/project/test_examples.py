@@ -123,6 +123,17 @@ def test_masks_keep_a_removed_tumour_from_moving_the_brain(run_example):
     assert text.count("folds 0") == 2
 
 
+def test_a_brain_sinks_into_the_cavity_of_a_resection(run_example):
+    text = run_example("resected_tumour")
+    moves = {
+        name: re.search(rf"^{name} cavity: .* by (-?[\d.]+) mm, .* by (-?[\d.]+) mm", text, re.M)
+        for name in ("empty", "half full", "full")
+    }
+    roof, floor = ({name: float(each[n]) for name, each in moves.items()} for n in (1, 2))
+    assert min(roof.values()) > 1
+    assert floor["empty"] < floor["half full"] < floor["full"] < 0  # fluid presses on the floor
+
+
 def test_registered_sections_match_like_those_of_the_block(run_example):
     text = run_example("sections")
     match = {name: number(f"{name}: .* by #", text) for name in ("block", "as cut", "registered")}
