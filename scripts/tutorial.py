@@ -302,6 +302,37 @@ def brushes(_: dict[str, Path]) -> None:
     person.viewer.close()
 
 
+def resection(_: dict[str, Path]) -> None:
+    """Take the pictures of a removed tumour, and of the brain that sinks into its cavity."""
+    person = Person(SIZE)
+    open_sample(person, GROWING)
+    dock = open_dock(person)
+    wait_until(lambda: dock.solution is not None and not dock.busy)
+    dock.stop()
+    take(person, dock, "remove")
+    typed(person, dock.fields.radius, "32")
+    person.drag((199, 198), (199, 199))
+    wait_until(lambda: not dock.busy)
+    keep(person, "resection-painted")
+    form = dock._form.motion
+    person.show(form.weight.way)
+    person.choose(form.weight.way, "down")
+    typed(person, form.weight.amount, "0.05")
+    wait_until(lambda: not dock.busy)
+    before = dock.solution.displacement
+    person.show(form.cavity.contents)
+    keep(person, "resection-empty")
+    person.choose(form.cavity.contents, "fluid")
+    person.show(form.cavity.level)
+    typed(person, form.cavity.fluid, "0.05")
+    wait_until(lambda: not dock.busy)
+    keep(person, "resection-filled")
+    for row in (165, 233):
+        print(row, before[row, 198], dock.solution.displacement[row, 198])
+    print(dock.status, dock.warning)
+    person.viewer.close()
+
+
 def own(images: dict[str, Path]) -> None:
     """Take the pictures of a PNG file."""
     person = Person(SIZE)
@@ -462,6 +493,7 @@ PAGES: dict[str, Callable[[dict[str, Path]], None]] = {
     "tumour": tumour,
     "landmarks": landmarks,
     "brushes": brushes,
+    "resection": resection,
     "own": own,
     "photograph": photograph,
     "stack": stack,

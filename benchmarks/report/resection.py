@@ -135,7 +135,7 @@ def _gel(page: Section, settings: Settings) -> None:
     rows = []
     for axes, contents in ((2, "nothing"), (2, "fluid, 60 %"), (3, "nothing"), (3, "fluid, 60 %")):
         known = gel_block(finest[axes], axes, contents)
-        moves = float(np.abs(known).max())
+        moves = float(np.nanmax(np.abs(known)))
         errors = []
         for count in counts[axes]:
             found = gel_block(count, axes, contents)

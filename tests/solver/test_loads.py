@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import scipy.sparse.linalg as spl
-from report import calculix, load_cases
+from report import calculix, load_cases, resection
 
 from napari_hmrf import (
     ArgumentError,
@@ -444,6 +444,15 @@ def test_growth_weight_and_pressure_agree_with_calculix(axes, plane, nu):
     off, most, unbalanced = load_cases.to_calculix(case, plane, nu)
     assert off < 1e-5 * most
     assert unbalanced < 1e-6
+
+
+@pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
+@pytest.mark.parametrize(("axes", "plane", "nu"), [(2, "stress", 0.3), (3, "strain", 0.0)])
+@pytest.mark.parametrize("contents", ["nothing", "fluid, 60 %"])
+def test_tissue_without_a_removed_part_agrees_with_calculix(axes, plane, nu, contents):
+    off, most = resection.to_calculix((16, 8)[axes - 2], axes, plane, nu, contents)
+    assert most > 0.1
+    assert off < (1e-5 * most if contents == "nothing" else 0.01)
 
 
 def test_shaders_solve_images_with_loads():

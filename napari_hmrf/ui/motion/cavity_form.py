@@ -67,8 +67,8 @@ class CavityForm(Container):
             tooltip="Level of the fluid, in per cent of the height of the cavity",
         )
         super().__init__(widgets=[self.contents, self.pressure, self.fluid, self.level])
-        for amount in (self.pressure, self.fluid, self.level):
-            amount.native.setDecimals(5 if amount is self.fluid else 4)
+        for amount, decimals in ((self.pressure, 4), (self.fluid, 5), (self.level, 1)):
+            amount.native.setDecimals(decimals)
             amount.native.setKeyboardTracking(False)  # "0." is not a complete number
         self.fluid.value = _WATER
         self.margins = (0, 0, 0, 0)
