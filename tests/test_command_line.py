@@ -11,6 +11,7 @@ import pytest
 
 from napari_hmrf import (
     Arrow,
+    Cavity,
     Drawing,
     Grid,
     HmrfError,
@@ -179,12 +180,34 @@ def test_the_shell_sets_the_parameters_of_the_energy(files, capsys):
     assert any("label 2 is not in the table" in note for note in plain.notes)
 
 
+def test_the_shell_removes_tissue_and_fills_the_cavity(files, capsys):
+    paint = np.zeros(SHAPE, np.uint8)
+    paint[-1], paint[6:12, 6:12] = 1, 2
+    write_image("paint.png", ImageFile(paint))
+    (files / "r.csv").write_text("label,action\n1,fixed\n2,remove\n")
+    line = SOLVE.replace("rim.png", "paint.png") + " -o out --weight 0.01/0"
+    code, _, err = run(f"{line} --cavity 0.1/0.02/0.5", capsys)
+    assert code == 0, err
+    study, solution = read_study(files / "out" / "image.study")
+    assert study.motion.cavity == Cavity(0.1, 0.02, 0.5)
+    assert (solution.removed == (study.motion.labels == 2)).all()
+    assert solution.displacement[12, 8, 0] > solution.displacement[14, 8, 0] > 0
+
+
+@pytest.mark.parametrize("wrong", ["0/-1", "much", "0/0/0/0", "0/1/-0.5"])
+def test_an_invalid_load_on_a_cavity_is_refused_with_an_example(files, capsys, wrong):
+    with pytest.raises(SystemExit):
+        run(f"{SOLVE} -o out --cavity {wrong}", capsys)
+    assert "is not pressure/fluid/level, such as 0/0.00981/0.5" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         ("--model paper --poisson 0.3", "--poisson has no effect: the paper's model has no"),
         ("--model paper --plane strain", "--plane has no effect: the paper's model has nei"),
         ("--model paper-converged --weight 0/1", "--weight has no effect: the paper's model"),
+        ("--model paper --cavity 0.1", "--cavity has no effect: the paper's model does not"),
         ("--model paper --tolerance 0.1", "--tolerance has no effect: the paper's schedule"),
         ("--budget 20", "--budget has no effect: only large motion has a budget"),
         ("--weight 0/0/1", "--weight has 3 numbers, but the grid has 2 axes"),

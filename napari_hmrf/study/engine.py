@@ -239,9 +239,9 @@ class Engine:
         assert self._request is not None
         request = replace(self._request, generation=update.number, is_earlier=update.is_earlier)
         error, latest = update.error, self.latest
-        if update.solution is not None and request.stated is not None:
-            whole = replace(update.solution, removed=request.stated.removed)
-            update = replace(update, solution=whole)
+        removed = None if request.stated is None else request.stated.removed
+        if update.solution is not None and update.solution.removed is not removed:
+            update = replace(update, solution=replace(update.solution, removed=removed))
         if update.final and error is None:
             self.report(DRAWING)
         if update.solution is not None or isinstance(error, _StillError):

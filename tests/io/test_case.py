@@ -275,6 +275,14 @@ def test_a_rule_that_slides_needs_no_distance_and_may_have_one(tmp_path):
         read_rules(tmp_path / "t.csv")
 
 
+def test_a_rule_that_removes_tissue_needs_no_other_column(tmp_path):
+    (tmp_path / "t.csv").write_text("label,action\n1,remove\n")
+    assert read_rules(tmp_path / "t.csv") == (BoundaryRule(1, "remove"),)
+    (tmp_path / "t.csv").write_text("label,action,amount\n1,remove,0.5\n")
+    with pytest.raises(FileFormatError, match="amount has no effect on remove"):
+        read_rules(tmp_path / "t.csv")
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

@@ -49,6 +49,22 @@ def results_of(*asked):
     return found
 
 
+@pytest.mark.parametrize("view", [{"axis": 0, "number": 10}, {"axis": 2, "number": 11}, {}])
+def test_a_preview_of_a_volume_does_not_show_removed_tissue(view):
+    hole = Stroke("remove", (((10.0, 12.0, 11.0),),), radius=5.0)
+    study = replace(a_study(hole), pictures=Pictures(image=np.full(SHAPE, 200, np.uint8)))
+    image = study.pictures.image.copy()
+    image[0, 0, 0] = 3  # the lowest value, which blank pixels have
+    study = replace(study, pictures=Pictures(image=image))
+    preview, final = results_of((study, Preview(CoarseGrid(2), **view)), (study, None))
+    middle = {0: (12, 11), 2: (10, 12)}.get(view.get("axis"), (5, 6, 5))
+    assert preview.image[middle] == 3
+    assert preview.image[tuple(at + 4 for at in middle)] == 200 or not view
+    assert final.image[10, 12, 11] == 3
+    assert final.solution.removed[10, 12, 11]
+    assert not final.solution.tissue[10, 12, 11]
+
+
 def test_a_coarse_grid_samples_sites_at_a_constant_step():
     study = CoarseGrid(4).study(a_study())
     assert study.grid.shape == (5, 6, 6)
