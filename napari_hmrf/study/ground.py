@@ -574,14 +574,14 @@ def solve_statement(
             progress=progress,
             cancel=cancel,
         )
-    return at_place_of(study, solution)
+    return replace(at_place_of(study, solution), removed=stated.removed)
 
 
 def at_place_of(study: Study, solution: Solution) -> Solution:
     """Return a solution with the place and the unit of the grid of a study."""
     place = study.grid.place
     frame = None if place is None else place.as_dict()
-    return replace(solution, frame=frame, unit=study.grid.unit, removed=stated.removed)
+    return replace(solution, frame=frame, unit=study.grid.unit)
 
 
 def _check_study(study: object) -> None:
