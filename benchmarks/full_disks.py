@@ -57,7 +57,9 @@ from napari_hmrf.io.material_tables import write_preset
 from napari_hmrf.io.moving_pictures import write_film
 from napari_hmrf.io.registration_files import RegistrationCase, register_files
 from napari_hmrf.io.tables import write_measurements, write_named_materials
+from napari_hmrf.io.uncertainty_files import write_uncertainty
 from napari_hmrf.landmarks import write_points
+from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.random import RandomDeformation
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.material_presets import PRESETS
@@ -99,6 +101,13 @@ def study() -> Study:
 def solution() -> Solution:
     """Return the solution of the study."""
     return solve_study(study(), backend="cpu")
+
+
+def _uncertainty() -> Uncertainty:
+    """Return the uncertainty of the solution, with zeros."""
+    found = solution()
+    sd = np.zeros_like(found.displacement)
+    return Uncertainty(found, sd, sd[..., 0], 1.0, 2, {})
 
 
 @cache
@@ -175,7 +184,8 @@ def _layer() -> dict[str, Any]:
 def writers() -> list[Writer]:
     """List all functions of the package that write files, with their formats."""
     points = np.random.default_rng(0).normal(size=(9, 2))
-    rows = [Measurement(*([1] * (len(Measurement._fields) - 1)))]
+    required = len(Measurement._fields) - len(Measurement._field_defaults)
+    rows = [Measurement(*([1] * required))]
     named = materials_by_name({1: "liver", 2: "something"}, name="names")
     made: dict[str, Callable[[Path], Any]] = {
         "solver.solution.Solution.write": lambda at: solution().write(at / "a.npz"),
@@ -191,6 +201,9 @@ def writers() -> list[Writer]:
             at / "a.mha", np.ones((*_SHAPE, 2)), spacing=(1, 1)
         ),
         "io.fields.export_field": lambda at: export_field(at / "a.mha", solution(), placed=False),
+        "io.uncertainty_files.write_uncertainty": lambda at: write_uncertainty(
+            at / "sd.mha", _uncertainty(), placed=False
+        ),
         "io.apply.write_field_file": lambda at: write_field_file(
             at / "a.nrrd", FieldFile.of(solution())
         ),

@@ -78,6 +78,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "read_field": 1,
     "register": 2,
     "fit": 2,
+    "fit_study": 2,
     "sample_posterior": 3,
     "check_agreement": 2,
     "fit_scale": 2,
@@ -165,7 +166,7 @@ def test_every_callable_with_options_is_in_the_list():
     """Except `phantom(name, size)` and records: rows of tables, marks, studies and results."""
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
     records |= {"Study", "Grid", "Frame", "Tissue", "Motion", "Cavity", "Pictures"}
-    records |= {"Field", "LandmarkFile", "Measurement", "NamedMaterials"}
+    records |= {"Field", "LandmarkFile", "Measurement", "NamedMaterials", "Fit"}
     records |= {"BatchProgress", "Case", "CaseOutcome", "NamedCase", "Update"}
     records |= {"Drawing", "Arrow", "Landmark", "Stroke"}
     choices = set()
