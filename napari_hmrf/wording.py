@@ -36,6 +36,7 @@ TERMS: dict[str, Term] = {
     "measured=None": Term("", "'Unregister'"),
     "weight=...": Term("--weight", "'gravity'"),
     "weight=..., cavity=...": Term("--weight, --cavity", "'gravity', 'cavity'"),
+    "slides=False": Term("--materials without slides", "the column 'slides' of the table"),
     "sd=0": Term("a file without this column", ""),
     "penalty=None": Term(
         "without --penalty", "'spring strength' under 'Advanced' at 'by confidence'"

@@ -15,10 +15,12 @@ Example of a file::
 
 The stiffness of rigid tissue, such as bone or an implant, is the word ``"rigid"``. The optional
 value ``"growth"`` is a strain: 0.1 increases lengths by a tenth. It can be a list with one value
-for each axis of the image.
+for each axis of the image. The optional value ``"slides"`` is true for tissue that slides along all
+other tissue.
 
-A file with growth has format version 3, a file with rigid tissue version 2, and any other file
-version 1. Earlier versions of this package can read files with earlier format versions.
+A file with tissue that slides has format version 4, a file with growth version 3, a file with rigid
+tissue version 2, and any other file version 1. Earlier versions of this package can read files with
+earlier format versions.
 """
 
 from __future__ import annotations
@@ -42,9 +44,10 @@ _Format = Literal["napari-hmrf materials"]
 #: Identifier of the format, stored in each file.
 FORMAT: _Format = "napari-hmrf materials"
 #: Latest version of the format.
-VERSION = 3
-#: Format versions of files with neither rigid tissue nor growth, and of files with rigid tissue.
-_FIRST, _RIGID = 1, 2
+VERSION = 4
+#: Format versions of files without rigid tissue, growth or sliding tissue; of files with rigid
+#: tissue; and of files with growth.
+_FIRST, _RIGID, _GROWTH = 1, 2, 3
 #: Suffix of the files.
 ENDING = ".json"
 #: Largest size of a file, in bytes; a larger file is not read.
@@ -82,7 +85,7 @@ def write_preset(path: str | Path, preset: Preset) -> Path:
         "materials": [material.as_row() for material in preset.materials],
     }
     try:
-        text = _File.model_validate(values).model_dump_json(indent=2)
+        text = _File.model_validate(values).model_dump_json(indent=2, exclude_unset=True)
     except pydantic.ValidationError as error:
         raise _format_error(target, error) from error
     write_whole(target, f"{text}\n".encode())
@@ -122,8 +125,10 @@ def read_preset(path: str | Path) -> Preset:
 
 def _version(preset: Preset) -> int:
     """Return the earliest version of the format that supports these materials."""
-    if any(row.grows for row in preset.materials):
+    if any(row.slides for row in preset.materials):
         return VERSION
+    if any(row.grows for row in preset.materials):
+        return _GROWTH
     return _RIGID if any(row.is_rigid for row in preset.materials) else _FIRST
 
 
@@ -142,6 +147,7 @@ class _Row(pydantic.BaseModel, strict=True, extra="forbid"):
     ]
     poisson: float = pydantic.Field(USUAL_POISSON, ge=POISSON_RANGE[0], le=POISSON_RANGE[1])
     growth: _Strain | tuple[_Strain, ...] = 0.0
+    slides: bool = False
 
 
 class _File(pydantic.BaseModel, strict=True, extra="forbid"):

@@ -111,6 +111,12 @@ def _growth(text: str) -> float | tuple[float, ...]:
     return parts if len(parts) > 1 else parts[0]
 
 
+def _is_yes(text: str) -> bool:
+    if text.casefold() not in ("yes", "no"):
+        raise ValueError
+    return text.casefold() == "yes"
+
+
 _NAME = _Column(str, "a name")
 _LENGTH = _Column(_number(), "a number, a length in the image's unit")
 _OF_MATERIALS = {
@@ -123,6 +129,7 @@ _OF_MATERIALS = {
     "growth": _Column(
         _growth, "a number such as 0.2 or 20% (a fifth longer), up to 10, or one for each axis"
     ),
+    "slides": _Column(_is_yes, "yes, if the tissue slides along all other tissue, or no"),
     "source": _Column(str, "the source of the numbers"),
 }
 _OF_RULES = {

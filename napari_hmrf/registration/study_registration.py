@@ -16,6 +16,7 @@ from napari_hmrf.registration.matching import Show, placeholder
 from napari_hmrf.registration.register import check_contrast, on_grid, registered
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.sliding_parts import refuse_sliding
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.study.ground import Ground, refuse_measurement
 from napari_hmrf.study.measured_motion import MeasuredMotion
@@ -111,6 +112,8 @@ def register_study(
     free = replace(study.motion, measured=nothing, hold_edge=False)
     ground = Ground.of(replace(study, motion=free), checkpoint)
     statement = ground.statement()
+    with study.naming():
+        refuse_sliding(statement.problem.sliding, "a registration")
     prior = statement.prior
     assert isinstance(prior, ElasticPrior)
     pixels = np.asarray(image, np.float32)

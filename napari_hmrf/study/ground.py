@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from itertools import compress
 from operator import add
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +21,11 @@ from napari_hmrf.solver.caveats import caveats, missing_constraint
 from napari_hmrf.solver.data_term import combined_data
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
 from napari_hmrf.solver.real_arrays import first_index, how_many
+from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.uncertain_landmarks import typical_stiffness
@@ -242,6 +243,7 @@ class Ground:
         with self.study.naming():
             loads, spacing = self._loads(canvas.labels, m, removed), self.study.grid.spacing
             refuse_sliding(self.study, canvas.slides)
+            refuse_sliding_tissue(self.study, canvas.labels)
             y, precision = sliding_data(canvas.observed, canvas.slides, m, spacing)
             motion = self.study.motion
             if motion.measured is not None:
@@ -261,7 +263,9 @@ class Ground:
                 loads=loads,
                 precision=precision,
                 landmarks=landmarks,
+                sliding=self._sliding_parts(canvas.labels, m),
             )
+        self._refuse_beside_sliding(problem, prior)
         return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study, removed)
 
     def _check_remaining(self, m: FloatArray, canvas: Canvas) -> None:
@@ -295,6 +299,40 @@ class Ground:
             parts.append(motion.cavity.loads(m, removed, motion.weight, spacing=spacing))
         known = [part for part in parts if part is not None]
         return reduce(add, known) if known else None
+
+    def _sliding_parts(self, labels: npt.NDArray[Any], m: FloatArray) -> SlidingParts | None:
+        """Return the parts of tissue that slide; None if there are fewer than two parts.
+
+        Each label that slides is a part of its own, and all other tissue is one part.
+        """
+        slides = [row.label for row in self.palette.materials if row.slides]
+        parts = np.zeros(m.shape, dtype=np.int32)
+        for number, label in enumerate(slides, start=1):
+            parts[labels == label] = number
+        if len(np.unique(parts[m > 0])) < 2:
+            return None
+        if np.isinf(m).any():
+            self._refuse_with_sliding("rigid tissue. Give it a large finite stiffness")
+        return SlidingParts(parts)
+
+    def _refuse_beside_sliding(self, problem: Problem, prior: Prior) -> None:
+        """Raise an error for inputs that cannot be combined with tissue that slides."""
+        if problem.sliding is None:
+            return
+        if problem.landmarks is not None:
+            self._refuse_with_sliding("landmarks with an uncertainty (±). Set ± to 0 (`sd=0`)")
+        if isinstance(prior, ElasticPrior) and prior.can_slip(problem):
+            self._refuse_with_sliding(
+                "a confidence between 0 and 1 or a finite spring strength. Use a confidence of 1"
+            )
+
+    def _refuse_with_sliding(self, other: str) -> NoReturn:
+        """Raise an error for an input that cannot be combined with tissue that slides."""
+        raise LayerError(
+            self.study.named("tissue", "image"),
+            "has tissue that slides along other tissue, which cannot be combined with "
+            f"{other}, or let no tissue slide (`slides=False`).",
+        )
 
     def refuse_motionless(self, statement: Statement) -> None:
         """Raise an error if a problem has no displacement, force, growth or removed tissue.
@@ -433,6 +471,27 @@ def refuse_sliding(study: Study, slides: npt.NDArray[np.bool_] | bool) -> None:
         )
 
 
+def refuse_sliding_tissue(study: Study, labels: npt.NDArray[Any]) -> None:
+    """Raise an error if tissue slides along other tissue, and the model does not support it.
+
+    Raises
+    ------
+    ProblemError
+        If a label in `labels` slides, and the model is not the elastic model.
+    """
+    if isinstance(study.prior, ElasticPrior) and isinstance(study.optimizer, Multigrid):
+        return
+    rows = [row for row in study.tissue.materials if row.slides and row.stiffness > 0]
+    names = [f"'{row.name or row.label}'" for row in rows if (labels == row.label).any()]
+    if names:
+        raise LayerError(
+            study.named("tissue", "image"),
+            f"has tissue that slides along other tissue ({' and '.join(names)}), which the model "
+            f"'{study.model_name}' does not support. Use the elastic model (`model='elastic'`), or "
+            "let no tissue slide (`slides=False`).",
+        )
+
+
 def refuse_unknown(study: Study) -> None:
     """Raise an error for rigid tissue, loads or surfaces that the prior does not support.
 
@@ -445,6 +504,8 @@ def refuse_unknown(study: Study) -> None:
     prior, tissue = study.prior, study.tissue
     if not isinstance(prior, ElasticPrior):
         refuse_sliding(study, study.slides)
+    if tissue.labels is not None:
+        refuse_sliding_tissue(study, tissue.labels)
     if study.bears_loads and not isinstance(prior, Elastic):
         raise LayerError(
             study.named("tissue", "image"),

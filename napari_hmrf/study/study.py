@@ -688,6 +688,7 @@ class Study:
             landmarks=boundary,
             spacing=names.get("image") or tissue,
             growth=tissue,
+            sliding=tissue,
             surface=names.get("boundary"),
             precision=boundary,
             force=names.get("boundary"),

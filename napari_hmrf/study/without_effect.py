@@ -163,6 +163,9 @@ def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterat
         if labels is not None:
             where = f"'{study.named('tissue', 'image')}' has no such label"
         yield f"{_rows('growth', growing)} no effect: {where}"
+    sliding = _absent([row for row in study.tissue.materials if row.slides], labels)
+    if sliding:
+        yield f"{_rows('sliding', sliding)} no effect: no tissue has such a label"
     if motion.cavity.acts and not study.removes:
         yield "the load on the cavity has no effect: no tissue is removed"
 
@@ -188,7 +191,7 @@ def _rows(noun: str, rows: Sequence[BoundaryRule | Material]) -> str:
     )
     if len(rows) == 1:
         return f"the {noun} of label {names} has"
-    return f"the {noun}{'' if noun == 'growth' else 's'} of labels {names} have"
+    return f"the {noun}{'' if noun in ('growth', 'sliding') else 's'} of labels {names} have"
 
 
 def _named(mark: Mark) -> tuple[str, Point]:

@@ -66,6 +66,10 @@ class Material:
         Relative change in length of unconstrained tissue: 0.1 means 10 % longer. One number for
         all directions, or one number for each axis: (row, col), or (plane, row, col) in a volume.
         Void and rigid tissue do not grow.
+    slides : bool
+        If True, the tissue slides along all tissue of other labels without friction, and stays
+        together with it along the normal of the interface; see `SlidingParts`. Only the elastic
+        model supports this.
 
     Raises
     ------
@@ -73,7 +77,7 @@ class Material:
         If the stiffness is below 0, NaN or a string; if the Poisson's ratio of tissue is out of
         range; or if the growth is not a number.
     ArgumentError
-        If the label is not a whole number.
+        If the label is not a whole number, or `slides` is neither True nor False.
     """
 
     label: int
@@ -81,12 +85,14 @@ class Material:
     stiffness: float
     poisson: float = USUAL_POISSON
     growth: Growth = 0.0
+    slides: bool = False
 
     def __post_init__(self) -> None:
         stiffness: Any = self.stiffness
         if not real(stiffness) >= 0:
             raise _wrong_stiffness(self)
         refuse_unless(is_whole(self.label), "label", self.label, "a whole number, such as 1")
+        refuse_unless(isinstance(self.slides, bool), "slides", self.slides, "True or False")
         if not all(math.isfinite(real(part)) for part in np.atleast_1d(self.growth).tolist()):
             raise ProblemError(
                 "growth",
@@ -116,6 +122,8 @@ class Material:
         row = asdict(self)
         if not self.grows:  # earlier versions can then read the row
             del row["growth"]
+        if not self.slides:
+            del row["slides"]
         return {**row, "stiffness": _RIGID} if self.is_rigid else row
 
     @classmethod
@@ -171,7 +179,7 @@ def default_material(label: int, known: Iterable[Material]) -> Material:
     first = next((material for material in known if material.is_deformable), None)
     if first is None:
         return Material(label, name, _STIFFNESS)
-    return replace(first, label=label, name=name)
+    return replace(first, label=label, name=name, slides=False)
 
 
 def default_rigid(label: int) -> Material:

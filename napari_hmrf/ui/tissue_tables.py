@@ -56,19 +56,21 @@ _ACTIONS: dict[Action, str] = {
 }
 #: Actions without a confidence.
 _WITHOUT_CONFIDENCE: tuple[Action, ...] = *FORCES, "slide", "remove"
+#: Texts of a choice in the table.
+_YES, _NO = "yes", "no"
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
 _FILES = f"Materials (*{ENDING})"
 _TABLES = f"Materials, names of labels ({' '.join(f'*{ending}' for ending in ENDINGS)})"
 
 
 class MaterialTable(LabelTable[Material]):
-    """Table with label, name, stiffness, Poisson's ratio and growth; `rows` are `Material`s."""
+    """Table of tissues with their stiffness, growth and sliding; `rows` are `Material`s."""
 
     role, title = TISSUE, "Tissue"
 
     @property
     def columns(self) -> list[Column[Material]]:
-        """Columns for stiffness (with its unit if known), Poisson's ratio, and growth."""
+        """Columns for stiffness (with its unit if known), Poisson's ratio, growth and sliding."""
         unit = self.contents.unit  # for display only: the motion depends on ratios of stiffness
         return [
             *super().columns,
@@ -93,6 +95,14 @@ class MaterialTable(LabelTable[Material]):
                 "columns.\nThe paper's model has no growth.",
                 lambda row: _joined(100 * np.atleast_1d(row.growth)) if row.is_deformable else "",
                 _growth,
+            ),
+            Column(
+                "slides",
+                "yes: the tissue slides along all other tissue without friction, and stays "
+                "together with it,\nlike the lung and the chest wall. In the elastic model.",
+                lambda row: _YES if row.slides else _NO,
+                lambda row, text: replace(row, slides=text == _YES),
+                (_NO, _YES),
             ),
         ]
 

@@ -66,7 +66,7 @@ def spoilt(**changes):
     [
         ([], "not a material file"),
         ({"format": "something else"}, "not a material file"),
-        (spoilt(version=4), "later version of napari-hmrf"),
+        (spoilt(version=5), "later version of napari-hmrf"),
         (spoilt(version="1"), "version is '1'. It must be: integer"),
         (spoilt(version=True), "version is 'True'"),
         (spoilt(unit=3), "unit is '3'. It must be: string"),
