@@ -11,8 +11,10 @@ LOOPS ?= 5000
 SHADERS ?= 500
 VOLUMES ?= 300
 SEED ?= 0
+# How many random problems `make cavities` solves.
+PROBLEMS ?= 2000
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines routes structure benchmarks live dragging trust uncertainty edits folds soak damaged disks volumes hard report mutations screenshots gallery sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes hard report mutations screenshots gallery sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -31,6 +33,7 @@ help:
 	@echo "make structure    write the diagram of the subpackages to docs/development/architecture.md"
 	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
+	@echo "make cavities     compare random small problems with cavities and sliding parts with dense solutions: PROBLEMS=200 is shorter"
 	@echo "make uncertainty  compare error bars with dense posteriors, count how often they contain the truth, and time them"
 	@echo "make edits        compare thousands of live edits with cold solves"
 	@echo "make folds        solve thousands of random large motions of images and volumes, and check for folds"
@@ -111,6 +114,9 @@ dragging: setup-for-windows
 
 trust: setup
 	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --volumes $(VOLUMES) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
+
+cavities: setup
+	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(RUN) -m benchmarks.cavities_and_interfaces --problems $(PROBLEMS) --seed $(SEED)
 
 uncertainty: setup
 	@$(RUN) -m benchmarks.uncertainty
