@@ -502,6 +502,8 @@ def judge(seed: int, number: int) -> Verdict:
         if outcome == _REFUSED and _depends_on_normals(case, exact):
             outcome = _NEARLY
         return replace(verdict, outcome=outcome, remark=str(refusal))
+    except Exception as crash:  # noqa: BLE001  any other error is a failure
+        return replace(verdict, outcome=_WRONG, remark=repr(crash))
     if least <= SINGULAR:
         return replace(verdict, outcome=_FREE)
     error = float(np.abs(solution.displacement / case.unit - exact).max())

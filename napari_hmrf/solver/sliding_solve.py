@@ -134,10 +134,12 @@ def _check_held(parts: UnfoldedProblem) -> None:
     held = parts.known & (of_sites > 0)[..., None]
     extent = float(max(parts.shape))
 
-    def motions(sites: npt.NDArray[np.intp]) -> tuple[Float64Array, npt.NDArray[np.intp]]:
+    def motions(
+        sites: npt.NDArray[np.intp], of: npt.NDArray[np.intp] | None = None
+    ) -> tuple[Float64Array, npt.NDArray[np.intp]]:
         """Return the rigid motions of sites, shape (n, freedom, axes), and their pieces."""
         index = np.stack(np.unravel_index(sites, parts.shape), axis=1)
-        piece = of_sites.ravel()[sites] - 1
+        piece = (of_sites.ravel()[sites] if of is None else of) - 1
         from_middle = (index - middle[piece]) / extent
         moves = np.zeros((len(sites), freedom, axes))
         moves[:, range(axes), range(axes)] = 1
@@ -154,7 +156,10 @@ def _check_held(parts: UnfoldedProblem) -> None:
     first, second = between.first[coupled], between.second[coupled]
     normals = between.normals[coupled]
     one, two = motions(first), motions(second)
-    links = scipy.sparse.coo_array((np.ones(len(first)), (one[1], two[1])), shape=(count, count))
+    hinges, of_hinges = _hinges(pieces, of_sites)
+    pin, pinned = motions(hinges), motions(hinges, of_hinges)
+    pairs = np.concatenate([one[1], pin[1]]), np.concatenate([two[1], pinned[1]])
+    links = scipy.sparse.coo_array((np.ones(len(pairs[0])), pairs), shape=(count, count))
     clusters, cluster_of = scipy.sparse.csgraph.connected_components(links, directed=False)
     at_held = np.flatnonzero(held.any(axis=-1))
     of_held, held_piece = motions(at_held)
@@ -182,6 +187,12 @@ def _check_held(parts: UnfoldedProblem) -> None:
             rows = _rows(moves[here], place[piece[here]], freedom, size)
             cost += _CERTAIN * np.einsum("nai,nij,nbj->ab", rows, weights[here], rows)
             scale += np.einsum("nai,nbi->ab", rows, rows)
+        here = place[pin[1]] >= 0
+        apart = _rows(pin[0][here], place[pin[1][here]], freedom, size)
+        apart -= _rows(pinned[0][here], place[pinned[1][here]], freedom, size)
+        tied = np.einsum("nai,nbi->ab", apart, apart)
+        cost += _CERTAIN * tied
+        scale += tied
         here = place[one[1]] >= 0
         gaps = _rows(one[0][here], place[one[1][here]], freedom, size)
         gaps -= _rows(two[0][here], place[two[1][here]], freedom, size)
@@ -192,7 +203,43 @@ def _check_held(parts: UnfoldedProblem) -> None:
         values, modes = scipy.linalg.eigh(cost, scale, subset_by_index=[0, 0])
         if values[0] < _ALONG_NORMAL:
             moved = np.abs(modes[:, 0].reshape(len(mine), freedom)).max(axis=1)
-            _refuse(parts, of_sites == 1 + mine[int(moved.argmax())])
+            freest = around_sites(pieces == 1 + mine[int(moved.argmax())], np.logical_or)
+            if not (freest & between.own).any():
+                freest = np.isin(of_sites, 1 + mine)  # a piece of copies only
+            _refuse(parts, freest)
+
+
+def _hinges(
+    pieces: npt.NDArray[Any], of_sites: npt.NDArray[Any]
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return sites at which pieces touch without a common face, and each other piece there.
+
+    Elements of one part that have only a corner or an edge in common are different pieces, but they
+    move together at their common sites.
+
+    Parameters
+    ----------
+    pieces : ndarray of int
+        Number of the piece of each element, from 1; 0 if the element does not exist.
+    of_sites : ndarray of int
+        Largest number of a piece at each site.
+
+    Returns
+    -------
+    sites, others : ndarray of int, shape (n,)
+        Index of each site in the flattened grid, and the number of another piece there.
+    """
+    around = np.pad(pieces, 1)
+    sites, others = [], []
+    for corner in np.ndindex(*(2,) * pieces.ndim):
+        at = tuple(
+            slice(begin, begin + size) for begin, size in zip(corner, of_sites.shape, strict=True)
+        )
+        there = around[at].ravel()
+        found = np.flatnonzero((there > 0) & (there != of_sites.ravel()))
+        sites.append(found)
+        others.append(there[found].astype(np.intp))
+    return np.concatenate(sites), np.concatenate(others)
 
 
 def _rows(

@@ -15,6 +15,11 @@ def test_a_dozen_random_problems_have_the_field_of_a_dense_solution():
     assert sum(verdict.outcome == "right" for verdict in verdicts) >= 8
 
 
+@pytest.mark.parametrize("number", [94, 103, 122])
+def test_pieces_of_a_part_that_touch_at_a_corner_hold_each_other(number):
+    assert campaign.judge(0, number).outcome == "right"
+
+
 @pytest.mark.parametrize("number", [0, 3, 8])
 def test_loads_of_a_cavity_are_integrals_over_its_faces(number):
     case = campaign.random_case(0, number)
