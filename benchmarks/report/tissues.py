@@ -39,6 +39,7 @@ class Images:
     spacing: tuple[float, ...] = (1.0, 1.0)
     unit: float = 1.0
     loads: None = None
+    sliding: None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
