@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from napari_hmrf.errors import HmrfError, ProblemError, naming
-from napari_hmrf.field.brightness import luminance
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.overwriting import refuse_overwriting
-from napari_hmrf.io.registration_files import relative_place
+from napari_hmrf.io.registration_files import grey_image, relative_place
 from napari_hmrf.io.study_file import read_study, write_study
 from napari_hmrf.posterior.study_fit import StudyFit, fit_study
 from napari_hmrf.registration.register import on_grid
@@ -117,9 +116,7 @@ def _second_picture(path: Path, study: Study, second: Path) -> SecondPicture:
             "that of the study.",
         )
     matrix, _ = relative_place((path.name, second.name), study, other)
-    image = other.pictures.image
-    assert image is not None
-    grey = (luminance(image) if image.ndim > axes else image).astype(np.float32)
+    grey = grey_image(other)
     known = np.isfinite(grey)
     every = np.ones(grid.shape, np.bool_)
     pair = on_grid(

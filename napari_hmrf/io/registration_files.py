@@ -296,8 +296,8 @@ class _Pair:
         return cls(
             study,
             other,
-            _grey(study),
-            _grey(other),
+            grey_image(study),
+            grey_image(other),
             study.grid.spacing,
             other.grid.spacing,
             Ground.of(study).stiffness,
@@ -325,7 +325,8 @@ class _Pair:
         return first, second
 
 
-def _grey(study: Study) -> npt.NDArray[np.float32]:
+def grey_image(study: Study) -> npt.NDArray[np.float32]:
+    """Return the brightness of the image of a study, shape (H, W) or (D, H, W)."""
     image = study.pictures.image
     assert image is not None
     if image.ndim > len(study.grid.shape):
