@@ -28,11 +28,11 @@ import numpy.typing as npt
 from napari_hmrf.arguments import require_flag
 from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.posterior.field_data import FieldData
-from napari_hmrf.posterior.pair_data import ImagePair, ImagePairData
+from napari_hmrf.posterior.pair_data import ImagePairData
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import checked_prior
 from napari_hmrf.posterior.uncertainty import checked_labels
-from napari_hmrf.registration.matching import schedule
+from napari_hmrf.registration.matching import Images, schedule
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
@@ -223,27 +223,29 @@ def fit(
     bare = variant_of(problem, precision=None, landmarks=None)
     tissue = _Tissue(bare, _checked_prior(bare, prior))
     wanted = {"stiffness": stiffness, "growth": growth, "poisson": poisson}
+    levels: Sequence[FitData]
     if images is None:
-        levels: Iterable[FitData] = (FieldData.of(problem, measured, sd, landmarks),)
-        count = 1
+        levels = [FieldData.of(problem, measured, sd, landmarks)]
     else:
         if measured is not None or landmarks is not None:
             raise ProblemError(
                 "images", "replace a measured motion and landmarks. Pass one of them only."
             )
         pair, sizes = _checked_pair(images, bare), [size for size, _ in schedule(bare.shape)]
-        count, levels = len(sizes), _pair_levels(pair, bare, sizes, cancel)
+        levels = _pair_levels(pair, bare, sizes, cancel)
     properties = _properties(tissue, numbers, wanted, load)
     values = np.array([each.initial for each in properties])
-    solver = _FitSolver(backend, cancel, progress, count)
-    for number, data in enumerate(levels):
-        fitter = _Fitter(tissue, data, properties, solver.on_level(number))
-        if number == count - 1:
-            return fitter.run(values)
+    *coarse, finest = (
+        _Fitter(
+            tissue, data, properties, _FitSolver(backend, cancel, progress, number, len(levels))
+        )
+        for number, data in enumerate(levels)
+    )
+    for fitter in coarse:
         # Large pixels may show too little of small tissue; the next level then starts as this one.
         with suppress(ProblemError, ConvergenceError):
             values = fitter.values(values)
-    raise AssertionError("no level")
+    return finest.run(values)
 
 
 def _checked_prior(problem: Problem, prior: Prior | None) -> Elastic:
@@ -254,7 +256,7 @@ def _checked_prior(problem: Problem, prior: Prior | None) -> Elastic:
     return prior.in_force(problem)
 
 
-def _checked_pair(images: tuple[npt.ArrayLike, npt.ArrayLike], problem: Problem) -> ImagePair:
+def _checked_pair(images: tuple[npt.ArrayLike, npt.ArrayLike], problem: Problem) -> Images:
     """Check two images and mark their pixels that count.
 
     Raises
@@ -278,19 +280,19 @@ def _checked_pair(images: tuple[npt.ArrayLike, npt.ArrayLike], problem: Problem)
             raise ProblemError("images", f"show no structure {name} the motion.")
         pixels.append(np.where(known, values, np.float32(0)))
         counted.append(known)
-    return ImagePair(pixels[0], pixels[1], (counted[0], counted[1]))
+    return Images(pixels[0], pixels[1], (counted[0], counted[1]))
 
 
 def _pair_levels(
-    pair: ImagePair, problem: Problem, sizes: Sequence[int], cancel: CancelFlag | None
-) -> Iterator[ImagePairData]:
+    pair: Images, problem: Problem, sizes: Sequence[int], cancel: CancelFlag | None
+) -> list[ImagePairData]:
     """Return the differences of two images on each level, from large to small pixels."""
 
     def checkpoint() -> None:
         if cancel is not None and cancel.is_set():
             raise Cancelled
 
-    return (ImagePairData(pair, problem, size, checkpoint) for size in sizes)
+    return [ImagePairData(pair, problem, size, checkpoint) for size in sizes]
 
 
 class FitData(Protocol):
@@ -441,22 +443,18 @@ class _Load(_Property):
 
 
 class _FitSolver:
-    """Solver of the problems of a fit, with progress over all levels."""
+    """Solver of the problems of a level, with progress over all levels."""
 
     def __init__(
         self,
         backend: str,
         cancel: CancelFlag | None,
         progress: Progress | None,
+        level: int,
         levels: int,
     ) -> None:
         self.backend, self.cancel = backend, cancel
-        self._progress, self._levels, self._level = progress, levels, 0
-
-    def on_level(self, number: int) -> _FitSolver:
-        """Report the following steps as those of a level."""
-        self._level = number
-        return self
+        self._progress, self._level, self._levels = progress, level, levels
 
     def begin(self, number: int) -> None:
         """Report the start of a step."""

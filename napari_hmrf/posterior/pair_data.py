@@ -12,21 +12,20 @@ displacement even where tissue is stretched. Large differences count less: the r
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from napari_hmrf.registration.image_data import (
-    BoolArray,
     Checkpoint,
     FloatArray,
+    correlation,
+    moved_places,
     normalized,
     reduced,
     smoothed,
 )
+from napari_hmrf.registration.matching import Images
 from napari_hmrf.solver.problem import Problem
 
 Float64Array = npt.NDArray[np.float64]
@@ -43,28 +42,12 @@ _BLOCK = 16
 _TINY = 1e-12
 
 
-class ImagePair(NamedTuple):
-    """Two images on the grid of a problem.
-
-    Attributes
-    ----------
-    fixed, moving : ndarray, shape (H, W) or (D, H, W), float32
-        Brightness before and after the motion, finite everywhere.
-    counted : tuple of ndarray of bool
-        Masks of the pixels of both images that count.
-    """
-
-    fixed: FloatArray
-    moving: FloatArray
-    counted: tuple[BoolArray, BoolArray]
-
-
 class ImagePairData:
     """Differences of two images on a grid with larger pixels.
 
     Parameters
     ----------
-    images : ImagePair
+    images : Images
     problem : Problem
         Tissue on the grid of the images.
     size : int
@@ -73,9 +56,7 @@ class ImagePairData:
         Called between the steps; it may raise an error to cancel the computation.
     """
 
-    def __init__(
-        self, images: ImagePair, problem: Problem, size: int, checkpoint: Checkpoint
-    ) -> None:
+    def __init__(self, images: Images, problem: Problem, size: int, checkpoint: Checkpoint) -> None:
         self._every = (slice(None, None, size),) * images.fixed.ndim
         self._spacing = np.multiply(size, problem.spacing)
         self._tolerance, self._checkpoint = _TOLERANCE * size, checkpoint
@@ -83,7 +64,7 @@ class ImagePairData:
         self._order, width = (3, 0.0) if size == 1 else (1, size / 2)
         fixed, moving = (
             reduced(image, counted, size, width, checkpoint)
-            for image, counted in zip(images[:2], images.counted, strict=True)
+            for image, counted in zip((images.fixed, images.moving), images.counted, strict=True)
         )
         self._fixed, self._counted = self._normalized(*fixed)
         self._counted *= problem.tissue[self._every]
@@ -91,7 +72,6 @@ class ImagePairData:
         if self._order > 1:
             sums = np.asarray(scipy.ndimage.spline_filter(sums, self._order, np.float32))
         self._sums = sums
-        self._sites = np.ogrid[tuple(slice(n) for n in self._fixed.shape)]
 
     def misfit(self, displacement: npt.NDArray[np.floating]) -> Float64Array:
         """Return the residuals of all pixels of the level.
@@ -160,9 +140,7 @@ class ImagePairData:
     def similarity(self, displacement: npt.NDArray[np.floating]) -> float:
         """Return the correlation of the normalized images at a displacement, at most 1."""
         moved, weight = self._warped(displacement[self._every])
-        one, other = self._fixed * weight, moved * weight
-        sizes = float((one**2).sum(dtype=float)) * float((other**2).sum(dtype=float))
-        return float((one * other).sum(dtype=float)) / max(math.sqrt(sizes), _TINY)
+        return correlation(self._fixed, moved, weight)
 
     def _residuals(self, displacement: npt.NDArray[np.floating]) -> Float64Array:
         moved, weight = self._warped(displacement)
@@ -171,10 +149,7 @@ class ImagePairData:
 
     def _warped(self, displacement: npt.NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
         """Return the normalized moving image at X + d(X), and the weights of both images."""
-        places = [
-            np.asarray(at + displacement[..., axis] / size, np.float32)
-            for axis, (at, size) in enumerate(zip(self._sites, self._spacing, strict=True))
-        ]
+        places = moved_places(displacement, self._spacing)
         self._checkpoint()
         share = scipy.ndimage.map_coordinates(self._share, places, order=1, mode="constant")
         self._checkpoint()

@@ -119,12 +119,7 @@ class ImageLevel:
 
     def warped(self, displacement: npt.NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
         """Return M(X + d(X)), and the fraction of each pixel that counts in both images."""
-        places = [
-            np.asarray(at + displacement[..., axis] / size, np.float32)
-            for axis, (at, size) in enumerate(
-                zip(np.ogrid[tuple(slice(n) for n in self.shape)], self.spacing, strict=True)
-            )
-        ]
+        places = moved_places(displacement, self.spacing)
         images = self._moving, self._known
         warped, known = _parallel(lambda image: _sampled(image, places, self._checkpoint), images)
         return warped, known * self._counted
@@ -136,7 +131,7 @@ class ImageLevel:
 
     def _agreement(self, warped: FloatArray, weight: FloatArray) -> tuple[float, float]:
         residual = float(np.sqrt(_mean((self._fixed - warped) ** 2, weight)))
-        return residual, _correlation(self._fixed, warped, weight)
+        return residual, correlation(self._fixed, warped, weight)
 
     def linear(self, displacement: npt.NDArray[np.floating], smoothness: float) -> LinearImages:
         """Return the data term of the images, linear around a displacement.
@@ -186,6 +181,25 @@ class ImageLevel:
         self._checkpoint()
         slopes = np.gradient(image, *self.spacing)
         return [np.asarray(slope, np.float32) for slope in slopes]
+
+
+def moved_places(
+    displacement: npt.NDArray[np.floating], spacing: Iterable[float]
+) -> list[FloatArray]:
+    """Return the places X + d(X) in pixels, as an array for each axis.
+
+    Parameters
+    ----------
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
+        In the unit of `spacing`.
+    spacing : iterable of float
+        Size of a pixel along each axis.
+    """
+    sites = np.ogrid[tuple(slice(n) for n in displacement.shape[:-1])]
+    return [
+        np.asarray(at + displacement[..., axis] / size, np.float32)
+        for axis, (at, size) in enumerate(zip(sites, spacing, strict=True))
+    ]
 
 
 def _variance(residual: float) -> float:
@@ -315,6 +329,7 @@ def _mean(values: FloatArray, weight: FloatArray) -> float:
     return float((values * weight).sum(dtype=np.float64) / max(float(weight.sum()), _TINY))
 
 
-def _correlation(one: FloatArray, other: FloatArray, weight: FloatArray) -> float:
+def correlation(one: FloatArray, other: FloatArray, weight: FloatArray) -> float:
+    """Return the correlation of two normalized images, with a weight for each pixel."""
     sizes = _mean(one**2, weight) * _mean(other**2, weight)
     return _mean(one * other, weight) / max(float(np.sqrt(sizes)), _TINY)
