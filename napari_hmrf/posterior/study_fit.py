@@ -90,7 +90,8 @@ def fit_study(
     stiffness, growth, poisson : iterable of int
         Tissue labels whose stiffness, growth strain or Poisson's ratio is fitted.
     load : bool
-        True to fit a factor on all forces of the study: weight, pressure and traction.
+        True to fit a factor on all forces of the study: weight, pressure, traction and the contents
+        of a cavity.
     backend, progress, cancel
         As for `solve`.
 
@@ -186,7 +187,11 @@ def _scaled(motion: Motion, factor: float) -> Motion:
         return rule
 
     weight = tuple(factor * part for part in motion.weight)
-    return replace(motion, weight=weight, rules=tuple(map(scaled, motion.rules)))
+    # The direction of a fluid's weight is that of the tissue, which a negative factor reverses.
+    old = motion.cavity
+    cavity = replace(old, pressure=factor * old.pressure, fluid=abs(factor) * old.fluid)
+    rules = tuple(map(scaled, motion.rules))
+    return replace(motion, weight=weight, rules=rules, cavity=cavity)
 
 
 def _digits(value: FittedProperty, factor: float = 1.0) -> int:

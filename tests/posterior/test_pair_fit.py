@@ -10,6 +10,7 @@ from scipy import ndimage
 from napari_hmrf import (
     BoundaryRule,
     Cancelled,
+    Cavity,
     Drawing,
     Grid,
     Landmark,
@@ -153,7 +154,7 @@ def test_a_factor_on_the_forces_of_a_study_is_found_from_its_landmarks():
     rules = (BoundaryRule(1, "press", amount=0.1), BoundaryRule(2, "fixed"))
     edges = np.zeros(LABELS.shape, int)
     edges[0], edges[-1] = 1, 2
-    study = study_of(labels=edges, rules=rules)
+    study = study_of(labels=edges, rules=rules, cavity=Cavity(pressure=0.2))
     pressed = (replace(rules[0], amount=0.3), rules[1])
     moved = solve_study(replace(study, motion=replace(study.motion, rules=pressed)))
     places = [(10, 20), (20, 50), (30, 35), (5, 60)]
@@ -161,6 +162,7 @@ def test_a_factor_on_the_forces_of_a_study_is_found_from_its_landmarks():
     drawn = replace(study, motion=replace(study.motion, drawing=Drawing(tuple(marks))))
     found = fit_study(drawn, load=True)
     assert found.study.motion.rules[0].amount == pytest.approx(0.3, rel=0.05)
+    assert found.study.motion.cavity.pressure == pytest.approx(0.6, rel=0.05), "all forces scale"
     assert found.described()[0].startswith("factor on the forces: ")
 
 
