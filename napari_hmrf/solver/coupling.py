@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 Float64Array = npt.NDArray[np.float64]
 Index = tuple[slice, ...]
@@ -47,6 +48,8 @@ class Coupling:
         Boxes of the parts.
     own : ndarray of bool, shape of the unfolded grid
         Mask of the sites that are no copies.
+    nearly_free : bool
+        True if the normals hardly resist some rigid motion of a part, which cycles may then miss.
     """
 
     first: npt.NDArray[np.intp]
@@ -56,10 +59,12 @@ class Coupling:
     stiffness: npt.NDArray[np.float32]
     boxes: tuple[Box, ...]
     own: npt.NDArray[np.bool_]
+    nearly_free: bool = False
 
     def __eq__(self, other: object) -> bool:
         return self is other or (
             isinstance(other, Coupling)
+            and self.nearly_free == other.nearly_free
             and all(
                 np.array_equal(getattr(self, name), getattr(other, name))
                 for name in ("first", "second", "normals", "strength", "stiffness")
@@ -98,6 +103,29 @@ class Coupling:
         np.add.at(sums, self.first, each)
         np.add.at(sums, self.second, each)
         return sums.reshape(*self.own.shape, axes, axes)
+
+    def matrix(self) -> scipy.sparse.csr_array:
+        """Return the second derivatives of the energy, with a row for each component.
+
+        The components are in the order of a displacement of the unfolded grid, flattened.
+        """
+        axes = self.normals.shape[1]
+        pairs = np.arange(len(self.first))
+        size = self.own.size * axes
+        gaps = scipy.sparse.csr_array((len(pairs), size))
+        for sites, sign in ((self.first, 1.0), (self.second, -1.0)):
+            columns = sites[:, None] * axes + np.arange(axes)
+            entries = (sign * self.normals).ravel(), (np.repeat(pairs, axes), columns.ravel())
+            gaps += scipy.sparse.csr_array(entries, shape=gaps.shape)
+        return scipy.sparse.csr_array(gaps.T @ (self.strength[:, None] * gaps))
+
+    def places(self) -> npt.NDArray[np.intp]:
+        """Return the index in the flattened image of each site of the unfolded grid, or of void."""
+        image = np.arange(self.stiffness.size).reshape(self.stiffness.shape)
+        places = np.zeros(self.own.shape, np.intp)
+        for box in self.boxes:
+            places[box.unfolded] = image[box.image]
+        return places.ravel()
 
     def folded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the values of an unfolded grid on the image, taken from the sites that own them.

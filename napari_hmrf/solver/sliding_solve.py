@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -25,9 +27,21 @@ Float64Array = npt.NDArray[np.float64]
 #: Function that solves an unfolded problem with a prior, from a warm start.
 Solve = Callable[[Problem, ElasticPrior, Optimizer, Initial | None], Solution]
 
-#: Smallest part of a rigid motion at an interface that must be along the normal; with less, the
-#: motion counts as free, because fitted normals are not exact. The value is a square.
+#: Smallest part of a rigid motion at an interface that is along the normal; with less, the motion
+#: counts as free. The value is a square, and includes rounding errors.
+_FREE = 1e-9
+#: The same value below which fitted normals are not exact enough to resist the motion.
 _ALONG_NORMAL = 1e-3
+#: Error of fitted normals at small curved interfaces, in radians.
+_TILT = math.radians(2.0)
+#: Largest change of the field by such errors, relative to its largest value.
+_MOST_CHANGE = 0.3
+# Reasons for a refusal.
+_UNHELD = "can slide or turn without any force"
+_UNCERTAIN = (
+    "is held by the direction of the interface only, which is not known well enough: a change by 2 "
+    "degrees changes the motion by more than 30 %"
+)
 # Weight of prescribed components in the search for free motions: any constraint suffices.
 _CERTAIN = 1e6
 # Value that keeps the comparison regular for a piece without any constraint.
@@ -70,14 +84,28 @@ def solve_with_sliding(
     _check_support(problem, elastic, schedule)
     assert isinstance(elastic, ElasticPrior)
     parts, of_parts = unfolded(problem, elastic)
-    _check_held(parts)
+    least, freest = _least_held(parts)
+    if least < _FREE:
+        _refuse(parts, freest, _UNHELD)
+    nearly_free = least < _ALONG_NORMAL
+    if nearly_free:
+        parts = parts.with_coupling(replace(parts.coupling, nearly_free=True))
     begin = _start(initial, parts)
     found = solve(parts, of_parts, schedule, begin)
+    displacement = parts.coupling.folded(found.displacement)
+    if nearly_free:
+        change = math.inf
+        with suppress(ProblemError):  # tilted normals may let the loads move a part very far
+            again = solve(_tilted(parts), of_parts, schedule, found)
+            moved = parts.coupling.folded(again.displacement)
+            change = float(np.abs(moved - displacement).max())
+        if change > _MOST_CHANGE * float(np.abs(displacement).max()):
+            _refuse(parts, freest, _UNCERTAIN)
     # An energy is reported per site of tissue, and a copy is no site.
     share = np.count_nonzero(parts.tissue) / np.count_nonzero(problem.tissue)
     solution = replace(
         found,
-        displacement=parts.coupling.folded(found.displacement),
+        displacement=displacement,
         energy=found.energy * share,
         levels=tuple(replace(level, shape=problem.shape) for level in found.levels),
         tissue=problem.tissue,
@@ -120,11 +148,20 @@ def _start(initial: Initial | None, parts: UnfoldedProblem) -> Solution | None:
     return found if known and found.tissue.shape == parts.shape else None
 
 
-def _check_held(parts: UnfoldedProblem) -> None:
-    """Raise an error if a part can move freely, on its own or with the parts around it.
+def _tilted(parts: UnfoldedProblem) -> UnfoldedProblem:
+    """Return the problem with normals that are tilted at random, by about 2 degrees."""
+    normals = parts.coupling.normals
+    tilted = normals + _TILT * np.random.default_rng(0).normal(size=normals.shape)
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    return parts.with_coupling(replace(parts.coupling, normals=tilted))
 
-    The motions of all connected pieces are compared: a motion is free if no prescribed component
-    prevents it and its gaps at the interfaces are almost zero.
+
+def _least_held(parts: UnfoldedProblem) -> tuple[float, npt.NDArray[np.bool_]]:
+    """Return how well the freest piece of tissue is held, and a mask of its sites.
+
+    The rigid motions of all connected pieces are compared. No prescribed component may prevent the
+    motion; the returned value is the share of its gaps at the interfaces, squared, that is along
+    the normals.
     """
     pieces, count = scipy.ndimage.label(in_elements(parts.stiffness))
     of_sites = around_sites(pieces, np.maximum)
@@ -171,6 +208,7 @@ def _check_held(parts: UnfoldedProblem) -> None:
         at_data = np.flatnonzero(flat.any(axis=(1, 2)) & (of_sites.ravel() > 0))
         data, data_piece = motions(at_data)
         tensors = flat[at_data] / np.trace(flat[at_data], axis1=1, axis2=2)[:, None, None]
+    least, freest = math.inf, np.zeros(parts.shape, np.bool_)
     for cluster in range(clusters):
         mine = np.flatnonzero(cluster_of == cluster)
         if len(mine) * freedom > _MOST:
@@ -201,12 +239,13 @@ def _check_held(parts: UnfoldedProblem) -> None:
         scale += np.einsum("nai,nbi->ab", gaps, gaps)
         scale += _TINY * max(float(np.trace(scale)), 1.0) * np.eye(size)
         values, modes = scipy.linalg.eigh(cost, scale, subset_by_index=[0, 0])
-        if values[0] < _ALONG_NORMAL:
+        if values[0] < min(least, _ALONG_NORMAL):
+            least = float(values[0])
             moved = np.abs(modes[:, 0].reshape(len(mine), freedom)).max(axis=1)
             freest = around_sites(pieces == 1 + mine[int(moved.argmax())], np.logical_or)
             if not (freest & between.own).any():
                 freest = np.isin(of_sites, 1 + mine)  # a piece of copies only
-            _refuse(parts, freest)
+    return least, freest
 
 
 def _hinges(
@@ -252,11 +291,12 @@ def _rows(
     return rows
 
 
-def _refuse(parts: UnfoldedProblem, piece: npt.NDArray[Any]) -> None:
+def _refuse(parts: UnfoldedProblem, piece: npt.NDArray[np.bool_], why: str) -> NoReturn:
+    """Raise an error about a piece of tissue that is not held."""
     image = parts.coupling.folded(piece)
     centre = tuple(int(np.mean(at)) for at in np.nonzero(image))
     raise ProblemError(
         "sliding",
         f"leaves a piece of tissue free: the piece of {int(image.sum())} pixels around {centre} "
-        "can slide or turn without any force. Hold or move part of it.",
+        f"{why}. Hold or move part of it.",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Iterator
 from dataclasses import replace
@@ -25,7 +26,7 @@ Values = npt.NDArray[Any]
 
 #: Stiffness of a copy, relative to the part's own sites next to it. An element has the mean
 #: stiffness of its sites, so a copy adds almost nothing; 0 would remove the element.
-COPY_STIFFNESS = 1e-6
+COPY_STIFFNESS = 1e-8
 # Number of sites around an interface that determine its normals.
 _MARGIN = 50
 
@@ -45,6 +46,12 @@ class UnfoldedProblem(Problem):
     def coupling(self) -> Coupling:
         """Coupling of the parts."""
         return self.between
+
+    def with_coupling(self, between: Coupling) -> UnfoldedProblem:
+        """Return the same problem with another coupling."""
+        made = copy.copy(self)
+        object.__setattr__(made, "between", between)
+        return made
 
 
 class _Part(NamedTuple):

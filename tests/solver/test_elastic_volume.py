@@ -13,8 +13,8 @@ from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu import volume
 from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
-from napari_hmrf.solver.backends.direct.brick_factors import elimination_order
 from napari_hmrf.solver.backends.direct.factors import Factors
+from napari_hmrf.solver.backends.direct.sparse_factors import elimination_order
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.solver.optimizers.cycle import chebyshev
@@ -404,7 +404,7 @@ def stiff_cubes(size, ratio):
 @pytest.fixture
 def without_factors(monkeypatch):
     """Disable the factorization, as for a volume that is too large."""
-    monkeypatch.setattr(Factors, "fit", staticmethod(lambda shape: False))
+    monkeypatch.setattr(Factors, "fit", staticmethod(lambda *_: False))
 
 
 @pytest.mark.usefixtures("without_factors")

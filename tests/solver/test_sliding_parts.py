@@ -159,10 +159,22 @@ def test_sliding_takes_at_most_twice_the_cycles_of_connected_tissue(contrast):
 
 
 def test_a_part_that_nothing_holds_is_named():
-    away, inside, _ = turning(40, 12, 2)
-    rest, parts = np.zeros((40, 40, 2)), SlidingParts(inside.astype(int))
-    with pytest.raises(ProblemError, match=r"around \(19, 19\).*slide or turn"):
-        solve(Problem(rest, both(away > 19), np.ones(away.shape), sliding=parts), backend="cpu")
+    depth = tilted(0, 40)[0]
+    rest, parts = np.zeros((40, 40, 2)), SlidingParts((depth < 0).astype(int))
+    with pytest.raises(ProblemError, match=r"around \(9, 19\).*slide or turn"):
+        solve(Problem(rest, both(depth > 15), np.ones(depth.shape), sliding=parts), backend="cpu")
+
+
+def test_a_motion_that_depends_on_exact_normals_is_refused_unless_nothing_drives_it():
+    away, inside, turn = turning(40, 12, 2)
+    m, held = np.ones(away.shape), both(away > 19)
+    parts = SlidingParts(inside.astype(int))
+    pushed = np.where(away[..., None] > 19, [1.0, 0.0], 0.0)
+    moved = solve(Problem(pushed, held, m, sliding=parts), backend="cpu").displacement
+    assert moved == pytest.approx(np.broadcast_to([1.0, 0.0], moved.shape), abs=1e-3)
+    twist = Loads(force=1e-5 * turn * inside[..., None])
+    with pytest.raises(ProblemError, match=r"around \(19, 19\).*direction of the interface"):
+        solve(Problem(pushed, held, m, sliding=parts, loads=twist), backend="cpu")
 
 
 def test_parts_that_cannot_slide_are_refused_with_the_reason():

@@ -12,6 +12,7 @@ import scipy
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.backends.planes import inside
 from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.loads import are_same
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
@@ -117,6 +118,8 @@ def check_reach(d: Planes, problem: Problem) -> None:
     """
     sides = np.array(problem.spacing) / problem.unit
     diagonal = float(np.linalg.norm(sides * problem.shape))
+    if problem.coupling is not None:  # copies of sites are no tissue
+        d = inside(d)[:, problem.coupling.own]
     farthest = max(float(d.max()), -float(d.min()))
     if farthest <= MAX_REACH * diagonal:
         return

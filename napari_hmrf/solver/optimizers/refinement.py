@@ -18,6 +18,7 @@ from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.direct.dissection import Singular
 from napari_hmrf.solver.backends.direct.factors import Factors
+from napari_hmrf.solver.backends.direct.sparse_factors import Links
 from napari_hmrf.solver.backends.earlier_results import Quality, StartQuality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -57,8 +58,8 @@ _WARM_MARGIN = 1.5
 # Ratio of the reported error to the estimate that ends an iteration. The reported error never
 # exceeds the tolerance.
 _REPORTED = 1.5
-# Largest accepted ratio of true to estimated error for sliding parts, for which no factorization is
-# available. The error estimate is multiplied by this ratio and by a safety factor.
+# Largest accepted ratio of true to estimated error for sliding parts, whose factorization is slow.
+# The error estimate is multiplied by this ratio and by a safety factor.
 _BELIEVABLE_COUPLED = 30.0
 # Number of sites up to which a factorization takes no longer than a rehearsal and a few cycles.
 _FEW = 1024
@@ -470,17 +471,24 @@ def _double_level_of(model: LinearModel) -> Any:
 def factors_fit(model: LinearModel) -> bool:
     """Return whether a factorization is available.
 
-    There is none for sliding parts, and none for volumes in the paper's model.
+    There is none for volumes in the paper's model.
     """
-    if _is_coupled(model):
-        return False  # the factorization has no coupling between distant sites
     exist = len(model.shape) == 2 or not isinstance(model.material, SeilerMaterial)
-    return exist and Factors.fit(model.shape)
+    return exist and Factors.fit(model.shape, _is_coupled(model))
 
 
 def _is_coupled(model: LinearModel) -> bool:
     """Return whether parts of the tissue slide along each other."""
     return isinstance(model.material, ElasticMaterial) and model.material.coupling is not None
+
+
+def _links_of(model: LinearModel) -> Links | None:
+    """Return the connections between the parts that slide along each other, or None."""
+    material = model.material
+    if not isinstance(material, ElasticMaterial) or material.coupling is None:
+        return None
+    coupling = material.coupling
+    return Links(coupling.matrix() / material.unit, coupling.stiffness.shape, coupling.places())
 
 
 def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
@@ -494,17 +502,17 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
         If the factorization needs too much memory or the system is singular in double precision.
     """
     if model.earlier.factors is None:
-        if len(model.shape) == 3 and not factors_fit(model) and not _is_coupled(model):
+        if _is_coupled(model) and not factors_fit(model):
+            raise ConvergenceError(
+                "cycles may miss motions of parts that slide along each other, and the tissue is "
+                "too large for a factorization. Hold more of the tissue, reduce the ratio of the "
+                f"stiffest to the softest tissue, or crop the image{known}"
+            )
+        if len(model.shape) == 3 and not factors_fit(model):
             raise ConvergenceError(
                 "cycles may miss motions of this volume, and no factorization is available. "
                 "Raise max_iterations, crop the volume, hold more of it, or reduce the ratio of "
                 f"the stiffest to the softest tissue{known}"
-            )
-        if _is_coupled(model):
-            raise ConvergenceError(
-                "cycles may miss motions of parts that slide along each other, and no "
-                "factorization is available. Hold more of the tissue, reduce the ratio of the "
-                f"stiffest to the softest tissue, or use fewer parts{known}"
             )
         if not factors_fit(model):
             raise ConvergenceError(
@@ -518,7 +526,9 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
 
         report_part(0.0)
         try:
-            model.earlier.factors = Factors(model.material, model.moves, report_part)
+            model.earlier.factors = Factors(
+                model.material, model.moves, report_part, links=_links_of(model)
+            )
         except Singular:
             raise ConvergenceError(BARELY_HELD) from None
     return model.earlier.factors

@@ -228,6 +228,7 @@ class SlidingModel(HostModel):
         assert coupling is not None
         self.material = material
         self.bounds = smoother_bounds(material)
+        self.iterates = not coupling.nearly_free
         self._held = None
         most, grid = stiffest(material.m), material.m.shape
         tensors = coupling.tensors() / material.unit

@@ -10,14 +10,16 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 
-from napari_hmrf.solver.backends.direct.brick_factors import BrickFactors
 from napari_hmrf.solver.backends.direct.dissection import Dissection, Elements, Progress
+from napari_hmrf.solver.backends.direct.sparse_factors import Links, SparseFactors
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 
 # Largest fraction of the available memory that a factorization may use.
 _FREE = 0.7
 # Largest number of voxels of a volume that is factorized, which takes a few seconds.
 _MOST_VOXELS = 14_000
+# Largest number of sites of an unfolded image of sliding parts that is factorized.
+_MOST_COUPLED = 200_000
 # Memory of the factorization of a volume, in bytes per voxel^(4/3).
 _VOLUME_BYTES = 3000.0
 
@@ -65,6 +67,8 @@ class Factors:
         Called with the completed fraction of the work; may raise an exception to cancel.
     springs : ndarray, planes, optional
         Values added to the diagonal.
+    links : Links, optional
+        Connections between sliding parts.
 
     Raises
     ------
@@ -78,11 +82,12 @@ class Factors:
         moves: HeldPlanes,
         progress: Progress,
         springs: Planes | None = None,
+        links: Links | None = None,
     ) -> None:
         ring = 2 - material.margin
         self._inside = (slice(None), *(slice(ring, size - ring) for size in moves.shape[1:]))
         inside = np.moveaxis(moves[self._inside], 0, -1)
-        self._parts: list[tuple[tuple[int, ...], Dissection | BrickFactors]] = []
+        self._parts: list[tuple[tuple[int, ...], Dissection | SparseFactors]] = []
         parts = material.parts
         for number, (components, elements) in enumerate(parts):
 
@@ -92,8 +97,9 @@ class Factors:
             at = list(components)
             some = np.ascontiguousarray(inside[..., at])
             more = None if springs is None else np.moveaxis(springs[self._inside], 0, -1)[..., at]
-            if some.ndim == 4:
-                self._parts.append((components, BrickFactors(elements, some, report, more)))
+            if some.ndim == 4 or links is not None:
+                sparse = SparseFactors(elements, some, report, more, links)
+                self._parts.append((components, sparse))
                 continue
             dissection = Dissection(
                 elements, material.patch, some, material.symmetric, report, more
@@ -118,9 +124,18 @@ class Factors:
         return 8 * 4 * sites * (10 + 10 * math.log2(max(max(shape) / 16, 1)))
 
     @staticmethod
-    def fit(shape: tuple[int, ...]) -> bool:
-        """Return whether a factorization fits into memory and, in a volume, is fast enough."""
-        small = len(shape) == 2 or math.prod(shape) <= _MOST_VOXELS
+    def fit(shape: tuple[int, ...], coupled: bool = False) -> bool:
+        """Return whether a factorization fits into memory and is fast enough.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Shape of the grid.
+        coupled : bool
+            True for the unfolded grid of sliding parts.
+        """
+        most = _MOST_COUPLED if coupled else math.inf
+        small = math.prod(shape) <= (most if len(shape) == 2 else _MOST_VOXELS)
         return small and bool(
             Factors.required_memory(shape) < _FREE * psutil.virtual_memory().available
         )
