@@ -173,7 +173,9 @@ class Guide:
 
     def _on_begun(self, *_: object) -> None:
         """Allow other messages to replace the current message, because a new action has begun."""
-        self._why, self._read, self._aside = "news", self._message, ""
+        self._why, self._read = "news", self._message
+        if not self._controller.busy:  # else the sentence belongs to the result to come
+            self._aside = ""
 
     def _on_followed(self, *_: object) -> None:
         """Clear a message from before the last action, because the result is newer."""

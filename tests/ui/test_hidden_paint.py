@@ -35,6 +35,18 @@ def test_paint_is_hidden_over_the_result_with_a_message(painted):
     assert "because paint does not move with it: 'Tissue', 'Boundary'" in widget.status
 
 
+def test_an_edit_while_the_result_is_drawn_keeps_the_message(widget, small_sample, run):
+    _, _, boundary = small_sample(viewer_of(widget))
+
+    def edit(event):
+        widget.without_border = not widget.without_border
+        widget.without_border = not widget.without_border
+
+    boundary.events.visible.connect(edit)
+    run(widget)
+    assert "because paint does not move with it: 'Tissue', 'Boundary'" in widget.status
+
+
 def test_paint_stays_visible_on_an_undeformed_image(widget, small_sample, settle):
     _, tissue, boundary = small_sample(viewer_of(widget))
     boundary.data = boundary.data * 0
