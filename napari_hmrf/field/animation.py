@@ -107,7 +107,8 @@ class Motion:
             if self.quantity is not None and self.overlay is not None:
                 values = self._values_at(fraction, self.overlay)
                 self._warper.replace(len(self._pictures) - 1, self._overlaid(values))
-            moved = self._warper(solution.displacement, solution.tissue, fraction)
+            d, tissue = solution.displacement, solution.tissue
+            moved = self._warper(d, tissue, fraction, parts=solution.parts)
             parts = dict(zip(self._pictures, moved, strict=True))
             if fraction == 0:
                 parts |= self._intact
@@ -227,8 +228,8 @@ def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
     """
     tissue = solution.tissue
     if mark == "folds":
-        return fold_mask(solution.displacement, spacing=solution.spacing, tissue=tissue)
-    *_, overlaps = inverse_map_and_overlaps(solution.displacement, solution.spacing, tissue)
+        return fold_mask(solution.displacement, **solution.on_grid)
+    *_, overlaps = inverse_map_and_overlaps(solution.displacement, **solution.on_grid)
     sites, places = _moved_sites(solution, tissue)
     found = np.zeros(tissue.shape, bool)
     found[tuple(sites[overlaps[tuple(places.T)]].T)] = True
@@ -255,11 +256,8 @@ def _moved_sites(
 
 def moved_grid(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.float32]:
     """Return the `deformation_grid` at a fraction of the deformation."""
-    tissue, spacing = solution.tissue, solution.spacing
-    every = pixels_between(_LINES, tissue.shape, spacing)
+    every = pixels_between(_LINES, solution.tissue.shape, solution.spacing)
     # During playback, two segments between crossings are sufficient and are drawn twice as fast.
     pieces = 5 if fraction == 1 else 2
     displacement = solution.displacement * np.float32(fraction)
-    return deformation_grid(
-        displacement, spacing=spacing, every=every, tissue=tissue, pieces=pieces
-    )
+    return deformation_grid(displacement, every=every, pieces=pieces, **solution.on_grid)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, real, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.parts import Sites, in_one_part, same_part
 from napari_hmrf.field.slabs import slabs, with_neighbours
 from napari_hmrf.field.warp import (
     BoolArray,
@@ -23,6 +24,7 @@ from napari_hmrf.field.warp import (
     as_field,
     checked_sizes,
     moved_sites,
+    numbered_sites,
 )
 from napari_hmrf.solver.backends.compile_cache import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -70,6 +72,7 @@ def jacobian_determinant(
     *,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Return the Jacobian determinant det(I + dd/dX), the ratio of areas or volumes, at each site.
 
@@ -85,6 +88,10 @@ def jacobian_determinant(
         Size of a pixel along each axis; a scalar applies to all axes.
     tissue : array_like of bool, shape ([D,] H, W), optional
         Mask of the tissue; by default all sites. Differences do not cross the border of the tissue.
+    parts : array_like of int, shape ([D,] H, W), optional
+        Label of the sliding part of each site, as `Solution.parts`. Differences do not cross from
+        one part to another, because the slip between them is no strain. By default, all tissue is
+        connected.
 
     Returns
     -------
@@ -96,9 +103,9 @@ def jacobian_determinant(
     ProblemError
         If an input has an invalid shape or value; the error names the input.
     """
-    moved, mask = moved_sites(displacement, spacing, tissue)
+    moved, sites = numbered_sites(displacement, spacing, tissue, parts)
     # The mean over the quadrants around a site equals the determinant of its central differences.
-    return _over_quadrants("mean", moved, mask)
+    return _over_quadrants("mean", moved, sites)
 
 
 def count_folds(
@@ -106,16 +113,17 @@ def count_folds(
     *,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> int:
     """Count the sites at which tissue folds over itself or collapses.
 
     A site is counted if the determinant is 0 or below in at least one element around it. Elements
-    are blocks of 2 x 2 pixels, or 2 x 2 x 2 voxels, that contain only tissue. Central differences
-    alone would miss a single site that has moved past its neighbour.
+    are blocks of 2 x 2 pixels, or 2 x 2 x 2 voxels, that contain only tissue of one part. Central
+    differences alone would miss a single site that has moved past its neighbour.
 
     Parameters
     ----------
-    displacement, spacing, tissue
+    displacement, spacing, tissue, parts
         As in `jacobian_determinant`.
 
     Returns
@@ -127,22 +135,23 @@ def count_folds(
     ProblemError
         As for `jacobian_determinant`.
     """
-    moved, mask = moved_sites(displacement, spacing, tissue)
-    if mask.ndim == 2 and _is_little_strained(moved):
+    moved, sites = numbered_sites(displacement, spacing, tissue, parts)
+    if sites.ndim == 2 and _is_little_strained(moved):
         return 0
-    return int((_over_quadrants("smallest", moved, mask) <= 0).sum())
+    return int((_over_quadrants("smallest", moved, sites) <= 0).sum())
 
 
 def smallest_determinant(
     displacement: npt.ArrayLike,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Return the smallest determinant among the elements around each site, a measure of folding.
 
     Parameters
     ----------
-    displacement, spacing, tissue
+    displacement, spacing, tissue, parts
         As in `jacobian_determinant`.
 
     Returns
@@ -156,17 +165,19 @@ def smallest_determinant(
     ProblemError
         As for `jacobian_determinant`.
     """
-    moved, mask = moved_sites(displacement, spacing, tissue)
-    return _over_quadrants("smallest", moved, mask)
+    moved, sites = numbered_sites(displacement, spacing, tissue, parts)
+    return _over_quadrants("smallest", moved, sites)
 
 
 def determinant_or_fold(
     displacement: npt.ArrayLike,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Return the `smallest_determinant` at folds, and the `jacobian_determinant` elsewhere."""
-    return _over_quadrants("mean or fold", *moved_sites(displacement, spacing, tissue))
+    moved, sites = numbered_sites(displacement, spacing, tissue, parts)
+    return _over_quadrants("mean or fold", moved, sites)
 
 
 def deformation_grid(
@@ -175,14 +186,16 @@ def deformation_grid(
     spacing: Spacing,
     every: int = 10,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
     pieces: int = 5,
 ) -> FloatArray:
     """Return the lines of a square grid that moves with the tissue, as in figure 4 of the paper.
 
     Parameters
     ----------
-    displacement, spacing, tissue
-        As in `jacobian_determinant`, for a slice. Lines are drawn in tissue only.
+    displacement, spacing, tissue, parts
+        As in `jacobian_determinant`, for a slice. Lines are drawn in tissue only, and end where two
+        parts slide along each other.
     every : int
         Distance between neighbouring lines, in pixels. If pixels are not square, this is the
         distance along the axis with the smaller pixel size, and the other distance is chosen to
@@ -203,15 +216,15 @@ def deformation_grid(
     """
     every = _checked_count("every", every, "pixels")
     pieces = _checked_count("pieces", pieces, "pieces")
-    moved, mask = moved_sites(displacement, spacing, tissue)
-    if mask.ndim != 2:
+    moved, numbers = numbered_sites(displacement, spacing, tissue, parts)
+    if numbers.ndim != 2:
         raise ProblemError(
             "displacement", "belongs to a volume. Draw the grid of one of its slices."
         )
     sizes = checked_sizes(spacing)
     rows, cols = (min(max(1, round(every * min(sizes) / size)), _FAR) for size in sizes)
-    along_cols = _lines(moved, mask, rows, max(1, cols // pieces))
-    along_rows = _lines(moved.swapaxes(0, 1), mask.T, cols, max(1, rows // pieces))
+    along_cols = _lines(moved, numbers, rows, max(1, cols // pieces))
+    along_rows = _lines(moved.swapaxes(0, 1), numbers.T, cols, max(1, rows // pieces))
     return np.concatenate([along_cols, along_rows]).astype(np.float32)
 
 
@@ -406,61 +419,57 @@ def _is_little_strained(moved: Float64Array) -> bool:
     )
 
 
-def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatArray:
+def _over_quadrants(kind: _Kind, moved: Float64Array, sites: Sites) -> FloatArray:
     """Reduce the determinants of the quadrants around each site; NaN outside tissue."""
-    if mask.ndim == 3 and loops.ready_for_volumes():
+    if sites.ndim == 3 and sites.dtype == np.bool_ and loops.ready_for_volumes():
         loader.before_numba()
         from napari_hmrf.field.volume_loops import determinants  # heavy: numba
 
-        values, number = np.empty(mask.shape, dtype=np.float32), _KINDS.index(kind)
-        for slab in slabs(mask.shape):
-            wide, inner = with_neighbours(slab, len(mask))
-            part = loops.only_read(mask[wide])
-            values[slab] = determinants(moved[wide], part, elements(mask[wide]), number)[inner]
+        values, number = np.empty(sites.shape, dtype=np.float32), _KINDS.index(kind)
+        for slab in slabs(sites.shape):
+            wide, inner = with_neighbours(slab, len(sites))
+            part = loops.only_read(sites[wide])
+            values[slab] = determinants(moved[wide], part, elements(sites[wide]), number)[inner]
         return values
     # A strip has one extra row on each side; strips are small enough for the CPU cache.
-    result = np.full(mask.shape, np.nan, dtype=np.float32)
-    strip = _STRIP if mask.ndim == 2 else _SLAB
-    for begin in range(0, len(mask), strip):
+    result = np.full(sites.shape, np.nan, dtype=np.float32)
+    strip = _STRIP if sites.ndim == 2 else _SLAB
+    for begin in range(0, len(sites), strip):
         first, last = max(begin - 1, 0), begin + strip + 1
-        part = mask[first:last]
+        part = sites[first:last]
         reduced = _reduced(kind, _quadrants(moved[first:last], part), part)
         rows = slice(begin, begin + strip)
-        np.copyto(result[rows], reduced[begin - first :][:strip], where=mask[rows])
+        np.copyto(result[rows], reduced[begin - first :][:strip], where=sites[rows].astype(bool))
     return result
 
 
-def _reduced(kind: _Kind, each: list[Float64Array], mask: BoolArray) -> Float64Array:
+def _reduced(kind: _Kind, each: list[Float64Array], sites: Sites) -> Float64Array:
     """Reduce the determinants of the quadrants around each site to one value."""
     mean = np.add.reduce(each) / len(each)
     if kind == "mean":
         return np.asarray(mean)
-    exist = elements(mask)
-    smallest = np.full(mask.shape, np.inf)
-    ways = product((slice(1, None), slice(-1)), repeat=mask.ndim)
+    exist = elements(sites)
+    smallest = np.full(sites.shape, np.inf)
+    ways = product((slice(1, None), slice(-1)), repeat=sites.ndim)
     for determinants, way in zip(each, ways, strict=True):
         np.minimum(smallest, determinants, out=smallest, where=exist[way])
     smallest[np.isinf(smallest)] = 1.0
     return smallest if kind == "smallest" else np.where(smallest <= 0, smallest, mean)
 
 
-def elements(mask: BoolArray) -> BoolArray:
-    """Return a mask of the elements with tissue at all corners.
+def elements(sites: Sites) -> BoolArray:
+    """Return a mask of the elements with tissue of one part at all corners.
 
     The element that precedes a site along all axes has the index of that site. The mask therefore
-    has one more entry along each axis than the mask of the sites.
+    has one more entry along each axis than the array of the sites.
     """
-    exist = mask
-    for axis in range(mask.ndim):
-        along = exist.swapaxes(0, axis)
-        exist = (along[1:] & along[:-1]).swapaxes(0, axis)
-    return np.pad(exist, 1)
+    return np.pad(in_one_part(sites), 1)
 
 
-def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
+def _quadrants(moved: Float64Array, sites: Sites) -> list[Float64Array]:
     """Return, for each quadrant around a site, the determinant of its one-sided differences."""
     # The determinant does not depend on the pixel sizes, so the steps are in pixels.
-    return [determinant(steps) for steps in product(*differences_along_axes(moved, mask))]
+    return [determinant(steps) for steps in product(*differences_along_axes(moved, sites))]
 
 
 def determinant(steps: Sequence[Float64Array]) -> Float64Array:
@@ -475,17 +484,17 @@ def determinant(steps: Sequence[Float64Array]) -> Float64Array:
     return volume
 
 
-def differences_along_axes(moved: Float64Array, mask: BoolArray) -> list[list[Float64Array]]:
+def differences_along_axes(moved: Float64Array, sites: Sites) -> list[list[Float64Array]]:
     """Return the `one_sided_differences` of all sites along each axis, in axis order."""
     differences = []
-    for axis, step in enumerate(np.eye(mask.ndim)):
-        both = one_sided_differences(moved.swapaxes(0, axis), mask.swapaxes(0, axis), step)
+    for axis, step in enumerate(np.eye(sites.ndim)):
+        both = one_sided_differences(moved.swapaxes(0, axis), sites.swapaxes(0, axis), step)
         differences.append([each.swapaxes(0, axis) for each in both])
     return differences
 
 
 def one_sided_differences(
-    moved: Float64Array, mask: BoolArray, unstrained: Float64Array
+    moved: Float64Array, sites: Sites, unstrained: Float64Array
 ) -> list[Float64Array]:
     """Return the differences with the next and the previous site along the first axis.
 
@@ -496,8 +505,8 @@ def one_sided_differences(
     ----------
     moved : ndarray, shape ([D,] H, W, n)
         Moved positions of all sites, from `moved_sites`.
-    mask : ndarray of bool, shape ([D,] H, W)
-        Mask of the tissue; differences do not cross its border.
+    sites : ndarray of bool or int, shape ([D,] H, W)
+        Mask of the tissue, or numbers of its parts; differences do not cross their borders.
     unstrained : ndarray, shape (n,)
         Step to the next site in unstrained tissue.
 
@@ -506,10 +515,10 @@ def one_sided_differences(
     list of two ndarrays, shape ([D,] H, W, n)
         Steps to the next site and from the previous site.
     """
-    height = len(mask)
+    height = len(sites)
     # Entry i + 1 is True if site i has a next site; entry i is True if it has a previous site.
-    exists = np.zeros((height + 1, *mask.shape[1:], 1), dtype=bool)
-    exists[1:-1, ..., 0] = mask[1:] & mask[:-1]
+    exists = np.zeros((height + 1, *sites.shape[1:], 1), dtype=bool)
+    exists[1:-1, ..., 0] = same_part(sites[1:], sites[:-1])
     steps = np.empty((height + 1, *moved.shape[1:]))
     np.subtract(moved[1:], moved[:-1], out=steps[1:-1])
     steps[[0, -1]] = unstrained
@@ -519,15 +528,20 @@ def one_sided_differences(
     return [following, previous]
 
 
-def _lines(moved: Float64Array, mask: BoolArray, every: int, step: int) -> Float64Array:
-    """Return the segments, within tissue, of lines along the second axis, `every` rows apart."""
+def _lines(moved: Float64Array, sites: Sites, every: int, step: int) -> Float64Array:
+    """Return the segments of lines along the second axis, `every` rows apart.
+
+    Each segment is in tissue of one part.
+    """
     lines = slice((len(moved) - 1) % every // 2, None, every)
     # Segments span several sites, because fewer segments are drawn faster.
-    place, tissue = moved[lines], mask[lines]
+    place, numbers = moved[lines], sites[lines]
     size = place.shape[1]
     stops = np.unique(np.append(np.arange(0, size, step), size - 1))
     starts, ends = stops[:-1], stops[1:]
-    missing = np.concatenate([np.zeros((len(tissue), 1), int), np.cumsum(~tissue, axis=1)], axis=1)
-    drawn = missing[:, ends + 1] == missing[:, starts]
+    # Count the steps between neighbours that leave a part.
+    leaves = ~same_part(numbers[:, 1:], numbers[:, :-1]).astype(bool)
+    crossed = np.concatenate([np.zeros((len(numbers), 1), int), np.cumsum(leaves, axis=1)], axis=1)
+    drawn = crossed[:, ends] == crossed[:, starts]
     start, end = place[:, starts][drawn], place[:, ends][drawn]
     return np.stack([start, end - start], axis=1)

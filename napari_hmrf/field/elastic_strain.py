@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.parts import Sites, in_one_part
 from napari_hmrf.field.strain import (
     displacement_gradient,
     green_lagrange,
@@ -40,7 +41,7 @@ from napari_hmrf.field.strain import (
 )
 from napari_hmrf.field.warp import BoolArray, Float64Array
 from napari_hmrf.solver.elasticity import Elasticity
-from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
+from napari_hmrf.solver.neighbours import around_sites, of_corners
 from napari_hmrf.solver.real_arrays import FloatArray
 from napari_hmrf.solver.solution import Solution
 
@@ -145,9 +146,15 @@ def _total(
     Return the strain, (N, n, n), the strain perpendicular to the image, which is 0, and the mask of
     the N sites.
     """
+    gradient, numbers = _gradient(solution, sites, fraction)
+    return green_lagrange(gradient), 0.0, numbers.astype(bool)
+
+
+def _gradient(solution: Solution, sites: slice, fraction: float) -> tuple[Float64Array, Sites]:
+    """Return the `displacement_gradient` in a range of the first axis."""
     d = solution.displacement[sites] * np.float32(fraction)
-    gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
-    return green_lagrange(gradient), 0.0, mask
+    parts = None if solution.parts is None else solution.parts[sites]
+    return displacement_gradient(d, solution.spacing, solution.tissue[sites], parts)
 
 
 def _elastic(
@@ -172,9 +179,9 @@ def _of_model(
     solution: Solution, elasticity: Elasticity, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
     """Compute the strain as in `_elastic`, without setting it to 0 in rigid tissue."""
-    d = solution.displacement[sites] * np.float32(fraction)
-    gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
-    growth, growth_across = _growth_at(elasticity, sites, mask, fraction)
+    gradient, numbers = _gradient(solution, sites, fraction)
+    mask = numbers.astype(bool)
+    growth, growth_across = _growth_at(elasticity, sites, numbers, fraction)
     if elasticity.finite:
         if growth is not None:
             step = np.eye(mask.ndim)
@@ -191,7 +198,7 @@ def _of_model(
         across = (stretch**2 - 1) / 2 if elasticity.finite else -np.asarray(growth_across)
         return strain, np.broadcast_to(across, strain.shape[:1]), mask
     nu = elasticity.poisson
-    ratio = nu if isinstance(nu, float) else _of_elements(nu[sites], mask)
+    ratio = nu if isinstance(nu, float) else _of_elements(nu[sites], numbers)
     if elasticity.finite:
         squared = np.linalg.det(np.eye(2) + gradient) ** 2
         across = ratio * (1 - squared) / (2 * (1 - 2 * ratio + ratio * squared))
@@ -201,16 +208,16 @@ def _of_model(
 
 
 def _growth_at(
-    elasticity: Elasticity, sites: slice, mask: BoolArray, fraction: float
+    elasticity: Elasticity, sites: slice, numbers: Sites, fraction: float
 ) -> tuple[Float64Array | None, npt.ArrayLike]:
     """Return the growth strain at N tissue sites, (N, n, n) or None, and its normal component."""
+    mask, n = numbers.astype(bool), numbers.ndim
     if elasticity.growth is None or not (grown := elasticity.growth[sites])[mask].any():
         return None, 0.0
-    n = mask.ndim
     if grown.ndim == n:
-        amount = fraction * _of_elements(grown, mask)
+        amount = fraction * _of_elements(grown, numbers)
         return amount[:, None, None] * np.eye(n), amount
-    parts = [[_of_elements(grown[..., i, j], mask) for j in _axes(grown)] for i in _axes(grown)]
+    parts = [[_of_elements(grown[..., i, j], numbers) for j in _axes(grown)] for i in _axes(grown)]
     tensor = fraction * np.moveaxis(np.array(parts), -1, 0)
     beyond = tensor.shape[-1] - n
     return tensor[:, beyond:, beyond:], tensor[:, 0, 0] if beyond else 0.0
@@ -220,13 +227,14 @@ def _axes(tensors: npt.NDArray[Any]) -> range:
     return range(tensors.shape[-1])
 
 
-def _of_elements(values: npt.NDArray[Any], mask: BoolArray) -> Float64Array:
+def _of_elements(values: npt.NDArray[Any], numbers: Sites) -> Float64Array:
     """Return, for each tissue site, the mean over the elements around it.
 
     The value of an element is the mean of its corners. A site without elements retains its value.
     """
-    elements = in_elements(mask)
+    mask, elements = numbers.astype(bool), in_one_part(numbers)
     own = np.where(mask, values, 0).astype(np.float64)
     means = np.where(elements, of_corners(own, add) / 2**mask.ndim, 0.0)
     total, count = around_sites(means, add)[mask], around_sites(elements.astype(int), add)[mask]
-    return np.divide(total, count, out=own[mask], where=count > 0)
+    found: Float64Array = np.divide(total, count, out=own[mask], where=count > 0)
+    return found

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_whole, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
+from napari_hmrf.field.parts import part_numbers
 from napari_hmrf.field.resample import (
     as_image,
     checked_fill,
@@ -27,7 +28,7 @@ from napari_hmrf.field.resample import (
     sampled,
 )
 from napari_hmrf.field.volume_slice import SliceOrigins, slice_origins
-from napari_hmrf.field.warp import checked_sizes, inverse_raster, moved_sites
+from napari_hmrf.field.warp import checked_sizes, inverse_raster_of_parts, moved_sites
 from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
@@ -119,6 +120,8 @@ class Warper:
         displacement: npt.ArrayLike,
         tissue: npt.ArrayLike | None = None,
         fraction: float = 1.0,
+        *,
+        parts: npt.ArrayLike | None = None,
     ) -> list[npt.NDArray[Any]]:
         """Warp the images on the compute thread, and wait for the result; callable from any thread.
 
@@ -130,6 +133,9 @@ class Warper:
             Sites that move; by default all.
         fraction : float
             Fraction of the displacement, usually from 0 to 1.
+        parts : array_like of int, shape ([D,] H, W), optional
+            Label of the sliding part of each site, as in `warp`; by default, all tissue is
+            connected.
 
         Returns
         -------
@@ -144,17 +150,23 @@ class Warper:
         """
         # Numba's threads must be used from a single thread only.
         return compute_thread.result_of(
-            lambda: self._warped(displacement, tissue, fraction), _DOING
+            lambda: self._warped(displacement, tissue, fraction, parts), _DOING
         )
 
     def _warped(
-        self, displacement: npt.ArrayLike, tissue: npt.ArrayLike | None, fraction: float
+        self,
+        displacement: npt.ArrayLike,
+        tissue: npt.ArrayLike | None,
+        fraction: float,
+        parts: npt.ArrayLike | None,
     ) -> list[npt.NDArray[Any]]:
         """Warp the images; call on the compute thread only."""
         d, mask = self._checked(displacement, tissue, self.shape)
-        if len(self.shape) == 3:
+        if len(self.shape) == 3 or parts is not None:
             moved, _ = moved_sites(d, self._spacing, mask, fraction)
-            source, state = inverse_raster(moved, mask)
+            source, state = inverse_raster_of_parts(moved, part_numbers(mask, parts))
+            if len(self.shape) == 2 and loops.ready_for_pictures():
+                return [look(source, state, mask) for look in self._looks]
             return [look.by_splines(source, state, mask) for look in self._looks]
         if not loops.ready_for_pictures():
             compiler.compile_meanwhile()

@@ -13,8 +13,9 @@ from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import determinant, jacobian_determinant
 from napari_hmrf.field.elastic_strain import StrainKind, strain_kind, values_of_strain
+from napari_hmrf.field.parts import Sites, in_one_part
 from napari_hmrf.field.strain import equivalent_strain, fold_mask, magnitude
-from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
+from napari_hmrf.field.warp import Float64Array, numbered_sites
 from napari_hmrf.solver.problem import as_numbers, grid_in_words, whole_numbers
 from napari_hmrf.solver.solution import Solution
 
@@ -157,7 +158,7 @@ def measure(
             f"{grid_in_words(tissue.shape)} pixels of the solution.",
         )
     spacing = solution.spacing
-    length, folded = magnitude(d), fold_mask(d, spacing=spacing, tissue=tissue)
+    length, folded = magnitude(d), fold_mask(d, **solution.on_grid)
     change, weight = _changes(solution)
     strain, kind = values_of_strain(solution, equivalent_strain), strain_kind(solution)
     pixel = float(np.prod(spacing))
@@ -222,28 +223,31 @@ def _error_bars(
 
 def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
     """Return the mean size ratio of the cells around each site, and the number of cells."""
-    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
-    moved, mask = moved_sites(d, spacing, tissue)
-    total, count = np.zeros(mask.shape), np.zeros(mask.shape)
-    for begin in range(0, len(mask) - 1, _SLAB):
+    d = solution.displacement
+    moved, sites = numbered_sites(d, **solution.on_grid)
+    total, count = np.zeros(sites.shape), np.zeros(sites.shape)
+    for begin in range(0, len(sites) - 1, _SLAB):
         slab = slice(begin, begin + _SLAB + 1)
-        cells = _cells(moved[slab], mask[slab])
-        for corner in _corners(mask.ndim):
+        cells = _cells(moved[slab], sites[slab])
+        for corner in _corners(sites.ndim):
             total[slab][corner] += np.nan_to_num(cells)
             count[slab][corner] += np.isfinite(cells)
     # Sites without cells, in thin tissue, use the determinant at the site, with full weight.
-    alone = jacobian_determinant(d, spacing=spacing, tissue=tissue)
+    alone = jacobian_determinant(d, **solution.on_grid)
     change = np.divide(total, count, out=alone.astype(np.float64), where=count > 0)
-    return change, np.where(count, count, 2**mask.ndim)
+    return change, np.where(count, count, 2**sites.ndim)
 
 
-def _cells(moved: Float64Array, mask: BoolArray) -> Float64Array:
-    """Return the area, or volume, of the cells between sites, 1 at rest; NaN outside tissue."""
+def _cells(moved: Float64Array, sites: Sites) -> Float64Array:
+    """Return the area, or volume, of the cells between sites, 1 at rest; NaN outside tissue.
+
+    Cells between two parts count as outside tissue.
+    """
     # The size is exact if tissue moves linearly along the edges of cells, and is negative for
     # inverted cells. Unlike a sum of determinants at the sites, the sum of the sizes then equals
     # the area within the outer border of the tissue.
-    corners = [moved[each] for each in _corners(mask.ndim)]
-    if mask.ndim == 2:
+    corners = [moved[each] for each in _corners(sites.ndim)]
+    if sites.ndim == 2:
         a, b, c, d = corners
         size = determinant([d - a, c - b]) / -2
     else:
@@ -253,8 +257,7 @@ def _cells(moved: Float64Array, mask: BoolArray) -> Float64Array:
         size += determinant([d - a, (h - c) + (f - a), h - b])
         size += determinant([h - e, f - a, (h - b) + (g - a)])
         size /= 12
-    whole = np.logical_and.reduce([mask[each] for each in _corners(mask.ndim)])
-    return np.where(whole, size, np.nan)
+    return np.where(in_one_part(sites), size, np.nan)
 
 
 def _corners(ndim: int) -> list[tuple[slice, ...]]:

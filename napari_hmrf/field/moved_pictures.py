@@ -58,7 +58,7 @@ class MovedPictures:
             shown = [] if image is None else [Picture(image, fill=emptiness(image, tissue.ndim))]
             shown += over
             known = self._warper = (image, over, Warper(shown, spacing=solution.spacing))
-        moved = known[2](d, tissue)
+        moved = known[2](d, tissue, parts=solution.parts)
         return moved.pop(0) if image is not None else None, tuple(moved)
 
     def plane(

@@ -179,4 +179,4 @@ def area_change(solution: Solution, fraction: float = 1.0) -> FloatArray:
     which is 0 or below. Outside tissue it is NaN.
     """
     displacement = solution.displacement * np.float32(fraction)
-    return determinant_or_fold(displacement, solution.spacing, solution.tissue)
+    return determinant_or_fold(displacement, **solution.on_grid)

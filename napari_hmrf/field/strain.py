@@ -9,11 +9,11 @@ H = dd/dX and the deformation gradient F = I + H,
     Green-Lagrange strain E = (F^T F - I) / 2              valid for any motion; 0 for a rotation
 
 Differences are central, or one-sided if a neighbour is missing, and do not cross the border of the
-tissue. If both neighbours along an axis are missing, the tissue is assumed to be unstrained along
-that axis. `jacobian_determinant` uses the same differences and equals det F. Tensors are in
-(row, col) order: H[..., 0, 1] is the derivative of the row component with respect to the column.
-In a volume the order is (depth, row, col). Strains have no unit (0.01 is one per cent). The
-displacement and `spacing` must have the same unit. All values are NaN outside tissue.
+tissue or of a part that slides. If both neighbours along an axis are missing, the tissue is assumed
+to be unstrained along that axis. `jacobian_determinant` uses the same differences and equals det F.
+Tensors are in (row, col) order: H[..., 0, 1] is the derivative of the row component with respect to
+the column. In a volume the order is (depth, row, col). Strains have no unit (0.01 is one per cent).
+The displacement and `spacing` must have the same unit. All values are NaN outside tissue.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ from napari_hmrf.field.deformation import (
     magnitude,
     smallest_determinant,
 )
+from napari_hmrf.field.parts import Sites
 from napari_hmrf.field.warp import (
     BoolArray,
     Float64Array,
     Spacing,
     checked_sizes,
-    moved_sites,
+    numbered_sites,
 )
 from napari_hmrf.solver.backends.compile_cache import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -67,6 +68,7 @@ def deformation_gradient(
     *,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Return the deformation gradient F = I + dd/dX, the local stretch and rotation of tissue.
 
@@ -78,6 +80,8 @@ def deformation_gradient(
         Size of a pixel along each axis; a scalar applies to all axes.
     tissue : array_like of bool, shape ([D,] H, W), optional
         Mask of the tissue; by default all sites.
+    parts : array_like of int, shape ([D,] H, W), optional
+        Label of the sliding part of each site, as in `jacobian_determinant`.
 
     Returns
     -------
@@ -89,8 +93,8 @@ def deformation_gradient(
     ProblemError
         If an input is invalid; the error names the input.
     """
-    gradient, mask = displacement_gradient(displacement, spacing, tissue)
-    return on_sites(gradient + np.eye(mask.ndim), mask)
+    gradient, sites = displacement_gradient(displacement, spacing, tissue, parts)
+    return on_sites(gradient + np.eye(sites.ndim), sites)
 
 
 def fold_mask(
@@ -98,12 +102,13 @@ def fold_mask(
     *,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> BoolArray:
     """Return a mask of the sites at which tissue folds or collapses; see `count_folds`.
 
     Parameters
     ----------
-    displacement, spacing, tissue
+    displacement, spacing, tissue, parts
         As in `deformation_gradient`.
 
     Returns
@@ -117,7 +122,7 @@ def fold_mask(
     ProblemError
         If an input is invalid; the error names the input.
     """
-    folded: BoolArray = smallest_determinant(displacement, spacing, tissue) <= 0
+    folded: BoolArray = smallest_determinant(displacement, spacing, tissue, parts) <= 0
     return folded
 
 
@@ -126,6 +131,7 @@ def small_strain(
     *,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Return the strain of linear elasticity, e = (H + H^T) / 2, as in `ElasticPrior`.
 
@@ -134,7 +140,7 @@ def small_strain(
 
     Parameters
     ----------
-    displacement, spacing, tissue
+    displacement, spacing, tissue, parts
         As in `deformation_gradient`.
 
     Returns
@@ -148,8 +154,8 @@ def small_strain(
     ProblemError
         If an input is invalid; the error names the input.
     """
-    gradient, mask = displacement_gradient(displacement, spacing, tissue)
-    return on_sites(symmetric(gradient), mask)
+    gradient, sites = displacement_gradient(displacement, spacing, tissue, parts)
+    return on_sites(symmetric(gradient), sites)
 
 
 def green_lagrange_strain(
@@ -157,6 +163,7 @@ def green_lagrange_strain(
     *,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Return the Green-Lagrange strain, E = (F^T F - I) / 2, which is 0 for a rotation.
 
@@ -165,7 +172,7 @@ def green_lagrange_strain(
 
     Parameters
     ----------
-    displacement, spacing, tissue
+    displacement, spacing, tissue, parts
         As in `deformation_gradient`.
 
     Returns
@@ -178,8 +185,8 @@ def green_lagrange_strain(
     ProblemError
         If an input is invalid; the error names the input.
     """
-    gradient, mask = displacement_gradient(displacement, spacing, tissue)
-    return on_sites(green_lagrange(gradient), mask)
+    gradient, sites = displacement_gradient(displacement, spacing, tissue, parts)
+    return on_sites(green_lagrange(gradient), sites)
 
 
 def green_lagrange(gradient: Float64Array) -> Float64Array:
@@ -336,27 +343,31 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
 
 
 def displacement_gradient(
-    displacement: npt.ArrayLike, spacing: Spacing, tissue: npt.ArrayLike | None
-) -> tuple[Float64Array, BoolArray]:
-    """Return the gradient H = dd/dX, (N, n, n), at the N tissue sites, and the tissue mask."""
-    moved, mask = moved_sites(displacement, spacing, tissue)
-    sizes = checked_sizes(spacing, mask.ndim)
-    if mask.ndim == 3 and loops.ready_for_volumes():
+    displacement: npt.ArrayLike,
+    spacing: Spacing,
+    tissue: npt.ArrayLike | None,
+    parts: npt.ArrayLike | None,
+) -> tuple[Float64Array, Sites]:
+    """Return the gradient H = dd/dX, (N, n, n), at the N tissue sites, and the `numbered_sites`."""
+    moved, sites = numbered_sites(displacement, spacing, tissue, parts)
+    n, mask = sites.ndim, sites.astype(bool)
+    sizes = checked_sizes(spacing, n)
+    if n == 3 and parts is None and loops.ready_for_volumes():
         loader.before_numba()
         from napari_hmrf.field.volume_loops import gradients  # heavy: numba
 
-        return gradients(moved, loops.only_read(mask), sizes), mask
-    gradient = np.empty((*moved.shape, mask.ndim))
-    for axis, (following, previous) in enumerate(differences_along_axes(moved, mask)):
-        gradient[..., axis] = (following + previous) / 2 - np.eye(mask.ndim)[axis]
+        return gradients(moved, loops.only_read(mask), sizes), sites
+    gradient = np.empty((*moved.shape, n))
+    for axis, (following, previous) in enumerate(differences_along_axes(moved, sites)):
+        gradient[..., axis] = (following + previous) / 2 - np.eye(n)[axis]
     # Convert steps in pixels to lengths, because pixel sizes may differ between axes.
-    return gradient[mask] * (sizes[:, None] / sizes), mask
+    return gradient[mask] * (sizes[:, None] / sizes), sites
 
 
-def on_sites(values: Float64Array, mask: BoolArray) -> FloatArray:
+def on_sites(values: Float64Array, sites: Sites) -> FloatArray:
     """Scatter values at the tissue sites to all pixels; NaN outside tissue."""
-    image = np.full((*mask.shape, *values.shape[1:]), np.nan, np.float32)
-    image[mask] = values
+    image = np.full((*sites.shape, *values.shape[1:]), np.nan, np.float32)
+    image[sites.astype(bool)] = values
     return image
 
 

@@ -138,6 +138,7 @@ class Points:
             solution,
             displacement=solution.displacement[around],
             tissue=solution.tissue[around],
+            parts=None if solution.parts is None else solution.parts[around],
             elasticity=solution.elasticity
             and solution.elasticity.mapped(lambda values: values[around]),
         )

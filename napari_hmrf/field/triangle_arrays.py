@@ -19,7 +19,7 @@ Mask = npt.NDArray[np.bool_]
 # Tolerances as in `triangle_raster`.
 _EDGE, _COLLAPSED, _NEAR = 1e-9, 1e-12, 1.0
 # States of a pixel: no tissue; inverted triangle; non-inverted triangle; two non-inverted ones.
-_EMPTY, _TURNED, _KEPT, TWICE = 0, 1, 2, 3
+_EMPTY, _TURNED, KEPT, TWICE = 0, 1, 2, 3
 # Number of pixels that are tested together.
 _AT_ONCE = 1_000_000
 
@@ -32,12 +32,12 @@ def rasterise(moved: Float64Array, tissue: Mask) -> tuple[Float64Array, npt.NDAr
     areas = _areas(moved, corners)
     turned = areas * _areas(np.moveaxis(np.indices(tissue.shape, float), 0, -1), corners) < 0
     covers = np.abs(areas) >= _COLLAPSED
-    for value, selected in ((_KEPT, covers & ~turned), (_TURNED, covers & turned)):
+    for value, selected in ((KEPT, covers & ~turned), (_TURNED, covers & turned)):
         for pixels, places in _covered(moved, corners[selected], tissue.shape):
             _claim(source, state, pixels, places, value)
     for pixels, places in (_sites(moved, tissue), _strokes(moved, tissue)):
         empty = state.ravel()[pixels] == _EMPTY
-        _claim(source, state, pixels[empty], places[empty], _KEPT, first_only=True)
+        _claim(source, state, pixels[empty], places[empty], KEPT, first_only=True)
     return source, state
 
 
@@ -117,7 +117,7 @@ def _claim(
     free = states[pixels] < value
     new, first = np.unique(pixels[free], return_index=True)
     flat[new], states[new] = places[free][first], value
-    if value == _KEPT and not first_only:
+    if value == KEPT and not first_only:
         away = np.abs(flat[pixels] - places).max(axis=1) > _NEAR
         states[pixels[away]] = TWICE
 

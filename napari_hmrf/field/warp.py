@@ -6,6 +6,9 @@ at X + d(X) would show the opposite motion.) Between the sites of a slice, the m
 triangles of three neighbouring sites. In a volume it is trilinear in cells of eight sites, and
 linear on tetrahedra in cells with fewer sites. The inverse of this motion is exact, even for large
 gradients.
+
+Parts that slide along each other are drawn one by one, each up to its own border. The cells between
+two parts are stretched by the slip; they are drawn only onto pixels that no part covers.
 """
 
 from __future__ import annotations
@@ -17,10 +20,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
+from napari_hmrf.field.parts import Sites, part_numbers
 from napari_hmrf.field.resample import as_image, resample
 from napari_hmrf.field.slabs import slabs
 from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
@@ -40,6 +45,7 @@ def warp(
     spacing: Spacing,
     order: int = 1,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
     fill: float = 0,
 ) -> npt.NDArray[Any]:
     """Warp an image or a volume with the tissue.
@@ -59,6 +65,9 @@ def warp(
     tissue : array_like of bool, shape ([D,] H, W), optional
         Mask of the sites that move; by default all sites. Other pixels are background: they stay
         in place and are hidden by tissue that moves onto them.
+    parts : array_like of int, shape ([D,] H, W), optional
+        Label of the sliding part of each site, as `Solution.parts`. By default, all tissue is
+        connected.
     fill : float
         Value of uncovered pixels, which tissue has left and no other tissue has reached.
 
@@ -77,7 +86,7 @@ def warp(
     inverse_map, resample : The two steps of `warp`, to warp several images by one displacement.
     """
     picture = as_image(image, as_field(displacement).shape[:-1])
-    coordinates, covered = inverse_map(displacement, spacing=spacing, tissue=tissue)
+    coordinates, covered = inverse_map(displacement, spacing=spacing, tissue=tissue, parts=parts)
     return resample(picture, coordinates, covered, order=order, fill=fill)
 
 
@@ -86,6 +95,7 @@ def inverse_map(
     *,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray]:
     """Compute the origin of each pixel: the position of its tissue before the motion.
 
@@ -93,7 +103,7 @@ def inverse_map(
 
     Parameters
     ----------
-    displacement, spacing, tissue
+    displacement, spacing, tissue, parts
         As in `warp`.
 
     Returns
@@ -108,7 +118,7 @@ def inverse_map(
     ProblemError
         If an input is invalid; the error names the input.
     """
-    coordinates, covered, _ = inverse_map_and_overlaps(displacement, spacing, tissue)
+    coordinates, covered, _ = inverse_map_and_overlaps(displacement, spacing, tissue, parts)
     return coordinates, covered
 
 
@@ -116,6 +126,7 @@ def inverse_map_and_overlaps(
     displacement: npt.ArrayLike,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
+    parts: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray, BoolArray]:
     """Return the `inverse_map` and a mask of the pixels at which two parts of the tissue overlap.
 
@@ -123,7 +134,7 @@ def inverse_map_and_overlaps(
 
     Parameters
     ----------
-    displacement, spacing, tissue
+    displacement, spacing, tissue, parts
         As in `warp`.
 
     Returns
@@ -132,15 +143,17 @@ def inverse_map_and_overlaps(
         As in `inverse_map`.
     overlaps : ndarray, shape ([D,] H, W), bool
         Mask of the pixels onto which non-inverted tissue has moved from two positions more than a
-        pixel apart. Either part may be visible. Tissue that is only one pixel thin is ignored.
+        pixel apart. Either part may be visible. Tissue that is only one pixel thin is ignored, as
+        is an overlap of sliding parts by less than two pixels.
 
     Raises
     ------
     ProblemError
         If an input is invalid; the error names the input.
     """
-    moving, mask = moved_sites(displacement, spacing, tissue)
-    coordinates, state = inverse_raster(moving, mask)
+    moving, sites = numbered_sites(displacement, spacing, tissue, parts)
+    mask = sites.astype(bool)
+    coordinates, state = inverse_raster_of_parts(moving, sites)
     if mask.ndim == 2:
         still = ~mask & (state == 0)
         coordinates[still] = np.argwhere(still)
@@ -184,6 +197,43 @@ def inverse_raster(
     return coordinates, state
 
 
+def inverse_raster_of_parts(
+    moved: Float64Array, sites: Sites
+) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
+    """Invert the motion of each part, and draw the cells between parts onto uncovered pixels only.
+
+    Parameters
+    ----------
+    moved, sites
+        Output of `numbered_sites`.
+
+    Returns
+    -------
+    source, state
+        As from `inverse_raster`. Pixels onto which two parts have moved by more than a pixel are
+        marked with `TWICE`.
+    """
+    source, state = inverse_raster(moved, sites.astype(bool))
+    if sites.dtype == np.bool_:
+        return source, state
+    state[state == triangle_arrays.TWICE] = triangle_arrays.KEPT
+    around = np.ones((3,) * sites.ndim)
+    covered, deep, twice = np.zeros((3, *sites.shape), bool)
+    for number in np.unique(sites[sites > 0]):
+        compute_thread.check_cancelled()
+        own, of_part = inverse_raster(moved, sites == number)
+        drawn = of_part >= triangle_arrays.KEPT
+        # A part covers half a pixel beyond its outermost sites, so that neighbours overlap there.
+        inside = scipy.ndimage.binary_erosion(drawn, around, border_value=1)
+        twice |= (of_part == triangle_arrays.TWICE) | (inside & deep)
+        drawn &= ~covered | (inside & ~deep)
+        source[drawn], state[drawn] = own[drawn], triangle_arrays.KEPT
+        covered |= drawn
+        deep |= inside
+    state[twice] = triangle_arrays.TWICE
+    return source, state
+
+
 def has_volume_loops() -> bool:
     """Return whether the loops that warp volumes are compiled and cached."""
     loader.before_numba()
@@ -214,6 +264,35 @@ def _volume_raster(
         tetrahedron_raster.refine(moved, mask, *out)
         tetrahedron_raster.outline(moved, mask, outer, reach, longest, *out)
     return source, state
+
+
+def numbered_sites(
+    displacement: npt.ArrayLike,
+    spacing: Spacing,
+    tissue: npt.ArrayLike | None,
+    parts: npt.ArrayLike | None,
+) -> tuple[Float64Array, Sites]:
+    """Check a displacement, and return the moved position and the part of each site.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue, parts
+        As in `warp`.
+
+    Returns
+    -------
+    moved : ndarray, shape ([D,] H, W, n), float64
+        As from `moved_sites`.
+    sites : ndarray of int or bool, shape ([D,] H, W)
+        As from `part_numbers`.
+
+    Raises
+    ------
+    ProblemError
+        If an input is invalid; the error names the input.
+    """
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    return moved, part_numbers(mask, parts)
 
 
 def moved_sites(

@@ -72,6 +72,8 @@ class FieldFile:
         False if the file stores no place. `place` is then at the origin, aligned with the axes.
     removed : ndarray of bool or None
         Mask of removed tissue, which moved images do not show; None if no tissue is removed.
+    parts : ndarray of int or None
+        Label of the sliding part of each site; None if all tissue is connected.
     """
 
     field: DisplacementField
@@ -80,6 +82,7 @@ class FieldFile:
     unit: str = "millimeter"
     is_placed: bool = True
     removed: npt.NDArray[np.bool_] | None = None
+    parts: npt.NDArray[np.int32] | None = None
 
     @classmethod
     def of(cls, solution: Solution) -> FieldFile:
@@ -89,7 +92,7 @@ class FieldFile:
         unit = "pixel" if Frame.of_solution(solution).unit == "pixel" else "millimeter"
         field = DisplacementField(d, sizes)
         is_placed, removed = bool(solution.frame), solution.removed
-        return cls(field, place, solution.tissue, unit, is_placed, removed)
+        return cls(field, place, solution.tissue, unit, is_placed, removed, solution.parts)
 
     @property
     def in_patient(self) -> Place | None:
@@ -180,7 +183,7 @@ def write_field_file(
         f"{residual:.2g} px at the centres of the pixels that tissue moved to; between pixels and "
         "at the edge of the tissue, the error may be larger."
     )
-    folded = count_folds(d, spacing=field.spacing, tissue=field.tissue)
+    folded = count_folds(d, spacing=field.spacing, tissue=field.tissue, parts=field.parts)
     sentence += place_note
     if not folded:
         return sentence
@@ -273,7 +276,8 @@ def _note_on_labels(pixels: Pixels, name: str) -> str:
 
 def _warp_pixels(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
     remaining, d = without_removed(pixels, field.removed, 0), field.displacement
-    return warp(remaining, d, spacing=field.spacing, order=order, tissue=field.tissue)
+    where: dict[str, Any] = {"tissue": field.tissue, "parts": field.parts}
+    return warp(remaining, d, spacing=field.spacing, order=order, **where)
 
 
 def _sample_backward(field: FieldFile, pixels: Pixels, order: int) -> Pixels:

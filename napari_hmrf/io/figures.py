@@ -217,9 +217,7 @@ def grid_picture(solution: Solution) -> Figure:
     figure, (axes,) = _figure(solution.spacing, "a regular grid, deformed with the tissue")
     height, width = solution.tissue.shape
     every = pixels_between(GRID_LINES, solution.tissue.shape, solution.spacing)
-    segments = deformation_grid(
-        solution.displacement, spacing=solution.spacing, every=every, tissue=solution.tissue
-    )
+    segments = deformation_grid(solution.displacement, every=every, **solution.on_grid)
     starts, ends = segments[:, 0], segments.sum(axis=1)
     lines = np.stack([starts, ends], axis=1)[..., ::-1]
     axes.add_collection(LineCollection(list(lines), colors=_GRID_COLOUR, linewidths=0.7))

@@ -221,9 +221,8 @@ def result_layers(
     """
     frame = Frame.of_solution(solution) if frame is None else frame
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
-    field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
-    folded = smallest_determinant(*field) <= 0
+    folded = smallest_determinant(solution.displacement, **solution.on_grid) <= 0
     fullest: dict[Mark, tuple[int, ...]] = {"folds": fullest_planes(moved_marks(solution, folded))}
     shown = pictures or Pictures()
     digests = solution.provenance.inputs
@@ -237,7 +236,9 @@ def result_layers(
     overlaps = 0
     if pictures is not None:  # skipped for results from files, to avoid waiting for compiled loops
         checkpoint()
-        origin, covered, overlapping = inverse_map_and_overlaps(*field)
+        origin, covered, overlapping = inverse_map_and_overlaps(
+            solution.displacement, **solution.on_grid
+        )
         overlaps, fullest["overlaps"] = int(overlapping.sum()), fullest_planes(overlapping)
         if (image := pictures.image) is not None:
             checkpoint()

@@ -79,6 +79,8 @@ def solve_with_sliding(
     ProblemError
         If the model does not support sliding parts, or a part can move freely.
     """
+    sliding = problem.sliding
+    assert sliding is not None
     elastic = ElasticPrior() if prior is None else prior
     schedule = Multigrid() if optimizer is None else optimizer
     _check_support(problem, elastic, schedule)
@@ -112,6 +114,7 @@ def solve_with_sliding(
         loads=problem.loads,
         elasticity=Elasticity.of_problem(problem, elastic, 1.0),
         provenance=replace(found.provenance, inputs=problem.digests),
+        parts=sliding.labels,
     )
     _last[:] = [(solution, found)]
     return solution

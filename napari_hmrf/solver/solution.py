@@ -116,6 +116,10 @@ class Solution:
     removed : ndarray of bool, shape (H, W) or (D, H, W), optional
         Mask of the tissue that a study removes, before the motion. It is not part of `tissue`, and
         images of the result do not show it. None if no tissue is removed.
+    parts : ndarray of int, shape (H, W) or (D, H, W), optional
+        Label of the part of each site, if parts of the tissue slide along each other; see
+        `SlidingParts`. Strain and folds are those within each part. None if all tissue is
+        connected.
 
     Raises
     ------
@@ -137,6 +141,7 @@ class Solution:
     notes: tuple[str, ...] = ()
     unit: str = ""
     removed: npt.NDArray[np.bool_] | None = None
+    parts: npt.NDArray[np.int32] | None = None
 
     def __post_init__(self) -> None:
         shape = self.tissue.shape
@@ -179,8 +184,8 @@ class Solution:
         """Final mean total energy per site of tissue, in pixels squared."""
         return float(self.energy[-1])
 
-    # These methods import higher layers of the package when they are called. They pass on spacing
-    # and tissue, so that the caller cannot forget these arguments.
+    # These methods import higher layers of the package when they are called. They pass on spacing,
+    # tissue and parts, so that the caller cannot forget these arguments.
 
     def warp(
         self, image: npt.ArrayLike, *, order: int = 1, fill: float = 0
@@ -207,7 +212,7 @@ class Solution:
         from napari_hmrf.field.warp import warp  # above: field
 
         remaining = without_removed(image, self.removed, fill)
-        return warp(remaining, self.displacement, order=order, fill=fill, **self._on_grid)
+        return warp(remaining, self.displacement, order=order, fill=fill, **self.on_grid)
 
     def jacobian(self) -> npt.NDArray[np.float32]:
         """Return the factor by which area or volume changes at each site.
@@ -219,13 +224,13 @@ class Solution:
         """
         from napari_hmrf.field.deformation import jacobian_determinant  # above: field
 
-        return jacobian_determinant(self.displacement, **self._on_grid)
+        return jacobian_determinant(self.displacement, **self.on_grid)
 
     def count_folds(self) -> int:
         """Count the sites at which tissue folds over itself or collapses."""
         from napari_hmrf.field.deformation import count_folds  # above: field
 
-        return count_folds(self.displacement, **self._on_grid)
+        return count_folds(self.displacement, **self.on_grid)
 
     def strain(
         self, kind: Literal["elastic", "total", "small"] = "elastic"
@@ -261,7 +266,7 @@ class Solution:
         if kind == "elastic":
             return elastic_strain(self)
         of_field = green_lagrange_strain if kind == "total" else small_strain
-        return of_field(self.displacement, **self._on_grid)
+        return of_field(self.displacement, **self.on_grid)
 
     def at(self, points: npt.ArrayLike, *, extend: bool = False) -> npt.NDArray[np.float64]:
         """Return the displacement at points of the tissue, interpolated linearly.
@@ -410,8 +415,9 @@ class Solution:
         return export_field(path, self, forward=forward, grid=grid, placed=placed)
 
     @property
-    def _on_grid(self) -> dict[str, Any]:
-        return {"spacing": self.spacing, "tissue": self.tissue}
+    def on_grid(self) -> dict[str, Any]:
+        """Spacing, tissue and parts, as arguments of functions that derive the displacement."""
+        return {"spacing": self.spacing, "tissue": self.tissue, "parts": self.parts}
 
     def write(self, path: str | os.PathLike[str]) -> Path:
         """Write the solution to one .npz file, atomically.
@@ -496,6 +502,7 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
         arrays |= {} if growth is None else {"growth": growth}
         arrays |= {} if elasticity.rigid is None else {"rigid": elasticity.rigid}
     arrays |= {} if solution.removed is None else {"removed": solution.removed}
+    arrays |= {} if solution.parts is None else {"parts": solution.parts}
     return header, arrays
 
 
@@ -516,11 +523,12 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         raise array_file.Invalid(f"its pixel spacing is invalid: {spacing}")
     if not array_file.is_finite(displacement):
         raise array_file.Invalid("its displacement contains values that are not numbers")
-    removed = arrays.get("removed")
-    if removed is not None and removed.shape != tissue.shape:
-        raise array_file.Invalid(
-            f"its removed tissue {removed.shape} does not match its tissue {tissue.shape}"
-        )
+    removed, parts = arrays.get("removed"), arrays.get("parts")
+    for name, found in ("removed tissue", removed), ("sliding parts", parts):
+        if found is not None and found.shape != tissue.shape:
+            raise array_file.Invalid(
+                f"its {name} {found.shape} does not match its tissue {tissue.shape}"
+            )
     if len(energy) != max(1, sum(run.iterations for run in levels)):
         raise array_file.Invalid("its energies do not match its iterations")
     frame = header["frame"]
@@ -545,6 +553,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         elasticity=read_elasticity(header, arrays),
         unit=str(header.get("unit", "")),  # missing in older files
         removed=removed,
+        parts=parts,
     )
 
 
@@ -580,6 +589,7 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
         "growth": array_file.Kind(("<f4",), (2, 3, 4, 5), optional=True),
         "rigid": array_file.Kind(("|b1",), (2, 3), optional=True),
         "removed": array_file.Kind(("|b1",), (2, 3), optional=True),
+        "parts": array_file.Kind(("<i4",), (2, 3), optional=True),
     },
     describe=_describe,
     parse=_parse,
