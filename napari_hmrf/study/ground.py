@@ -51,6 +51,7 @@ from napari_hmrf.tissue.boundary_rules import (
     default_material,
     default_rule,
     poisson_image,
+    sliding_parts,
     stiffness_image,
     stiffness_in_words,
     unlisted,
@@ -301,19 +302,11 @@ class Ground:
         return reduce(add, known) if known else None
 
     def _sliding_parts(self, labels: npt.NDArray[Any], m: FloatArray) -> SlidingParts | None:
-        """Return the parts of tissue that slide; None if there are fewer than two parts.
-
-        Each label that slides is a part of its own, and all other tissue is one part.
-        """
-        slides = [row.label for row in self.palette.materials if row.slides]
-        parts = np.zeros(m.shape, dtype=np.int32)
-        for number, label in enumerate(slides, start=1):
-            parts[labels == label] = number
-        if len(np.unique(parts[m > 0])) < 2:
-            return None
-        if np.isinf(m).any():
+        """Return the parts of tissue that slide; None if there are fewer than two parts."""
+        parts = sliding_parts(labels, self.palette.materials, m)
+        if parts is not None and np.isinf(m).any():
             self._refuse_with_sliding("rigid tissue. Give it a large finite stiffness")
-        return SlidingParts(parts)
+        return parts
 
     def _refuse_beside_sliding(self, problem: Problem, prior: Prior) -> None:
         """Raise an error for inputs that cannot be combined with tissue that slides."""

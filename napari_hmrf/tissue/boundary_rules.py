@@ -19,6 +19,7 @@ from napari_hmrf.arguments import is_one_of, is_whole, real, reals, refuse_unles
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import FloatArray, as_numbers, checked_spacing
+from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.tissue.normals import outward_normals
 
 Action = Literal["fixed", "move", "expand", "press", "pull", "slide", "remove"]
@@ -180,6 +181,41 @@ def default_material(label: int, known: Iterable[Material]) -> Material:
     if first is None:
         return Material(label, name, _STIFFNESS)
     return replace(first, label=label, name=name, slides=False)
+
+
+def with_motion_of(material: Material, row: Material) -> Material:
+    """Return a material with the growth and the sliding of the row that it replaces.
+
+    A published material states how stiff a tissue is, and not how the tissue moves in an image.
+    Growth or sliding that the material states takes precedence. Void and rigid tissue neither grow
+    nor slide.
+    """
+    if not (material.is_deformable and row.is_deformable):
+        return material
+    growth = material.growth if material.grows else row.growth
+    return replace(material, growth=growth, slides=material.slides or row.slides)
+
+
+def sliding_parts(
+    labels: npt.NDArray[Any], materials: Iterable[Material], stiffness: npt.NDArray[Any]
+) -> SlidingParts | None:
+    """Return the parts of labelled tissue that slide; None if there are fewer than two parts.
+
+    Each label that slides is a part of its own, and all other tissue is one part.
+
+    Parameters
+    ----------
+    labels : ndarray of int, shape ([D,] H, W)
+        Label of the tissue at each pixel.
+    materials : iterable of Material
+    stiffness : ndarray, shape ([D,] H, W)
+        Stiffness of each pixel; 0 in void.
+    """
+    slides = [row.label for row in materials if row.slides]
+    parts = np.zeros(stiffness.shape, dtype=np.int32)
+    for number, label in enumerate(slides, start=1):
+        parts[labels == label] = number
+    return SlidingParts(parts) if len(np.unique(parts[stiffness > 0])) > 1 else None
 
 
 def default_rigid(label: int) -> Material:

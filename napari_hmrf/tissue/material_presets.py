@@ -19,6 +19,7 @@ from napari_hmrf.tissue.boundary_rules import (
     poisson_image,
     stiffness_image,
     unlisted,
+    with_motion_of,
 )
 
 FloatArray = npt.NDArray[np.float32]
@@ -60,7 +61,7 @@ class Preset:
         matches another row. The remaining materials of the preset are added. A row that is not
         replaced is unchanged if it is void or rigid. A deformable row that is not replaced is
         assigned the stiffness of the preset's first tissue, because the old stiffness may be in
-        another unit.
+        another unit. A row keeps its growth and its sliding unless the preset has its own.
 
         Parameters
         ----------
@@ -87,6 +88,7 @@ class Preset:
             if row.label in now:
                 if _key(row) != _key(now[row.label]):
                     words.append(f"'{row.name}' is now {now[row.label].name}")
+                now[row.label] = with_motion_of(now[row.label], row)
             elif first is None or not row.is_deformable:
                 now[row.label] = row
             else:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
 from napari_hmrf.resources import resource_folder
-from napari_hmrf.tissue.boundary_rules import Material, read_stiffness
+from napari_hmrf.tissue.boundary_rules import Material, read_stiffness, with_motion_of
 
 _Words = tuple[str, ...]
 #: Largest number of labels that a sentence lists.
@@ -109,7 +109,7 @@ class NamedMaterials:
 
         A row with an unknown label is unchanged if it is void or rigid. A deformable row with an
         unknown label is assigned the stiffness of the first known deformable material, because the
-        old stiffness may be in another unit.
+        old stiffness may be in another unit. Each row keeps its growth and its sliding.
 
         Parameters
         ----------
@@ -132,7 +132,7 @@ class NamedMaterials:
             if row.label not in known and first is not None and row.is_deformable:
                 other = replace(other, stiffness=first.stiffness, poisson=first.poisson)
                 guessed.append(f"{row.label} ({other.name})")
-            now.append(known.get(row.label, other))
+            now.append(with_motion_of(known.get(row.label, other), row))
         sentences = []
         if published := self.published(row.label for row in rows):
             sentences.append(f"{published[0].upper()}{published[1:]}.")

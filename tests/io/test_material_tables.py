@@ -22,6 +22,7 @@ from napari_hmrf.layers.metadata import (
 from napari_hmrf.solver.solution import Provenance
 from napari_hmrf.tissue.boundary_rules import RIGID, Material, default_material
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
+from napari_hmrf.tissue.tissue_names import materials_by_name
 
 LIVER = Preset(
     "Liver",
@@ -160,6 +161,22 @@ def test_a_preset_matches_rows_by_name_then_by_label_and_reports_missing_rows():
         "'unpainted' is now as stiff as liver, 'normal tissue' is now liver, "
         "'soft tissue' is now hepatocellular carcinoma, 'tumour' is now as stiff as liver."
     )
+
+
+def test_a_preset_preserves_growth_and_sliding_and_may_set_them():
+    tumour, lung = Material(2, "tumour", 40.0, growth=0.2), Material(3, "lung", 1.0, slides=True)
+    table = (Material(1, "muscle", 20.0), tumour, lung, Material(4, "fat", 1.0, slides=True))
+    rows = (Material(2, "tumour", 8.0), Material(3, "lung", 2.0), Material(4, "bone", RIGID))
+    found, _ = Preset("", "kPa", "", rows).replace_materials(table)
+    assert found[1:3] == (replace(tumour, stiffness=8.0), replace(lung, stiffness=2.0))
+    assert not found[3].slides, "rigid tissue cannot slide"
+    own = (Material(1, "muscle", 3.0, slides=True), replace(tumour, growth=0.5))
+    found, _ = Preset("", "kPa", "", own).replace_materials(table)
+    assert found[:2] == own
+    named = materials_by_name({2: "tumour", 3: "lung"})
+    found, _ = named.replace_materials(table[1:3])
+    assert found[0].growth == 0.2
+    assert found[1].slides
 
 
 def test_a_preset_preserves_rigid_tissue_and_makes_no_other_tissue_rigid():
