@@ -20,6 +20,7 @@ from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.landmarks import SD_FEATURE
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, layer_metadata
 from napari_hmrf.layers.result_layers import result_layers
+from napari_hmrf.samples.chest import chest_phantom
 from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.mri import MRI_SCALE, mri_slices
 from napari_hmrf.samples.phantoms import image_pair, sample
@@ -78,6 +79,12 @@ def sample_pair() -> list[LayerData]:
 def sample_bar() -> list[LayerData]:
     """Return the layers of the two-tissue bar sample."""
     return _sample("bar")
+
+
+def sample_chest() -> list[LayerData]:
+    """Return the layers of the chest sample: lungs that slide along the wall during a breath."""
+    _show_dock()
+    return phantom_layers(chest_phantom())
 
 
 def sample_head() -> list[LayerData]:

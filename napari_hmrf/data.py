@@ -8,6 +8,7 @@ Example::
     solution = solve(phantom("mass-effect", size=100).problem)
 """
 
+from napari_hmrf.samples.chest import chest_phantom
 from napari_hmrf.samples.head import HeadPhantom, head_phantom
 from napari_hmrf.samples.phantoms import (
     PHANTOM_NAMES,
@@ -22,6 +23,7 @@ __all__ = [
     "PHANTOM_NAMES",
     "HeadPhantom",
     "Phantom",
+    "chest_phantom",
     "head_phantom",
     "image_pair",
     "phantom",

@@ -15,6 +15,7 @@ from napari_hmrf.contributions import (
     open_solution,
     open_study,
     sample_bar,
+    sample_chest,
     sample_expansion,
     sample_growth,
     sample_head,
@@ -33,6 +34,7 @@ from napari_hmrf.layers.metadata import METADATA, rows_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.samples.chest import chest_phantom
 from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.optimizers import ICM
@@ -90,8 +92,9 @@ def _imported(python_name):
         (sample_growth, sample("mass-effect").growing()),
         (sample_mass_effect, sample("mass-effect")),
         (sample_bar, sample("bar")),
+        (sample_chest, chest_phantom()),
     ],
-    ids=["expansion", "growth", "mass-effect", "bar"],
+    ids=["expansion", "growth", "mass-effect", "bar", "chest"],
 )
 def test_a_sample_gives_the_problem_of_its_phantom(opened, drawn):
     image, tissue, boundary = (Layer.create(*data) for data in opened())
@@ -100,13 +103,16 @@ def test_a_sample_gives_the_problem_of_its_phantom(opened, drawn):
     request = Request(
         tissue, boundary, image, rows_of(tissue, "tissue"), rows_of(boundary, "boundary")
     )
-    problem = read_layers(request, ElasticPrior()).problem
+    problem = read_layers(request, ElasticPrior(), Multigrid()).problem
     expected = drawn.problem
     for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(problem, field), getattr(expected, field))
     assert (problem.loads is None) == (expected.loads is None)
     if expected.loads is not None:
         assert problem.loads.same_as(expected.loads)
+    assert (problem.sliding is None) == (expected.sliding is None)
+    if expected.sliding is not None:
+        np.testing.assert_array_equal(problem.sliding.labels, expected.sliding.labels)
 
 
 def test_the_pair_has_two_images_and_tissue_that_does_not_grow_yet():

@@ -24,6 +24,7 @@ from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
     boundary_images,
+    sliding_parts,
     stiffness_image,
 )
 from napari_hmrf.tissue.normals import outer_rim
@@ -61,16 +62,17 @@ class Phantom:
     Attributes
     ----------
     name : str
-        "expansion", "mass-effect" or "bar".
+        "expansion", "mass-effect", "bar" or "chest".
     title : str
         Short description of the phantom.
     image : ndarray, shape (H, W), uint8
         Synthetic scan.
     tissue_labels : ndarray, shape (H, W), uint8
-        0 outside (void), 1 normal tissue, 2 soft tissue, 3 tumour.
+        Labels of `materials`, with 0 outside (void). In the brains and the bar, 1 is normal tissue,
+        2 soft tissue and 3 a tumour.
     materials : tuple of Material
-        Materials of the tissue labels, with the relative stiffnesses of the paper: 20, 10 and 40,
-        and 0 outside.
+        Materials of the tissue labels with relative stiffness, in the brains and the bar that of
+        the paper: 20, 10 and 40, and 0 outside.
     boundary_labels : ndarray, shape (H, W), uint8
         Label of the boundary rule at each pixel; 0 where the motion is not observed.
     boundary : tuple of BoundaryRule
@@ -93,7 +95,9 @@ class Phantom:
         """Problem that the labels and their tables define, with spacing (1, 1)."""
         y, c = boundary_images(self.boundary_labels, self.boundary, spacing=1)
         loads = growth_loads(self.tissue_labels, self.materials)
-        return Problem(y, c, stiffness_image(self.tissue_labels, self.materials), loads=loads)
+        m = stiffness_image(self.tissue_labels, self.materials)
+        parts = sliding_parts(self.tissue_labels, self.materials, m)
+        return Problem(y, c, m, loads=loads, sliding=parts)
 
     def growing(self, strain: float = 0.4) -> Phantom:
         """Return the brain of "mass-effect" with a growing tumour instead of a pushed rim.
