@@ -61,9 +61,7 @@ def panels(*shown: Panel, unit: str = "", height: float = 3.0) -> Figure:
 def add_grid(axis: Any, solution: Solution, count: int = 18) -> None:
     """Draw a grid that moves with the tissue."""
     between = max(solution.tissue.shape) // count
-    segments = deformation_grid(
-        solution.displacement, spacing=solution.spacing, every=between, tissue=solution.tissue
-    )
+    segments = deformation_grid(solution.displacement, every=between, **solution.on_grid)
     starts, directions = segments[:, 0], segments[:, 1]
     lines = np.stack([starts, starts + directions], axis=1)[..., ::-1]  # (x, y)
     axis.add_collection(LineCollection(lines, colors="white", linewidths=0.6))
@@ -165,6 +163,20 @@ def sections(names: Names) -> Figure:
     return panels(*shown, height=2.4)
 
 
+def sliding_lungs(names: Names) -> Figure:
+    """Draw a half of the chest at rest, and its grid with a sliding and with a sticking lung."""
+    figure = panels(
+        ("before the breath", names["chest"].image, "gray", None),
+        ("lungs slide", names["images"]["sliding"], "gray", None),
+        ("lungs stick to the wall", names["images"]["sticking"], "gray", None),
+    )
+    for axis, name in zip(figure.axes[1:], names["solutions"], strict=True):
+        add_grid(axis, names["solutions"][name], count=28)
+    for axis in figure.axes:
+        axis.set(xlim=(8, 138), ylim=(214, 84))
+    return figure
+
+
 def uncertainty(names: Names) -> Figure:
     """Draw the error bars with each number of landmarks, and the landmarks."""
     results, tissue = names["results"], names["tissue"]
@@ -248,6 +260,7 @@ PICTURES: dict[str, Callable[[Names], Figure]] = {
         registration,
         removed_tumour,
         resected_tumour,
+        sliding_lungs,
         sections,
         uncertainty,
         volume,

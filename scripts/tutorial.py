@@ -31,8 +31,9 @@ SIZE = (1280, 690)
 CROP, FRAME, MILLISECONDS = (470, 560), (376, 448), 60
 PLUGIN, TITLE = "napari-hmrf", "Soft tissue"
 GROWING, PUSHED = "Brain with a growing tumour", "Brain with a tumour whose rim is pushed"
-#: Table columns: growth in per cent, and outward displacement of a boundary.
-GROWS, OUT = 4, 5
+SLIDING = "Chest with lungs that slide along the wall"
+#: Table columns: growth in per cent, sliding, and outward displacement of a boundary.
+GROWS, SLIDES, OUT = 4, 5, 5
 #: Label of the tumour of the samples.
 TUMOUR = 3
 CTRL = Qt.KeyboardModifier.ControlModifier
@@ -333,6 +334,29 @@ def resection(_: dict[str, Path]) -> None:
     person.viewer.close()
 
 
+def sliding(_: dict[str, Path]) -> None:
+    """Take the pictures of lungs that slide along the chest wall, and that stick to it."""
+    person = Person(SIZE)
+    open_sample(person, SLIDING)
+    dock = open_dock(person)
+    form = dock._form
+    person.click(form.footer.deform)
+    wait_until(lambda: dock.solution is not None and not dock.busy)
+    keep(person, "sliding-moved")
+    table = form.tissue.table
+    person.show(table)
+    person.choose(form.result.overlay, "strain: equivalent")
+    wait_until(lambda: not dock.busy)
+    keep(person, "sliding-strain")
+    print(dock.status, dock.warning)
+    (row,) = [number for number, each in enumerate(table.rows) if each.name == "lungs"]
+    person.choose_in_table(table, row, SLIDES, "no")
+    wait_until(lambda: not dock.busy)
+    keep(person, "sliding-stuck")
+    print(dock.status, dock.warning)
+    person.viewer.close()
+
+
 def own(images: dict[str, Path]) -> None:
     """Take the pictures of a PNG file."""
     person = Person(SIZE)
@@ -494,6 +518,7 @@ PAGES: dict[str, Callable[[dict[str, Path]], None]] = {
     "landmarks": landmarks,
     "brushes": brushes,
     "resection": resection,
+    "sliding": sliding,
     "own": own,
     "photograph": photograph,
     "stack": stack,

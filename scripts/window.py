@@ -116,6 +116,21 @@ class Person:
     def choose(self, combo: Any, words: str) -> None:
         """Choose an entry of a drop-down list."""
         native = getattr(combo, "native", combo)
+        self._pick(native, words)
+        wait_until(lambda: native.currentText() == words, seconds=5, rest=0.2)
+
+    def choose_in_table(self, table: Any, row: int, column: int, words: str) -> None:
+        """Choose an entry of a drop-down list in a table cell."""
+        self.show(table)
+        index = table.model().index(row, column)
+        table.scrollTo(index)
+        wait(0.2)
+        self._pick(table.indexWidget(index), words)
+        # The table replaces the list when its row changes.
+        wait_until(lambda: table.indexWidget(index).currentText() == words, seconds=5, rest=0.2)
+
+    def _pick(self, native: Any, words: str) -> None:
+        """Open a drop-down list, and click an entry."""
         row = native.findText(words)
         if row < 0:
             raise LookupError(words)
@@ -123,8 +138,9 @@ class Person:
         view = native.view()
         wait_until(view.isVisible, rest=0.5)  # a list that has just opened may ignore a click
         view.scrollTo(native.model().index(row, 0))
-        self.click(view.viewport(), view.visualRect(native.model().index(row, 0)).center())
-        wait_until(lambda: native.currentText() == words, seconds=5, rest=0.2)
+        # An entry may be wider than the list.
+        place = view.visualRect(native.model().index(row, 0)).intersected(view.viewport().rect())
+        self.click(view.viewport(), place.center())
 
     def write(self, table: Any, row: int, column: int, text: str) -> None:
         """Type text into a table cell."""

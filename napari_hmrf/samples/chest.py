@@ -26,11 +26,11 @@ SMALLEST = 96
 #: Size, in pixels, for which the geometry is defined, and size of the sample in napari.
 _DRAWN_AT = 256
 
-WALL = Material(1, "chest wall", 10.0)
+WALL = Material(1, "wall", 10.0)
 RIBS = Material(2, "ribs", 500.0)
 LUNGS = Material(3, "lungs", 1.0, slides=True)
-HEART = Material(4, "heart and windpipe", 4.0)
-ABDOMEN = Material(5, "liver and abdomen", 5.0)
+HEART = Material(4, "heart", 4.0)
+ABDOMEN = Material(5, "abdomen", 5.0)
 
 _TITLE = "Chest with lungs that slide along the wall"
 #: Brightness of the outside and of each label.

@@ -176,7 +176,7 @@ def test_python_blocks_of_the_pages_print_the_shown_output(page):
 
 
 def test_each_example_is_short_uses_public_names_and_is_on_the_site():
-    assert len(EXAMPLES) == 14
+    assert len(EXAMPLES) == 15
     shown = re.findall(
         r"\{literalinclude\} ../../examples/(\w+\.py)$", read(DOCS / "examples/README.md"), re.M
     )

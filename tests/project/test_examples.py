@@ -134,6 +134,16 @@ def test_a_brain_sinks_into_the_cavity_of_a_resection(run_example):
     assert floor["empty"] < floor["half full"] < floor["full"] < 0  # fluid presses on the floor
 
 
+def test_sliding_lungs_slip_along_the_wall_and_are_strained_less_than_sticking_lungs(run_example):
+    text = run_example("sliding_lungs")
+    slip = {name: number(f"{name} lungs: slip # px", text) for name in ("sliding", "sticking")}
+    assert slip["sliding"] > 7
+    assert slip["sticking"] < 1.5
+    strain = {name: number(f"{name} lungs: .* strain # %", text) for name in slip}
+    assert strain["sliding"] < 0.85 * strain["sticking"]
+    assert text.count("folds 0") == 2
+
+
 def test_registered_sections_match_like_those_of_the_block(run_example):
     text = run_example("sections")
     match = {name: number(f"{name}: .* by #", text) for name in ("block", "as cut", "registered")}
