@@ -295,7 +295,10 @@ class Ground:
         if motion.labels is not None:
             parts.append(boundary_loads(motion.labels, motion.rules, m, spacing=spacing))
         if any(motion.weight):
-            parts.append(weight(m, motion.weight, spacing=spacing))
+            # Dark surroundings are soft tissue in the model, but have no weight until painted.
+            air = ~self.body & (m == self.stiffness)
+            density = np.where(air, 0.0, 1.0)
+            parts.append(weight(m, motion.weight, density=density, spacing=spacing))
         if removed is not None and motion.cavity.acts:
             parts.append(motion.cavity.loads(m, removed, motion.weight, spacing=spacing))
         known = [part for part in parts if part is not None]

@@ -8,14 +8,17 @@ import pytest
 
 from napari_hmrf import (
     BoundaryRule,
+    Drawing,
     ElasticPrior,
     FileFormatError,
     Grid,
     Material,
     Motion,
     NeoHookeanPrior,
+    Pictures,
     Problem,
     ProblemError,
+    Stroke,
     Study,
     Tissue,
     read_study,
@@ -127,6 +130,24 @@ def test_a_volume_sinks_under_its_weight_in_large_motion():
     large = solve_study(replace(block, prior=NeoHookeanPrior())).displacement
     small = solve_study(block).displacement
     np.testing.assert_allclose(large, small, atol=0.05 * np.abs(small).max())
+
+
+def test_the_dark_surroundings_of_an_image_have_no_weight_unless_tissue_is_painted_there():
+    away = np.hypot(*(np.indices((60, 60)) - 29.5))
+    head, core = away < 20, away < 4
+    held = {"observed": np.zeros((60, 60, 2)), "confidence": core.astype(float)}
+    grid, image = Grid((60, 60), 1.0), Pictures(np.where(head, 200, 0).astype(np.uint8))
+    motion = Motion(**held, weight=(0.002, 0.0))
+    scanned = Study(grid, motion=motion, pictures=image)
+    force = build_problem(scanned).problem.loads.force[..., 0]
+    assert force.sum() == pytest.approx(0.002 * head.sum(), rel=0.05)
+    assert (force[away > 22] == 0).all()
+    bare = Study(grid, Tissue(stiffness=head.astype(float)), motion)
+    alone, moved = (solve_study(each).displacement for each in (bare, scanned))
+    assert abs(moved - alone)[head].max() < 0.2 * alone[..., 0].max()
+    dot = Stroke("tissue", (((5.0, 5.0),),), 3.0, label=1)
+    painted = replace(scanned, motion=replace(motion, drawing=Drawing((dot,))))
+    assert build_problem(painted).problem.loads.force[5, 5, 0] > 0
 
 
 @pytest.mark.parametrize("wrong", [-1.0, 150.0, math.nan, (0.1, 0.1, 0.1), (0.1, -2.0), "much"])
