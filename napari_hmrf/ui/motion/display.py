@@ -284,7 +284,10 @@ class Display:
         if state is not None and state.marks is not None:
             below.append(state.marks)
         if isinstance(mark, Stroke) and not is_dragging and state and state.moved.ground:
-            below.append(way_of(mark, state.moved.study.grid.spacing, state.moved.moved_positions))
+            # Removed tissue does not move, while tissue at the edge of its paint does.
+            is_void = mark.action == "remove"
+            goes_to = np.asarray if is_void else state.moved.moved_positions
+            below.append(way_of(mark, state.moved.study.grid.spacing, goes_to))
         self.arrows.show(drawing, selected, below, quick=is_dragging)
         self._fade(self._is_faded)  # the layer may be new
 

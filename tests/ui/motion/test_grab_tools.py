@@ -13,7 +13,7 @@ from napari_hmrf import Cavity
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
 from napari_hmrf.layers.compat import camera_of, drawn_node, text_of
-from napari_hmrf.layers.label_colours import DRAWN
+from napari_hmrf.layers.label_colours import DRAWN, SELECTED
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
@@ -195,6 +195,12 @@ def test_a_stroke_removes_tissue_in_one_step_and_suction_closes_the_cavity(pulli
     assert not widget.solution.tissue[32, 29:36].any()
     assert displacement(widget)[24, 32, 0] > 0.1
     assert displacement(widget)[40, 32, 0] < -0.1
+    lines = person.viewer.layers["Motion"]
+    starts = lines.data[np.isclose(lines.edge_color, SELECTED).all(axis=1), 0, -2:]
+    away = [np.hypot(*(starts - end).T) for end in ((32, 28), (32, 36))]
+    on_path = starts[:, 0] == 32
+    assert (np.isclose(away, 6.0, atol=0.1).any(axis=0) | on_path).all(), "the paint has moved"
+    assert len(starts) > 20
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert not widget.drawing.marks
