@@ -34,7 +34,7 @@ from napari_hmrf.augmentation.unit_solutions import (
     control_patches,
     solve_units,
 )
-from napari_hmrf.errors import ArgumentError
+from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.moved_points import moved_points, refuse_outside
 from napari_hmrf.field.resample import as_image, emptiness
@@ -45,7 +45,12 @@ from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import as_numbers, checked_spacing
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.study.study import Grid, Study
-from napari_hmrf.tissue.boundary_rules import Material, poisson_image, stiffness_image
+from napari_hmrf.tissue.boundary_rules import (
+    Material,
+    poisson_image,
+    sliding_parts,
+    stiffness_image,
+)
 from napari_hmrf.tissue.painted_loads import growth_loads
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
@@ -263,8 +268,9 @@ class RandomDeformation:
     ArgumentError
         If an argument has the wrong type or is out of range.
     ProblemError
-        If the labels and materials do not define a valid problem, if the tissue does not have room
-        for a patch, or if the unit solutions require more than `memory`.
+        If the labels and materials do not define a valid problem, if tissue slides along other
+        tissue, if the tissue does not have room for a patch, or if the unit solutions require more
+        than `memory`.
     ConvergenceError, BackendError
         As for `solve`.
 
@@ -301,7 +307,13 @@ class RandomDeformation:
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         image, rows = as_numbers("labels", labels).copy(), tuple(materials)
-        stiffness_image(image, rows)  # validates the labels and materials
+        m = stiffness_image(image, rows)  # validates the labels and materials
+        if sliding_parts(image, rows, m) is not None:
+            raise ProblemError(
+                "materials",
+                "have tissue that slides along other tissue, which random deformations do not "
+                "support. Let no tissue slide (`slides=False`).",
+            )
         n = image.ndim
         sizes = checked_spacing(spacing, n)
         for name, value, low, requirement in (

@@ -361,6 +361,12 @@ def test_a_label_without_a_material_and_an_invalid_seed_are_rejected():
         deformation_2d().sample("yes")
 
 
+def test_tissue_that_slides_is_rejected_instead_of_sticking():
+    rows = [replace(row, slides=row.label == 2) for row in MATERIALS]
+    with pytest.raises(ProblemError, match=r"slides along other tissue.*slides=False"):
+        RandomDeformation(labels(), rows, spacing=1)
+
+
 def test_landmarks_are_spread_over_tissue():
     tissue = deformation_2d().tissue
     found = landmarks(tissue)
