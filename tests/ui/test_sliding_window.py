@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from napari.layers import Layer
 
 from napari_hmrf import Arrow, Drawing, Material
+from napari_hmrf.contributions import phantom_layers
+from napari_hmrf.data import chest_phantom
 from napari_hmrf.layers.metadata import TISSUE, layer_metadata
 from tests.support.screen import Screen
 from tests.support.windowless import Touch
@@ -67,3 +70,19 @@ def test_other_models_name_the_tissue_that_slides(dock, wait_for):
     dock.model = "large motion"
     wait_for(lambda: not dock.busy)
     assert "'Organs' has tissue that slides along other tissue ('lung')" in dock.status
+
+
+def test_the_breath_of_the_sample_shows_neither_a_warning_nor_folds(frame, wait_for):
+    for data in phantom_layers(chest_phantom(128)):
+        frame.viewer.add_layer(Layer.create(*data))
+    dock = frame.open()
+    dock.deform()
+    wait_for(lambda: not dock.busy and dock.solution is not None)
+    assert not dock.warning
+    assert dock.solution.parts is not None
+    dock.overlay = "folds"
+    wait_for(lambda: not dock.busy)
+    assert dock.status == "The tissue does not fold."
+    dock.overlay = "overlaps"
+    wait_for(lambda: not dock.busy)
+    assert dock.status == "No part of the tissue has moved onto another part."
