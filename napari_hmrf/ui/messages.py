@@ -170,7 +170,8 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
 def can_unfold(done: CompleteResult) -> bool:
     """Return whether the tissue folds and the large-motion model would avoid the folds."""
     study = done.moved.study
-    has_data = study.slides or bool(uncertain_landmarks(study.motion.drawing))
+    slides = study.slides or done.outputs.solution.parts is not None
+    has_data = slides or bool(uncertain_landmarks(study.motion.drawing))
     is_elastic = study.model_name == "elastic" and not has_data
     return is_elastic and "folds" in marks_of(done.outputs)
 

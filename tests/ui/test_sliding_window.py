@@ -72,6 +72,19 @@ def test_other_models_name_the_tissue_that_slides(dock, wait_for):
     assert "'Organs' has tissue that slides along other tissue ('lung')" in dock.status
 
 
+def test_folds_of_sliding_tissue_are_reported_without_the_offer_of_large_motion(dock, wait_for):
+    offer = dock._form.footer.other
+    dock.drawing = Drawing((Arrow((20, 24), (9, 0), 2), Arrow((30, 24), (-9, 0), 2)))
+    wait_for(lambda: not dock.busy)
+    assert "the tissue folds" in dock.warning
+    assert not offer.isHidden()
+    Screen(dock).cell("lung", "slides").choose("yes")
+    wait_for(lambda: not dock.busy)
+    assert dock.solution.parts is not None
+    assert "the tissue folds" in dock.warning
+    assert offer.isHidden(), "large motion does not support sliding tissue"
+
+
 def test_the_breath_of_the_sample_shows_neither_a_warning_nor_folds(frame, wait_for):
     for data in phantom_layers(chest_phantom(128)):
         frame.viewer.add_layer(Layer.create(*data))
