@@ -2,6 +2,7 @@
 
     python -m benchmarks.uncertainty [samples] [coverage] [landmark] [scales] [power] [fits]
                                      [maps] [accuracy] [times] [--problems 2000]
+    python -m benchmarks.uncertainty brain [--image FILE] [--samples 30]
 
 `samples` compares standard deviations of 30, 300 and 3000 samples with those of dense inverse
 matrices: contrast to 1000, tensors, landmarks, void, long pixels, images and volumes. `coverage`
@@ -12,7 +13,9 @@ strain to such landmarks, and `power` counts how often a test of their agreement
 finds that the model is wrong. `fits` finds the stiffness and the growth of labels from the motion
 that scikit-fem computed, with noise of 5 %, and `maps` two inclusions whose places are unknown.
 `accuracy` compares samples with those of a solver that is a thousand times more accurate. `times`
-compares a sample with a solve after a change of the motion, in turn.
+compares a sample with a solve after a change of the motion, in turn. `brain` prints the time of
+`uncertainty` for an MRI of a brain without its skull, or for an ellipsoid of the same size, beside
+the time of a solve and the speed of memory; it takes minutes, and runs only if named.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +33,7 @@ import scipy
 
 from benchmarks.fem import plane_stress_displacement, plane_stress_matrix
 from napari_hmrf import ElasticPrior, Problem, solve
+from napari_hmrf.io.images import read_image
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import growth
 from napari_hmrf.posterior import fit, sample_posterior, stiffness_map, uncertainty
@@ -466,8 +471,7 @@ def accuracy() -> None:
             response = Response(problem, prior, "cpu")
             noise = PosteriorNoise(problem, prior, energy_of(problem, _SCALE))
             force = noise.force(0, 1)
-            units = response.units_for(force)
-            exact = response.to(force, units._replace(tolerance=1e-3 * units.tolerance))
+            exact = response.to(force, 1e-3 * response.tolerance_for(force))
             errors = np.linalg.norm(Sampler(response, noise, 0).deviation(1) - exact, axis=-1)
             sizes = np.linalg.norm(exact, axis=-1)[m > 0]
             relative = np.sqrt((errors[m > 0] ** 2).mean() / (sizes**2).mean())
@@ -513,11 +517,69 @@ def times(turns: int = 6) -> None:
         )
 
 
+def _brain(path: Path | None) -> Problem:
+    """Return uniform tissue with a held surface: the voxels above 0 of an image, or an ellipsoid.
+
+    The ellipsoid has the number of voxels of an average brain at 1 mm.
+    """
+    if path is None:
+        grid, sides = (189, 233, 197), (149, 174, 139)
+        middle = (np.array(grid) - 1) / 2
+        from_middle = (np.indices(grid).T - middle) / (np.array(sides) / 2)
+        tissue = (from_middle**2).sum(axis=-1).T < 1
+    else:
+        tissue = read_image(path).pixels > 0
+    held = np.zeros((*tissue.shape, 3))
+    held[tissue & ~scipy.ndimage.binary_erosion(tissue)] = 1
+    return Problem(0 * held, held, 1.0 * tissue)
+
+
+def brain(path: Path | None, count: int) -> None:
+    """Print the time of the samples of a brain, beside that of a solve and of a copy."""
+    problem = _brain(path)
+    pulled = problem.observed.copy()
+    pulled[problem.known] = 1
+    solve(problem, backend="cpu")  # loads the compiled loops
+    moved = Problem(pulled, problem.confidence, problem.stiffness)
+    begun = time.perf_counter()
+    solve(moved, backend="cpu")
+    solved = time.perf_counter() - begun
+    values = np.ones(1 << 27, np.float32)
+    copies = [_copied(values)]
+    marks = [time.perf_counter()]
+    uncertainty(
+        problem, n=count, backend="cpu", progress=lambda _: marks.append(time.perf_counter())
+    )
+    copies.append(_copied(values))
+    setup, *samples = np.diff(marks)
+    print("| figure | value |")
+    print("| --- | --- |")
+    print(f"| grid | {' x '.join(map(str, problem.shape))} |")
+    print(f"| voxels of tissue | {int(problem.tissue.sum()):,} |")
+    print(f"| setup | {setup:.1f} s |")
+    print(f"| one sample | {np.median(samples):.2f} s ({min(samples):.2f} to {max(samples):.2f}) |")
+    print(f"| all, for {count} samples | {marks[-1] - marks[0]:.1f} s |")
+    print(f"| a solve after a change of the motion | {solved:.2f} s |")
+    print(f"| speed of a copy, before and after | {copies[0]:.1f}, {copies[1]:.1f} GB/s |")
+
+
+def _copied(values: npt.NDArray[np.float32]) -> float:
+    """Return the speed of a copy on one thread, read and written, in GB/s."""
+    seconds = []
+    for _ in range(3):
+        begun = time.perf_counter()
+        values.copy()
+        seconds.append(time.perf_counter() - begun)
+    return 2e-9 * values.nbytes / min(seconds)
+
+
 def main() -> None:
-    """Print the chosen tables, or all."""
+    """Print the chosen tables, or all except `brain`."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("tables", nargs="*", choices=[*_TABLES, []])
+    parser.add_argument("tables", nargs="*", choices=[*_TABLES, "brain", []])
     parser.add_argument("--problems", type=int, default=2000, help="random problems of `coverage`")
+    parser.add_argument("--image", type=Path, help="volume for `brain`; tissue is above 0")
+    parser.add_argument("--samples", type=int, default=30, help="number of samples of `brain`")
     given = parser.parse_args()
     tables: dict[str, Callable[[], None]] = {
         "samples": samples,
@@ -529,8 +591,9 @@ def main() -> None:
         "maps": maps,
         "accuracy": accuracy,
         "times": times,
+        "brain": partial(brain, given.image, given.samples),
     }
-    for name in given.tables or tables:
+    for name in given.tables or _TABLES:
         tables[name]()
 
 

@@ -20,22 +20,16 @@ as in the paper.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.posterior.forced import ForcedMultigrid
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.base import Backend
-from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.bending_modes import check_bending
-from napari_hmrf.solver.optimizers import Monitor, Multigrid
-from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
-from napari_hmrf.solver.optimizers.cycle import BENDING
-from napari_hmrf.solver.optimizers.refinement import Refinement
-from napari_hmrf.solver.priors import Prior, SeilerPrior, line_steps, line_weights
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.priors import SeilerPrior, line_steps, line_weights
 from napari_hmrf.solver.priors.cliques import ratios
 from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
@@ -46,12 +40,10 @@ Float64Array = npt.NDArray[np.float64]
 
 #: Strain for which the unit of energy is 1 pixel squared.
 _STRAIN = 0.1
-#: Tolerance of the most likely field, in pixels.
+#: Largest error of the most likely field, in pixels.
 _TOLERANCE = 1e-3
-#: Largest error of a sample, relative to the median of its displacements.
-_ACCURACY = 0.03
-#: Number of trial solves until the size of the displacements is known.
-_TRIALS = 4
+#: Largest error of a deviation, relative to the median length of its displacements.
+_ACCURACY = 0.01
 
 
 def blanket_samples(
@@ -126,13 +118,13 @@ class _Sampler:
         self._noise = CliqueNoise(problem, energy)
         self._seed, self._backend, self._cancel = seed, backend, cancel
         self._at_rest = variant_of(problem, observed=np.zeros_like(problem.observed))
-        self._tolerance: float | None = None
 
-    def mean(self) -> Float64Array:
+    def mean(self) -> Float32Array:
         """Return the most likely field, in the unit of `spacing`."""
-        return self._solved(self._problem, np.zeros(self._problem.observed.shape), _TOLERANCE)
+        force = np.zeros(self._problem.observed.shape)
+        return self._solved(self._problem, ForcedMultigrid(_TOLERANCE, force=host.planes(force)))
 
-    def deviation(self, number: int) -> Float64Array:
+    def deviation(self, number: int) -> Float32Array:
         """Return a deviation from the most likely field, in the unit of `spacing`.
 
         Parameters
@@ -140,32 +132,17 @@ class _Sampler:
         number : int
             Number of the sample, from 0. The deviation depends on the seed and this number only.
         """
-        if self._tolerance is None:
-            self._tolerance = self._sized(self._noise.force(self._seed, 0))
-        return self._solved(self._at_rest, self._noise.force(self._seed, number), self._tolerance)
+        force = host.planes(self._noise.force(self._seed, number))
+        return self._solved(self._at_rest, ForcedMultigrid(force=force, accuracy=_ACCURACY))
 
-    def _sized(self, force: Float64Array) -> float:
-        """Return a tolerance, in pixels, at which the error of such deviations is small."""
-        free = self._problem.tissue & ~self._problem.known.all(axis=-1)
-        tolerance = 1.0
-        for _ in range(_TRIALS):
-            moved = self._solved(self._at_rest, force, tolerance)[free] / self._problem.unit
-            size = float(np.median(np.sqrt((moved**2).sum(axis=-1)))) if len(moved) else 0.0
-            needed = _ACCURACY * size
-            if size == 0 or needed >= tolerance:
-                break
-            tolerance = needed
-        return tolerance
-
-    def _solved(self, problem: Problem, force: Float64Array, tolerance: float) -> Float64Array:
-        solution = solve(
+    def _solved(self, problem: Problem, optimizer: ForcedMultigrid) -> Float32Array:
+        return solve(
             problem,
             self._prior,
-            optimizer=_Forced(tolerance, force=force),
+            optimizer=optimizer,
             backend=self._backend,
             cancel=self._cancel,
-        )
-        return solution.displacement.astype(np.float64)
+        ).displacement
 
 
 class CliqueNoise:
@@ -206,49 +183,3 @@ class CliqueNoise:
             force[t] += (1 + r_u) * first + (1 + r_s) * second
             force[u] -= first + r_s * second
         return np.asarray(force[(slice(2, -2),) * self._m.ndim])
-
-
-@dataclass(frozen=True)
-class _Forced(Multigrid):
-    """Multigrid for the blanket reading with exactly held sites and a force on each site."""
-
-    force: Float64Array = field(kw_only=True, repr=False, compare=False)
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Parameters by name, without the force."""
-        return Multigrid(self.tolerance, max_iterations=self.max_iterations).parameters
-
-    def run(
-        self,
-        problem: Problem,
-        prior: Prior,
-        backend: Backend[Any],
-        report: Report,
-        start: WarmStart | None = None,
-    ) -> Outcome:
-        """Solve for the equilibrium of the cliques with the force."""
-        assert isinstance(prior, SeilerPrior)
-        d, held = host.prescribed(problem)
-        model = backend.seiler_model(prior.material(problem))
-        refinement = Refinement(self.max_iterations, model, BENDING, report)
-        try:
-            model.hold(held)
-            load = np.where(held, 0.0, host.planes(self.force))
-            refinement.run(d, load, self.tolerance)
-            energy, _ = model.work(d)
-        finally:
-            model.close()
-        displacement, rounding = host.gathered(d, self.tolerance)
-        host.reuse(d, held)
-        count = max(1, int(np.count_nonzero(problem.tissue)))
-        return Outcome(
-            displacement=displacement,
-            energy=np.array([energy / count]),
-            levels=(LevelRun(0, problem.shape, 0),),
-            convergence=Convergence(
-                max(refinement.estimate, rounding),
-                0.0,
-                "factors" if refinement.by_factors else "cycles",
-            ),
-        )

@@ -29,7 +29,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.posterior.response import Response, Units
+from napari_hmrf.posterior.response import Response
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior
@@ -276,27 +276,16 @@ def _responses(
     count = len(data.values)
     found = np.zeros((count, count))
     moves = (problem.tissue[..., np.newaxis] & ~problem.known).ravel()
-    units: Units | None = None
+    tolerance: float | None = None
     for number in range(count):
         if progress is not None:
             progress(Monitor(f"observation {number + 1} of {count}", number / count))
         force = data.rows[[number]].toarray().reshape(problem.observed.shape)
         if not force.ravel()[moves].any():
             continue  # held tissue
-        moved = None if units is None else _within_reach(response, force, units)
-        if moved is None:
-            units = response.units_for(force)
-            units = units._replace(tolerance=_ACCURACY * units.tolerance)
-            moved = response.to(force, units)
-        found[number] = data.rows @ moved.ravel()
+        if tolerance is None:
+            tolerance = _ACCURACY * response.tolerance_for(force)
+        found[number] = data.rows @ response.to(force, tolerance).ravel()
     if progress is not None:
         progress(Monitor(f"{count} observations", 1.0))
     return found
-
-
-def _within_reach(response: Response, force: Float64Array, units: Units) -> Float64Array | None:
-    """Return the displacement due to forces, or None if it is too large in these units."""
-    try:
-        return response.to(force, units)
-    except ProblemError:
-        return None  # the force acts on softer tissue

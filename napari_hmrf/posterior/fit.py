@@ -596,7 +596,7 @@ class _Fitter:
             changed, step = each.change(tissue)
             push = -(_forces(changed, solution) - forces) / step
             moves = push.any()
-            yield response.to(push, response.units_for(push)) if moves else np.zeros_like(push)
+            yield response.to(push).astype(np.float64) if moves else np.zeros_like(push)
 
     def _probed(self, values: Float64Array, state: _State) -> Iterator[Float64Array]:
         """Return the derivatives of the displacement, as differences of two solutions."""

@@ -76,14 +76,15 @@ class PosteriorNoise:
             Seed, and number of the sample.
         """
         grid = self._problem.shape
-        force = np.zeros((*grid, len(grid)), np.float32)
+        planes = np.zeros((len(grid), *grid), np.float32)
         keys = [(seed, number, block) for block in range(len(self._slabs))]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             # Neighbouring slabs share sites, so their forces are added one after another.
             for slab, pushes in zip(
                 self._slabs, pool.map(self._of_elements, self._slabs, keys), strict=True
             ):
-                force[slab.sites] += pushes
+                planes[:, slab.sites] += pushes
+        force = np.moveaxis(planes, 0, -1)
         rng = np.random.default_rng((seed, number, len(self._slabs)))
         if self._sites is not None:
             at, roots = self._sites
@@ -94,7 +95,7 @@ class PosteriorNoise:
         return force
 
     def _of_elements(self, slab: _Slab, key: tuple[int, ...]) -> Float32Array:
-        """Return the forces of the elements of a slab on its sites, (h, W, 2) or (d, H, W, 3)."""
+        """Return the forces of the elements of a slab on its sites, (2, h, W) or (3, d, H, W)."""
         rng = np.random.default_rng(key)
         axes, count = len(slab.shape), len(slab.at)
         drawn = _standard_normal(rng, (len(self._modes), count))
@@ -108,7 +109,7 @@ class PosteriorNoise:
         of_corners = pushes.reshape(-1, axes, *slab.shape)
         for sites, push in zip(corner_slices(slab.shape), of_corners, strict=True):
             planes[(slice(None), *sites)] += push
-        return np.moveaxis(planes, 0, -1)
+        return planes
 
 
 class _Slab(NamedTuple):

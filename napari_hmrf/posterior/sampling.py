@@ -13,6 +13,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.blanket import blanket_samples
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
+from napari_hmrf.posterior.tissue_box import TissueBox
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
@@ -25,9 +26,10 @@ Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 
 #: Tolerance of a sample, relative to that of other responses. The error estimate of the solver is
-#: cautious, above all in the first cycles: the errors of samples are at most a few per cent of
-#: their size, which changes their variance by less than 0.2 %.
-_TOLERANCE = 7.0
+#: cautious, above all in the first cycles: the true errors of samples are less than 1 % of their
+#: size. Twice this tolerance would make standard deviations of large patches up to 10 % too small
+#: in nearly incompressible volumes, because cycles reduce smooth motions last.
+_TOLERANCE = 3.5
 
 
 def sample_posterior(
@@ -105,16 +107,18 @@ def sample_posterior(
         return blanket_samples(problem, prior, n, scale, seed, backend, progress, cancel)
     elastic = checked_prior(problem, prior)
     energy = energy_of(problem, scale)
-    response = Response(problem, elastic, backend, cancel)
-    noise = PosteriorNoise(problem, elastic, energy)
 
     def samples() -> Iterator[Float32Array]:
-        sampler = Sampler(response, noise, seed)
         mean = solve(problem, elastic, backend=backend, cancel=cancel).displacement
+        box = TissueBox.of(problem, elastic)
+        response = Response(box.problem, box.prior, backend, cancel)
+        sampler = Sampler(response, PosteriorNoise(box.problem, box.prior, energy), seed)
         for number in range(n):
             if progress is not None:
                 progress(Monitor(f"sample {number + 1} of {n}", number / n))
-            yield np.asarray(mean + sampler.deviation(number), np.float32)
+            field = mean.astype(np.float32)
+            field[box.sites] += sampler.deviation(number)
+            yield field
 
     return samples()
 
@@ -192,10 +196,9 @@ class Sampler:
 
     def __init__(self, response: Response, noise: PosteriorNoise, seed: int) -> None:
         self._response, self._noise, self._seed = response, noise, seed
-        units = response.units_for(self._force(0))
-        self._units = units._replace(tolerance=_TOLERANCE * units.tolerance)
+        self._tolerance = _TOLERANCE * response.tolerance_for(self._force(0))
 
-    def deviation(self, number: int) -> Float64Array:
+    def deviation(self, number: int) -> npt.NDArray[np.floating]:
         """Return the deviation of a sample, shape (H, W, 2) or (D, H, W, 3), in unit of `spacing`.
 
         Parameters
@@ -203,7 +206,7 @@ class Sampler:
         number : int
             Number of the sample, from 0. The deviation depends on the seed and this number only.
         """
-        return self._response.to(self._force(number), self._units)
+        return self._response.to(self._force(number), self._tolerance)
 
     def _force(self, number: int) -> Float32Array:
         return self._noise.force(self._seed, number)

@@ -25,7 +25,7 @@ import scipy
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.field_data import FieldData
-from napari_hmrf.posterior.response import Response, Units
+from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import checked_prior
 from napari_hmrf.solver.neighbours import around_sites, corner_slices, pairs
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
@@ -213,7 +213,7 @@ class _Mapper:
     def _gradient(self, problem: Problem, solution: Solution, response: Response) -> Float64Array:
         """Return the gradient of the misfit with respect to u."""
         pull = self._data.pull(self._data.misfit(solution.displacement), solution.displacement)
-        moved = response.to(pull, response.units_for(pull))
+        moved = response.to(pull).astype(np.float64)
         return -self._products(problem, moved, solution.displacement)
 
     def _step(
@@ -225,7 +225,7 @@ class _Mapper:
         shares = _variation_shares(u, self._tissue, jumps)
         right = -self._gradient(problem, solution, response)
         right -= weight * (_variation(u, shares) + _RIDGE * u)
-        units: dict[str, Units] = {}
+        tolerances: dict[str, float] = {}
 
         def solved(kind: str, force: Float64Array) -> Float64Array:
             # Forces of later products have about the size of the first.
@@ -233,9 +233,9 @@ class _Mapper:
             if size == 0:
                 return np.zeros_like(force)
             scaled = force / size
-            if kind not in units:
-                units[kind] = response.units_for(scaled)
-            return np.asarray(size * response.to(scaled, units[kind]))
+            if kind not in tolerances:
+                tolerances[kind] = response.tolerance_for(scaled)
+            return size * response.to(scaled, tolerances[kind]).astype(np.float64)
 
         def product(flat: npt.NDArray[Any]) -> Float64Array:
             v = np.zeros(u.shape)

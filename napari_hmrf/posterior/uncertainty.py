@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
+from napari_hmrf.posterior.tissue_box import TissueBox
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem, as_numbers, whole_numbers
@@ -283,18 +285,25 @@ def uncertainty(
     numbers = None if labels is None else checked_labels(labels, problem)
     elastic, energy = checked_prior(problem, prior), energy_of(problem, scale)
     solution = solve(problem, elastic, backend=backend, cancel=cancel)
-    response = Response(problem, elastic, backend, cancel)
-    means = _LabelMeans(numbers, solution, response, energy)
+    box = TissueBox.of(problem, elastic)
+    moved = solution.displacement[box.sites]
+    response = Response(box.problem, box.prior, backend, cancel)
+    means = _LabelMeans(
+        None if numbers is None else numbers[box.sites], moved, box.problem.tissue, response, energy
+    )
     steps = max(1, n + len(means.labels))
     report = progress or (lambda _: None)
     if n:
-        sampler = Sampler(response, PosteriorNoise(problem, elastic, energy), seed)
-        sd, along = _of_patches(
-            _Patches(problem, side),
-            solution,
-            sampler,
-            n,
-            lambda number: report(Monitor(f"sample {number + 1} of {n}", number / steps)),
+        sampler = Sampler(response, PosteriorNoise(box.problem, box.prior, energy), seed)
+        sd, along = map(
+            box.whole,
+            _of_patches(
+                _Patches(box.problem, side),
+                moved,
+                sampler,
+                n,
+                lambda number: report(Monitor(f"sample {number + 1} of {n}", number / steps)),
+            ),
         )
     else:
         along = np.where(problem.tissue, np.float32(np.nan), np.float32(0))
@@ -308,13 +317,17 @@ def uncertainty(
 
 
 def _of_patches(
-    patches: _Patches, solution: Solution, sampler: Sampler, n: int, report: Callable[[int], None]
+    patches: _Patches,
+    displacement: npt.NDArray[Any],
+    sampler: Sampler,
+    n: int,
+    report: Callable[[int], None],
 ) -> tuple[Float32Array, Float32Array]:
     """Return the standard deviations of patches, along each axis and along their motion.
 
     `report` is called with the number of each sample before the sample is computed.
     """
-    means = patches.means(solution.displacement)
+    means = patches.means(displacement)
     lengths = np.sqrt((means**2).sum(axis=-1, keepdims=True))
     ways = np.divide(means, lengths, out=np.zeros_like(means), where=lengths > 0)
     squares = np.zeros_like(means)
@@ -358,9 +371,13 @@ class _Patches:
     def means(self, field: npt.NDArray[Any]) -> Float32Array:
         """Return the mean of a field, (..., n), over the tissue around each site; 0 in void."""
         means = np.zeros(field.shape, np.float32)
-        for axis in range(field.shape[-1]):
-            values = np.where(self._tissue, field[..., axis], 0).astype(np.float32)
+
+        def smooth(axis: int) -> None:
+            values = np.where(self._tissue, field[..., axis], np.float32(0))
             np.divide(self._smooth(values), self._share, out=means[..., axis], where=self._tissue)
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(smooth, range(field.shape[-1])))
         return means
 
 
@@ -374,7 +391,9 @@ class _LabelMeans:
     ----------
     numbers : ndarray of int, optional
         Label of each site; 0 is no label.
-    solution : Solution
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
+        Most likely displacement.
+    tissue : ndarray of bool, shape (H, W) or (D, H, W)
     response : Response
     energy : float
         Unit of energy.
@@ -383,26 +402,27 @@ class _LabelMeans:
     def __init__(
         self,
         numbers: npt.NDArray[Any] | None,
-        solution: Solution,
+        displacement: npt.NDArray[Any],
+        tissue: npt.NDArray[np.bool_],
         response: Response,
         energy: float,
     ) -> None:
-        tissue = solution.tissue
         self._numbers = np.zeros(tissue.shape, int) if numbers is None else numbers
-        self._solution, self._response, self._energy = solution, response, energy
+        self._displacement, self._tissue = displacement, tissue
+        self._response, self._energy = response, energy
         present = np.unique(self._numbers[(self._numbers != 0) & tissue])
         #: Labels with tissue, in ascending order.
         self.labels = [int(number) for number in present]
 
     def of(self, label: int) -> MeanDisplacement:
         """Return the mean displacement of a label."""
-        d = self._solution.displacement
+        d = self._displacement
         axes = d.shape[-1]
-        sites = (self._numbers == label) & self._solution.tissue
+        sites = (self._numbers == label) & self._tissue
         share = sites / np.float64(sites.sum())
         covariance = np.zeros((axes, axes))
         for axis in range(axes):
-            moved = self._response_to(share[..., None] * np.eye(axes)[axis])
+            moved = self._response.to(share[..., None] * np.eye(axes)[axis])
             covariance[axis] = self._mean(moved * share[..., None])
         covariance = (covariance + covariance.T) / 2
         lengths = np.sqrt((d.astype(np.float64) ** 2).sum(axis=-1, keepdims=True))
@@ -411,13 +431,10 @@ class _LabelMeans:
         if length:
             ways = np.divide(d, lengths, out=np.zeros(d.shape), where=lengths > 0)
             weights = ways * share[..., None]
-            variance = float(self._mean(self._response_to(weights) * weights).sum())
+            variance = float(self._mean(self._response.to(weights) * weights).sum())
             along = math.sqrt(max(0.0, variance))
         mean = d[sites].mean(axis=0, dtype=np.float64)
         return MeanDisplacement(mean, covariance, length, along)
-
-    def _response_to(self, weights: Float64Array) -> Float64Array:
-        return self._response.moved_by(weights)
 
     def _mean(self, products: Float64Array) -> Float64Array:
         """Return the sum over all sites, in the unit of a variance."""

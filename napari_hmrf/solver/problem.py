@@ -278,6 +278,50 @@ def variant_of(problem: Problem, **changes: object) -> Problem:
     return other
 
 
+def part_of(problem: Problem, sites: tuple[slice, ...]) -> Problem:
+    """Return a validated problem on a box of its sites that contains all tissue.
+
+    The unit of energy of landmarks stays that of the whole grid. Sliding parts are not supported.
+
+    Parameters
+    ----------
+    problem : Problem
+    sites : tuple of slice
+        Range of sites along each axis, with a start.
+    """
+
+    def within(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        part = np.ascontiguousarray(values[sites])
+        part.setflags(write=False)
+        return part
+
+    part = variant_of(problem)
+    for name in ("tissue", "rigid", "known"):
+        vars(part).pop(name, None)
+    for name in ("observed", "confidence", "stiffness", "precision"):
+        values = getattr(problem, name)
+        object.__setattr__(part, name, None if values is None else within(values))
+    loads, marks = problem.loads, problem.landmarks
+    if loads is not None:
+        growth, force = (
+            None if values is None else within(values) for values in (loads.growth, loads.force)
+        )
+        loads = Loads(growth=growth, force=force, spacing=loads.spacing)
+    if marks is not None:
+        first = np.array([along.start for along in sites])
+        scale = marks.scale.resolved(problem.stiffness, problem.spacing)
+        marks = Landmarks(
+            marks.points - first,
+            marks.targets - first,
+            sd=marks.sd,
+            scale=scale,
+            drift=marks.drift,
+        )
+    object.__setattr__(part, "loads", loads)
+    object.__setattr__(part, "landmarks", marks)
+    return part
+
+
 class _Digests(Mapping[str, str]):
     """SHA-256 digests of read-only arrays, computed on first access.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -69,10 +69,27 @@ class StrainScale:
         stiffness : ndarray, shape (H, W) or (D, H, W)
         spacing : sequence of float
         """
-        typical = typical_stiffness(stiffness) if self.stiffness is None else self.stiffness
+        extent, typical = self._resolved(stiffness, spacing)
+        return typical * self.strain**2 * extent**stiffness.ndim
+
+    def resolved(self, stiffness: npt.NDArray[Any], spacing: Sequence[float]) -> StrainScale:
+        """Return the scale with the extent and the stiffness that it has for some tissue.
+
+        Parameters
+        ----------
+        stiffness : ndarray, shape (H, W) or (D, H, W)
+        spacing : sequence of float
+        """
+        extent, typical = self._resolved(stiffness, spacing)
+        return replace(self, extent=extent, stiffness=typical)
+
+    def _resolved(
+        self, stiffness: npt.NDArray[Any], spacing: Sequence[float]
+    ) -> tuple[float, float]:
         longest = max(n * size for n, size in zip(stiffness.shape, spacing, strict=True))
         extent = _PATCH * longest if self.extent is None else self.extent
-        return typical * self.strain**2 * float(extent) ** stiffness.ndim
+        typical = typical_stiffness(stiffness) if self.stiffness is None else self.stiffness
+        return float(extent), typical
 
 
 def typical_stiffness(stiffness: npt.NDArray[Any]) -> float:

@@ -148,7 +148,7 @@ class Multigrid:
             check_bending(problem)
             model, smoothing = backend.seiler_model(prior.material(problem)), BENDING
         holds = limit is None and isinstance(prior, ElasticPrior)
-        firm = not (problem.is_volume or holds) or holding_strength(problem) >= _MILD_GRIP
+        firm = not (problem.is_volume or holds) or is_firm(problem)
         met = None if start is None else start_quality_of(start)
         refinement = Refinement(self.max_iterations, model, smoothing, report, firm, met)
         try:
@@ -205,6 +205,11 @@ class Multigrid:
         if start is None or start.missing > _NEGLIGIBLE * self.tolerance:
             return None
         return model.earlier.quality(start)
+
+
+def is_firm(problem: Problem) -> bool:
+    """Return whether cycles reduce rotations of the held tissue well."""
+    return holding_strength(problem) >= _MILD_GRIP
 
 
 def _reset_idle(problem: Problem, model: LinearModel, observed: HeldPlanes, d: Planes) -> None:
