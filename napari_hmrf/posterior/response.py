@@ -12,6 +12,7 @@ from napari_hmrf.posterior.forced import ForcedMultigrid, typical_size
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.priors.elements import lame_ratio
 from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solve import CancelFlag, solve
 
@@ -22,6 +23,8 @@ _TOLERANCE = 0.03
 #: Largest error of a response to forces of unknown size, in the same unit. It is smaller, because
 #: the error estimate of the second run is less cautious than that of a run from rest.
 _ACCURACY = 0.003
+#: Largest ratio lambda / mu of compressible tissue: a Poisson's ratio of 0.46.
+_MOST_RATIO = 12.0
 #: Error of a response of which only the size is required, in the same unit.
 _ROUGH = 0.5
 
@@ -54,6 +57,12 @@ class Response:
         single = problem.tissue & ~around_sites(in_elements(problem.tissue), np.logical_or)
         self._single = np.nonzero(single)
         self._moves = problem.tissue & ~problem.known.all(axis=-1)
+
+    @property
+    def is_incompressible(self) -> bool:
+        """True if some tissue is so nearly incompressible that cycles find slow motions late."""
+        material = self._prior.material(self._problem)
+        return lame_ratio(material.largest_poisson, material.strain) > _MOST_RATIO
 
     def tolerance_for(self, force: Floats) -> float:
         """Return the tolerance at which the responses to forces of about this size are accurate.

@@ -4,6 +4,7 @@ import threading
 
 import numpy as np
 import pytest
+import scipy
 
 from napari_hmrf import Cancelled, ElasticPrior, NeoHookeanPrior, Problem, ProblemError, solve
 from napari_hmrf.errors import ArgumentError
@@ -11,6 +12,8 @@ from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import growth
 from napari_hmrf.posterior import sample_posterior
 from napari_hmrf.posterior.noise import PosteriorNoise
+from napari_hmrf.posterior.response import Response
+from napari_hmrf.posterior.sampling import Sampler, checked_prior
 from tests.support.data_oracle import elastic_matrix
 from tests.support.posterior_oracle import posterior_covariance
 
@@ -120,6 +123,50 @@ def test_a_sample_depends_on_its_seed_and_number_only():
     np.testing.assert_array_equal(few, many[:2])
     assert np.abs(other - few[0]).max() > 0.01
     assert np.abs(many[2] - many[1]).max() > 0.01
+
+
+def test_empty_space_around_the_tissue_of_a_volume_changes_no_sample():
+    axes, shape = 3, (7, 6, 5)
+    bare, precision = held_block(shape), np.zeros((*shape, 3))
+    precision[5, 4] = 40.0
+    points = np.array([(5.5, 2.5, 3.0), (4.2, 4.5, 1.1)])
+    poisson = np.random.default_rng(0).uniform(0.2, 0.45, shape)
+    first, around = np.array((3, 0, 6)), ((3, 2), (0, 9), (6, 1))
+    fields = []
+    for origin, margins in ((0, ((0, 0),) * 3), (first, around)):
+        vector = (*margins, (0, 0))
+        scale = StrainScale(0.1, extent=2.0)
+        marks = Landmarks(points + origin, points + origin + 1, sd=0.2, scale=scale)
+        problem = Problem(
+            np.pad(bare.observed, vector),
+            np.pad(bare.confidence, vector),
+            np.pad(bare.stiffness, margins),
+            precision=np.pad(precision, vector),
+            landmarks=marks,
+        )
+        prior = ElasticPrior(np.pad(poisson, margins))
+        fields += sample_posterior(problem, prior, n=1, backend="cpu")
+    field, padded = fields
+    inside = tuple(slice(b, b + size) for b, size in zip(first, shape, strict=True))
+    np.testing.assert_allclose(padded[inside], field, atol=0.02 * np.abs(field).max())
+    padded[inside] = 0
+    assert padded.shape[:axes] == (12, 15, 12)
+    assert not padded.any()
+
+
+def test_samples_of_nearly_incompressible_tissue_are_as_long_as_exact_ones():
+    """With the tolerance of other tissue, their means over patches are 5 % too short."""
+    size = 28
+    c = np.zeros((size,) * 3 + (3,))
+    c[0] = 1
+    problem = Problem(0 * c, c, np.ones((size,) * 3))
+    prior = checked_prior(problem, ElasticPrior(0.49))
+    response, noise = Response(problem, prior, "cpu"), PosteriorNoise(problem, prior, 1.0)
+    force = noise.force(0, 1)
+    exact = response.to(force, 1e-3 * response.tolerance_for(force))
+    sample = Sampler(response, noise, 0).deviation(1)
+    patch, of_exact = (scipy.ndimage.uniform_filter(each, (7, 7, 7, 1)) for each in (sample, exact))
+    assert (patch * of_exact).sum() == pytest.approx((of_exact**2).sum(), rel=1e-3)
 
 
 def test_samples_do_not_depend_on_the_unit_of_stiffness():
