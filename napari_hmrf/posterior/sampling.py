@@ -19,7 +19,7 @@ from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import check_held
 from napari_hmrf.solver.sliding_parts import refuse_sliding
-from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
+from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 
 Float32Array = npt.NDArray[np.float32]
@@ -113,8 +113,8 @@ def sample_posterior(
     energy = energy_of(problem, scale)
 
     def samples() -> Iterator[Float32Array]:
-        mean = solve(problem, elastic, backend=backend, cancel=cancel).displacement
         box = TissueBox.of(problem, elastic)
+        mean = box.solve(backend, cancel).displacement
         response = Response(box.problem, box.prior, backend, cancel)
         sampler = Sampler(response, PosteriorNoise(box.problem, box.prior, energy), seed)
         for number in range(n):

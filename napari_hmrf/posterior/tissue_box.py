@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, part_of
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solve import CancelFlag, solve
 
 #: Number of empty sites beside the tissue in the box.
 _MARGIN = 1
@@ -26,14 +29,15 @@ class TissueBox:
     ----------
     sites : tuple of slice
         Range of sites along each axis.
-    shape : tuple of int
-        Shape of the whole grid.
-    problem : Problem
-    prior : ElasticPrior
+    whole_problem, whole_prior : Problem, ElasticPrior
+        On the whole grid.
+    problem, prior : Problem, ElasticPrior
+        In the box.
     """
 
     sites: tuple[slice, ...]
-    shape: tuple[int, ...]
+    whole_problem: Problem
+    whole_prior: ElasticPrior
     problem: Problem
     prior: ElasticPrior
 
@@ -41,12 +45,34 @@ class TissueBox:
     def of(cls, problem: Problem, prior: ElasticPrior) -> TissueBox:
         """Return the box of the tissue of a problem."""
         if not problem.is_volume:
-            return cls((slice(None),) * 2, problem.shape, problem, prior)
+            return cls((slice(None),) * 2, problem, prior, problem, prior)
         sites = tuple(_range(problem.tissue, axis) for axis in range(3))
-        poisson = prior.poisson
+        poisson, part = prior.poisson, prior
         if isinstance(poisson, np.ndarray):
-            prior = replace(prior, poisson=poisson[sites])
-        return cls(sites, problem.shape, part_of(problem, sites), prior)
+            part = replace(prior, poisson=poisson[sites])
+        return cls(sites, problem, prior, part_of(problem, sites), part)
+
+    def solve(self, backend: str, cancel: CancelFlag | None) -> Solution:
+        """Return the solution on the whole grid, from a solve in the box.
+
+        Parameters
+        ----------
+        backend, cancel
+            As for `napari_hmrf.solve`.
+        """
+        found = solve(self.problem, self.prior, backend=backend, cancel=cancel)
+        whole = self.whole_problem
+        if self.problem is whole:
+            return found
+        return replace(
+            found,
+            displacement=self.whole(found.displacement),
+            levels=tuple(replace(level, shape=whole.shape) for level in found.levels),
+            tissue=whole.tissue,
+            loads=whole.loads,
+            elasticity=Elasticity.of_problem(whole, self.whole_prior),
+            provenance=replace(found.provenance, inputs=whole.digests),
+        )
 
     def whole(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return values on the whole grid, with 0 outside the box.
@@ -56,7 +82,8 @@ class TissueBox:
         values : ndarray
             Values at each site of the box.
         """
-        made = np.zeros((*self.shape, *values.shape[len(self.shape) :]), values.dtype)
+        grid = self.whole_problem.shape
+        made = np.zeros((*grid, *values.shape[len(grid) :]), values.dtype)
         made[self.sites] = values
         return made
 

@@ -24,7 +24,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem, as_numbers, whole_numbers
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
+from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 
 if TYPE_CHECKING:
@@ -284,8 +284,8 @@ def uncertainty(
     refuse_unless(0 < side < math.inf, "patch", patch, "a positive length, or None")
     numbers = None if labels is None else checked_labels(labels, problem)
     elastic, energy = checked_prior(problem, prior), energy_of(problem, scale)
-    solution = solve(problem, elastic, backend=backend, cancel=cancel)
     box = TissueBox.of(problem, elastic)
+    solution = box.solve(backend, cancel)
     moved = solution.displacement[box.sites]
     response = Response(box.problem, box.prior, backend, cancel)
     means = _LabelMeans(

@@ -239,3 +239,23 @@ def test_measured_motion_and_large_motion_of_a_study_are_refused():
         study_uncertainty(grown_study(measured=measured))
     with pytest.raises(ProblemError, match="large motion"):
         study_uncertainty(replace(grown_study(), model="large motion"))
+
+
+def test_the_solution_of_a_volume_is_that_of_a_solve_on_its_whole_grid():
+    shape = (9, 12, 8)
+    tissue, c = np.zeros(shape), np.zeros((*shape, 3))
+    tissue[2:8, 1:7, 3:8] = 1
+    c[2, 1:7, 3:8] = 1
+    strain = np.zeros(shape)
+    strain[5:7, 3:5, 5:7] = 0.2
+    problem = Problem(0 * c, c, tissue, loads=growth(strain))
+    found, whole = uncertainty(problem, n=2, backend="cpu"), solve(problem, backend="cpu")
+    solution = found.solution
+    np.testing.assert_allclose(solution.displacement, whole.displacement, atol=2e-3)
+    assert np.abs(whole.displacement).max() > 0.1
+    assert solution.mean_energy == pytest.approx(whole.mean_energy, rel=1e-3)
+    assert dict(solution.provenance.inputs) == dict(whole.provenance.inputs)
+    stretched = [each.strain() for each in (solution, whole)]
+    np.testing.assert_allclose(*stretched, atol=2e-3)
+    assert found.sd[tissue > 0].max() > 0
+    assert not found.sd[tissue == 0].any()
