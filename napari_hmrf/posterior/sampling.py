@@ -201,7 +201,8 @@ class Sampler:
     def __init__(self, response: Response, noise: PosteriorNoise, seed: int) -> None:
         self._response, self._noise, self._seed = response, noise, seed
         tolerance = _TOLERANCE_INCOMPRESSIBLE if response.is_incompressible else _TOLERANCE
-        self._tolerance = tolerance * response.tolerance_for(self._force(0))
+        #: Largest error of a deviation, in the unit of `spacing`.
+        self.tolerance = tolerance * response.tolerance_for(self._force(0))
 
     def deviation(self, number: int) -> npt.NDArray[np.floating]:
         """Return the deviation of a sample, shape (H, W, 2) or (D, H, W, 3), in unit of `spacing`.
@@ -211,7 +212,7 @@ class Sampler:
         number : int
             Number of the sample, from 0. The deviation depends on the seed and this number only.
         """
-        return self._response.to(self._force(number), self._tolerance)
+        return self._response.to(self._force(number), self.tolerance)
 
     def _force(self, number: int) -> Float32Array:
         return self._noise.force(self._seed, number)

@@ -102,6 +102,17 @@ def test_the_noise_of_an_element_has_the_covariance_of_its_matrix():
     assert np.abs(forces.reshape(-1, 8, 3).sum(axis=1)).max() < 1e-5 * np.abs(forces).max()
 
 
+def test_random_forces_do_not_depend_on_the_number_of_threads(monkeypatch):
+    problem = held_block((600, 90))
+    noise, forces = PosteriorNoise(problem, ElasticPrior(), energy=1.0), []
+    for threads in (1, 2, 7):
+        monkeypatch.setattr("os.cpu_count", lambda threads=threads: threads)
+        forces.append(noise.force(0, 1))
+    np.testing.assert_array_equal(forces[0], forces[1])
+    np.testing.assert_array_equal(forces[0], forces[2])
+    assert (forces[0] != 0).mean() > 0.9
+
+
 def test_bone_moves_as_one_body_in_each_sample():
     problem = with_bone()
     for field in sample_posterior(problem, n=3, backend="cpu"):
