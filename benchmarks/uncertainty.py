@@ -564,19 +564,25 @@ def brain(path: Path | None, count: int) -> None:
     solved = time.perf_counter() - begun
     values = np.ones(1 << 27, np.float32)
     copies = [_copied(values)]
-    marks = [time.perf_counter()]
+    marks = [(time.perf_counter(), time.process_time())]
     uncertainty(
-        problem, n=count, backend="cpu", progress=lambda _: marks.append(time.perf_counter())
+        problem,
+        n=count,
+        backend="cpu",
+        progress=lambda _: marks.append((time.perf_counter(), time.process_time())),
     )
     copies.append(_copied(values))
-    setup, *samples = np.diff(marks)
+    (setup, *samples), (work, *works) = np.diff(np.transpose(marks))
     print("| figure | value |")
     print("| --- | --- |")
     print(f"| grid | {' x '.join(map(str, problem.shape))} |")
     print(f"| voxels of tissue | {int(problem.tissue.sum()):,} |")
     print(f"| setup | {setup:.1f} s |")
     print(f"| one sample | {np.median(samples):.2f} s ({min(samples):.2f} to {max(samples):.2f}) |")
-    print(f"| all, for {count} samples | {marks[-1] - marks[0]:.1f} s |")
+    print(f"| all, for {count} samples | {setup + sum(samples):.1f} s |")
+    print(f"| processor time of the setup, of all cores | {work:.1f} s |")
+    print(f"| processor time of one sample | {np.median(works):.2f} s |")
+    print(f"| processor time of all, for {count} samples | {work + sum(works):.1f} s |")
     print(f"| a solve after a change of the motion | {solved:.2f} s |")
     print(f"| speed of a copy, before and after | {copies[0]:.1f}, {copies[1]:.1f} GB/s |")
 
