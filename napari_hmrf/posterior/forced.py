@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
@@ -118,7 +119,7 @@ class ForcedMultigrid(Multigrid):
         return tolerance
 
 
-def typical_size(displacements: np.typing.NDArray[np.floating]) -> float:
+def typical_size(displacements: npt.NDArray[np.floating]) -> float:
     """Return the median length of displacements, shape (n, axes), or the mean if it is 0."""
     if not len(displacements):
         return 0.0

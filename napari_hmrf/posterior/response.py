@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.posterior.forced import ForcedMultigrid, typical_size
 from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.priors.elements import lame_ratio
@@ -49,7 +50,8 @@ class Response:
     ) -> None:
         self._prior, self._backend = prior, backend
         self._cancel = cancel or threading.Event()
-        at_rest: dict[str, Any] = {"observed": np.zeros_like(problem.observed), "loads": None}
+        # Loads, although the optimizer has the force, so that the backend supports forces.
+        at_rest: dict[str, Any] = {"observed": np.zeros_like(problem.observed), "loads": Loads()}
         if problem.landmarks is not None:
             at_rest["landmarks"] = problem.landmarks.at_rest
         self._problem = variant_of(problem, **at_rest)

@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from napari_hmrf import Cancelled, ElasticPrior, NeoHookeanPrior, Problem, ProblemError, solve
-from napari_hmrf.errors import ArgumentError
+from napari_hmrf.errors import ArgumentError, BackendError
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import growth
 from napari_hmrf.posterior import sample_posterior
@@ -260,3 +260,8 @@ def test_samples_report_their_progress_and_can_be_cancelled():
     cancel.set()
     with pytest.raises(Cancelled):
         next(drawn)
+
+
+def test_shaders_do_not_sample_volumes_because_they_have_no_forces():
+    with pytest.raises(BackendError, match="volumes with loads"):
+        next(sample_posterior(held_block((5, 4, 4)), n=1, backend="opengl"))
