@@ -14,9 +14,8 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.fit import Fit, FittedProperty, fit
 from napari_hmrf.registration.study_registration import SecondPicture
 from napari_hmrf.solver.priors import Elastic
-from napari_hmrf.solver.sliding_parts import refuse_sliding
 from napari_hmrf.solver.solve import CancelFlag, Progress
-from napari_hmrf.study.ground import Ground
+from napari_hmrf.study.ground import Ground, refuse_sliding_parts
 from napari_hmrf.study.study import Motion, Study
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 
@@ -139,8 +138,8 @@ def fit_study(
         if image is None:
             raise ProblemError("image", "is missing. Choose the image before the motion.")
         images = np.asarray(image, np.float32), np.where(second.known, second.pixels, np.nan)
+    refuse_sliding_parts(study, stated.problem, "a fit")
     with study.naming():
-        refuse_sliding(stated.problem.sliding, "a fit")
         found = fit(
             stated.problem,
             study.tissue.labels if stated.labels is None else stated.labels,

@@ -12,7 +12,12 @@ from napari_hmrf.posterior.uncertainty import Uncertainty, checked_labels, uncer
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
-from napari_hmrf.study.ground import Ground, Statement, at_place_of
+from napari_hmrf.study.ground import (
+    Ground,
+    Statement,
+    at_place_of,
+    refuse_sliding_parts,
+)
 from napari_hmrf.study.study import Study
 
 
@@ -107,6 +112,7 @@ def ground_uncertainty(
             f"is {study.model_name!r}, whose uncertainty is not defined or not implemented. Use "
             "the elastic model (`model='elastic'`), or leave the uncertainty out.",
         )
+    refuse_sliding_parts(study, problem, "an uncertainty")
     scale = None  # landmarks have their own
     if problem.landmarks is None:
         scale = StrainScale(study.motion.typical_strain, stiffness=ground.typical_stiffness)

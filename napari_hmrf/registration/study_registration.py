@@ -16,9 +16,8 @@ from napari_hmrf.registration.matching import Show, placeholder
 from napari_hmrf.registration.register import check_contrast, on_grid, registered
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.priors import ElasticPrior
-from napari_hmrf.solver.sliding_parts import refuse_sliding
 from napari_hmrf.solver.solve import CancelFlag, Progress
-from napari_hmrf.study.ground import Ground, refuse_measurement
+from napari_hmrf.study.ground import Ground, refuse_measurement, refuse_sliding_parts
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Study
 
@@ -112,8 +111,7 @@ def register_study(
     free = replace(study.motion, measured=nothing, hold_edge=False)
     ground = Ground.of(replace(study, motion=free), checkpoint)
     statement = ground.statement()
-    with study.naming():
-        refuse_sliding(statement.problem.sliding, "a registration")
+    refuse_sliding_parts(study, statement.problem, "a registration")
     prior = statement.prior
     assert isinstance(prior, ElasticPrior)
     pixels = np.asarray(image, np.float32)

@@ -450,6 +450,30 @@ def refuse_measurement(study: Study) -> None:
         )
 
 
+def refuse_sliding_parts(study: Study, problem: Problem, purpose: str) -> None:
+    """Raise an error if tissue of a study slides along other tissue.
+
+    Parameters
+    ----------
+    study : Study
+    problem : Problem
+        Problem of the study.
+    purpose : str
+        Result that needs connected tissue, as the subject of the message.
+
+    Raises
+    ------
+    LayerError
+        If the problem has sliding parts.
+    """
+    if problem.sliding is not None:
+        raise LayerError(
+            study.named("tissue", "image"),
+            f"has tissue that slides along other tissue, for which {purpose} is not available. Let "
+            "no tissue slide (`slides=False`).",
+        )
+
+
 def refuse_sliding(study: Study, slides: npt.NDArray[np.bool_] | bool) -> None:
     """Raise an error if tissue slides, and the model does not support it.
 

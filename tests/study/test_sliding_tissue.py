@@ -26,6 +26,7 @@ from napari_hmrf.cli import main
 from napari_hmrf.errors import LayerError
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.tables import read_materials
+from napari_hmrf.posterior.study_uncertainty import study_uncertainty
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.ground import build_problem
 
@@ -120,6 +121,13 @@ UNSURE = Motion(hold_edge=True, drawing=Drawing((Landmark((31, 31), (33, 31), 1.
 def test_what_cannot_be_combined_with_sliding_tissue_is_refused_by_name(study, reason):
     with pytest.raises(LayerError, match=f"'Organs' has tissue that slides.*{reason}"):
         build_problem(replace(study, names={"tissue": "Organs"}))
+
+
+def test_an_uncertainty_of_sliding_tissue_is_refused_in_the_words_of_the_study():
+    given = replace(chest(), names={"tissue": "Organs"})
+    said = "'Organs' has tissue that slides.*an uncertainty is not available.*slides=False"
+    with pytest.raises(LayerError, match=said):
+        study_uncertainty(given, 2)
 
 
 def test_a_lung_that_nothing_holds_is_named():
