@@ -49,7 +49,7 @@ def test_a_bending_motion_is_reproduced_between_landmarks():
 def test_tissue_on_two_sides_of_a_slit_moves_independently(width):
     tissue = np.ones((120, 120), bool)
     tissue[30:, 61 : 61 + width] = False
-    points = _points(300, tissue)
+    points = _points(150, tissue)
     depth = np.clip(points[:, 0] - 30, 0, None) / 90
     opening = np.where(points[:, 1] < 61, -4, 4) * np.sqrt(depth)
     marks = Landmarks(points, points + np.stack([0 * opening, opening], axis=1), sd=0.1)
@@ -61,10 +61,10 @@ def test_tissue_on_two_sides_of_a_slit_moves_independently(width):
 
 def test_noise_is_smoothed_more_where_the_standard_deviation_is_larger():
     rng = np.random.default_rng(2)
-    points = _points(200, FULL)
+    points = _points(100, FULL)
     motion = np.stack([np.sin(points[:, 1] / 10), np.cos(points[:, 0] / 10)], axis=1)
-    sd = np.where(rng.random((200, 2)) < 0.5, 0.1, 1.0)
-    targets = points + motion + sd * rng.normal(size=(200, 2))
+    sd = np.where(rng.random((100, 2)) < 0.5, 0.1, 1.0)
+    targets = points + motion + sd * rng.normal(size=(100, 2))
     places = _places(FULL)
     truth = np.stack([np.sin(places[:, 1] / 10), np.cos(places[:, 0] / 10)], axis=1)
 

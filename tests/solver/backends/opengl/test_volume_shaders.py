@@ -274,7 +274,7 @@ def pressed(n, free, seed=0):
 
 @pytest.mark.parametrize(("poisson", "free"), [(0.3, False), (0.45, True)], ids=str)
 def test_the_field_of_a_volume_matches_the_loops(poisson, free):
-    problem, prior = pressed(32, free), ElasticPrior(poisson)
+    problem, prior = pressed(24, free), ElasticPrior(poisson)
     ours, theirs = (
         solve(problem, prior, optimizer=Multigrid(1e-3), backend=name) for name in ("opengl", "cpu")
     )
