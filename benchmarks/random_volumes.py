@@ -53,7 +53,7 @@ def random_volume(seed: int) -> tuple[Any, ...]:
 def judged(seed: int, paper: bool = False) -> tuple[str, str]:
     """Return the outcome of a random volume, and a remark or ""."""
     y, c, m, spacing, poisson = random_volume(seed)
-    no_factors = patch.object(Factors, "fit", staticmethod(lambda shape: False))
+    no_factors = patch.object(Factors, "fit", staticmethod(lambda *_: False))
     try:
         problem = Problem(y, c, m, spacing=spacing)
         prior = SeilerPrior() if paper else ElasticPrior(poisson)

@@ -130,10 +130,10 @@ def test_an_uncertainty_of_sliding_tissue_is_refused_in_the_words_of_the_study()
         study_uncertainty(given, 2)
 
 
-def test_a_lung_that_nothing_holds_is_named():
+def test_a_lung_that_only_its_round_outline_holds_is_named():
     free = chest(core=np.zeros_like(CORE))
     motion = replace(free.motion, drawing=Drawing((Arrow((5, 31), (1, 0), 2),)))
-    with pytest.raises(ProblemError, match=r"Organs.*can slide or turn without any force"):
+    with pytest.raises(ProblemError, match=r"Organs.*held by the direction of the interface"):
         solve_study(replace(free, motion=motion, names={"tissue": "Organs"}), backend="cpu")
 
 

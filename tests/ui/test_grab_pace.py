@@ -211,7 +211,7 @@ def test_an_error_while_warping_an_image_does_not_stop_the_next_drawing(
     from napari_hmrf.field.live_warp import Warper
 
     with monkeypatch.context() as broken:
-        broken.setattr(Warper, "__call__", lambda *_: 1 / 0)
+        broken.setattr(Warper, "__call__", lambda *_, **__: 1 / 0)
         follower.follow(pulled(1))
         wait_for_follower(follower)
     assert isinstance(follower.shown[-1].error, ZeroDivisionError)
