@@ -15,6 +15,7 @@ from typing import Any
 
 import numba
 from numba.core import event
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
 from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
 
@@ -48,6 +49,19 @@ class _Uncollected(event.Listener):  # type: ignore[misc]
 event.register("numba:compile", _Uncollected())
 
 
+class _WithoutOverlap(CompilerBase):  # type: ignore[misc]
+    """Compiler that assumes that no array that a function writes overlaps its other arrays.
+
+    Otherwise LLVM guards each vectorized loop with a comparison of all addresses, and short loops
+    always run without vectors, because the comparison would take longer than the loop.
+    """
+
+    def define_pipelines(self) -> list[Any]:
+        """Return numba's usual pipeline."""
+        self.state.flags.noalias = True
+        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]
+
+
 def _cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function and caches it until a file of loops changes."""
 
@@ -71,6 +85,9 @@ def _callee(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 inline = numba.njit(inline="always", error_model="numpy")
 #: Decorator for functions that LLVM inlines: as fast as `inline`, with half the compile time.
 shared = _callee(fastmath=_ARITHMETIC, forceinline=True)
+#: Decorator for inlined loops whose outputs overlap none of their other arguments: such loops are
+#: vectorized at any length. Lines of one scratch array count as a single argument.
+disjoint = _callee(fastmath=_ARITHMETIC, forceinline=True, pipeline_class=_WithoutOverlap)
 #: Decorator for functions called by other loops, with contraction.
 callee = _callee(fastmath=_ARITHMETIC)
 #: Decorator for functions called by other loops, with exact IEEE arithmetic.

@@ -16,6 +16,11 @@ compiler vectorizes:
 The distance between scratch lines is constant, so that the compiler can exclude overlaps. A few
 lines between the input lines and the output lines of a step are unused, because processors may
 treat reads and writes at similar addresses as dependent.
+
+Lines are processed in groups of eight sites, the width of the vectors of most processors, so that
+no loop has a remainder without vectors. The last group of a block may extend up to eight sites
+beyond the block. Its values there are computed from whatever follows in memory (the border
+contains it, because it consists of two planes) and never used.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -26,15 +31,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.cpu.compiled import callee, inline, shared
+from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint, inline, shared
 
 #: Number of sites per block; a scratch line has room for all faces of a block.
 BLOCK = 128
 _LINE = BLOCK + 16
+# Number of sites per group.
+_GROUP = 8
 # Indices of the scratch lines. The first twelve lines contain faces, four lines per component. They
-# are followed by two lines of moduli, seven lines of element forces per component, and three lines
-# of forces. The last constant is the number of lines.
-_MODULI, _PULLS, _FORCES, _LINES = 12, 18, 44, 47
+# are followed, after a gap, by seven lines of element forces per component, and three lines of
+# forces. The last constant is the number of lines.
+_PULLS, _FORCES, _LINES = 18, 44, 47
 
 
 def constants(shape: Any) -> npt.NDArray[np.float64]:
@@ -63,15 +70,19 @@ def _line(f, number):
     return f[number * _LINE : (number + 1) * _LINE]
 
 
-@shared
-def _faces(d, k, z, y, begin, count, f):
-    """Compute step 1 for component k and `count` faces."""
-    past = begin + count + 1
-    near, right = d[k, z, y, begin:past], d[k, z, y + 1, begin:past]
-    far, across = d[k, z + 1, y, begin:past], d[k, z + 1, y + 1, begin:past]
+@inline
+def _groups(count):
+    """Return the number of groups that contain `count` sites."""
+    return (count + _GROUP - 1) // _GROUP
+
+
+@disjoint
+def _faces(lines, k, f, groups):
+    """Compute step 1 for component k; `lines` are the four lines of sites at the faces' corners."""
+    near, right, far, across = lines
     all_four, planes = _line(f, 4 * k), _line(f, 4 * k + 1)
     rows, both = _line(f, 4 * k + 2), _line(f, 4 * k + 3)
-    for x in range(count):
+    for x in range(_GROUP * groups):
         left, beside = far[x] - near[x], across[x] - right[x]
         here = (near[x + 1] - near[x]) + (right[x + 1] - right[x])
         all_four[x] = here + ((far[x + 1] - far[x]) + (across[x + 1] - across[x]))
@@ -80,25 +91,16 @@ def _faces(d, k, z, y, begin, count, f):
         both[x] = beside - left
 
 
-@shared
-def _moduli(shear, other, share, f, count):
-    """Copy mu and lambda of a line of elements to scratch memory, in the precision of `f`."""
-    mu, volume, one = _line(f, _MODULI), _line(f, _MODULI + 1), f.dtype.type
-    for x in range(count):
-        mu[x] = one(shear[x])
-        volume[x] = share * one(other[x])
-
-
-@shared
-def _elements(f, c, count):
-    """Compute step 2 for `count` elements."""
+@disjoint
+def _elements(shear, other, share, c, f, groups):
+    """Compute step 2 with mu = `shear` and lambda = `share` times `other`."""
     # u, v and w are the components. Each digit in a name is 1 if the mode varies along that axis
     # (plane, row or column). Names of face values have only two digits, because the sites of a face
     # are in one column.
     q0, q1, q2 = c[0], c[1], c[2]
     u_110, u_101, v_110, v_011, w_101, w_011 = c[3], c[4], c[5], c[6], c[7], c[8]
     u_111, v_111, w_111, third = c[9], c[10], c[11], c[12]
-    mu, first = _line(f, _MODULI), _line(f, _MODULI + 1)
+    one = f.dtype.type
     u00, u10 = _line(f, 0), _line(f, 1)
     u01, u11 = _line(f, 2), _line(f, 3)
     v00, v10 = _line(f, 4), _line(f, 5)
@@ -117,8 +119,8 @@ def _elements(f, c, count):
     near_w10, far_w10 = _line(f, 33), _line(f, 34)
     near_w01, far_w01 = _line(f, 35), _line(f, 36)
     near_w11, far_w11 = _line(f, 37), _line(f, 38)
-    for x in range(count):
-        shear = mu[x]
+    for x in range(_GROUP * groups):
+        mu, first = one(shear[x]), share * one(other[x])
         u001 = u00[x]
         u100, u101 = u10[x + 1] + u10[x], u10[x + 1] - u10[x]
         u010, u011 = u01[x + 1] + u01[x], u01[x + 1] - u01[x]
@@ -132,50 +134,48 @@ def _elements(f, c, count):
         w010, w011 = w01[x + 1] + w01[x], w01[x + 1] - w01[x]
         w110, w111 = w11[x + 1] + w11[x], w11[x + 1] - w11[x]
         e0, e1, e2 = q0 * u100, q1 * v010, q2 * w001
-        volume = first[x] * (e0 + e1 + e2)
-        s0, s1, s2 = shear * e0, shear * e1, shear * e2
-        s01 = shear * (q1 * u010 + q0 * v100)
-        s02 = shear * (q2 * u001 + q0 * w100)
-        s12 = shear * (q2 * v001 + q1 * w010)
-        less = third * shear
+        volume = first * (e0 + e1 + e2)
+        s0, s1, s2 = mu * e0, mu * e1, mu * e2
+        s01 = mu * (q1 * u010 + q0 * v100)
+        s02 = mu * (q2 * u001 + q0 * w100)
+        s12 = mu * (q2 * v001 + q1 * w010)
+        less = third * mu
         t01 = less * (q1 * u011 + q0 * v101)
         t02 = less * (q2 * u011 + q0 * w110)
         t12 = less * (q2 * v101 + q1 * w110)
         pull_u[x] = q2 * s02
-        even, odd = q0 * (volume + s0 + s0), u_101 * shear * u101
+        even, odd = q0 * (volume + s0 + s0), u_101 * mu * u101
         near_u10[x], far_u10[x] = even - odd, even + odd
         even, odd = q1 * s01, q1 * t01 + q2 * t02
         near_u01[x], far_u01[x] = even - odd, even + odd
-        even, odd = u_110 * shear * u110, u_111 * shear * u111
+        even, odd = u_110 * mu * u110, u_111 * mu * u111
         near_u11[x], far_u11[x] = even - odd, even + odd
         pull_v[x] = q2 * s12
         even, odd = q0 * s01, q0 * t01 + q2 * t12
         near_v10[x], far_v10[x] = even - odd, even + odd
-        even, odd = q1 * (volume + s1 + s1), v_011 * shear * v011
+        even, odd = q1 * (volume + s1 + s1), v_011 * mu * v011
         near_v01[x], far_v01[x] = even - odd, even + odd
-        even, odd = v_110 * shear * v110, v_111 * shear * v111
+        even, odd = v_110 * mu * v110, v_111 * mu * v111
         near_v11[x], far_v11[x] = even - odd, even + odd
         pull_w[x] = q2 * (volume + s2 + s2)
-        even, odd = q0 * s02, w_101 * shear * w101
+        even, odd = q0 * s02, w_101 * mu * w101
         near_w10[x], far_w10[x] = even - odd, even + odd
-        even, odd = q1 * s12, w_011 * shear * w011
+        even, odd = q1 * s12, w_011 * mu * w011
         near_w01[x], far_w01[x] = even - odd, even + odd
-        even, odd = q0 * t02 + q1 * t12, w_111 * shear * w111
+        even, odd = q0 * t02 + q1 * t12, w_111 * mu * w111
         near_w11[x], far_w11[x] = even - odd, even + odd
 
 
-@shared
-def _gather(f, k, rows, planes, y, begin, count):
+@disjoint
+def _gather(f, k, row, corner, plane, groups):
     """Compute step 3 for component k."""
     # Each face is the far face of the previous element and the near face of the next element.
-    past, pulls = begin + count, _PULLS + 7 * k
-    row, corner = rows[0, k, begin:past], rows[1, k, begin:past]
-    plane, force = planes[k, y, begin:past], _line(f, _FORCES + k)
+    pulls, force = _PULLS + 7 * k, _line(f, _FORCES + k)
     pull = _line(f, pulls)
     near_10, far_10 = _line(f, pulls + 1), _line(f, pulls + 2)
     near_01, far_01 = _line(f, pulls + 3), _line(f, pulls + 4)
     near_11, far_11 = _line(f, pulls + 5), _line(f, pulls + 6)
-    for x in range(count):
+    for x in range(_GROUP * groups):
         both, across = pull[x] - pull[x + 1], near_11[x + 1] + far_11[x]
         even, uneven = both + across, both - across
         along_planes, along_rows = near_10[x + 1] + far_10[x], near_01[x + 1] + far_01[x]
@@ -205,23 +205,23 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
         Plane, row, first site and number of sites of the block, in the padded arrays.
     f : ndarray
         Scratch memory.
-    rows : ndarray, shape (2, 3, W + 4)
+    rows : ndarray, shape (2, 3, W + 4 + 8)
         Forces of the previous row's elements on this row, in this plane and in the next plane.
-    planes : ndarray, shape (3, H + 4, W + 4)
+    planes : ndarray, shape (3, H + 4, W + 4 + 8)
         Forces of the previous plane's elements on this plane.
     """
     if len(f) < _LINES * _LINE:
         return  # never reached, but it lets the compiler assume that all lines exist
-    _faces(d, 0, z, y, begin - 1, count + 2, f)
-    _faces(d, 1, z, y, begin - 1, count + 2, f)
-    _faces(d, 2, z, y, begin - 1, count + 2, f)
-    shear = lame[0, z, y, begin - 1 : begin + count]
-    other = lame[lame.shape[0] - 1, z, y, begin - 1 : begin + count]
-    _moduli(shear, other, share, f, count + 1)
-    _elements(f, c, count + 1)
-    _gather(f, 0, rows, planes, y, begin, count)
-    _gather(f, 1, rows, planes, y, begin, count)
-    _gather(f, 2, rows, planes, y, begin, count)
+    first = begin - 1
+    for k in range(3):
+        near, right = d[k, z, y, first:], d[k, z, y + 1, first:]
+        far, across = d[k, z + 1, y, first:], d[k, z + 1, y + 1, first:]
+        _faces((near, right, far, across), k, f, _groups(count + 2))
+    shear, other = lame[0, z, y, first:], lame[lame.shape[0] - 1, z, y, first:]
+    _elements(shear, other, share, c, f, _groups(count + 1))
+    for k in range(3):
+        row, corner, plane = rows[0, k, begin:], rows[1, k, begin:], planes[k, y, begin:]
+        _gather(f, k, row, corner, plane, _groups(count))
 
 
 @inline
@@ -233,7 +233,8 @@ def force_of(f, k):
 @shared
 def scratch(d):
     """Return one thread's scratch memory: lines, and forces for the next row and plane."""
-    lines = np.empty(_LINES * _LINE, dtype=d.dtype)
-    rows = np.zeros((2, 3, d.shape[3]), dtype=d.dtype)
-    planes = np.zeros((3, d.shape[2], d.shape[3]), dtype=d.dtype)
+    width = d.shape[3] + _GROUP
+    lines = np.zeros(_LINES * _LINE, dtype=d.dtype)
+    rows = np.zeros((2, 3, width), dtype=d.dtype)
+    planes = np.zeros((3, d.shape[2], width), dtype=d.dtype)
     return lines, rows, planes

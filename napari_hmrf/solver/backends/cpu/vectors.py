@@ -14,7 +14,7 @@ import numpy as np
 from numba import float32, int32, int64, prange
 
 from napari_hmrf.solver.backends.cpu.compiled import (
-    callee,
+    disjoint,
     inline,
     parallel,
     reduction,
@@ -89,7 +89,7 @@ def smooth_first(load, inverse, step, d, scale):
             d[1, i + 2, j] = col
 
 
-@callee
+@disjoint
 def restrict_row(above, here, below, coarse):
     """Compute one row of `restrict` for one component from three fine rows."""
     half = float32(0.5)

@@ -22,6 +22,7 @@ from numba import float32, float64, get_num_threads, prange
 from napari_hmrf.solver.backends.cpu.compiled import (
     callee,
     contracted_reduction,
+    disjoint,
     inline,
     parallel,
     shared,
@@ -60,7 +61,7 @@ def _reach(spans, z, y):
     return max(begin, 0) + 2, past + 2
 
 
-@shared
+@disjoint
 def _smooth_line(force, d, load, inverse, weight, springs, out, pace):
     scale, ahead, back = pace
     for x in range(len(d)):
@@ -79,7 +80,7 @@ def _three(values, first, z, y, begin, past):
     )
 
 
-@shared
+@disjoint
 def _smooth_block(forces, d, load, inverse, weight, mixed, block, out, pace):
     """Compute a step with a block of the smoother for each site; see `data_weights`."""
     scale, ahead, back = pace
@@ -182,7 +183,7 @@ def start(load, inverse, mixed, d, scale):
                 d[2, i, j] += scale * (mixed[4, i, j] * x + mixed[5, i, j] * y)
 
 
-@shared
+@disjoint
 def _rest_line(force, d, load, given, inverse, weight, springs, scale, out):
     for x in range(len(d)):
         rest = given * load[x] - (force[x] + springs * weight[x] * d[x])
@@ -190,7 +191,7 @@ def _rest_line(force, d, load, given, inverse, weight, springs, scale, out):
         out[x] = rest if inverse[x] > float32(0) else rest - rest
 
 
-@shared
+@disjoint
 def _mixed_forces(forces, d, mixed):
     """Add the forces of the components `mixed` of W, in place."""
     force_0, force_1, force_2 = forces
@@ -202,7 +203,7 @@ def _mixed_forces(forces, d, mixed):
         force_2[x] += mixed_02[x] * d_0[x] + mixed_12[x] * d_1[x]
 
 
-@shared
+@disjoint
 def _filter_block(forces, d, load, inverse, weight, mixed, block, out):
     """Compute the residual, filtered for the data term; see `data_weights`."""
     force_0, force_1, force_2 = forces
@@ -337,7 +338,7 @@ def _work_line(force, d):
     return product, square
 
 
-@shared
+@disjoint
 def _tensor_forces(forces, d, weight):
     """Add the forces of the diagonal of W, in place."""
     force_0, force_1, force_2 = forces
@@ -384,7 +385,7 @@ def work(d, lame, share, data, shape, products, squares, count):
 # Transfer between levels
 
 
-@shared
+@disjoint
 def _between(above, here, below, line):
     """Compute ``line = here + (above + below) / 2``, the restriction along the plane axis."""
     half = float32(0.5)
@@ -406,7 +407,7 @@ def restrict(fine, coarse):
                 restrict_row(lines[0], lines[1], lines[2], coarse[k, n + 2, m + 2])
 
 
-@callee
+@disjoint
 def _interpolate_row(near, right, far, across, inverse, line, fine):
     half, quarter = float32(0.5), float32(0.25)
     for x in range(len(line)):
@@ -434,7 +435,7 @@ def interpolate(coarse, fine, inverse):
                 _interpolate_row(one, other, third, last, inverse[k, z, y], line, fine[k, z, y])
 
 
-@shared
+@disjoint
 def _add_relaxed_line(lines, inverse, weight, mixed, block, out):
     """Multiply an interpolated correction by T (`data_weights`), and add it to `out`."""
     line_0, line_1, line_2 = lines
@@ -483,7 +484,7 @@ def add_relaxed(coarse, inverse, weight, mixed, out):
 # Parameters of the tissue on each level
 
 
-@shared
+@disjoint
 def _sum_line(near, right, far, across, line):
     """Compute the sum over the corners of each element, or 0 if the value at any corner is 0."""
     for x in range(len(line)):
