@@ -90,6 +90,8 @@ shared = _callee(fastmath=_ARITHMETIC, forceinline=True)
 disjoint = _callee(fastmath=_ARITHMETIC, forceinline=True, pipeline_class=_WithoutOverlap)
 #: Decorator for functions called by other loops, with contraction.
 callee = _callee(fastmath=_ARITHMETIC)
+#: Decorator for the same, if the outputs overlap none of the other arguments.
+disjoint_callee = _callee(fastmath=_ARITHMETIC, pipeline_class=_WithoutOverlap)
 #: Decorator for functions called by other loops, with exact IEEE arithmetic.
 strict_callee = _callee()
 #: Decorator for functions that may add terms in any order.

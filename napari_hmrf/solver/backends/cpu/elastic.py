@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, prange
 
-from napari_hmrf.solver.backends.cpu.compiled import alone, callee, parallel
+from napari_hmrf.solver.backends.cpu.compiled import alone, callee, disjoint_callee, parallel
 from napari_hmrf.solver.backends.cpu.data_weights import filtered
 from napari_hmrf.solver.backends.cpu.forces import (
     left_of,
@@ -33,7 +33,7 @@ from napari_hmrf.solver.backends.cpu.vectors import restrict_row, row_product
 # Loops over a row start at max(..., 0), so that the compiler can exclude negative indices.
 
 
-@callee
+@disjoint_callee
 def _apply_row(d, lame, inverse, data, shape, i, span, carry, out_row, out_col):
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     start, past = max(span[0], 0), span[1]
@@ -71,7 +71,7 @@ def apply(d, lame, inverse, data, shape, spans, out, row_totals, count):
         apply_part(d, lame, inverse, data, shape, spans, out, row_totals, first, last)
 
 
-@callee
+@disjoint_callee
 def _smooth_row(rows, tissue, weights, mixed, i, span, carry, pace, out_row, out_col):
     load, lame, inverse, shape = tissue
     scale, ahead, back = pace
@@ -122,7 +122,7 @@ def smooth(
         _smooth_part(d, tissue, (weight, springs), mixed, spans, out, pace, first, last)
 
 
-@callee
+@disjoint_callee
 def _start_row(load, inverse, mixed, scale, i, out):
     """Compute a row of the first step from zero: ``out = scale * D^-1 load``."""
     for component in range(2):
@@ -161,7 +161,7 @@ def begin(
         _begin_part(tissue, (weight, springs), mixed, spans, out, start, pace, first, last)
 
 
-@callee
+@disjoint_callee
 def _rest_row(d, tissue, weights, mixed, i, span, carry, out):
     load, lame, inverse, shape = tissue
     rows, moduli = rows_of(d, i), moduli_of(lame, i)

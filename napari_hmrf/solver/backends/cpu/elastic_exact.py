@@ -10,7 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, prange
 
-from napari_hmrf.solver.backends.cpu.compiled import callee, contracted_reduction, parallel, shared
+from napari_hmrf.solver.backends.cpu.compiled import (
+    callee,
+    contracted_reduction,
+    disjoint_callee,
+    parallel,
+    shared,
+)
 from napari_hmrf.solver.backends.cpu.forces import (
     left_of,
     moduli_of,
@@ -31,7 +37,7 @@ def _with_data(row, col, d, data, i, j):
     return row, col
 
 
-@callee
+@disjoint_callee
 def _balance_row(d, load, given, tissue, data, i, span, carry, share, out_row, out_col):
     lame, inverse, shape = tissue
     pull_row, pull_col = load[0, i], load[1, i]
@@ -118,7 +124,7 @@ def work(d, lame, data, shape, row_products, row_squares, count):
         _work_part(d, lame, data, shape, row_products, row_squares, first, last)
 
 
-@callee
+@disjoint_callee
 def _pull_row(d, lame, shape, i, carry, out_row, out_col):
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     left = left_of(rows, moduli, shape, 1)

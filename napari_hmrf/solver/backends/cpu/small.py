@@ -13,7 +13,7 @@ import numpy as np
 from numba import float32
 
 from napari_hmrf.solver.backends.cpu import forces, small_cycle
-from napari_hmrf.solver.backends.cpu.compiled import callee, strict
+from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint_callee, strict
 from napari_hmrf.solver.backends.cpu.data_weights import filtered, relaxed
 
 #: Number of model planes per level: the two Lame parameters.
@@ -30,7 +30,7 @@ def _length(d):
     return (d.shape[1] - 5) * d.shape[2] + d.shape[2] - 4
 
 
-@callee
+@disjoint_callee
 def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
     """Compute a Chebyshev step; see `elastic.smooth`."""
     for k in range(_length(d)):
@@ -44,7 +44,7 @@ def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
         out[1, _FIRST, j] = d[1, _FIRST, j] + col
 
 
-@callee
+@disjoint_callee
 def _residual(d, load, lame, inverse, weight, shape, out):
     """Write load - (A + W) d to `out`, or 0 at components that do not move."""
     for k in range(_length(d)):
@@ -77,7 +77,7 @@ def _start_data(load, own, inverse, d, scale):
         d[1, _FIRST, j] = scale * (mixed * row + inverse[1, _FIRST, j] * col)
 
 
-@callee
+@disjoint_callee
 def _smooth_data(d, load, own, inverse, weight, shape, out, scale, ahead, back):
     """Compute a Chebyshev step; see `elastic.smooth`."""
     for k in range(_length(d)):
@@ -96,7 +96,7 @@ def _smooth_data(d, load, own, inverse, weight, shape, out, scale, ahead, back):
         out[1, _FIRST, j] = d[1, _FIRST, j] + col
 
 
-@callee
+@disjoint_callee
 def _residual_data(d, load, own, inverse, weight, shape, out):
     """Write the filtered residual to `out`, or 0 at components that do not move."""
     for k in range(_length(d)):
