@@ -13,9 +13,7 @@ compiler vectorizes:
    force at the first site is then complete. The forces at the other sites are passed to the next
    row and plane.
 
-The distance between scratch lines is constant, so that the compiler can exclude overlaps. A few
-lines between the input lines and the output lines of a step are unused, because processors may
-treat reads and writes at similar addresses as dependent.
+The distance between scratch lines is constant, so that the compiler can exclude overlaps.
 
 Lines are processed in groups of eight sites, the width of the vectors of most processors, so that
 no loop has a remainder without vectors. The last group of a block may extend up to eight sites
@@ -34,14 +32,15 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint, inline, shared
 
 #: Number of sites per block; a scratch line has room for all faces of a block.
-BLOCK = 128
-_LINE = BLOCK + 16
+BLOCK = 256
+# Number of values per scratch line.
+_LINE = BLOCK + 40
 # Number of sites per group.
 _GROUP = 8
-# Indices of the scratch lines. The first twelve lines contain faces, four lines per component. They
-# are followed, after a gap, by seven lines of element forces per component, and three lines of
-# forces. The last constant is the number of lines.
-_PULLS, _FORCES, _LINES = 18, 44, 47
+# Indices of the scratch lines. Twelve lines contain faces, four lines per component. Step 2
+# replaces them with seven lines of element forces per component. They are followed by three lines
+# of forces. The last constant is the number of lines.
+_PULLS, _FORCES, _LINES = 0, 21, 24
 
 
 def constants(shape: Any) -> npt.NDArray[np.float64]:
@@ -107,18 +106,18 @@ def _elements(shear, other, share, c, f, groups):
     v01, v11 = _line(f, 6), _line(f, 7)
     w00, w10 = _line(f, 8), _line(f, 9)
     w01, w11 = _line(f, 10), _line(f, 11)
-    pull_u = _line(f, 18)
-    near_u10, far_u10 = _line(f, 19), _line(f, 20)
-    near_u01, far_u01 = _line(f, 21), _line(f, 22)
-    near_u11, far_u11 = _line(f, 23), _line(f, 24)
-    pull_v = _line(f, 25)
-    near_v10, far_v10 = _line(f, 26), _line(f, 27)
-    near_v01, far_v01 = _line(f, 28), _line(f, 29)
-    near_v11, far_v11 = _line(f, 30), _line(f, 31)
-    pull_w = _line(f, 32)
-    near_w10, far_w10 = _line(f, 33), _line(f, 34)
-    near_w01, far_w01 = _line(f, 35), _line(f, 36)
-    near_w11, far_w11 = _line(f, 37), _line(f, 38)
+    pull_u = _line(f, 0)
+    near_u10, far_u10 = _line(f, 1), _line(f, 2)
+    near_u01, far_u01 = _line(f, 3), _line(f, 4)
+    near_u11, far_u11 = _line(f, 5), _line(f, 6)
+    pull_v = _line(f, 7)
+    near_v10, far_v10 = _line(f, 8), _line(f, 9)
+    near_v01, far_v01 = _line(f, 10), _line(f, 11)
+    near_v11, far_v11 = _line(f, 12), _line(f, 13)
+    pull_w = _line(f, 14)
+    near_w10, far_w10 = _line(f, 15), _line(f, 16)
+    near_w01, far_w01 = _line(f, 17), _line(f, 18)
+    near_w11, far_w11 = _line(f, 19), _line(f, 20)
     for x in range(_GROUP * groups):
         mu, first = one(shear[x]), share * one(other[x])
         u001 = u00[x]
