@@ -7,15 +7,14 @@ patient, with the liver, is on the left of the image.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.arguments import is_whole, real, refuse_unless
-from napari_hmrf.samples.phantoms import Phantom
+from napari_hmrf.arguments import real, refuse_unless
+from napari_hmrf.samples.phantoms import Phantom, checked_size
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
 FloatArray = npt.NDArray[np.float64]
@@ -77,10 +76,8 @@ def chest_phantom(size: int = 256, *, breath: float = 14.0) -> Phantom:
     ArgumentError
         If the size is not a whole number of at least 96, or the breath is not a finite number.
     """
-    requirement = f"a whole number of at least {SMALLEST}"
-    refuse_unless(is_whole(size) and size >= SMALLEST, "size", size, requirement)
+    size = checked_size(size, SMALLEST)
     refuse_unless(math.isfinite(real(breath)), "breath", breath, "a distance in pixels")
-    size = operator.index(size)
     scale = size / _DRAWN_AT
     index = np.arange(size) / scale
     row, col = np.meshgrid(index, index - (_DRAWN_AT - 1) / 2, indexing="ij")

@@ -243,11 +243,22 @@ def _checked(name: str, size: object) -> int:
     if not is_one_of(name, PHANTOM_NAMES):
         names = ", ".join(PHANTOM_NAMES)
         raise ArgumentError(f"unknown phantom {shown(name)}; use one of {names}")
+    return checked_size(size, SMALLEST)
+
+
+def checked_size(size: object, smallest: int) -> int:
+    """Return the size of a phantom, in pixels.
+
+    Raises
+    ------
+    ArgumentError
+        If the size is not a whole number of at least `smallest`.
+    """
     try:
         pixels = operator.index(size)  # type: ignore[arg-type]
     except TypeError:
         pixels = 0
-    refuse_unless(pixels >= SMALLEST, "size", size, f"a whole number of at least {SMALLEST}")
+    refuse_unless(pixels >= smallest, "size", size, f"a whole number of at least {smallest}")
     return pixels
 
 

@@ -59,6 +59,7 @@ def test_the_breath_of_a_chest_scales_with_its_size():
     [
         ({"size": 95}, "size must be a whole number of at least 96"),
         ({"size": 100.5}, "size must be a whole number"),
+        ({"size": 100.0}, "size must be a whole number"),
         ({"breath": float("nan")}, "breath must be a distance in pixels"),
     ],
 )
