@@ -40,6 +40,7 @@ os.environ.setdefault("NAPARI_HMRF_COMPILE", "here")
 import numba
 import numpy as np
 
+from benchmarks.solving import ellipsoid
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.cpu import elastic, forces, hexahedra, vectors, volume
@@ -49,8 +50,6 @@ _POISSON = 0.45
 _COPIED, _REPEATS = 2**25, 5
 # Number of values that remain in registers or the first cache, and number of passes over them.
 _RESIDENT, _PASSES = 256, 10_000
-# Half axes of the ellipsoid, relative to half of the grid.
-_AXES = np.float32((0.98, 0.95, 0.84))
 
 
 class Kernel(NamedTuple):
@@ -78,18 +77,19 @@ class Kernel(NamedTuple):
 _FORCES = ((3, hexahedra._faces), (1, hexahedra._elements), (3, hexahedra._gather))
 _PULLS = ((1, forces._pulls), (1, forces.row_force))
 _START = ((2, elastic._start_row), (1, elastic._smooth_row))
+_ADVANCE = ((3, volume._advance_line), (3, volume._subtract_line), (3, volume._square_line))
+_RESTRICT = ((27 / 4, volume._add_line), (3 / 8, volume._sum_pairs))
+_INTERPOLATE = ((3 / 2, volume._mean_line), (3 / 2, volume._add_between))
 VOLUME = (
     Kernel(volume, "smooth", (*_FORCES, (3, volume._smooth_line)), 64, True),
     Kernel(volume, "rest", (*_FORCES, (3, volume._rest_line)), 52, True),
-    Kernel(volume, "start", ((3, volume.start),), 36, False),
-    Kernel(
-        volume, "restrict", ((9 / 4, volume._between), (3 / 8, vectors.restrict_row)), 13.5, False
-    ),
-    Kernel(volume, "interpolate", ((3 / 2, volume._interpolate_row),), 37.5, False),
-    Kernel(vectors, "advance", ((3, vectors.advance), (3, vectors.row_product)), 96, False),
-    Kernel(vectors, "lean", ((1, vectors.lean),), 12, False),
-    Kernel(vectors, "weigh", ((3, vectors.row_product),), 24, False),
-    Kernel(vectors, "product", ((3, vectors.row_product),), 24, False),
+    Kernel(volume, "start", ((3, volume.start),), 36, True),
+    Kernel(volume, "restrict", _RESTRICT, 13.5, True),
+    Kernel(volume, "interpolate", _INTERPOLATE, 37.5, True),
+    Kernel(volume, "advance", _ADVANCE, 96, True),
+    Kernel(vectors, "lean", ((1, vectors.lean),), 12, True),
+    Kernel(vectors, "weigh", ((3, vectors.row_product),), 24, True),
+    Kernel(vectors, "product", ((3, vectors.row_product),), 24, True),
 )
 IMAGE = (
     Kernel(
@@ -201,20 +201,6 @@ def limits() -> tuple[float, float]:
     return copied, 2e-9 * 8 * values.size * _PASSES / seconds
 
 
-def ellipsoid(size: int) -> Problem:
-    """Return an ellipsoid held at its surface, in which a ball grows; it fills 41 % of its grid."""
-    sites = np.moveaxis(np.indices((size,) * 3, dtype=np.float32), 0, -1)
-    places = sites * np.float32(2 / size) - 1
-    depth = np.linalg.norm(places / _AXES, axis=-1)
-    from_middle = places - np.float32((0.15, 0.1, 0))
-    r = np.linalg.norm(from_middle, axis=-1)
-    skin = (r < 0.25) & (r > 0.25 - 3 / size)
-    y, c = np.zeros((2, *depth.shape, 3), dtype=np.float32)
-    y[skin], c[skin] = 0.12 * size * from_middle[skin], 1
-    c[(depth > 1 - 4 / size) & (depth < 1)] = 1
-    return Problem(y, c, np.where(depth < 1, 1.0, 0.0))
-
-
 class Timer:
     """Replacement of a kernel that measures its time on the finest level.
 
@@ -222,7 +208,7 @@ class Timer:
     ----------
     kernel : Kernel
     sites : int
-        Number of sites of the finest grid; smaller arrays belong to coarser levels.
+        Number of tissue sites of the finest grid; smaller arrays belong to coarser levels.
     """
 
     def __init__(self, kernel: Kernel, sites: int) -> None:
@@ -233,7 +219,11 @@ class Timer:
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the kernel."""
-        arrays = [each for each in arguments if isinstance(each, np.ndarray) and each.ndim > 2]
+        arrays = [
+            each
+            for each in arguments
+            if isinstance(each, np.ndarray) and each.ndim > 1 and each.dtype.kind == "f"
+        ]
         begun = _clock()
         result = self._run(*arguments)
         if arrays[self._own][0].size >= self._sites:
@@ -255,7 +245,7 @@ def measure(kernels: tuple[Kernel, ...], problem: Problem, solves: int) -> str:
     least: defaultdict[str, float] = defaultdict(lambda: np.inf)
     for _ in range(solves):
         originals = [getattr(each.module, each.name) for each in kernels]
-        timers = [Timer(each, problem.tissue.size) for each in kernels]
+        timers = [Timer(each, int(problem.tissue.sum())) for each in kernels]
         for kernel, timer in zip(kernels, timers, strict=True):
             setattr(kernel.module, kernel.name, timer)
         begun = _clock()

@@ -32,8 +32,9 @@ class Balance(NamedTuple):
 
     Attributes
     ----------
-    rest : ndarray of float32, planes
-        Residual divided by `unit`. The array is valid until the next call and may be modified.
+    rest : ndarray of float32
+        Residual divided by `unit`, as planes or in the layout of the finest level's vectors; see
+        `LinearLevel.vector`. The array is valid until the next call and may be modified.
     unit : float
         Scale of `rest`, in the model's units.
     most, norm : float

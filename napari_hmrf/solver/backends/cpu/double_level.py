@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import volume
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
-from napari_hmrf.solver.backends.cpu.transfer import padded
+from napari_hmrf.solver.backends.cpu.volume_layout import flat
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -33,11 +33,11 @@ class DoubleLevel(CpuLevel):
     """
 
     def __init__(self, level: Any, share: np.float64, shape: Float64Array) -> None:
-        rounded = padded(len(level.grid), level.grid)
+        rounded = level.vector()
         super().__init__(level.grid, iter((level.inverse, *[rounded] * 3)))
         self._memory = None
-        self._level, self._tissue = level, (level.lame, share)
-        self._about = 0.0, shape, level.reach
+        self._level, self._tissue = level, (flat(level.lame), share)
+        self._about = 0.0, shape, level.moving
         self.bodies, self.sums_up = level.bodies, level.sums_up
 
     def rounded(self, rest: Float64Array) -> Vector:
@@ -54,10 +54,21 @@ class DoubleLevel(CpuLevel):
     def free(self, *vectors: Any) -> None:
         """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
+    def advance_by(
+        self, d: Any, share: float, rest: Any, direction: Any, image: Any, length: float
+    ) -> float:
+        """Add ``share * direction`` to `d`, and subtract ``length * image`` from `rest`.
+
+        Return ``rest . rest``.
+        """
+        moved: float = self._level.advance_by(d, share, rest, direction, image, length)
+        return moved
+
     def apply(self, direction: Any, image: Any) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
-        springs, shape, reach = self._about
-        about = *self._tissue, self.inverse, self.inverse, springs, None, shape, reach
-        volume.rest(direction, direction, 0.0, *about, -1.0, image, self._level.parts)
+        springs, shape, moving = self._about
+        inverse, given = flat(self.inverse), (flat(direction), 0.0, self._level.layout.starts)
+        about = *self._tissue, inverse, inverse, springs, None, shape, moving
+        volume.rest(flat(direction), *given, *about, -1.0, flat(image), self._level.parts)
         self._level.add_data(direction, self.inverse, image)
         return self.product(direction, image)

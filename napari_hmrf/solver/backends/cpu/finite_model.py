@@ -96,7 +96,7 @@ class TangentLevel(SmallLevel):
     def _restrict_residual(self, coarse: TangentLevel) -> None:
         about = self.load, self.cycled, self.inverse, *self._springs
         tangents.rest(self.correction, *about, self._left, self.parts)
-        self._restrict(self._left, coarse.load)
+        self._restrict(self._left, coarse, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction`` for the full system; return ``direction . image``."""

@@ -111,7 +111,7 @@ class BrickLevel(VolumeLevel):
         about = map(rows, (self._image, self.inverse, weight))
         arrays = rows(self.correction), rows(self.load), np.float32(1)
         brick_tangents.rest(*arrays, *about, springs, np.float32(1), rows(self._image))
-        volume.restrict(self._image, coarse.load)
+        self._restrict(self._image, coarse, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction`` for the solved system; return their product."""

@@ -17,8 +17,8 @@ The distance between scratch lines is constant, so that the compiler can exclude
 
 Lines are processed in groups of eight sites, the width of the vectors of most processors, so that
 no loop has a remainder without vectors. The last group of a block may extend up to eight sites
-beyond the block. Its values there are computed from whatever follows in memory (the border
-contains it, because it consists of two planes) and never used.
+beyond the block. Its values there are computed from whatever follows in memory, which may be the
+next row of tissue, and discarded.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -166,15 +166,16 @@ def _elements(shear, other, share, c, f, groups):
 
 
 @disjoint
-def _gather(f, k, row, corner, plane, groups):
-    """Compute step 3 for component k."""
+def _gather(f, k, row, corner, plane, count):
+    """Compute step 3 for component k of `count` sites."""
     # Each face is the far face of the previous element and the near face of the next element.
     pulls, force = _PULLS + 7 * k, _line(f, _FORCES + k)
     pull = _line(f, pulls)
     near_10, far_10 = _line(f, pulls + 1), _line(f, pulls + 2)
     near_01, far_01 = _line(f, pulls + 3), _line(f, pulls + 4)
     near_11, far_11 = _line(f, pulls + 5), _line(f, pulls + 6)
-    for x in range(_GROUP * groups):
+    past = _GROUP * _groups(count)
+    for x in range(past):
         both, across = pull[x] - pull[x + 1], near_11[x + 1] + far_11[x]
         even, uneven = both + across, both - across
         along_planes, along_rows = near_10[x + 1] + far_10[x], near_01[x + 1] + far_01[x]
@@ -183,19 +184,24 @@ def _gather(f, k, row, corner, plane, groups):
         plane[x] = (uneven + apart) + corner[x]
         row[x] = uneven - apart
         corner[x] = even + odd
+    # Elements beyond the block are void, so they pass no forces on.
+    for x in range(count, past):
+        plane[x] = row[x] = corner[x] = 0
 
 
 @callee
-def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
+def block_forces(d, of_d, lame, of_lame, share, c, z, y, begin, count, f, rows, planes):
     """Compute the stiffness matrix times d at `count` sites of a line; see `force_of`.
 
     Parameters
     ----------
-    d : ndarray, shape (3, D + 4, H + 4, W + 4)
+    d : ndarray, shape (3, N)
         Displacement.
-    lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
+    lame : ndarray, shape (1 or 2, M)
         Parameter mu of each element, followed by lambda unless lambda is `share` times mu
         everywhere.
+    of_d, of_lame : ndarray, shape (D + 4, H + 4)
+        Index of column 0 of each padded row in `d` and `lame` (`volume_layout`).
     share : float
         Ratio lambda / mu, or 1 if `lame` contains lambda.
     c : ndarray
@@ -213,14 +219,14 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
         return  # never reached, but it lets the compiler assume that all lines exist
     first = begin - 1
     for k in range(3):
-        near, right = d[k, z, y, first:], d[k, z, y + 1, first:]
-        far, across = d[k, z + 1, y, first:], d[k, z + 1, y + 1, first:]
+        near, right = d[k, of_d[z, y] + first :], d[k, of_d[z, y + 1] + first :]
+        far, across = d[k, of_d[z + 1, y] + first :], d[k, of_d[z + 1, y + 1] + first :]
         _faces((near, right, far, across), k, f, _groups(count + 2))
-    shear, other = lame[0, z, y, first:], lame[lame.shape[0] - 1, z, y, first:]
-    _elements(shear, other, share, c, f, _groups(count + 1))
+    at = of_lame[z, y] + first
+    _elements(lame[0, at:], lame[len(lame) - 1, at:], share, c, f, _groups(count + 1))
     for k in range(3):
         row, corner, plane = rows[0, k, begin:], rows[1, k, begin:], planes[k, y, begin:]
-        _gather(f, k, row, corner, plane, _groups(count))
+        _gather(f, k, row, corner, plane, count)
 
 
 @inline
@@ -230,10 +236,12 @@ def force_of(f, k):
 
 
 @shared
-def scratch(d):
-    """Return one thread's scratch memory: lines, and forces for the next row and plane."""
-    width = d.shape[3] + _GROUP
+def scratch(d, height, width):
+    """Return one thread's scratch memory: lines, and forces for the next row and plane.
+
+    `height` and `width` are those of a padded plane.
+    """
     lines = np.zeros(_LINES * _LINE, dtype=d.dtype)
-    rows = np.zeros((2, 3, width), dtype=d.dtype)
-    planes = np.zeros((3, d.shape[2], width), dtype=d.dtype)
+    rows = np.zeros((2, 3, width + _GROUP), dtype=d.dtype)
+    planes = np.zeros((3, height, width + _GROUP), dtype=d.dtype)
     return lines, rows, planes

@@ -31,8 +31,8 @@ Spans = npt.NDArray[np.int64]
 class CpuLevel:
     """Base class of the levels on the processor; `LinearLevel` documents the methods.
 
-    In a volume, arrays have shape (3, D + 4, H + 4, W + 4), and there is a span for each of its
-    `rows`.
+    In a volume, arrays have shape (3, D + 4, H + 4, W + 4), or store only tissue (`volume_layout`),
+    and there is a span for each of its `rows`.
 
     Parameters
     ----------
@@ -97,11 +97,15 @@ class CpuLevel:
         On entry, `inverse` is the diagonal D; on return, it is the reciprocal of D with springs.
         """
         assert self.weight is not None
-        self._restrict(finer.pins, self.pins)
-        most, strength = np.float32(MOST_PINS), np.float32(SPRING)
+        finer._restrict(finer.pins, self, self.pins)
+        self._spring(np.float32(MOST_PINS), np.float32(SPRING))
+        self._couple()
+
+    def _spring(self, most: np.float32, strength: np.float32) -> None:
+        """Compute the springs from the pins; see `vectors.spring`."""
+        assert self.weight is not None
         inverse, pins, weight = map(rows, (self.inverse, self.pins, self.weight))
         vectors.spring(inverse, pins, most, strength, weight, self.spans)
-        self._couple()
 
     def set_data(self, data: DataTerm) -> None:
         """Set the data term of the finest level; `inverse` is the diagonal of the tissue."""
@@ -133,8 +137,8 @@ class CpuLevel:
         axes = len(self.grid)
         arrays = self._coarsened_data(), self.inverse, self.weight, self.mixed
         data_weights.limit(*map(rows, arrays))
-        self._restrict(self.weight, coarse.data[:axes])
-        self._restrict(self.mixed, coarse.data[axes:])
+        self._restrict(self.weight, coarse, coarse.data[:axes])
+        self._restrict(self.mixed, coarse, coarse.data[axes:])
 
     def _hold_data(self) -> None:
         """Make the data term the only springs of the finest level, if there is a data term."""
@@ -210,34 +214,30 @@ class CpuLevel:
     def _restrict_residual(self, coarse: Self) -> None:
         """Restrict the residual of the correction to the load of `coarse`."""
         self._compute_residual()
-        self._restrict(self._rest, coarse.load)
+        self._restrict(self._rest, coarse, coarse.load)
 
-    @staticmethod
-    def _restrict(fine: Vector, coarse: Vector) -> None:
-        """Restrict forces to the next coarser level."""
-        vectors.restrict(fine, coarse)
+    def _restrict(self, forces: Vector, coarse: Self, out: Vector) -> None:
+        """Restrict forces on this level to `out`, a vector of the next coarser level."""
+        vectors.restrict(forces, out)
 
-    @staticmethod
-    def _interpolate(coarse: Vector, fine: Vector, inverse: Vector) -> None:
+    def _interpolate(self, coarse: Self) -> None:
         """Add the interpolated correction of the next coarser level to the free components."""
-        vectors.interpolate(coarse, fine, inverse)
+        vectors.interpolate(coarse.correction, self.correction, self.inverse)
 
-    @staticmethod
-    def _add_relaxed(
-        coarse: Vector, inverse: Vector, weight: Vector, mixed: Vector, out: Vector
-    ) -> None:
+    def _add_relaxed(self, coarse: Self, out: Vector) -> None:
         """Add the interpolated correction, filtered for the data term (`data_weights`)."""
-        data_weights.add_relaxed(coarse, inverse, weight, mixed, out)
+        assert self.weight is not None
+        assert self.mixed is not None
+        data_weights.add_relaxed(coarse.correction, self.inverse, self.weight, self.mixed, out)
 
-    def _add_coarse(self, coarse: Vector) -> None:
+    def _add_coarse(self, coarse: Self) -> None:
         """Add the interpolated correction of the next coarser level, filtered if there are data."""
         if self.mixed is None:
-            self._interpolate(coarse, self.correction, self.inverse)
+            self._interpolate(coarse)
             return
-        assert self.weight is not None
         smoother = self.point_smoother
         out = self.correction if smoother is None else np.zeros_like(self.correction)
-        self._add_relaxed(coarse, self.inverse, self.weight, self.mixed, out)
+        self._add_relaxed(coarse, out)
         if smoother is not None:
             smoother.subtract(smoother.moved(out), out)
             self.correction += out
@@ -270,7 +270,7 @@ class CpuLevel:
         assert self.diagonal is not None
         self._other -= self.correction
         self._other *= self.diagonal
-        self._restrict(self._other, coarse.load)
+        self._restrict(self._other, coarse, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
@@ -288,7 +288,7 @@ class CpuLevel:
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the interpolated coarse correction, then smooth."""
-        self._add_coarse(coarse.correction)
+        self._add_coarse(coarse)
         self.relax(steps, from_zero=False)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:

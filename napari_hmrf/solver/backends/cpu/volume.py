@@ -1,7 +1,8 @@
 """Compiled loops for elastic volumes: the multigrid operations on their levels.
 
-All arrays have a border of void, two sites wide on every side. An element has the index of its
-first site, and `backends.cpu.hexahedra` documents its parameters. A component that is prescribed,
+Arrays have shape (C, N). They contain padded rows, one after another, and a table with the index of
+column 0 of each row (`volume_layout`). An element has the index of its first site, and
+`backends.cpu.hexahedra` documents its parameters. A component that is prescribed,
 or that does not belong to an element, has an inverse diagonal of 0, so its correction stays 0.
 `weight` is the diagonal of the springs W of a coarse level. It is multiplied by `springs`, which is
 0 on the finest level and 1 on the other levels.
@@ -9,15 +10,15 @@ or that does not belong to an element, has an inverse diagonal of 0, so its corr
 Each kernel divides the planes among `count` threads. A thread starts one plane above its first
 plane to compute the forces of that plane on the next plane, and discards its other results for that
 plane.
-In each padded row, kernels write only to the span of moving sites (`spans`), so the output must
-already be 0 outside the spans.
+In each padded row, kernels write only to the span of moving sites (`spans`), or only to the span of
+tissue, so the output must already be 0 outside the spans.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, float64, get_num_threads, prange
+from numba import float32, float64, get_num_threads, int64, prange
 
 from napari_hmrf.solver.backends.cpu.compiled import (
     callee,
@@ -29,7 +30,6 @@ from napari_hmrf.solver.backends.cpu.compiled import (
 )
 from napari_hmrf.solver.backends.cpu.forces import part
 from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
-from napari_hmrf.solver.backends.cpu.vectors import restrict_row
 
 # Smallest number of planes per thread; with fewer planes, too many planes would be computed twice.
 _FEW_PLANES = 8
@@ -71,13 +71,9 @@ def _smooth_line(force, d, load, inverse, weight, springs, out, pace):
 
 
 @inline
-def _three(values, first, z, y, begin, past):
+def _three(values, first, begin, past):
     """Return three lines of planes, from plane `first`; the loops over single lines vectorize."""
-    return (
-        values[first, z, y, begin:past],
-        values[first + 1, z, y, begin:past],
-        values[first + 2, z, y, begin:past],
-    )
+    return values[first, begin:past], values[first + 1, begin:past], values[first + 2, begin:past]
 
 
 @disjoint
@@ -106,62 +102,65 @@ def _smooth_block(forces, d, load, inverse, weight, mixed, block, out, pace):
 
 
 @callee
-def _smooth_part(d, tissue, weights, mixed, load, inverse, spans, out, pace, first, last):
+def _smooth_part(d, tissue, weights, mixed, load, inverse, where, out, pace, first, last):
     lame, share, shape = tissue
     weight, springs = weights
-    lines, rows, planes = scratch(d)
+    at, spans, width = where
+    lines, rows, planes = scratch(d, at.shape[1], width)
     for z in range(max(first - 1, 0) + 2, last + 2):
         rows.fill(0)
-        for y in range(2, d.shape[2] - 2):
+        for y in range(2, at.shape[1] - 2):
             begin, past = _reach(spans, z, y)
             for x in range(begin, past, BLOCK):
-                end = min(x + BLOCK, past)
-                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+                end, count = min(x + BLOCK, past), min(BLOCK, past - x)
+                block_forces(d, at, lame, at, share, shape, z, y, x, count, lines, rows, planes)
+                i, j = at[z, y] + x, at[z, y] + end
                 if z >= first + 2 and mixed is not None:
                     _smooth_block(
                         (force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)),
-                        _three(d, 0, z, y, x, end),
-                        _three(load, 0, z, y, x, end),
-                        _three(inverse, 0, z, y, x, end),
-                        _three(weight, 0, z, y, x, end),
-                        _three(mixed, 0, z, y, x, end),
-                        _three(mixed, 3, z, y, x, end),
-                        _three(out, 0, z, y, x, end),
+                        _three(d, 0, i, j),
+                        _three(load, 0, i, j),
+                        _three(inverse, 0, i, j),
+                        _three(weight, 0, i, j),
+                        _three(mixed, 0, i, j),
+                        _three(mixed, 3, i, j),
+                        _three(out, 0, i, j),
                         pace,
                     )
                 elif z >= first + 2:
                     for k in range(3):
                         _smooth_line(
                             force_of(lines, k),
-                            d[k, z, y, x:end],
-                            load[k, z, y, x:end],
-                            inverse[k, z, y, x:end],
-                            weight[k, z, y, x:end],
+                            d[k, i:j],
+                            load[k, i:j],
+                            inverse[k, i:j],
+                            weight[k, i:j],
                             springs,
-                            out[k, z, y, x:end],
+                            out[k, i:j],
                             pace,
                         )
 
 
 @parallel
 def smooth(
-    d, other, load, lame, share, inverse, weight, springs, mixed, shape, spans, paces, count
+    d, other, load, lame, share, inverse, weight, springs, mixed, shape, where, paces, count
 ):
     """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`.
 
     A step is ``other = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * other``. On entry,
     `other` contains the displacement before the previous step. The two arrays swap roles after each
     step. With a data term (`data_weights`), W also has the components `mixed`; otherwise `mixed` is
-    None.
+    None. `where` consists of the table of rows, the spans, and the width of a padded plane.
     """
+    at = where[0]
     for step in range(len(paces)):
         source, target = (d, other) if step % 2 == 0 else (other, d)
         pace = paces[step, 0], paces[step, 1], paces[step, 2]
         tissue, weights = (lame, share, shape), (weight, springs)
         for number in prange(count):
-            first, last = part(number, count, d.shape[1] - 4)
+            first, last = part(number, count, len(at) - 4)
             _smooth_part(
-                source, tissue, weights, mixed, load, inverse, spans, target, pace, first, last
+                source, tissue, weights, mixed, load, inverse, where, target, pace, first, last
             )
 
 
@@ -231,102 +230,133 @@ def _filter_block(forces, d, load, inverse, weight, mixed, block, out):
 
 
 @callee
-def _leave_part(d, tissue, weight, mixed, load, inverse, spans, out, first, last):
+def _leave_part(d, tissue, weight, mixed, load, inverse, where, out, first, last):
     lame, share, shape = tissue
-    lines, rows, planes = scratch(d)
+    at, spans, width = where
+    lines, rows, planes = scratch(d, at.shape[1], width)
     for z in range(max(first - 1, 0) + 2, last + 2):
         rows.fill(0)
-        for y in range(2, d.shape[2] - 2):
+        for y in range(2, at.shape[1] - 2):
             begin, past = _reach(spans, z, y)
             for x in range(begin, past, BLOCK):
-                end = min(x + BLOCK, past)
-                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+                end, count = min(x + BLOCK, past), min(BLOCK, past - x)
+                block_forces(d, at, lame, at, share, shape, z, y, x, count, lines, rows, planes)
+                i, j = at[z, y] + x, at[z, y] + end
                 if z >= first + 2:
                     _filter_block(
                         (force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)),
-                        _three(d, 0, z, y, x, end),
-                        _three(load, 0, z, y, x, end),
-                        _three(inverse, 0, z, y, x, end),
-                        _three(weight, 0, z, y, x, end),
-                        _three(mixed, 0, z, y, x, end),
-                        _three(mixed, 3, z, y, x, end),
-                        _three(out, 0, z, y, x, end),
+                        _three(d, 0, i, j),
+                        _three(load, 0, i, j),
+                        _three(inverse, 0, i, j),
+                        _three(weight, 0, i, j),
+                        _three(mixed, 0, i, j),
+                        _three(mixed, 3, i, j),
+                        _three(out, 0, i, j),
                     )
 
 
 @parallel
-def filtered_rest(d, load, lame, share, inverse, weight, mixed, shape, spans, out, count):
+def filtered_rest(d, load, lame, share, inverse, weight, mixed, shape, where, out, count):
     """Write the residual load - (A + W) d, filtered for the data term (`data_weights`)."""
+    at = where[0]
     for number in prange(count):
-        first, last = part(number, count, d.shape[1] - 4)
+        first, last = part(number, count, len(at) - 4)
         tissue = lame, share, shape
-        _leave_part(d, tissue, weight, mixed, load, inverse, spans, out, first, last)
+        _leave_part(d, tissue, weight, mixed, load, inverse, where, out, first, last)
 
 
 @callee
-def _rest_part(d, tissue, weights, mixed, loads, inverse, spans, out, first, last):
+def _rest_part(d, of_d, tissue, weights, mixed, loads, inverse, where, out, first, last):
     lame, share, shape = tissue
     (weight, springs), (load, given, scale) = weights, loads
-    lines, rows, planes = scratch(d)
+    at, spans, width = where
+    lines, rows, planes = scratch(d, at.shape[1], width)
     for z in range(max(first - 1, 0) + 2, last + 2):
         rows.fill(0)
-        for y in range(2, d.shape[2] - 2):
+        for y in range(2, at.shape[1] - 2):
             begin, past = _reach(spans, z, y)
             for x in range(begin, past, BLOCK):
-                end = min(x + BLOCK, past)
-                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+                end, count = min(x + BLOCK, past), min(BLOCK, past - x)
+                block_forces(d, of_d, lame, at, share, shape, z, y, x, count, lines, rows, planes)
+                i, j = at[z, y] + x, at[z, y] + end
+                before, after = of_d[z, y] + x, of_d[z, y] + end
                 if z >= first + 2:
                     if mixed is not None:
                         three = force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
-                        along = _three(d, 0, z, y, x, end)
-                        _mixed_forces(three, along, _three(mixed, 0, z, y, x, end))
+                        along = _three(d, 0, before, after)
+                        _mixed_forces(three, along, _three(mixed, 0, i, j))
                     for k in range(3):
                         _rest_line(
                             force_of(lines, k),
-                            d[k, z, y, x:end],
-                            load[k, z, y, x:end],
+                            d[k, before:after],
+                            load[k, before:after],
                             given,
-                            inverse[k, z, y, x:end],
-                            weight[k, z, y, x:end],
+                            inverse[k, i:j],
+                            weight[k, i:j],
                             springs,
                             scale,
-                            out[k, z, y, x:end],
+                            out[k, i:j],
                         )
 
 
 @parallel
 def rest(
-    d, load, given, lame, share, inverse, weight, springs, mixed, shape, spans, scale, out, count
+    d,
+    load,
+    given,
+    of_d,
+    lame,
+    share,
+    inverse,
+    weight,
+    springs,
+    mixed,
+    shape,
+    where,
+    scale,
+    out,
+    count,
 ):
-    """Write ``scale * (given * load - (A + W) d)`` to `out`, or 0 at fixed components."""
+    """Write ``scale * (given * load - (A + W) d)`` to `out`, or 0 at fixed components.
+
+    `of_d` is the table of rows of `d` and `load`, which may differ from that of the other arrays.
+    """
+    at = where[0]
     for number in prange(count):
-        first, last = part(number, count, d.shape[1] - 4)
+        first, last = part(number, count, len(at) - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
-        _rest_part(d, tissue, weights, mixed, loads, inverse, spans, out, first, last)
+        _rest_part(d, of_d, tissue, weights, mixed, loads, inverse, where, out, first, last)
 
 
 @callee
-def _pull_part(d, lame, share, shape, out, first, last):
-    lines, rows, planes = scratch(d)
+def _pull_part(d, of_d, tissue, where, out, first, last):
+    lame, share, shape = tissue
+    at, spans, width = where
+    lines, rows, planes = scratch(d, at.shape[1], width)
     for z in range(max(first - 1, 0) + 2, last + 2):
         rows.fill(0)
-        for y in range(2, d.shape[2] - 2):
-            for x in range(2, d.shape[3] - 2, BLOCK):
-                end = min(x + BLOCK, d.shape[3] - 2)
-                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+        for y in range(2, at.shape[1] - 2):
+            begin, past = _reach(spans, z, y)
+            for x in range(begin, past, BLOCK):
+                count = min(BLOCK, past - x)
+                block_forces(d, of_d, lame, at, share, shape, z, y, x, count, lines, rows, planes)
                 if z >= first + 2:
                     for k in range(3):
-                        force, line = force_of(lines, k), out[k, z, y, x:end]
-                        for i in range(len(line)):
+                        force, line = force_of(lines, k), out[k, of_d[z, y] + x :]
+                        for i in range(count):
                             line[i] = -force[i]
 
 
 @parallel
-def pull(d, lame, share, shape, out, count):
-    """Write -A d to `out`, including its values at prescribed components."""
+def pull(d, of_d, lame, share, shape, where, out, count):
+    """Write -A d to `out`, including its values at prescribed components.
+
+    `of_d` is the table of rows of `d` and `out`, and `where` contains the spans of the tissue.
+    """
+    at = where[0]
     for number in prange(count):
-        first, last = part(number, count, d.shape[1] - 4)
-        _pull_part(d, lame, share, shape, out, first, last)
+        first, last = part(number, count, len(at) - 4)
+        _pull_part(d, of_d, (lame, share, shape), where, out, first, last)
 
 
 @contracted_reduction
@@ -351,88 +381,183 @@ def _tensor_forces(forces, d, weight):
 
 
 @callee
-def _work_part(d, lame, share, data, shape, products, squares, first, last):
-    lines, rows, planes = scratch(d)
+def _work_part(d, of_d, tissue, data, where, products, squares, first, last):
+    lame, share, shape = tissue
+    at, spans, width = where
+    lines, rows, planes = scratch(d, at.shape[1], width)
     for z in range(max(first - 1, 0) + 2, last + 2):
         rows.fill(0)
-        for y in range(2, d.shape[2] - 2):
-            for x in range(2, d.shape[3] - 2, BLOCK):
-                end = min(x + BLOCK, d.shape[3] - 2)
-                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+        for y in range(2, at.shape[1] - 2):
+            begin, past = _reach(spans, z, y)
+            for x in range(begin, past, BLOCK):
+                end, count = min(x + BLOCK, past), min(BLOCK, past - x)
+                block_forces(d, of_d, lame, at, share, shape, z, y, x, count, lines, rows, planes)
+                i, j = of_d[z, y] + x, of_d[z, y] + end
                 if z >= first + 2:
                     if data is not None:
                         three = force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
-                        along = _three(d, 0, z, y, x, end)
-                        _tensor_forces(three, along, _three(data, 0, z, y, x, end))
-                        _mixed_forces(three, along, _three(data, 3, z, y, x, end))
+                        along = _three(d, 0, i, j)
+                        _tensor_forces(three, along, _three(data, 0, i, j))
+                        _mixed_forces(three, along, _three(data, 3, i, j))
                     for k in range(3):
-                        product, square = _work_line(force_of(lines, k), d[k, z, y, x:end])
+                        product, square = _work_line(force_of(lines, k), d[k, i:j])
                         products[z - 2] += product
                         squares[z - 2] += square
 
 
 @parallel
-def work(d, lame, share, data, shape, products, squares, count):
+def work(d, of_d, lame, share, data, shape, where, products, squares, count):
     """Add d . A d and ||A d||^2 of each plane to `products` and `squares`.
 
-    `data` contains the tensors of the data term, which are part of A, or is None.
+    `of_d` is the table of rows of `d`, and `where` contains the spans of the tissue. `data`
+    contains the tensors of the data term, which are part of A, or is None.
     """
+    at = where[0]
     for number in prange(count):
-        first, last = part(number, count, d.shape[1] - 4)
-        _work_part(d, lame, share, data, shape, products, squares, first, last)
+        first, last = part(number, count, len(at) - 4)
+        _work_part(d, of_d, (lame, share, shape), data, where, products, squares, first, last)
+
+
+# Vectors
+
+
+@disjoint
+def _advance_line(d, share, direction):
+    for x in range(len(d)):
+        d[x] += share * direction[x]
+
+
+@disjoint
+def _subtract_line(rest, length, image):
+    for x in range(len(rest)):
+        rest[x] -= length * image[x]
+
+
+@contracted_reduction
+def _square_line(rest):
+    total = rest.dtype.type(0)
+    for x in range(len(rest)):
+        total += rest[x] * rest[x]
+    return total
+
+
+@parallel
+def advance(d, of_d, share, rest, direction, image, length, at, spans, totals):
+    """Add ``share * direction`` to `d`, and subtract ``length * image`` from `rest`.
+
+    Store ``rest . rest`` of each plane in `totals`. `of_d` is the table of rows of `d`.
+    """
+    for n in prange(len(at) - 4):
+        z, total = n + 2, 0.0
+        for y in range(2, at.shape[1] - 2):
+            i, count = at[z, y] + spans[z, y, 0] + 2, spans[z, y, 1] - spans[z, y, 0]
+            before = of_d[z, y] + spans[z, y, 0] + 2
+            for k in range(3):
+                _advance_line(d[k, before : before + count], share, direction[k, i : i + count])
+                line = rest[k, i : i + count]
+                _subtract_line(line, length, image[k, i : i + count])
+                total += _square_line(line)
+        totals[n] = total
 
 
 # Transfer between levels
 
 
 @disjoint
-def _between(above, here, below, line):
-    """Compute ``line = here + (above + below) / 2``, the restriction along the plane axis."""
-    half = float32(0.5)
-    for x in range(len(line)):
-        line[x] = here[x] + half * (above[x] + below[x])
-
-
-@parallel
-def restrict(fine, coarse):
-    """Apply the transpose of `interpolate`; coarse site i coincides with fine site 2 i."""
-    for n in prange(coarse.shape[1] - 4):
-        lines = np.empty((3, fine.shape[3]), dtype=fine.dtype)
-        z = 2 * np.int64(n) + 2
-        for k in range(len(coarse)):
-            for m in range(coarse.shape[2] - 4):
-                for row in range(3):
-                    y = 2 * m + 1 + row
-                    _between(fine[k, z - 1, y], fine[k, z, y], fine[k, z + 1, y], lines[row])
-                restrict_row(lines[0], lines[1], lines[2], coarse[k, n + 2, m + 2])
+def _add_line(line, weight, fine):
+    for x in range(len(fine)):
+        line[x] += weight * fine[x]
 
 
 @disjoint
-def _interpolate_row(near, right, far, across, inverse, line, fine):
-    half, quarter = float32(0.5), float32(0.25)
-    for x in range(len(line)):
-        line[x] = quarter * ((near[x] + right[x]) + (far[x] + across[x]))
-    for x in range((len(fine) - 3) // 2):
-        here, between = line[x + 2], half * (line[x + 2] + line[x + 3])
-        fine[2 * x + 2] += here if inverse[2 * x + 2] > float32(0) else float32(0)
-        fine[2 * x + 3] += between if inverse[2 * x + 3] > float32(0) else float32(0)
+def _sum_pairs(line, coarse):
+    """Compute the restriction along a row; `line` begins one site before the first coarse site."""
+    half = float32(0.5)
+    for x in range(len(coarse)):
+        coarse[x] = line[2 * x + 1] + half * (line[2 * x] + line[2 * x + 2])
 
 
 @parallel
-def interpolate(coarse, fine, inverse):
-    """Add the trilinearly interpolated coarse correction to the components that move."""
-    for number in prange(fine.shape[1] - 4):
+def restrict(fine, of_fine, stored, coarse, of_coarse, spans):
+    """Apply the transpose of `interpolate`; coarse site i coincides with fine site 2 i.
+
+    `stored` contains the stored columns of each fine row, and `spans` those of each coarse row that
+    are written.
+    """
+    for n in prange(len(of_coarse) - 4):
+        z = 2 * np.int64(n) + 2
+        sums = np.empty(2 * np.int64(spans[n + 2, :, 1].max()) + 4, dtype=fine.dtype)
+        for m in range(of_coarse.shape[1] - 4):
+            y, begin, past = 2 * m + 2, spans[n + 2, m + 2, 0] + 2, spans[n + 2, m + 2, 1] + 2
+            if past <= begin:
+                continue
+            first, last = 2 * begin - 3, 2 * past - 2  # fine columns
+            line = sums[: last - first]
+            for k in range(len(coarse)):
+                line.fill(0)
+                for row in range(9):
+                    i, j = row // 3 - 1, row % 3 - 1
+                    weight = float32(0.5 if i else 1) * float32(0.5 if j else 1)
+                    at = of_fine[z + i, y + j]
+                    low = max(first, stored[z + i, y + j, 0])
+                    high = min(last, stored[z + i, y + j, 1])
+                    if high > low:
+                        _add_line(line[low - first :], weight, fine[k, at + low : at + high])
+                at = of_coarse[n + 2, m + 2]
+                _sum_pairs(line, coarse[k, at + begin : at + past])
+
+
+@disjoint
+def _mean_line(near, right, far, across, line):
+    quarter = float32(0.25)
+    for x in range(len(line)):
+        line[x] = quarter * ((near[x] + right[x]) + (far[x] + across[x]))
+
+
+@disjoint
+def _add_between(line, inverse, fine):
+    """Add the interpolation of `line` along a row, whose first site is a coarse site."""
+    half = float32(0.5)
+    for x in range(len(fine) // 2):
+        here, between = line[x], half * (line[x] + line[x + 1])
+        fine[2 * x] += here if inverse[2 * x] > float32(0) else float32(0)
+        fine[2 * x + 1] += between if inverse[2 * x + 1] > float32(0) else float32(0)
+
+
+@inline
+def _mean_of_rows(coarse, of_coarse, k, n, m, first, line):
+    """Compute the mean of the coarse rows around fine row (n, m), from coarse column `first`."""
+    near, left = n // 2 + 2, m // 2 + 2
+    far, right = near + n % 2, left + m % 2
+    _mean_line(
+        coarse[k, of_coarse[near, left] + first :],
+        coarse[k, of_coarse[near, right] + first :],
+        coarse[k, of_coarse[far, left] + first :],
+        coarse[k, of_coarse[far, right] + first :],
+        line,
+    )
+
+
+@parallel
+def interpolate(coarse, of_coarse, fine, of_fine, inverse, spans):
+    """Add the trilinearly interpolated coarse correction to the components that move.
+
+    `spans` contains the columns of each fine row with components that move.
+    """
+    for number in prange(len(of_fine) - 4):
         n = np.int64(number)
-        line = np.empty(coarse.shape[3], dtype=fine.dtype)
-        near, z = n // 2 + 2, n + 2
-        far = near + n % 2
-        for k in range(3):
-            for m in range(fine.shape[2] - 4):
-                left, y = m // 2 + 2, m + 2
-                right = left + m % 2
-                one, other = coarse[k, near, left], coarse[k, near, right]
-                third, last = coarse[k, far, left], coarse[k, far, right]
-                _interpolate_row(one, other, third, last, inverse[k, z, y], line, fine[k, z, y])
+        means = np.empty(np.int64(spans[n + 2, :, 1].max()) // 2 + 4, dtype=fine.dtype)
+        for m in range(of_fine.shape[1] - 4):
+            begin, past = spans[n + 2, m + 2, 0], spans[n + 2, m + 2, 1]
+            if past <= begin:
+                continue
+            begin -= begin % 2
+            count = (past - begin + 1) // 2
+            line = means[: count + 1]
+            i = of_fine[n + 2, m + 2] + begin + 2
+            for k in range(3):
+                _mean_of_rows(coarse, of_coarse, k, n, m, begin // 2 + 2, line)
+                _add_between(line, inverse[k, i:], fine[k, i : i + 2 * count])
 
 
 @disjoint
@@ -455,29 +580,35 @@ def _add_relaxed_line(lines, inverse, weight, mixed, block, out):
 
 
 @parallel
-def add_relaxed(coarse, inverse, weight, mixed, out):
-    """Interpolate a coarse correction, filter it for the data term, and add it to `out`."""
-    for number in prange(out.shape[1] - 4):
-        n, past = np.int64(number), out.shape[3]
-        line = np.empty(coarse.shape[3], dtype=out.dtype)
-        lines = np.empty((3, past), dtype=out.dtype)
-        near, z = n // 2 + 2, n + 2
-        far = near + n % 2
-        for m in range(out.shape[2] - 4):
-            left, y = m // 2 + 2, m + 2
-            right = left + m % 2
+def add_relaxed(coarse, of_coarse, fine, of_fine, inverse, weight, mixed, spans):
+    """Interpolate a coarse correction, filter it for the data term, and add it to `fine`.
+
+    `spans` contains the columns of each fine row with components that move.
+    """
+    for number in prange(len(of_fine) - 4):
+        n = np.int64(number)
+        most = np.int64(spans[n + 2, :, 1].max())
+        means, lines = np.empty(most // 2 + 4, fine.dtype), np.zeros((3, most + 4), fine.dtype)
+        for m in range(of_fine.shape[1] - 4):
+            begin, past = spans[n + 2, m + 2, 0], spans[n + 2, m + 2, 1]
+            if past <= begin:
+                continue
+            begin -= begin % 2
+            count = (past - begin + 1) // 2
+            i = of_fine[n + 2, m + 2] + begin + 2
+            j = i + 2 * count
             lines.fill(0)
             for k in range(3):
-                one, other = coarse[k, near, left], coarse[k, near, right]
-                third, last = coarse[k, far, left], coarse[k, far, right]
-                _interpolate_row(one, other, third, last, inverse[k, z, y], line, lines[k])
+                line = means[: count + 1]
+                _mean_of_rows(coarse, of_coarse, k, n, m, begin // 2 + 2, line)
+                _add_between(line, inverse[k, i:], lines[k, : 2 * count])
             _add_relaxed_line(
                 (lines[0], lines[1], lines[2]),
-                _three(inverse, 0, z, y, 0, past),
-                _three(weight, 0, z, y, 0, past),
-                _three(mixed, 0, z, y, 0, past),
-                _three(mixed, 3, z, y, 0, past),
-                _three(out, 0, z, y, 0, past),
+                _three(inverse, 0, i, j),
+                _three(weight, 0, i, j),
+                _three(mixed, 0, i, j),
+                _three(mixed, 3, i, j),
+                _three(fine, 0, i, j),
             )
 
 
@@ -553,24 +684,115 @@ def coarsen(fine, coarse):
                     out[x + 2] = quarter * (one + other)
 
 
+@disjoint
+def _diagonal_line(near, right, far, across, factor, line):
+    """Add `factor` times the sum over the elements at each site; lines begin one site before."""
+    for x in range(len(line)):
+        one = (near[x] + right[x]) + (far[x] + across[x])
+        other = (near[x + 1] + right[x + 1]) + (far[x + 1] + across[x + 1])
+        line[x] += factor * (one + other)
+
+
 @parallel
-def diagonal(lame, share, shape, out):
-    """Compute the diagonal of the stiffness matrix."""
-    for n in prange(lame.shape[1] - 4):
-        z, last = n + 2, lame.shape[0] - 1
+def diagonal(lame, share, shape, at, spans, out):
+    """Compute the diagonal of the stiffness matrix within the spans of the tissue."""
+    for n in prange(len(at) - 4):
+        z, last = n + 2, len(lame) - 1
         for k in range(3):
             stretch, slide = share * shape[k] * shape[k], float32(16) * shape[9 + k]
-            for y in range(2, lame.shape[2] - 2):
-                line = out[k, z, y]
-                near, right = lame[0, z - 1, y - 1], lame[0, z - 1, y]
-                far, across = lame[0, z, y - 1], lame[0, z, y]
-                for x in range(len(line) - 4):
-                    one = (near[x + 1] + right[x + 1]) + (far[x + 1] + across[x + 1])
-                    other = (near[x + 2] + right[x + 2]) + (far[x + 2] + across[x + 2])
-                    line[x + 2] = slide * (one + other)
-                near, right = lame[last, z - 1, y - 1], lame[last, z - 1, y]
-                far, across = lame[last, z, y - 1], lame[last, z, y]
-                for x in range(len(line) - 4):
-                    one = (near[x + 1] + right[x + 1]) + (far[x + 1] + across[x + 1])
-                    other = (near[x + 2] + right[x + 2]) + (far[x + 2] + across[x + 2])
-                    line[x + 2] += stretch * (one + other)
+            for y in range(2, at.shape[1] - 2):
+                begin, past = spans[z, y, 0] + 2, spans[z, y, 1] + 2
+                if past <= begin:
+                    continue
+                line, before = out[k, at[z, y] + begin : at[z, y] + past], begin - 1
+                one, two = at[z - 1, y - 1] + before, at[z - 1, y] + before
+                three, four = at[z, y - 1] + before, at[z, y] + before
+                line.fill(0)
+                mu = lame[0, one:], lame[0, two:], lame[0, three:], lame[0, four:]
+                _diagonal_line(*mu, slide, line)
+                first = lame[last, one:], lame[last, two:], lame[last, three:], lame[last, four:]
+                _diagonal_line(*first, stretch, line)
+
+
+# Constraints
+
+
+@inline
+def _moving_span(inverse, at, first, last, span):
+    """Store the start and stop column of the moving sites of a row in `span`."""
+    begin, past = int64(0), int64(0)
+    for x in range(first, last):
+        for k in range(3):
+            if inverse[k, at + x] > float32(0):
+                if past == 0:
+                    begin = x - 2
+                past = x - 1
+    span[0] = begin
+    span[1] = past
+
+
+@parallel
+def hold(inverse, held, of_held, pins, at, tissue, spans):
+    """Replace a diagonal with its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0.
+
+    `of_held` is the table of rows of `held`, and `tissue` contains the spans of the tissue. Store
+    the columns with components that move in `spans`.
+    """
+    for n in prange(len(at) - 4):
+        for y in range(2, at.shape[1] - 2):
+            first, last = tissue[n + 2, y, 0] + 2, tissue[n + 2, y, 1] + 2
+            i, j = at[n + 2, y], of_held[n + 2, y]
+            for k in range(3):
+                for x in range(first, last):
+                    here, whole = held[k, j + x], inverse[k, i + x]
+                    moves = whole > float32(0) and not here
+                    inverse[k, i + x] = float32(1) / whole if moves else float32(0)
+                    pins[k, i + x] = float32(1) if here else float32(0)
+            _moving_span(inverse, i, first, last, spans[n + 2, y])
+
+
+@parallel
+def spring(inverse, pins, weight, most, strength, at, tissue, spans):
+    """Set the springs of a coarser level; see `vectors.spring`."""
+    for n in prange(len(at) - 4):
+        for y in range(2, at.shape[1] - 2):
+            first, last = tissue[n + 2, y, 0] + 2, tissue[n + 2, y, 1] + 2
+            i = at[n + 2, y]
+            for k in range(3):
+                for x in range(i + first, i + last):
+                    diagonal = inverse[k, x]
+                    pins[k, x] = min(pins[k, x], most)
+                    weight[k, x] = strength * pins[k, x] * diagonal
+                    whole = diagonal + weight[k, x]
+                    inverse[k, x] = float32(1) / whole if whole > float32(0) else float32(0)
+            _moving_span(inverse, i, first, last, spans[n + 2, y])
+
+
+# Layout
+
+
+@parallel
+def element_spans(lame, spans):
+    """Store the start and stop column of the elements of each row that are not void in `spans`."""
+    for z in prange(lame.shape[1]):
+        for y in range(lame.shape[2]):
+            begin, past = int64(0), int64(0)
+            for x in range(lame.shape[3]):
+                if lame[0, z, y, x] > 0:
+                    if past == 0:
+                        begin = x
+                    past = x + 1
+            spans[z, y, 0] = begin
+            spans[z, y, 1] = past
+
+
+@parallel
+def copy_rows(source, of_source, target, of_target, stored):
+    """Copy the columns `stored` of each row from one layout to another."""
+    for z in prange(len(stored)):
+        for y in range(stored.shape[1]):
+            begin, past = stored[z, y, 0], stored[z, y, 1]
+            i, j = of_source[z, y], of_target[z, y]
+            for k in range(len(source)):
+                for x in range(begin, past):
+                    target[k, j + x] = source[k, i + x]

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
-from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
+from napari_hmrf.solver.backends.cpu import hexahedra, volume, volume_layout
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
+from napari_hmrf.solver.backends.cpu.volume_layout import (
+    Layout,
+    Table,
+    Values,
+    flat,
+    whole_starts,
+)
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of
@@ -77,27 +84,30 @@ class VolumeLevel(CpuLevel):
     def free(self, *vectors: Vector) -> None:
         """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
-    @staticmethod
-    def _restrict(fine: Vector, coarse: Vector) -> None:
-        volume.restrict(fine, coarse)
+    def _restrict(self, forces: Vector, coarse: Self, out: Vector) -> None:
+        volume_layout.restrict(forces, out)
 
-    @staticmethod
-    def _interpolate(coarse: Vector, fine: Vector, inverse: Vector) -> None:
-        volume.interpolate(coarse, fine, inverse)
-
-    @staticmethod
-    def _add_relaxed(
-        coarse: Vector, inverse: Vector, weight: Vector, mixed: Vector, out: Vector
-    ) -> None:
-        volume.add_relaxed(coarse, inverse, weight, mixed, out)
+    def _interpolate(self, coarse: Self) -> None:
+        volume_layout.interpolate(coarse.correction, self.correction, self.inverse)
 
 
 class CpuVolumeLevel(VolumeLevel):
     """Level of an elastic volume with its elements and springs.
 
+    Parameters
+    ----------
+    grid : tuple of int
+        Grid of the level, (D, H, W).
+    layout : Layout
+        Layout of all vectors of the level.
+    finest : bool
+        True for the finest level.
+    has_data : bool
+        True if the problem has a data term; the layout must then be that of planes.
+
     Attributes
     ----------
-    lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
+    lame : ndarray, shape (1 or 2, *layout.shape)
         Parameters mu, or mu and lambda, of the elements; 0 in void.
     share : float
         Ratio lambda / mu of all elements, or 1 if each element has its own lambda.
@@ -105,11 +115,12 @@ class CpuVolumeLevel(VolumeLevel):
         Function called several times a second; it raises an exception to cancel the work.
     """
 
-    def __init__(
-        self, grid: tuple[int, ...], parameters: int, finest: bool, has_data: bool
-    ) -> None:
+    lame: Vector
+
+    def __init__(self, grid: tuple[int, ...], layout: Layout, finest: bool, has_data: bool) -> None:
+        self.layout = layout
         super().__init__(grid, finest)
-        self.lame = padded(parameters, grid)
+        self._totals: npt.NDArray[np.float64] = np.zeros(grid[0])
         if has_data:
             self.data, self.mixed = padded(6, grid), padded(6, grid)
             self.weight = self.vector() if self.weight is None else self.weight
@@ -120,6 +131,43 @@ class CpuVolumeLevel(VolumeLevel):
         self.checkpoint: Checkpoint = _never_cancel
         self.share = np.float32(1)
 
+    def use_layout(self, layout: Layout) -> bool:
+        """Replace the layout with one with the same places; return False if it has others."""
+        if not self.layout.matches(layout):
+            return False
+        if not np.array_equal(self.layout.tissue, layout.tissue):
+            arrays = self.inverse, self.load, self.weight, self.data, self.mixed
+            for array in arrays:
+                if array is not None:
+                    array.fill(0)
+            self.clear()
+        self.layout = layout
+        return True
+
+    def vector(self, values: Vector | None = None) -> Vector:
+        """Return a zero vector, or the given vector without a copy."""
+        return self.layout.vector() if values is None else values
+
+    def planes(self, vector: Vector) -> Vector:
+        """Return a vector as planes."""
+        return self.layout.unpacked(vector)
+
+    @property
+    def places(self) -> tuple[Table, Table, int]:
+        """Table of rows, spans of the tissue and width of a padded plane, for the kernels."""
+        return self.layout.starts, self.layout.tissue, self.layout.planes[2]
+
+    @property
+    def moving(self) -> tuple[Table, Table, int]:
+        """The same with the spans of the sites that move."""
+        return self.layout.starts, self.reach, self.layout.planes[2]
+
+    def write_diagonal(self) -> None:
+        """Write the diagonal of the stiffness matrix to `inverse`."""
+        volume.diagonal(
+            flat(self.lame), self.share, self.shape, *self.places[:2], flat(self.inverse)
+        )
+
     def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components of the finest level."""
         # The operating system allocates new memory at the first write, which is slow. Fill the
@@ -128,15 +176,23 @@ class CpuVolumeLevel(VolumeLevel):
         for component in self.inverse:
             component.fill(0)
             self.checkpoint()
-        volume.diagonal(self.lame, self.share, self.shape, self.inverse)
+        self.write_diagonal()
         self.checkpoint()
-        vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
+        starts, tissue, _ = self.places
+        vectors = flat(self.inverse), flat(held), whole_starts(self.layout.planes), flat(self.pins)
+        volume.hold(*vectors, starts, tissue, self.reach)
         self._hold_data()
 
     def hold_as(self, finer: CpuVolumeLevel) -> None:
         """Set the springs of sites near prescribed sites of the next finer level."""
-        volume.diagonal(self.lame, self.share, self.shape, self.inverse)
+        self.write_diagonal()
         self._set_springs(finer)
+
+    def _spring(self, most: np.float32, strength: np.float32) -> None:
+        assert self.weight is not None
+        starts, tissue, _ = self.places
+        vectors = flat(self.inverse), flat(self.pins), flat(self.weight)
+        volume.spring(*vectors, most, strength, starts, tissue, self.reach)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -149,22 +205,28 @@ class CpuVolumeLevel(VolumeLevel):
             mixed = None if self.mixed is None else rows(self.mixed)
             volume.start(load, inverse, mixed, correction, paces[0, 0])
             paces = paces[1:]
-        about = self._about
         for begin in range(0, len(paces), self._at_once):
             some = paces[begin : begin + self._at_once]
-            volume.smooth(self.correction, self._other, *about, some, self.parts)
+            self._smooth_by(some)
             if len(some) % 2 == 1:
                 self.correction, self._other = self._other, self.correction
             self.checkpoint()
 
+    def _smooth_by(self, paces: Vector) -> None:
+        """Run Chebyshev steps from `correction`, alternating between it and `_other`."""
+        d, other, load = map(flat, (self.correction, self._other, self.load))
+        volume.smooth(d, other, load, *self._about, self.moving, paces, self.parts)
+
     @property
     def _about(self) -> tuple[Any, ...]:
-        """Arguments of the smoothing loop."""
-        weights = self.inverse, *self._springs, self.mixed
-        return self.load, self.lame, self.share, *weights, self.shape, self.reach
+        """Tissue and springs, for the kernels."""
+        weight, springs = self._springs
+        mixed = None if self.mixed is None else flat(self.mixed)
+        tissue = flat(self.lame), self.share, flat(self.inverse)
+        return *tissue, flat(weight), springs, mixed, self.shape
 
     def _step_simply(self, pace: Vector) -> None:
-        volume.smooth(self.correction, self._other, *self._about, pace[None], self.parts)
+        self._smooth_by(pace[None])
 
     def _restrict_residual(self, coarse: CpuVolumeLevel) -> None:
         if self.point_smoother is not None:
@@ -174,10 +236,29 @@ class CpuVolumeLevel(VolumeLevel):
         if self.mixed is None:
             self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
         else:
-            tissue, weights = (self.lame, self.share), (self.inverse, self.weight, self.mixed)
-            about = *tissue, *weights, self.shape, self.reach
-            volume.filtered_rest(self.correction, self.load, *about, self._other, self.parts)
-        self._restrict(self._other, coarse.load)
+            lame, share, inverse, weight, _, mixed, shape = self._about
+            about = lame, share, inverse, weight, mixed, shape, self.moving
+            d, load, out = map(flat, (self.correction, self.load, self._other))
+            volume.filtered_rest(d, load, *about, out, self.parts)
+        self._restrict(self._other, coarse, coarse.load)
+
+    def _restrict(self, forces: Vector, coarse: Self, out: Vector) -> None:
+        volume_layout.restrict(forces, out, self.layout, coarse.layout)
+
+    def _interpolate(self, coarse: Self) -> None:
+        vectors = self._with_tables(coarse.correction, coarse, self.correction)
+        volume.interpolate(*vectors, flat(self.inverse), self.reach)
+
+    def _add_relaxed(self, coarse: Self, out: Vector) -> None:
+        assert self.weight is not None
+        assert self.mixed is not None
+        springs = map(flat, (self.inverse, self.weight, self.mixed))
+        vectors = self._with_tables(coarse.correction, coarse, out)
+        volume.add_relaxed(*vectors, *springs, self.reach)
+
+    def _with_tables(self, of_coarse: Vector, coarse: Self, of_fine: Vector) -> tuple[Values, ...]:
+        """Return vectors of the next coarser level and of this level, each with its table."""
+        return flat(of_coarse), coarse.layout.starts, flat(of_fine), self.layout.starts
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
@@ -188,13 +269,27 @@ class CpuVolumeLevel(VolumeLevel):
     def _rest_of(
         self, d: Vector, load: Vector, given: np.float32, scale: np.float32, out: Vector
     ) -> None:
-        weights = self.inverse, *self._springs, self.mixed
-        about = self.lame, self.share, *weights, self.shape, self.reach
-        volume.rest(d, load, given, *about, scale, out, self.parts)
+        vectors = flat(d), flat(load), given, self.layout.starts
+        volume.rest(*vectors, *self._about, self.moving, scale, flat(out), self.parts)
+
+    def advance_by(
+        self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
+    ) -> float:
+        """Add ``share * direction`` to `d`, and subtract ``length * image`` from `rest`.
+
+        Return ``rest . rest``. In all layouts, `d` consists of planes.
+        """
+        starts, tissue, _ = self.places
+        of_d, *others = map(flat, (d, rest, direction, image))
+        shares = d.dtype.type(share), rest.dtype.type(length)
+        table = whole_starts(self.layout.planes)
+        about = *others, shares[1], starts, tissue, self._totals
+        volume.advance(of_d, table, shares[0], *about)
+        return float(self._totals.sum())
 
     def coarsen_data(self, coarse: CpuVolumeLevel) -> None:
         """Compute the tensors of the data term on the next coarser level."""
-        volume.diagonal(self.lame, self.share, self.shape, self.inverse)
+        self.write_diagonal()
         self._restrict_data(coarse)
 
 
@@ -210,17 +305,14 @@ class CpuVolumeModel(HostModel):
     """
 
     def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> None:
-        count = 1 if isinstance(material.poisson, float) else 2
-        self.levels = [
-            CpuVolumeLevel(grid, count, number == 0, material.data is not None)
-            for number, grid in enumerate(grids(material.m.shape))
-        ]
-        self._rest = self.levels[0].vector()
-        self.set_checkpoint(checkpoint)
+        self.levels: list[CpuVolumeLevel] = []
+        self._rest: Vector = np.zeros(0, dtype=np.float32)
+        self._checkpoint = checkpoint
         self.assemble(material)
 
     def set_checkpoint(self, checkpoint: Checkpoint) -> None:
         """Replace the checkpoint of all levels."""
+        self._checkpoint = checkpoint
         for level in self.levels:
             level.checkpoint = checkpoint
 
@@ -228,32 +320,58 @@ class CpuVolumeModel(HostModel):
         """Replace the material with one that has the same grid and number of parameters."""
         self.material = material
         self.bounds = smoother_bounds(material)
-        self._held = self.bodies = self.levels[0].bodies = None
+        self._held = self.bodies = None
         constants = hexahedra.constants(material.shape)
         m, nu, most = material.m, material.poisson, stiffest(material.m)
         self._sites: list[BodySites] = bodies_of(m) if material.rigid else []
         if material.rigid:
             m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
             m.setflags(write=False)  # numba would compile another version for writable arrays
-        lame, scale, share = self.levels[0].lame, 0.125 / most, 1.0
+        scale, share = 0.125 / most, 1.0
+        lame = padded(1 if isinstance(nu, float) else 2, m.shape)
         if isinstance(nu, float):
             share = lame_ratio(nu, strain=True)
             volume.elements(m, m, True, scale / (2 + 2 * nu), lame)
         else:
             volume.elements(m, nu, False, scale, lame)
-        self.levels[0].checkpoint()
+        self._checkpoint()
+        self._set_levels(lame)
         for level in self.levels:
             level.shape, level.share = constants.astype(np.float32), np.float32(share)
-        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-            volume.coarsen(fine.lame, coarse.lame)
+        finest = self.levels[0]
+        finest.bodies = None
         if material.data is not None:
-            finest = self.levels[0]
-            volume.diagonal(lame, finest.share, finest.shape, finest.inverse)
+            finest.write_diagonal()
             finest.set_data(material.data)
             for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-                self.levels[0].checkpoint()
+                self._checkpoint()
                 fine.coarsen_data(coarse)
         self._exact: tuple[Any, ...] = np.float64(share), constants
+
+    def _set_levels(self, lame: Vector) -> None:
+        """Set the elements of all levels; reuse the memory of levels with the same layout."""
+        has_data = self.material.data is not None
+        # The data term, its landmarks and rigid bodies find their sites in planes.
+        whole = has_data or self.material.rigid
+        for number, grid in enumerate(grids(self.material.m.shape)):
+            if number > 0:
+                fine, lame = lame, padded(len(lame), grid)
+                volume.coarsen(fine, lame)
+            layout = Layout.of_tissue(lame, whole)
+            if number == len(self.levels):
+                self.levels.append(CpuVolumeLevel(grid, layout, number == 0, has_data))
+            elif not self.levels[number].use_layout(layout):
+                self.levels[number] = CpuVolumeLevel(grid, layout, number == 0, has_data)
+            level = self.levels[number]
+            level.lame, level.checkpoint = layout.packed(lame), self._checkpoint
+        if self._rest.shape != self.levels[0].inverse.shape:
+            self._rest = self.levels[0].vector()
+
+    @property
+    def moves(self) -> HeldPlanes:
+        """Mask of the free components of the finest level."""
+        moves: HeldPlanes = self.levels[0].planes(self.levels[0].inverse) > 0
+        return moves
 
     def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components on all levels."""
@@ -271,12 +389,12 @@ class CpuVolumeModel(HostModel):
         if finest.points is not None:
             load = np.zeros(d.shape) if load is None else load.copy()
             finest.add_points(d, None, load, -1.0)
-        given = (d, 0.0) if load is None else (load, 1.0)
-        data, weights = finest.exact_data, (finest.inverse, 0.0, None)
-        if data is not None:
-            weights = data[:3], 1.0, data[3:]
-        about = finest.lame, share, finest.inverse, *weights, shape, finest.reach
-        volume.rest(d, *given, *about, 1 / unit, self._rest, finest.parts)
+        given = (flat(d), 0.0) if load is None else (flat(load), 1.0)
+        data, inverse = finest.exact_data, flat(finest.inverse)
+        weights = (inverse, 0.0, None) if data is None else (flat(data[:3]), 1.0, flat(data[3:]))
+        about = flat(finest.lame), share, inverse, *weights, shape, finest.moving
+        vectors = flat(d), *given, whole_starts(d.shape[1:])
+        volume.rest(*vectors, *about, 1 / unit, flat(self._rest), finest.parts)
         most, square = finest.weigh(self._rest, self._rest)
         return most, math.sqrt(square)
 
@@ -289,7 +407,8 @@ class CpuVolumeModel(HostModel):
         """Return -A d at all components, in double precision."""
         finest, out = self.levels[0], np.zeros(d.shape)
         exactly = d if low is None else d + low
-        volume.pull(exactly, finest.lame, *self._exact, out, finest.parts)
+        about = whole_starts(d.shape[1:]), flat(finest.lame), *self._exact, finest.places
+        volume.pull(flat(exactly), *about, flat(out), finest.parts)
         finest.add_data(exactly, None, out, -1.0)
         return out
 
@@ -297,8 +416,9 @@ class CpuVolumeModel(HostModel):
         """Return the elastic energy and the norm of the forces."""
         finest, (share, shape) = self.levels[0], self._exact
         products, squares = np.zeros((2, self.shape[0]))
-        about = finest.lame, share, finest.exact_data, shape
-        volume.work(d, *about, products, squares, finest.parts)
+        data = None if finest.exact_data is None else flat(finest.exact_data)
+        about = whole_starts(d.shape[1:]), flat(finest.lame), share, data, shape, finest.places
+        volume.work(flat(d), *about, products, squares, finest.parts)
         if finest.points is not None:
             forces = self.pull(d)
             return -float((forces * d).sum()) / 2, float(np.linalg.norm(forces))
@@ -308,9 +428,9 @@ class CpuVolumeModel(HostModel):
     def steepness(self) -> Planes:
         """Diagonal of the stiffness matrix, as planes."""
         finest = self.levels[0]
-        out = finest.vector()
-        volume.diagonal(finest.lame, finest.share, finest.shape, out)
-        steepness = np.asarray(out, dtype=np.float64)
+        out, (starts, tissue, _) = finest.vector(), finest.places
+        volume.diagonal(flat(finest.lame), finest.share, finest.shape, starts, tissue, flat(out))
+        steepness = finest.planes(out).astype(np.float64)
         if self.material.data is not None:
             self.material.data.add_diagonal(steepness)
         return steepness

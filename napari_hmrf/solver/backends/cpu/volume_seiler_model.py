@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.cpu import seiler_model, vectors, volume, volume_seiler
+from napari_hmrf.solver.backends.cpu import (
+    seiler_model,
+    vectors,
+    volume,
+    volume_layout,
+    volume_seiler,
+)
 from napari_hmrf.solver.backends.cpu.level import (
     Spans,
     Vector,
@@ -32,7 +38,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         """Compute the stiffness as the mean of the finer level's tissue around each site."""
         tissue = finer.vector()
         tissue[0], tissue[1] = finer.stiffness[0], finer.stiffness[0] > 0
-        volume.restrict(tissue, self.load)
+        volume_layout.restrict(tissue, self.load)
         total, share, _ = inside(self.load)
         m, inverse = inside(self.stiffness)
         np.divide(total, share, out=m, where=total > 0)
@@ -87,14 +93,13 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         # `_other` can store the residual: the next step has no momentum and does not read `_other`.
         out = 1, self._other
         self._residual(self.correction, (self.load, 1), self._springs, out, np.zeros(0))
-        volume.restrict(self._other, coarse.load)
+        self._restrict(self._other, coarse, coarse.load)
 
-    @staticmethod
-    def _restrict(fine: Vector, coarse: Vector) -> None:
-        volume.restrict(fine, coarse)
+    def _restrict(self, forces: Vector, coarse: CpuSeilerLevel, out: Vector) -> None:
+        volume_layout.restrict(forces, out)
 
-    def _add_coarse(self, coarse: Vector) -> None:
-        volume.interpolate(coarse, self.correction, self.inverse)
+    def _interpolate(self, coarse: CpuSeilerLevel) -> None:
+        volume_layout.interpolate(coarse.correction, self.correction, self.inverse)
 
     def _clear_vectors(self) -> None:
         """Clear the corrections, because kernels write only within the spans."""
