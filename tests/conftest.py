@@ -9,7 +9,9 @@ from itertools import count
 
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401 - loads the linear algebra whose threads are limited below
 from hypothesis import settings
+from threadpoolctl import threadpool_limits
 
 from napari_hmrf.solver.backends.compile_cache import loader
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -41,6 +43,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     # own, or use all threads explicitly. A rasterizer thread in Mesa 22.3 crashed, rarely, on a
     # busy machine.
     os.environ.setdefault("LP_NUM_THREADS", "0")
+    # Threads of linear algebra wait for each other in a loop, which takes up to five times the
+    # processor time of one thread.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    threadpool_limits(1, user_api="blas")
     loader.before_numba()
     import numba
 
