@@ -1,5 +1,7 @@
 """Tests of samples of the paper's model in its blanket reading."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from napari_hmrf import Problem, ProblemError, SeilerPrior
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.posterior import sample_posterior, uncertainty
 from napari_hmrf.posterior.blanket import CliqueNoise
-from tests.support.paper_oracle import total_energy
+from tests.support.paper_oracle import cliques, potential
 
 BLANKET = SeilerPrior(conditional="blanket")
 COUNT = 100
@@ -26,20 +28,19 @@ def held_block(shape=(8, 7), spacing=(1.0, 1.0), moved=0.0):
 def matrix(problem):
     """Return the matrix of second derivatives of the energy of the paper, without observations."""
     size = problem.observed.size
-    bare = Problem(0 * problem.observed, problem.confidence, problem.stiffness)
+    places = np.arange(size).reshape(problem.observed.shape)
+    found = np.zeros((size, size))
+    for *sites, components in cliques(problem.stiffness):
+        for component in components:
 
-    def energy(*at):
-        d = np.zeros(size)
-        for index in at:
-            d[index] += 1
-        return total_energy(bare, d.reshape(problem.observed.shape), 0.0)
+            def energy(*moved, sites=sites, component=component):
+                """Return the potential of the clique if some of its sites move by a pixel."""
+                d = {site: np.full(2, float(moved.count(site))) for site in sites}
+                return potential(problem.stiffness, d, *sites, component)
 
-    alone = np.array([energy(i) for i in range(size)])
-    found = np.diag(2 * alone)
-    for i in range(size):
-        for j in range(i):
-            if i % 2 == j % 2:  # the components are independent
-                found[i, j] = found[j, i] = energy(i, j) - alone[i] - alone[j]
+            for one, other in product(sites, sites):
+                pair = energy(one, other) - energy(one) - energy(other)
+                found[places[one][component], places[other][component]] += pair
     return found
 
 
