@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import ast
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -47,15 +48,21 @@ def find_imports(room: str, *, late: bool = False) -> set[str]:
         If True, return imports inside functions; otherwise imports of modules.
     """
     found = set()
-    for module in (PACKAGE / room).rglob("*.py"):
-        tree = ast.parse(module.read_text(encoding="utf-8"))
-        for node in _in_functions(tree) if late else _at_import(tree.body):
+    for at_import, in_functions in _read_imports(room):
+        for node in in_functions if late else at_import:
             if isinstance(node, ast.Import):
                 names = [alias.name for alias in node.names]
             else:
                 names = [f"{node.module}.{alias.name}" for alias in node.names]
             found |= {n.split(".")[1] for n in names if n.startswith("napari_hmrf.")}
     return (found & set(list_rooms())) - {room}
+
+
+@cache
+def _read_imports(room: str) -> list[tuple[list[_Import], list[_Import]]]:
+    """Return the imports of each module of a subpackage: of the module, and in functions."""
+    trees = (ast.parse(each.read_text(encoding="utf-8")) for each in (PACKAGE / room).rglob("*.py"))
+    return [([*_at_import(tree.body)], [*_in_functions(tree.body)]) for tree in trees]
 
 
 def _at_import(statements: list[ast.stmt]) -> Iterator[_Import]:
@@ -70,10 +77,14 @@ def _at_import(statements: list[ast.stmt]) -> Iterator[_Import]:
                 yield from _at_import(statement.orelse)
 
 
-def _in_functions(tree: ast.Module) -> Iterator[_Import]:
-    for function in ast.walk(tree):
-        if isinstance(function, ast.FunctionDef):
-            yield from (node for node in ast.walk(function) if isinstance(node, _Import))
+def _in_functions(statements: list[ast.stmt], inside: bool = False) -> Iterator[_Import]:
+    """Yield the imports in functions; expressions, most of a tree, are not visited."""
+    for statement in statements:
+        if inside and isinstance(statement, _Import):
+            yield statement
+        is_inside = inside or isinstance(statement, ast.FunctionDef)
+        for block in ("body", "orelse", "handlers", "finalbody", "cases"):
+            yield from _in_functions(getattr(statement, block, []), is_inside)
 
 
 def find_below(room: str, arrows: Mapping[str, set[str]]) -> set[str]:

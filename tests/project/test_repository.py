@@ -11,6 +11,7 @@ from functools import cache
 from graphlib import TopologicalSorter
 from importlib.metadata import metadata
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from tests.support.public_names import PACKAGES
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "napari_hmrf"
 MODULES = sorted(PACKAGE.rglob("*.py"))
+ALL_MODULES = set(MODULES)
 TESTS = ROOT / "tests"
 TEST_FILES = sorted(file for file in TESTS.rglob("*.py") if file.name != "__init__.py")
 SUPPORT = Path("support")
@@ -76,31 +78,55 @@ def tracked_files() -> list[Path]:
     return [file for file in files if file.is_file()]
 
 
+class Import(NamedTuple):
+    """Import statement of a module."""
+
+    line: int
+    #: Full names of the imported objects.
+    names: frozenset[str]
+    #: True if the statement is in a function.
+    in_function: bool
+    #: True if the statement runs when the module is imported.
+    on_import: bool
+
+
 @cache
-def imports(module: Path, *, top_level_only: bool = False) -> frozenset[str]:
-    """Return the full names of the imports of a module."""
-    tree = ast.parse(module.read_text(encoding="utf-8"))
-    nodes = ast.walk(tree) if not top_level_only else iter(_run_on_import(tree))
-    found = set()
-    for node in nodes:
+def import_statements(module: Path) -> tuple[Import, ...]:
+    """Return the import statements of a module."""
+    found = []
+    # Only statements are visited: expressions, most of the tree, contain no imports.
+    todo = [(each, False, True) for each in parsed(module).body]
+    while todo:
+        node, in_function, on_import = todo.pop()
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names = frozenset(alias.name for alias in node.names)
+            found.append(Import(node.lineno, names, in_function, on_import))
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{module} has a relative import"
-            found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return frozenset(found)
+            names = frozenset(f"{node.module}.{alias.name}" for alias in node.names)
+            found.append(Import(node.lineno, names, in_function, on_import))
+        in_function |= isinstance(node, ast.FunctionDef)
+        for_types = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        runs = isinstance(node, ast.If | ast.Try | ast.ExceptHandler) and not for_types
+        todo += [(each, in_function, on_import and runs) for each in statements_in(node)]
+    return tuple(found)
 
 
-def _run_on_import(tree: ast.Module) -> list[ast.stmt]:
-    """Return the statements that run on import, without those for type checkers."""
-    statements, todo = [], list(tree.body)
-    while todo:
-        statement = todo.pop()
-        statements.append(statement)
-        for_types = isinstance(statement, ast.If) and "TYPE_CHECKING" in ast.unparse(statement.test)
-        if isinstance(statement, ast.If | ast.Try) and not for_types:
-            todo += [child for child in ast.walk(statement) if isinstance(child, ast.stmt)][1:]
-    return statements
+def parsed(file: Path) -> ast.Module:
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
+def statements_in(node: ast.AST) -> list[ast.AST]:
+    """Return the statements, handlers and cases directly in a statement, handler or case."""
+    blocks = ("body", "orelse", "handlers", "finalbody", "cases")
+    return [each for name in blocks for each in getattr(node, name, ())]
+
+
+def imports(module: Path, *, top_level_only: bool = False) -> frozenset[str]:
+    """Return the full names of the imports of a module."""
+    statements = import_statements(module)
+    names = (each.names for each in statements if each.on_import or not top_level_only)
+    return frozenset().union(*names)
 
 
 def is_private(name: str) -> bool:
@@ -111,7 +137,7 @@ def is_private(name: str) -> bool:
 def private_names_defined_in(module: Path) -> frozenset[str]:
     """Return the private names that a module defines: functions, classes, attributes, constants."""
     found = set()
-    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(module)):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             found.add(node.name)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
@@ -125,13 +151,13 @@ def foreign_private_names(module: Path) -> list[str]:
     """Return the private names of foreign objects used by a module, as `line: name`.
 
     A private name is foreign unless this module defines it. Behind `self`, it is foreign unless any
-    module of the package defines it, because it may be inherited. The public methods of named
+    module of the window defines it, because it may be inherited. The public methods of named
     tuples that begin with an underscore are allowed.
     """
     ours = private_names_defined_in(module) | {"_replace", "_asdict", "_fields", "_make"}
-    inherited = ours.union(*map(private_names_defined_in, MODULES))
+    inherited = ours.union(*map(private_names_defined_in, OF_WINDOW))
     found = []
-    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(module)):
         if isinstance(node, ast.Attribute):
             own = ast.unparse(node.value) in ("self", "cls", "super()")
             used = [] if node.attr in (inherited if own else ours) else [node.attr]
@@ -157,38 +183,44 @@ def part(module: Path) -> str:
     return module.relative_to(PACKAGE).as_posix()
 
 
-@pytest.mark.parametrize("module", MODULES, ids=part)
-def test_only_listed_modules_import_napari_qt_and_opengl(module):
-    known = packages(imports(module))
-    where = part(module)
-    beside_napari = where.startswith(("layers/", "ui/", "cli.py", "contributions.py"))
-    if not where.startswith("solver/backends/opengl/"):
-        assert not known & {"moderngl", "glcontext"}
-    if not where.startswith("ui/"):
-        assert not known & {"qtpy", "superqt", "vispy"}
-    if not beside_napari:
-        assert not known & {"napari", "magicgui"}
-    assert not known & {"PyQt5", "PyQt6", "PySide2", "PySide6"}, "Qt is imported without qtpy"
+#: Modules of the folders of the window.
+OF_WINDOW = [each for each in MODULES if part(each).startswith(("ui/", "layers/"))]
 
 
-@pytest.mark.parametrize("module", MODULES, ids=part)
-def test_only_one_module_uses_private_names_of_napari_vispy_and_qt(module):
-    if part(module).startswith(("layers/", "ui/")) and part(module) != "layers/compat.py":
-        assert foreign_private_names(module) == []
+def test_only_listed_modules_import_napari_qt_and_opengl():
+    for module in MODULES:
+        known = packages(imports(module))
+        where = part(module)
+        beside_napari = where.startswith(("layers/", "ui/", "cli.py", "contributions.py"))
+        if not where.startswith("solver/backends/opengl/"):
+            assert not known & {"moderngl", "glcontext"}, where
+        if not where.startswith("ui/"):
+            assert not known & {"qtpy", "superqt", "vispy"}, where
+        if not beside_napari:
+            assert not known & {"napari", "magicgui"}, where
+        bindings = {"PyQt5", "PyQt6", "PySide2", "PySide6"}
+        assert not known & bindings, f"{where} imports Qt without qtpy"
 
 
-@pytest.mark.parametrize("module", MODULES, ids=part)
-def test_a_subpackage_imports_only_from_lower_levels(module):
+def test_only_one_module_uses_private_names_of_napari_vispy_and_qt():
+    for module in OF_WINDOW:
+        if part(module) != "layers/compat.py":
+            assert foreign_private_names(module) == [], part(module)
+
+
+def test_a_subpackage_imports_only_from_lower_levels():
     def height(room: str) -> int:
         return next(n for n, level in enumerate(ROOMS) if room in level)
 
-    here = part(module).removesuffix(".py").split("/")[0]
-    late = part(module) in LATE
-    names = imports(module, top_level_only=late)
-    of_ours = {name.split(".")[1] for name in names if name.startswith("napari_hmrf.")}
-    rooms = {name for name in of_ours if (PACKAGE / name).is_dir() or name in LEAVES | FACADES}
-    beside = LEAVES if here in LEAVES else {here}
-    assert here in ENTRIES or not {room for room in rooms - beside if height(room) <= height(here)}
+    known = {each.name for each in PACKAGE.iterdir() if each.is_dir()} | LEAVES | FACADES
+    for module in MODULES:
+        here = part(module).removesuffix(".py").split("/")[0]
+        late = part(module) in LATE
+        names = imports(module, top_level_only=late)
+        rooms = known & {name.split(".")[1] for name in names if name.startswith("napari_hmrf.")}
+        rooms -= LEAVES if here in LEAVES else {here}
+        if here not in ENTRIES:
+            assert not {room for room in rooms if height(room) <= height(here)}, part(module)
 
 
 @pytest.mark.parametrize("module", LATE)
@@ -198,22 +230,24 @@ def test_late_imports_are_listed(module):
     assert {name.split(".")[1] for name in late} == LATE[module]
 
 
-@pytest.mark.parametrize("module", MODULES, ids=part)
-def test_an_import_in_a_function_states_its_reason(module):
-    lines = module.read_text(encoding="utf-8").splitlines()
-    for node in imports_in_functions(module):
-        where = f"{part(module)}:{node.lineno}"
-        stated = re.search(r"# (heavy|optional|above): (\w+)$", lines[node.lineno - 1])
-        assert stated, f"{where}: move it to the top, or state why it is here: CONTRIBUTING.md"
-        reason, name = stated.groups()
-        rooms = {each.split(".")[1] for each in names_of(node) if each.startswith("napari_hmrf.")}
-        if reason == "above":
-            assert rooms == {name}, where
-            assert name in LATE[part(module)], where
-            continue
-        assert name in modules_loaded_by(node), f"{where} imports no {name}"
-        known = extra_modules() if reason == "optional" else {*HEAVY, *LATER, *HEAVY_FOLDERS}
-        assert name in known, f"{where}: {name} is not {reason}"
+def test_an_import_in_a_function_states_its_reason():
+    extras, heavy = extra_modules(), {*HEAVY, *LATER, *HEAVY_FOLDERS}
+    for module in MODULES:
+        late = [each for each in import_statements(module) if each.in_function]
+        lines = module.read_text(encoding="utf-8").splitlines() if late else []
+        for statement in late:
+            where = f"{part(module)}:{statement.line}"
+            stated = re.search(r"# (heavy|optional|above): (\w+)$", lines[statement.line - 1])
+            assert stated, f"{where}: move it to the top, or state why it is here: CONTRIBUTING.md"
+            reason, name = stated.groups()
+            ours = {each for each in statement.names if each.startswith("napari_hmrf.")}
+            if reason == "above":
+                assert {each.split(".")[1] for each in ours} == {name}, where
+                assert name in LATE[part(module)], where
+                continue
+            assert name in modules_loaded_by(statement), f"{where} imports no {name}"
+            known = extras if reason == "optional" else heavy
+            assert name in known, f"{where}: {name} is not {reason}"
 
 
 #: Libraries that take long to import, in addition to `HEAVY`, and such folders of the package.
@@ -221,23 +255,9 @@ LATER = ("PIL", "numpy", "pint", "scipy", "skimage", "tifffile")
 HEAVY_FOLDERS = ("opengl", "ui")
 
 
-def imports_in_functions(module: Path) -> list[ast.Import | ast.ImportFrom]:
-    tree = ast.parse(module.read_text(encoding="utf-8"))
-    functions = (each for each in ast.walk(tree) if isinstance(each, ast.FunctionDef))
-    nested = (node for function in functions for node in ast.walk(function))
-    return [node for node in nested if isinstance(node, ast.Import | ast.ImportFrom)]
-
-
-def names_of(node: ast.Import | ast.ImportFrom) -> set[str]:
-    """Return the full names that a statement imports."""
-    if isinstance(node, ast.Import):
-        return {alias.name for alias in node.names}
-    return {f"{node.module}.{alias.name}" for alias in node.names}
-
-
-def modules_loaded_by(node: ast.Import | ast.ImportFrom) -> set[str]:
+def modules_loaded_by(statement: Import) -> set[str]:
     """Return the libraries and modules of the package that an import loads."""
-    found, todo = set(), list(names_of(node))
+    found, todo = set(), list(statement.names)
     while todo:
         name = todo.pop()
         if name in found:
@@ -245,7 +265,7 @@ def modules_loaded_by(node: ast.Import | ast.ImportFrom) -> set[str]:
         found |= {name, *name.split(".")[:-1]}
         file = PACKAGE.parent.joinpath(*name.split("."))
         files = [file.with_suffix(".py"), file / "__init__.py", file.parent.with_suffix(".py")]
-        module = next((each for each in files if each in MODULES), None)
+        module = next((each for each in files if each in ALL_MODULES), None)
         if module is not None:
             todo += imports(module, top_level_only=True)
     return found
@@ -268,20 +288,18 @@ OURS = {
 }
 
 
-@pytest.mark.parametrize(
-    "module", [each for each in MODULES if part(each).startswith(("ui/", "layers/"))], ids=part
-)
-def test_objects_of_the_package_have_a_precise_type_in_the_window(module):
-    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.arg) and node.annotation is not None:
-            name, annotation = node.arg, node.annotation
-        elif isinstance(node, ast.AnnAssign):
-            name, annotation = ast.unparse(node.target), node.annotation
-        else:
-            continue
-        of_ours = name.rpartition(".")[2].lstrip("_") in OURS
-        words = set(re.findall(r"\w+", ast.unparse(annotation)))
-        assert not (of_ours and "Any" in words), f"{part(module)}:{node.lineno}: {name}"
+def test_objects_of_the_package_have_a_precise_type_in_the_window():
+    for module in OF_WINDOW:
+        for node in ast.walk(parsed(module)):
+            if isinstance(node, ast.arg) and node.annotation is not None:
+                name, annotation = node.arg, node.annotation
+            elif isinstance(node, ast.AnnAssign):
+                name, annotation = ast.unparse(node.target), node.annotation
+            else:
+                continue
+            if name.rpartition(".")[2].lstrip("_") in OURS:
+                words = re.findall(r"\w+", ast.unparse(annotation))
+                assert "Any" not in words, f"{part(module)}:{node.lineno}: {name}"
 
 
 def test_no_file_name_occurs_twice_in_the_package():
@@ -372,34 +390,41 @@ def test_the_commands_start_without_napari():
     assert "napari" not in packages(imports(PACKAGE / "cli.py", top_level_only=True))
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_importing_a_package_loads_no_heavy_library(package):
-    names = f"from {package} import *"  # The names, too, because some are loaded on first use.
-    code = f"import sys; {names}; print([n for n in {HEAVY!r} if n in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+def test_importing_packages_loads_no_heavy_library():
+    """Import all packages in one process: no package then loads a heavy library alone, either."""
+    lines = ["import sys"]
+    for package in PACKAGES:
+        lines.append(f"from {package} import *")  # The names, too: some are loaded on first use.
+        lines.append(f"print({package!r}, [n for n in {HEAVY!r} if n in sys.modules])")
+    command = [sys.executable, "-c", "\n".join(lines)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [f"{package} []" for package in PACKAGES]
 
 
-@pytest.mark.parametrize("file", TEST_FILES, ids=lambda file: file.relative_to(TESTS).as_posix())
-def test_tests_mirror_the_package_and_share_only_support_modules(file):
-    here = file.parent.relative_to(TESTS)
-    if here not in FOLDERS_OF_TESTS:
-        assert (PACKAGE / here).is_dir()
-        name = file.name.removeprefix("test_")
-        places = {part(module.parent) for module in MODULES if module.name == name}
-        assert not places or here.as_posix() in places, "a module in another folder has this name"
-    if here != SUPPORT:
-        assert file.name.startswith("test_") or file.name == "conftest.py"
-    shared = {name for name in imports(file) if name.startswith("tests.")}
-    assert all(name.startswith("tests.support.") for name in shared)
+def test_tests_mirror_the_package_and_share_only_support_modules():
+    places: dict[str, set[str]] = {}
+    for module in MODULES:
+        places.setdefault(module.name, set()).add(part(module.parent))
+    for file in TEST_FILES:
+        here = file.parent.relative_to(TESTS)
+        if here not in FOLDERS_OF_TESTS:
+            assert (PACKAGE / here).is_dir(), file
+            of_module = places.get(file.name.removeprefix("test_"), {here.as_posix()})
+            assert here.as_posix() in of_module, f"{file}: a module elsewhere has this name"
+        if here != SUPPORT:
+            assert file.name.startswith("test_") or file.name == "conftest.py", file
+        shared = {name for name in imports(file) if name.startswith("tests.")}
+        assert all(name.startswith("tests.support.") for name in shared), file
 
 
-@pytest.mark.parametrize("file", TEST_FILES, ids=lambda file: file.relative_to(TESTS).as_posix())
-def test_tests_wait_for_events_instead_of_sleeping(file):
-    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-    names = [ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)]
-    timed = [name for name in names if name.endswith(("sleep", "bot.wait", "qWait"))]
-    assert timed == [], "use at_rest(), waitUntil or waitSignal"
+def test_tests_wait_for_events_instead_of_sleeping():
+    timers = ("sleep", "bot.wait", "qWait")
+    for file in TEST_FILES:
+        text = file.read_text(encoding="utf-8")
+        if any(f"{timer}(" in text for timer in timers):
+            calls = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call))
+            timed = [name for call in calls if (name := ast.unparse(call.func)).endswith(timers)]
+            assert timed == [], f"{file}: use at_rest(), waitUntil or waitSignal"
 
 
 @pytest.mark.parametrize("folder", ["benchmarks", "scripts", "examples"])
