@@ -101,8 +101,10 @@ def _documented(node: ast.AST, is_public: bool) -> Iterator[tuple[ast.AST, bool]
         yield node, is_public and not node.name.startswith("_") and not _is_property(node)
     elif isinstance(node, (ast.Module, ast.ClassDef)):
         yield node, False
-    for child in ast.iter_child_nodes(node):
-        yield from _documented(child, is_public and not is_function)
+    # Expressions, most of a tree, contain no docstrings.
+    for block in ("body", "orelse", "handlers", "finalbody", "cases"):
+        for child in getattr(node, block, ()):
+            yield from _documented(child, is_public and not is_function)
 
 
 def _is_property(node: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
@@ -126,19 +128,22 @@ def _check_messages(tree: ast.Module) -> Iterator[Violation]:
             yield Violation(node.lineno, "message", first)
 
 
-def _strings(node: ast.AST) -> Iterator[tuple[ast.expr, str]]:
+def _strings(root: ast.AST) -> Iterator[tuple[ast.expr, str]]:
     """Yield the strings of a module; an f-string is one string with `{}` for each value."""
-    if isinstance(node, ast.JoinedStr):
-        parts = [part.value if isinstance(part, ast.Constant) else "{}" for part in node.values]
-        yield node, "".join(parts)
-        for part in node.values:
-            if isinstance(part, ast.FormattedValue):
-                yield from _strings(part.value)
-        return
-    if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        yield node, node.value
-    for child in ast.iter_child_nodes(node):
-        yield from _strings(child)
+    todo = [root]
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.JoinedStr):
+            parts = [part.value if isinstance(part, ast.Constant) else "{}" for part in node.values]
+            yield node, "".join(parts)
+            inner = [part.value for part in node.values if isinstance(part, ast.FormattedValue)]
+        elif isinstance(node, ast.Constant):
+            if isinstance(node.value, str):
+                yield node, node.value
+            continue
+        else:
+            inner = [*ast.iter_child_nodes(node)]
+        todo += reversed(inner)
 
 
 def _check_comments(source: str) -> Iterator[Violation]:

@@ -29,6 +29,8 @@ def test_no_text_violates_a_checked_rule(words):
 
 
 def test_a_sample_is_reproducible_by_its_seed(words, monkeypatch):
+    modules = words.modules([words.PACKAGE / "field"])
+    monkeypatch.setattr(words, "modules", lambda: modules)
     monkeypatch.setattr(words, "texts_of", cache(words.texts_of))
     drawn = words.sample(1)
     assert drawn == words.sample(1)
