@@ -428,8 +428,6 @@ def _truth(options: argparse.Namespace) -> int:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from napari_hmrf.contributions import phantom_layers  # heavy: napari
-
     if options.volume:
         return _demo_volume(options)
     models = [_model(options)]
@@ -453,7 +451,12 @@ def _demo(options: argparse.Namespace) -> int:
     demonstration = demonstrations[0]
     _report("drawing ...")
     _report_written(options, write_results(demonstration, options.out))
-    layers = phantom_layers(demonstration.phantom)
+
+    def layers() -> Sequence[LayerData]:
+        from napari_hmrf.contributions import phantom_layers  # heavy: napari
+
+        return phantom_layers(demonstration.phantom)
+
     if not _show_in_napari(options, layers, demonstration.solution, models[0][0]):
         _compile_loops(options, demonstration, *models[0])
     _suggest_next_steps()
@@ -514,8 +517,6 @@ def _make_demo_folder(options: argparse.Namespace) -> None:
 
 
 def _demo_volume(options: argparse.Namespace) -> int:
-    from napari_hmrf.contributions import volume_layers  # heavy: napari
-
     prior, optimizer = _model(options)
     more = {"poisson": float(prior.poisson)} if isinstance(prior, Elastic) else {}
     _make_demo_folder(options)
@@ -533,7 +534,12 @@ def _demo_volume(options: argparse.Namespace) -> int:
         print(f"note: {demonstration.note}", flush=True)
     _report("drawing ...")
     _report_written(options, write_volume_results(demonstration, options.out))
-    layers = volume_layers(demonstration.head)
+
+    def layers() -> Sequence[LayerData]:
+        from napari_hmrf.contributions import volume_layers  # heavy: napari
+
+        return volume_layers(demonstration.head)
+
     _show_in_napari(options, layers, demonstration.solution, prior)
     return 0
 
@@ -543,7 +549,10 @@ def _report_written(options: argparse.Namespace, written: Sequence[Path]) -> Non
 
 
 def _show_in_napari(
-    options: argparse.Namespace, layers: Sequence[LayerData], solution: Solution, prior: Prior
+    options: argparse.Namespace,
+    layers: Callable[[], Sequence[LayerData]],
+    solution: Solution,
+    prior: Prior,
 ) -> bool:
     """Show a demonstration in napari, if requested and possible; return whether it was shown."""
     if options.no_window:
@@ -552,7 +561,7 @@ def _show_in_napari(
         _report("napari is not opened, because there is no display or the variable CI is set")
         return False
     _report("opening napari ...")
-    _open_napari(layers, solution, prior)
+    _open_napari(layers(), solution, prior)
     return True
 
 

@@ -64,9 +64,10 @@ def elsewhere(wheel, tmp_path_factory) -> Path:
     scripts = "Scripts" if os.name == "nt" else "bin"
     python = folder / scripts / ("python.exe" if os.name == "nt" else "python")
     purelib = sysconfig.get_path("purelib", vars={"base": str(folder)}, scheme="venv")
-    # pip of this environment installs into the new one, offline.
+    # pip of this environment installs into the new one, offline. Most modules are never imported.
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    run([*pip, "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)])
+    pip += ["--python", str(python), "install", "--no-compile", "--no-deps", "--no-index"]
+    run([*pip, str(wheel)])
     # The .pth file adds only the folders of the dependencies. Python does not read .pth files in
     # these folders, so an editable checkout is not found.
     borrowed = sorted({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
