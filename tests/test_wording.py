@@ -3,6 +3,7 @@
 import ast
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -20,17 +21,18 @@ ROOT = PACKAGE.parent
 CORE = ("solver", "field", "tissue", "study", "io", "augmentation", "samples")
 
 
-def messages(path):
-    """Yield the strings of a module that are not docstrings."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    bare = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in bare:
-            yield node.value
-
-
-def core_modules():
-    return [path for room in CORE for path in (PACKAGE / room).rglob("*.py")]
+@cache
+def messages_of_core():
+    """Return the strings of the core that are not docstrings, each with the name of its file."""
+    found = []
+    for path in (path for room in CORE for path in (PACKAGE / room).rglob("*.py")):
+        nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+        bare = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        strings = (
+            each for each in nodes if isinstance(each, ast.Constant) and id(each) not in bare
+        )
+        found += [(path.name, each.value) for each in strings if isinstance(each.value, str)]
+    return found
 
 
 def test_a_setting_is_named_in_the_terms_of_the_interface():
@@ -49,22 +51,14 @@ def test_a_setting_is_named_in_the_terms_of_the_interface():
 
 def test_every_setting_in_a_message_has_a_term_for_shell_and_window():
     found = {
-        setting
-        for path in core_modules()
-        for text in messages(path)
-        for setting in re.findall(r"\(`([^`]+)`\)", text)
+        setting for _, text in messages_of_core() for setting in re.findall(r"\(`([^`]+)`\)", text)
     }
     assert found == set(TERMS)
 
 
 def test_no_message_of_the_core_names_a_control_of_the_window():
     window = re.compile(r"'Advanced'|\btick\b|under 'Ad|\bpress Deform|\bthe menu\b", re.IGNORECASE)
-    found = [
-        f"{path.name}: {text}"
-        for path in core_modules()
-        for text in messages(path)
-        if window.search(text)
-    ]
+    found = [f"{name}: {text}" for name, text in messages_of_core() if window.search(text)]
     assert found == []
 
 
