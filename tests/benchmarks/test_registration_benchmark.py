@@ -12,7 +12,7 @@ from napari_hmrf.fields import count_folds
 
 @pytest.fixture(scope="module")
 def head():
-    return phantom_head(32)
+    return phantom_head(24)
 
 
 @pytest.mark.parametrize("truth", TRUTHS)

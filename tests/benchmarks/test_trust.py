@@ -175,7 +175,10 @@ def test_a_problem_is_run_again_by_its_number(fake_solver, capsys):
 
 
 def test_random_problems_are_solved_on_the_cpu():
-    run = trust.campaign([(number, "cpu") for number in range(12)])
+    # Of the first hundred, some whose exact solution is quick, of each energy.
+    numbers = (1, 3, 7, 9, 10, 11, 12, 13, 21, 23, 82)
+    run = trust.campaign([(number, "cpu") for number in numbers])
+    assert len({verdict.reading for verdict in run.verdicts}) == 8
     assert run.sound, trust.report(run)
 
 

@@ -94,7 +94,7 @@ def test_error_bars_of_other_labels_or_of_another_solution_are_refused():
 
 def test_one_more_landmark_helps_most_at_the_least_sure_patch():
     marks = Landmarks([(4, 15)], [(4, 16)], sd=0.3, scale=SCALE)
-    result = uncertainty(held_left(20, marks), n=60, backend="cpu")
+    result = uncertainty(held_left(20, marks), n=30, backend="cpu")
     place, surface = result.least_sure(), np.zeros((20, 20), bool)
     surface[-1] = True
     assert result.along[place] == result.along.max()
@@ -107,7 +107,7 @@ def test_one_more_landmark_helps_most_at_the_least_sure_patch():
         """Return the variance that a landmark at a point removes."""
         points = [(4, 15), at]
         both = Landmarks(points, points, sd=0.3, scale=SCALE)
-        known = uncertainty(held_left(20, both), n=60, backend="cpu")
+        known = uncertainty(held_left(20, both), n=30, backend="cpu")
         return float((result.sd**2).sum() - (known.sd**2).sum())
 
     assert gain(place) > 3 * gain((10, 4))
@@ -119,7 +119,7 @@ def test_one_more_landmark_helps_most_at_the_least_sure_patch():
 
 def test_standard_deviations_of_patches_agree_with_the_posterior():
     problem = held_left(10)
-    result = uncertainty(problem, n=200, patch=3, backend="cpu")
+    result = uncertainty(problem, n=100, patch=3, backend="cpu")
     covariance, free = posterior_covariance(problem, ElasticPrior(), StrainScale())
     for row, col in ((4, 4), (5, 8), (0, 9)):
         weights = np.zeros((10, 10, 2))
@@ -128,7 +128,7 @@ def test_standard_deviations_of_patches_agree_with_the_posterior():
         weights[patch, 0] = 1 / patch.sum()
         weights = weights.ravel()[free]
         expected = np.sqrt(weights @ covariance @ weights)
-        assert result.sd[row, col, 0] == pytest.approx(expected, rel=4 / np.sqrt(2 * 200))
+        assert result.sd[row, col, 0] == pytest.approx(expected, rel=4 / np.sqrt(2 * 100))
 
 
 def test_tissue_is_surer_near_held_tissue_and_near_landmarks():
