@@ -216,7 +216,7 @@ def test_a_failed_case_is_reported_and_the_other_cases_are_solved(files, capsys,
     table = write_table(files, "a,image.tif,4;5", "broken,gone.tif,4", more=",amount:rim")
     with open(table, "a") as file:
         file.write("\nstudy,own.study,,,,,3\n")
-    assert main(["batch", str(table), "out", "--jobs", "2"]) == 1
+    assert main(["batch", str(table), "out", "--jobs", "1"]) == 1
     said = capsys.readouterr()
     assert "broken: " in said.err
     assert "gone.tif: there is no such file or folder" in said.err

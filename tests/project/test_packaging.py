@@ -92,6 +92,7 @@ def bring_loops(installed: Path) -> None:
 def run(command: list[str], **options) -> str:
     """Run a command, assert that it succeeds, and return its output."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment["NUMBA_NUM_THREADS"] = "1"  # Other tests run beside this one.
     done = subprocess.run(command, capture_output=True, text=True, env=environment, **options)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

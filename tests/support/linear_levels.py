@@ -172,13 +172,13 @@ def assert_a_ratio_is_nothing_unless_both_are_positive(stage, given: Example):
             np.testing.assert_allclose(turned, (1 + number) * values, rtol=2e-7)
 
 
-def torn(ratio, shape=(67, 90), spacing=(1.0, 1.0)) -> Problem:
+def torn(ratio, shape=(45, 61), spacing=(1.0, 1.0)) -> Problem:
     """Return a stiff inclusion in soft tissue with a hole, fixed at the left and pulled at the
     right."""
-    rows, cols = np.indices(shape)
+    rows, cols = np.indices(shape) * 90 / shape[1]
     m = np.where(np.hypot(rows - 45, cols - 60) < 14, ratio, 1.0)
     m[np.hypot(rows - 30, cols - 30) < 9] = 0
-    m[:6, 20:] = 0
+    m[(rows < 6) & (cols >= 20)] = 0
     y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     c[:, :2] = c[:, -2:] = 1
     y[:, -2:] = (1.5, 4)

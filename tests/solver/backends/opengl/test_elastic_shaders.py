@@ -289,8 +289,8 @@ def test_splitting_a_pass_into_strips_does_not_change_the_result(stage, monkeypa
 
 
 def test_an_image_beyond_the_limit_is_rejected_before_any_allocation(made, monkeypatch):
-    monkeypatch.setattr(on_compute_thread(the_device), "largest", 80)
-    with pytest.raises(BackendError, match=r"67 x 90 pixels, but .* at most 80 x 80"):
+    monkeypatch.setattr(on_compute_thread(the_device), "largest", 60)
+    with pytest.raises(BackendError, match=r"45 x 61 pixels, but .* at most 60 x 60"):
         solve(torn(4.0), ElasticPrior(), backend="opengl")
     assert left(made) == 0
 

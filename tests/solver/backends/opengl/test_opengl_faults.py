@@ -86,7 +86,7 @@ def run(script: str, *arguments: str, **variables: str) -> str:
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(
         [sys.executable, "-c", script, *arguments],
-        env=environment | variables,
+        env=environment | variables | {"NUMBA_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
         timeout=120,

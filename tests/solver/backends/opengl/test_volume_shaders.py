@@ -274,7 +274,7 @@ def pressed(n, free, seed=0):
 
 @pytest.mark.parametrize(("poisson", "free"), [(0.3, False), (0.45, True)], ids=str)
 def test_the_field_of_a_volume_matches_the_loops(poisson, free):
-    problem, prior = pressed(24, free), ElasticPrior(poisson)
+    problem, prior = pressed(16, free), ElasticPrior(poisson)
     ours, theirs = (
         solve(problem, prior, optimizer=Multigrid(1e-3), backend=name) for name in ("opengl", "cpu")
     )
@@ -287,7 +287,7 @@ def test_the_field_of_a_volume_matches_the_loops(poisson, free):
 
 
 def test_a_poisson_map_matches_the_loops():
-    problem = pressed(12, True)
+    problem = pressed(9, True)
     poisson = map_of_ratios(problem.shape).poisson.copy()
     poisson[~problem.tissue] = np.nan  # values in void have no effect
     prior = ElasticPrior(poisson)
