@@ -33,7 +33,7 @@ def test_each_pixel_of_the_warped_image_maps_to_its_original_site(solution, frac
     origin, covered = inverse_map(moved, spacing=solution.spacing, tissue=solution.tissue)
     asked = wrong = 0
     for row in range(30):
-        for col in range(40):
+        for col in range(row % 2, 40, 2):
             found = points.at((row, col), fraction)
             at = tuple(np.floor(origin[row, col] + 0.5).astype(int))
             here = bool(covered[row, col] and solution.tissue[at])
@@ -45,7 +45,7 @@ def test_each_pixel_of_the_warped_image_maps_to_its_original_site(solution, frac
                     np.inf if None in (answer, expected) else np.abs(np.subtract(answer, at)).max()
                 )
                 wrong += apart > 1
-    assert asked > 500
+    assert asked > 250
     assert wrong <= 0.03 * asked, "sites may differ only at the border of the tissue"
 
 

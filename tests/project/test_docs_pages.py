@@ -1,7 +1,6 @@
 """Tests of the documentation pages: links, commands, notebooks, pictures and reference."""
 
 import importlib.util
-import os.path
 import re
 import shlex
 import sys
@@ -32,16 +31,6 @@ def name(file):
     return file.relative_to(ROOT).as_posix()
 
 
-def markdown_files():
-    """Return all Markdown files of the repository, except built and installed files."""
-    skipped = {"_build", "build", "dist", "node_modules"}
-    return [
-        path
-        for path in sorted(ROOT.rglob("*.md"))
-        if not any(part in skipped or part.startswith(".") for part in path.relative_to(ROOT).parts)
-    ]
-
-
 @pytest.fixture(scope="module")
 def conf():
     """Return the module that configures the site; loading it does not require Sphinx."""
@@ -49,13 +38,6 @@ def conf():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-@pytest.mark.parametrize("page", markdown_files(), ids=name)
-def test_relative_links_point_to_existing_files(page):
-    text = re.sub(r"```.*?```|`[^`\n]*`", "", read(page), flags=re.DOTALL)
-    for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", text):
-        assert Path(os.path.normpath(page.parent / target)).exists(), target
 
 
 def test_pages_are_sorted_into_tutorials_guides_concepts_and_reference(conf):

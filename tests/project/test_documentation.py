@@ -42,6 +42,16 @@ def pages() -> list[Path]:
     return sorted(page for page in DOCS.rglob("*.md") if "_build" not in page.parts)
 
 
+def markdown_files() -> list[Path]:
+    """Return all Markdown files of the repository, except built and installed files."""
+    skipped = {"_build", "build", "dist", "node_modules"}
+    files = [
+        *ROOT.glob("*.md"),
+        *(file for each in ROOT.glob("[a-z]*/") for file in each.rglob("*.md")),
+    ]
+    return [file for file in sorted(files) if not skipped & set(file.relative_to(ROOT).parts)]
+
+
 def name(file: Path) -> str:
     return file.relative_to(ROOT).as_posix()
 
@@ -114,15 +124,16 @@ def test_every_public_class_and_function_has_a_docstring():
             )
 
 
-@pytest.mark.parametrize("page", [*pages(), *AT_THE_TOP], ids=name)
-def test_links_point_to_existing_files_and_headings(page):
-    for file, heading in links(page):
-        target = Path(os.path.normpath(page.parent / file)) if file else page
-        assert target.exists(), file
-        if heading:
-            assert heading in headings(target), f"{file}#{heading}"
-    for file in in_menu(page):
-        assert (page.parent / file).exists(), file
+def test_links_point_to_existing_files_and_headings():
+    assert {*pages(), *AT_THE_TOP} < set(markdown_files())
+    for page in markdown_files():
+        for file, heading in links(page):
+            target = Path(os.path.normpath(page.parent / file)) if file else page
+            assert target.exists(), f"{name(page)}: {file}"
+            if heading:
+                assert heading in headings(target), f"{name(page)}: {file}#{heading}"
+        for file in in_menu(page):
+            assert (page.parent / file).exists(), f"{name(page)}: {file}"
 
 
 def test_every_page_is_linked_from_the_first_page():
@@ -147,15 +158,15 @@ def test_every_page_is_in_the_menu(conf):
     assert shown == set(pages())
 
 
-@pytest.mark.parametrize("page", [*pages(), *AT_THE_TOP], ids=name)
-def test_links_of_the_site_point_to_the_files_of_the_repository(conf, page):
+def test_links_of_the_site_point_to_the_files_of_the_repository(conf):
     places = {file: place for place, file in conf.SHOWN.items()}
-    place = places.get(name(page), name(page).removeprefix("docs/").removesuffix(".md"))
-    turned = conf.turned(without_code(read(page)), name(page), place)
-    for target in re.findall(r"\]\((?!https?:)([^)#\s]+)", turned):
-        there = Path(os.path.normpath((DOCS / place).parent / target))
-        assert there.exists(), target
-        assert there not in AT_THE_TOP, f"{target} is a page of the site"
+    for page in (*pages(), *AT_THE_TOP):
+        place = places.get(name(page), name(page).removeprefix("docs/").removesuffix(".md"))
+        turned = conf.turned(without_code(read(page)), name(page), place)
+        for target in re.findall(r"\]\((?!https?:)([^)#\s]+)", turned):
+            there = Path(os.path.normpath((DOCS / place).parent / target))
+            assert there.exists(), f"{name(page)}: {target}"
+            assert there not in AT_THE_TOP, f"{name(page)}: {target} is a page of the site"
 
 
 def test_the_pages_at_the_top_of_the_repository_are_on_the_site(conf):

@@ -61,7 +61,7 @@ def play(edits, what, slot, choices):
     return values[-1] != before
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(sequences)
 def test_undo_restores_the_exact_earlier_state_and_redo_the_later_state(sequence):
     """Compare the history with plain lists of whole states."""
@@ -99,7 +99,7 @@ def test_undo_restores_the_exact_earlier_state_and_redo_the_later_state(sequence
         assert state(edits) == future.pop()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(sequences, slots)
 def test_dropping_a_slot_preserves_the_undo_steps_of_the_other_slots(sequence, gone):
     """The steps of a removed layer disappear and all other steps remain."""

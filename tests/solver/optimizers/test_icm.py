@@ -254,7 +254,7 @@ def test_a_thin_plate_of_any_stiffness_reaches_its_prescribed_position(ratio, op
     np.testing.assert_allclose(found[20:44, 32, 1], 8, atol=0.002)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     height=st.integers(1, 33),
     width=st.integers(1, 33),

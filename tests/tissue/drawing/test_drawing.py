@@ -269,7 +269,7 @@ def test_an_arrow_is_hit_at_its_head_or_its_base():
 
 
 @given(st.lists(marks, max_size=4), st.lists(edits, max_size=12))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_an_updated_rendering_equals_a_new_rendering(begin, sequence):
     drawing, base = Drawing(tuple(begin)), canvas()
     rendering, before = Rendering(base), base.copy()
@@ -287,7 +287,7 @@ def test_an_updated_rendering_equals_a_new_rendering(begin, sequence):
 
 
 @given(st.lists(edits, max_size=25))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_undo_and_redo_restore_the_drawing_exactly(sequence):
     """Compare with two lists of drawings, in which a drag is one step."""
     base, model = canvas(), StudyModel()
