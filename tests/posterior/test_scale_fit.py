@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+import scipy
 
 from napari_hmrf import Cancelled, ElasticPrior, Problem, ProblemError, solve
 from napari_hmrf.errors import ArgumentError
@@ -66,7 +66,9 @@ def dense(problem, strain, noise=1.0):
     seen = marks.displacement(problem.spacing).ravel()
     if problem.known.any():
         seen = seen - rows @ at_rest(problem).ravel()
-    return multivariate_normal(np.zeros(len(covariance)), covariance).logpdf(ways.T @ seen)
+    return scipy.stats.multivariate_normal(np.zeros(len(covariance)), covariance).logpdf(
+        ways.T @ seen
+    )
 
 
 @pytest.mark.parametrize(
