@@ -496,7 +496,11 @@ def _ordered(picture: npt.NDArray[Any], axes: npt.NDArray[np.intp]) -> npt.NDArr
 
 def as_tuples(values: Any) -> Any:
     """Return an array of any dimension as nested tuples of float."""
-    return tuple(map(as_tuples, values)) if np.ndim(values) else float(values)
+    return _nested(np.asarray(values, float).tolist())
+
+
+def _nested(values: Any) -> Any:
+    return tuple(map(_nested, values)) if isinstance(values, list) else values
 
 
 def is_flat(linear: npt.NDArray[np.float64]) -> bool:

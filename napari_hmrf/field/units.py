@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Any
 
 #: Pattern of the names of units in layers. It excludes expressions, which pint may parse slowly.
@@ -41,6 +42,12 @@ def unit_factor(unit: str, to: str) -> float:
         return float(_units().Quantity(1, unit).to(to).magnitude)
     except pint.errors.PintError:
         return float("nan")
+
+
+@lru_cache(maxsize=64, typed=True)  # units of two registries cannot be compared
+def unit_name(unit: Any) -> str:
+    """Return the name of a unit of a layer, because pint formats its units slowly."""
+    return str(unit)
 
 
 def has_same_spacing(

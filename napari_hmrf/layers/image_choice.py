@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from napari.layers import Image
 
+from napari_hmrf.field.units import unit_name
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, metadata_of, role_of
 from napari_hmrf.layers.slice_view import View, fits, full_resolution
@@ -52,7 +53,7 @@ def is_photograph(image: Any) -> bool:
     This is the case for a colour image, or a single slice of 8-bit values, without a unit of length
     and without metadata of this package, which scans and samples have.
     """
-    has_unit = any(str(unit) != "pixel" for unit in image.units)
+    has_unit = any(unit_name(unit) != "pixel" for unit in image.units)
     if has_unit or role_of(image) is not None:
         return False
     return bool(image.rgb) or (image.ndim == 2 and full_resolution(image).dtype == np.uint8)
@@ -95,9 +96,11 @@ def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = 
     places : iterable of sequence of float
         Points in world coordinates; by default, a grid of points over the whole image.
     """
-    targets, layers = tuple(places) or _sample_places(viewer, image), list(viewer.layers)
-    above = filter(_is_opaque, reversed(layers[layers.index(image) + 1 :]))
-    view = View.of(viewer.dims)
+    layers = list(viewer.layers)
+    above = [each for each in reversed(layers[layers.index(image) + 1 :]) if _is_opaque(each)]
+    if not above:
+        return None
+    targets, view = tuple(places) or _sample_places(viewer, image), View.of(viewer.dims)
     return next(
         (each for each in above if all(_has_pixel_at(each, at, view) for at in targets)), None
     )

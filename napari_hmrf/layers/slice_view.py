@@ -12,7 +12,7 @@ from napari.layers import Points, Shapes, Vectors
 from napari_hmrf.errors import HmrfError, LayerError
 from napari_hmrf.field.drawn_slice import pixel_drawn, sliders_at
 from napari_hmrf.field.frame import Frame, as_tuples, is_flat
-from napari_hmrf.field.units import unit_factor
+from napari_hmrf.field.units import unit_factor, unit_name
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class View:
         return cls(
             tuple(int(axis) for axis in dims.displayed),
             tuple(float(value) for value in dims.point),
-            None if units is None else tuple(str(unit) for unit in units),
+            None if units is None else tuple(map(unit_name, units)),
             tuple((float(span.start), float(span.step)) for span in dims.range),
             volume,
         )
@@ -56,7 +56,7 @@ class View:
         if self.units is None:
             return np.ones(layer.ndim)
         units = zip(self.units[-layer.ndim :], layer.units, strict=True)
-        return np.array([unit_factor(unit, str(to)) for unit, to in units])
+        return np.array([unit_factor(unit, unit_name(to)) for unit, to in units])
 
     def sliders_of(self, layer: Any) -> tuple[tuple[float, float], ...]:
         """Return the start and step of the slider for each layer axis, in the layer's units."""
@@ -126,7 +126,7 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
         )
     plane = _axes_of(layer, view)
     index = _index_on(layer, matrix, plane, view)
-    units = [str(layer.units[axis]) for axis in plane]
+    units = [unit_name(layer.units[axis]) for axis in plane]
     if np.isnan([unit_factor(unit, units[-1]) for unit in units]).any():
         raise LayerError(
             layer,
@@ -140,7 +140,7 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
         rotate=as_tuples(layer.rotate),
         shear=as_tuples(layer.shear),
         affine=as_tuples(layer.affine.affine_matrix),
-        units=tuple(str(unit) for unit in layer.units),
+        units=tuple(map(unit_name, layer.units)),
         axis_labels=tuple(str(label) for label in layer.axis_labels),
         matrix=as_tuples(matrix),
         sliders=() if view is None else view.sliders_of(layer),

@@ -72,8 +72,9 @@ class Guide:
         doing = "" if self._why == "refused" else self._doing
         if doing and self._why == "step" and self._message.startswith(messages.SAVED):
             doing = f"{self._message} {doing}"
-        hint = messages.MEANWHILE if self._is_painting else self.invitation
-        text, button = doing or self._message or hint, self._form.footer.deform.text
+        text, button = doing or self._message, self._form.footer.deform.text
+        if not text:
+            text = messages.MEANWHILE if self._is_painting else self.invitation
         if self._is_painting and messages.MEANWHILE not in text and not doing:
             text = f"{text} {messages.MEANWHILE}"
         return text if button == DEFORM else text.replace(f"ress {DEFORM}", f"ress '{button}'")
