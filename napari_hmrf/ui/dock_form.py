@@ -19,6 +19,7 @@ from qtpy.QtWidgets import (
     QFrame,
     QScrollArea,
     QSizePolicy,
+    QWidget,
 )
 
 from napari_hmrf.field.directions import Directions
@@ -199,9 +200,9 @@ class DockForm:
         self._body = body, tissue  # magicgui deletes an unreferenced container
         outer.native.layout().addWidget(self.footer)
         calm = CalmField(scroll)
-        for kind in (QComboBox, QAbstractSpinBox, QAbstractSlider):
-            for place in (body.native, self.footer):
-                for field in place.findChildren(kind):
+        for place in (body.native, self.footer):
+            for field in place.findChildren(QWidget):
+                if isinstance(field, QComboBox | QAbstractSpinBox | QAbstractSlider):
                     calm.watch(field)
         for container in (outer, body, first, ways, self.motion, *parts.values()):
             container.margins = (2, 2, 2, 2)

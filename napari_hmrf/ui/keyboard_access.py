@@ -31,7 +31,7 @@ def name_fields(form: Container) -> None:
             name_fields(field)
         elif field.label and not getattr(field, "text", ""):
             _name_field(field, field.label)
-            field.label_changed.connect(partial(_name_field, field))
+            field.label_changed.connect(partial(_name_field, field), max_args=1)
 
 
 def _name_field(field: Any, label: str) -> None:
@@ -70,8 +70,8 @@ class EnterKey(QObject):
 
     def __init__(self, dock: QWidget) -> None:
         super().__init__(dock)
-        for kind in (QPushButton, QToolButton):
-            for button in dock.findChildren(kind):
+        for button in dock.findChildren(QAbstractButton):
+            if isinstance(button, QPushButton | QToolButton):
                 button.installEventFilter(self)
 
     def eventFilter(self, button: Any, event: Any) -> bool:
