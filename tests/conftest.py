@@ -24,6 +24,7 @@ from tests.support.napari_caches import (
     check_widgets_once,
     collect_little_once,
     draw_letters_once,
+    freeze_once,
     read_manifests_once,
 )
 from tests.support.pulling import pull
@@ -105,8 +106,7 @@ def pytest_runtest_setup(item):
         check_widgets_once()
         check_callbacks_once()
         collect_little_once()
-        gc.collect()
-        gc.freeze()
+        freeze_once()
 
 
 @pytest.fixture(scope="session")
@@ -133,8 +133,6 @@ def widget(qtbot):
 
     from napari_hmrf.ui.soft_tissue import SoftTissue
 
-    check_widgets_once()
-    check_callbacks_once()
     found = SoftTissue(ViewerModel())
     qtbot.addWidget(found.native)
     return quick(found)
@@ -280,8 +278,6 @@ def frame(qtbot):
     """Return a viewer without a window, with a frame for docks beside it."""
     from tests.support.windowless import Frame
 
-    check_widgets_once()
-    check_callbacks_once()
     return Frame(qtbot)
 
 
@@ -290,8 +286,6 @@ def open_beside(qtbot, chequered, at_rest):
     """Return a function that opens the dock beside an image in a viewer without a window."""
     from tests.support.windowless import Frame, Touch
 
-    check_widgets_once()
-    check_callbacks_once()
     frames = []  # Frames must live as long as the test.
 
     def opened(data=None, **place):

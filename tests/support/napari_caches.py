@@ -1,12 +1,28 @@
-"""Caches for work that each napari window would repeat with the same result."""
+"""Caches for work that each napari window, dock or layer would repeat with the same result."""
 
 import gc
 import inspect
 import sys
 from functools import cache
 from types import FunctionType, MethodType, SimpleNamespace
+from weakref import WeakKeyDictionary
 
 import numpy as np
+from magicgui.backends._qtpy import widgets
+from napari import layers
+from napari.components import Dims
+
+from napari_hmrf.ui.viewer_dock import Dock
+
+
+@cache
+def freeze_once():
+    """Exclude existing objects, such as modules and compiled loops, from garbage collection.
+
+    napari collects garbage after each closed window.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 @cache
@@ -74,13 +90,16 @@ def check_callbacks_once():
 def inspect_functions_once():
     """Make psygnal inspect the parameters of a function only once."""
     inspect_it = inspect.signature
-    known = {}
+    by_code, by_function = {}, WeakKeyDictionary()
 
     def signature(obj, **how):
         function = obj.__func__ if type(obj) is MethodType else obj
-        if how or type(function) is not FunctionType or not _has_plain_parameters(function):
+        if how or type(function) is not FunctionType:
             return inspect_it(obj, **how)
-        key = function.__code__, function is obj
+        if _has_plain_parameters(function):  # a function of each dock has the same code
+            known, key = by_code, (function.__code__, function is obj)
+        else:
+            known, key = by_function.setdefault(function, {}), function is obj
         if key not in known:
             known[key] = inspect_it(obj)
         return known[key]
@@ -99,6 +118,25 @@ def _has_plain_parameters(function):
 
 
 @cache
+def check_changed_dims_once():
+    """Make napari check the sliders of a viewer only if it sets a new value.
+
+    For each layer that is added or changed, napari sets all values of the sliders again, and checks
+    all values after each.
+    """
+    set_value = Dims.__setattr__
+
+    def set_new_value(dims, name, value):
+        is_same_type = type(value) in (bool, int, tuple) and type(value) is type(
+            dims.__dict__.get(name)
+        )
+        if not (is_same_type and dims.__dict__[name] == value):
+            set_value(dims, name, value)
+
+    Dims.__setattr__ = set_new_value
+
+
+@cache
 def collect_little_once():
     """Make napari collect only the youngest generation of garbage when a layer is removed.
 
@@ -108,3 +146,31 @@ def collect_little_once():
 
     if sys.platform != "win32" and hasattr(canvas, "gc"):
         canvas.gc = SimpleNamespace(collect=lambda: gc.collect(0))
+
+
+@cache
+def watch_docks_once():
+    """Make magicgui watch only docks for a new parent, which other widgets of a dock never get.
+
+    magicgui watches each widget, so that Qt calls Python for each event of each widget.
+    """
+    kind = widgets.QBaseWidget
+    watch = kind._mgui_bind_parent_change_callback
+
+    def make(widget, native_kind, parent=None, **_):
+        widget._qwidget = native_kind(parent=parent)
+        widget._qwidget.setObjectName(f"magicgui.{native_kind.__name__}")
+        widget._event_filter = widgets.EventFilter()
+
+    def watch_dock(widget, callback):
+        if isinstance(callback.__self__.instance, Dock):
+            widget._qwidget.installEventFilter(widget._event_filter)
+            watch(widget, callback)
+
+    kind.__init__, kind._mgui_bind_parent_change_callback = make, watch_dock
+
+
+def skip_thumbnails(monkeypatch):
+    """Do not draw the thumbnails of layers, which are not visible without a window."""
+    for kind in (layers.Image, layers.Labels, layers.Points, layers.Shapes, layers.Vectors):
+        monkeypatch.setattr(kind, "_update_thumbnail", lambda _: None)

@@ -230,6 +230,7 @@ def test_arrows_follow_the_mouse_during_a_solve(pulling_beside, qtbot, solver_at
     person.release(34, 40)
 
 
+@pytest.mark.usefixtures("thumbnails")
 def test_events_of_layers_are_emitted_only_after_a_drag(pulling_beside, settle, qtbot):
     person, widget = pulling_beside
     picture = by_name(person.viewer, "MR deformed, elastic")

@@ -50,6 +50,7 @@ def displayed_number(viewer):
     return round(float(picture.thumbnail[..., 0].max()) / 255 * 8)
 
 
+@pytest.mark.usefixtures("thumbnails")
 def test_the_slice_reported_as_displayed_is_the_drawn_slice():
     viewer = ViewerModel()
     image = viewer.add_image(numbered_slices(), name="MR", contrast_limits=(0, 8), **PLACE)
@@ -65,6 +66,7 @@ def test_the_slice_reported_as_displayed_is_the_drawn_slice():
     assert len(seen) > 3
 
 
+@pytest.mark.usefixtures("thumbnails")
 def test_the_tissue_under_the_pointer_is_pulled(tilted, settle):
     person, widget = tilted
     here, there = np.array((9.0, 14.0)), np.array((12.0, 14.0))
