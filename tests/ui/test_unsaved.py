@@ -24,6 +24,7 @@ from napari_hmrf import (
     Pictures,
     Stroke,
     Study,
+    array_file,
     read_study,
     write_study,
 )
@@ -568,11 +569,14 @@ def test_a_hundred_held_patches_are_autosaved(dock_beside, at_rest):
 NOT_AUTOSAVED = "The work on 'photo' is not autosaved, so a crash would lose it"
 
 
-def test_work_that_cannot_be_autosaved_is_reported_with_the_reason(dock_beside, qtbot, at_rest):
+def test_work_that_cannot_be_autosaved_is_reported_with_the_reason(
+    dock_beside, qtbot, at_rest, monkeypatch
+):
+    monkeypatch.setattr(array_file, "_HEADER_BYTES", 2**17)
     viewer = ViewerModel()
     viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
     dock = dock_beside(viewer)
-    points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 60, (90_000, 2)).tolist()))
+    points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 60, (3_000, 2)).tolist()))
     dock.drawing = Drawing((Stroke("confidence", (points,), 1.0),))
     # Not with `at_rest`, which would write the long drawing again and again.
     qtbot.waitUntil(lambda: NOT_AUTOSAVED in Screen(dock).words, timeout=LONG_MS)
