@@ -1,6 +1,7 @@
 """Tests of the dock with the mouse, as a first-time user would use it."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -57,21 +58,21 @@ def slide(widget, part):
     QTest.mouseClick(slider, LEFT, Qt.KeyboardModifier.NoModifier, place)
 
 
-@pytest.mark.parametrize("title", ["Pull", "Hold", "Confidence"])
-def test_pressing_a_tool_again_leaves_it_active(pulling_beside, at_rest, click, title):
+def test_pressing_a_tool_again_leaves_it_active(pulling_beside, at_rest, click):
     person, widget = pulling_beside
-    button = Screen(widget).button(title)
-    key = button.toolTip().rstrip(")")[-1]
-    for press in (
-        lambda: click(widget, title),
-        lambda: QTest.keyClick(button, Qt.Key.Key_Space),
-        lambda: person.key(Qt.Key(ord(key))),
-    ):
-        for _ in range(2):
-            press()
-            at_rest.pass_through()
-            assert widget.active
-            assert button.isChecked()
+    for title in ("Pull", "Hold", "Confidence"):
+        button = Screen(widget).button(title)
+        key = button.toolTip().rstrip(")")[-1]
+        for press in (
+            partial(click, widget, title),
+            partial(QTest.keyClick, button, Qt.Key.Key_Space),
+            partial(person.key, Qt.Key(ord(key))),
+        ):
+            for _ in range(2):
+                press()
+                at_rest.pass_through()
+                assert widget.active
+                assert button.isChecked(), title
 
 
 @pytest.mark.parametrize("sample", ["brain", "growth"])
