@@ -8,11 +8,7 @@ from types import FunctionType, MethodType, SimpleNamespace
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from magicgui.backends._qtpy import widgets
 from napari import layers
-from napari.components import Dims
-
-from napari_hmrf.ui.viewer_dock import Dock
 
 
 @cache
@@ -118,25 +114,6 @@ def _has_plain_parameters(function):
 
 
 @cache
-def check_changed_dims_once():
-    """Make napari check the sliders of a viewer only if it sets a new value.
-
-    For each layer that is added or changed, napari sets all values of the sliders again, and checks
-    all values after each.
-    """
-    set_value = Dims.__setattr__
-
-    def set_new_value(dims, name, value):
-        is_same_type = type(value) in (bool, int, tuple) and type(value) is type(
-            dims.__dict__.get(name)
-        )
-        if not (is_same_type and dims.__dict__[name] == value):
-            set_value(dims, name, value)
-
-    Dims.__setattr__ = set_new_value
-
-
-@cache
 def collect_little_once():
     """Make napari collect only the youngest generation of garbage when a layer is removed.
 
@@ -146,28 +123,6 @@ def collect_little_once():
 
     if sys.platform != "win32" and hasattr(canvas, "gc"):
         canvas.gc = SimpleNamespace(collect=lambda: gc.collect(0))
-
-
-@cache
-def watch_docks_once():
-    """Make magicgui watch only docks for a new parent, which other widgets of a dock never get.
-
-    magicgui watches each widget, so that Qt calls Python for each event of each widget.
-    """
-    kind = widgets.QBaseWidget
-    watch = kind._mgui_bind_parent_change_callback
-
-    def make(widget, native_kind, parent=None, **_):
-        widget._qwidget = native_kind(parent=parent)
-        widget._qwidget.setObjectName(f"magicgui.{native_kind.__name__}")
-        widget._event_filter = widgets.EventFilter()
-
-    def watch_dock(widget, callback):
-        if isinstance(callback.__self__.instance, Dock):
-            widget._qwidget.installEventFilter(widget._event_filter)
-            watch(widget, callback)
-
-    kind.__init__, kind._mgui_bind_parent_change_callback = make, watch_dock
 
 
 def skip_thumbnails(monkeypatch):

@@ -4,11 +4,9 @@ import pytest
 
 from tests.support.napari_caches import (
     check_callbacks_once,
-    check_changed_dims_once,
     check_widgets_once,
     inspect_functions_once,
     skip_thumbnails,
-    watch_docks_once,
 )
 
 
@@ -22,8 +20,6 @@ def _quick_docks(request, monkeypatch):
     """Open docks without work that is repeated for each dock, or that has no effect."""
     check_widgets_once()
     check_callbacks_once()
-    check_changed_dims_once()
     inspect_functions_once()
-    watch_docks_once()
     if not {"make_napari_viewer", "thumbnails"} & set(request.fixturenames):
         skip_thumbnails(monkeypatch)
