@@ -14,7 +14,7 @@ SEED ?= 0
 # How many random problems `make cavities` solves.
 PROBLEMS ?= 2000
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline hard report mutations screenshots gallery sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots gallery sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -42,6 +42,7 @@ help:
 	@echo "make disks        write each kind of file to a full disk (as root, on Linux)"
 	@echo "make volumes      time volumes beside PyAMG, and compare hundreds of random ones with direct solutions"
 	@echo "make roofline     count operations and bytes of each loop, and time it beside the limits of the processor"
+	@echo "make solving      time solves of volumes and images: AGAINST=folder compares with another checkout"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
 	@echo "make mutations    break the window's half in two dozen places, one by one, and see a test fail for each"
@@ -143,6 +144,9 @@ volumes: setup-for-report
 
 roofline: setup
 	@$(RUN) -m benchmarks.roofline
+
+solving: setup
+	@$(RUN) benchmarks/solving.py $(if $(AGAINST),--against $(AGAINST))
 
 report: setup-for-report
 	@$(RUN) benchmarks/validation.py
