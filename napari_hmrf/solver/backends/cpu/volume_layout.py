@@ -72,7 +72,7 @@ class Layout:
         total = int(lengths.sum())
         most = _FULL * math.prod(size - PAD for size in planes)
         if whole or not _FEW <= total <= most:
-            return cls(planes, *_whole(planes), tissue, planes)
+            return cls(planes, *_whole(planes), _all_columns(planes), planes)
         starts = (np.cumsum(lengths) - lengths.ravel()).reshape(lengths.shape) - begin
         lines = max(1, -(-total // _LINE)) + 2 * PAD
         return cls(planes, starts + PAD * _LINE, stored, tissue, (lines, _LINE))

@@ -195,7 +195,7 @@ def test_sums_and_maxima_include_every_site(of_void):
     held[-1, 0, 0, 0] = 1
     given = Example(Problem(0 * held, held, m), ElasticPrior(0.3))
     (host_level, *_) = host_levels(given)
-    ones = (host_level.inverse > 0).astype(np.float32)
+    ones = (host_level.planes(host_level.inverse) > 0).astype(np.float32)
     peak = ones.copy()
     peak[1, -3, -3, -3] = -7
 
