@@ -145,8 +145,10 @@ class CpuVolumeLevel(VolumeLevel):
         return True
 
     def vector(self, values: Vector | None = None) -> Vector:
-        """Return a zero vector, or the given vector without a copy."""
-        return self.layout.vector() if values is None else values
+        """Return a zero vector, or one with the given values: planes, or already a vector."""
+        if values is None:
+            return self.layout.vector()
+        return self.layout.packed(values) if values.shape[1:] == self.layout.planes else values
 
     def planes(self, vector: Vector) -> Vector:
         """Return a vector as planes."""
