@@ -143,7 +143,7 @@ volumes: setup-for-report
 	@$(RUN) benchmarks/volumes.py
 
 roofline: setup
-	@$(RUN) -m benchmarks.roofline
+	@$(RUN) benchmarks/roofline.py
 
 solving: setup
 	@$(RUN) benchmarks/solving.py $(if $(AGAINST),--against $(AGAINST))

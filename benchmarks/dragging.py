@@ -31,6 +31,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
+from checkouts import CheckoutWorker, Turn, answer, in_turn
 
 SIZES = (300, 600, 1200)
 WAYS = ("solver", "window")
@@ -40,9 +42,6 @@ _ANSWER = "dragging: "
 _EVENTS = 60.0
 #: Number of functions to list that allocate the most large arrays.
 _PLACES = 6
-
-#: Result of a turn: {"late": seconds, "moves": int, "cpu": seconds} and more.
-Turn = dict[str, Any]
 
 
 class Clock:
@@ -118,21 +117,17 @@ def work(way: str, size: int, kind: str) -> int:
     """Perform a drag for each line on the standard input."""
     turn, count = {"solver": drag_solver, "window": drag_window}[way](size, kind)
     turn(1.0)
-    _tell({"ready": True})
+    answer(_ANSWER, {"ready": True})
     for line in sys.stdin:
         asked = json.loads(line)
         if asked["count"] and count is not None:
-            _tell(count(asked["seconds"]))
+            answer(_ANSWER, count(asked["seconds"]))
         else:
-            _tell(turn(asked["seconds"]))
+            answer(_ANSWER, turn(asked["seconds"]))
     os._exit(0)  # skip the shutdown of Qt and its windows
 
 
-def _tell(told: Turn) -> None:
-    print(_ANSWER + json.dumps(told), flush=True)
-
-
-class Worker:
+class Worker(CheckoutWorker):
     """Process that performs drags in a checkout on request.
 
     Parameters
@@ -150,42 +145,11 @@ class Worker:
     def __init__(self, checkout: Path, way: str, size: int, kind: str) -> None:
         own = checkout / "benchmarks" / "dragging.py"
         script = own if own.exists() else Path(__file__).resolve()
-        environment = {
-            **os.environ,
-            "PYTHONPATH": str(checkout),
-            "NAPARI_HMRF_COMPILE": "here",
-        }
-        self._process = subprocess.Popen(
-            [sys.executable, str(script), "--worker", way, str(size), kind],
-            cwd=checkout,
-            env=environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self._answer()
+        super().__init__(checkout, script, (way, str(size), kind), _ANSWER)
 
     def drag(self, seconds: float, count: bool = False) -> Turn:
         """Drag for a number of seconds and return the result."""
-        assert self._process.stdin is not None
-        print(
-            json.dumps({"seconds": seconds, "count": count}), file=self._process.stdin, flush=True
-        )
-        return self._answer()
-
-    def end(self) -> None:
-        """End the process."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait()
-
-    def _answer(self) -> Turn:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            if line.startswith(_ANSWER):
-                told: Turn = json.loads(line.removeprefix(_ANSWER))
-                return told
-        raise SystemExit(f"a worker ended without an answer: exit code {self._process.wait()}")
+        return self.ask({"seconds": seconds, "count": count})
 
 
 def compare(
@@ -193,11 +157,7 @@ def compare(
 ) -> str:
     """Drag in each checkout in turn and return the report."""
     workers = [Worker(checkout, way, size, kind) for checkout in checkouts]
-    told: list[list[Turn]] = [[] for _ in workers]
-    for number in range(turns):
-        order = range(len(workers)) if number % 2 == 0 else reversed(range(len(workers)))
-        for each in order:
-            told[each].append(workers[each].drag(seconds))
+    told = in_turn(workers, turns, lambda worker: worker.drag(seconds))
     counts = [worker.drag(seconds, count=True) for worker in workers if way == "window"]
     for worker in workers:
         worker.end()
@@ -239,8 +199,8 @@ def compare(
 def _ratio(ratios: Sequence[float]) -> str:
     """Return the median of ratios, its 95 % interval by the bootstrap, and their range."""
     middle = np.median(ratios)
-    draws = np.random.default_rng(0).choice(ratios, (9999, len(ratios)))
-    low, high = np.percentile(np.median(draws, axis=1), (2.5, 97.5))
+    interval = scipy.stats.bootstrap((ratios,), np.median, method="percentile", random_state=0)
+    low, high = interval.confidence_interval
     return f"{middle:.2f} ({low:.2f} to {high:.2f}; {min(ratios):.2f} to {max(ratios):.2f})"
 
 

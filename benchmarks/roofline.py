@@ -1,6 +1,6 @@
 """Roofline of the compiled loops: operations and bytes of each kernel, and its distance to limits.
 
-    python -m benchmarks.roofline [--volume 128] [--image 1200] [--solves 5]
+    python benchmarks/roofline.py [--volume 128] [--image 1200] [--solves 5]
 
 Two limits are measured between the solves: bytes copied per second, read and written, and fused
 multiply-adds per second in single precision. A volume (an ellipsoid that fills 41 % of its grid,
@@ -39,8 +39,8 @@ os.environ.setdefault("NAPARI_HMRF_COMPILE", "here")
 
 import numba
 import numpy as np
+from solving import ellipsoid
 
-from benchmarks.solving import ellipsoid
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.cpu import elastic, forces, hexahedra, vectors, volume

@@ -18,16 +18,15 @@ Without another checkout, only the times of this checkout are printed.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import resource
-import subprocess
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from checkouts import CheckoutWorker, Turn, answer, in_turn
+from report.memory import peak_megabytes
 from scipy import stats
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -36,9 +35,6 @@ _ANSWER = "solving: "
 # Half axes of the ellipsoid, relative to half of the grid.
 _AXES = np.float32((0.98, 0.95, 0.84))
 _KINDS = ("volume", "image")
-
-#: Result of a solve: {"wall": seconds, "cpu": seconds, "cycles": int, "peak": bytes}.
-Turn = dict[str, float]
 
 
 def ellipsoid(size: int) -> Any:
@@ -74,18 +70,17 @@ def work(kind: str, size: int) -> int:
         wall, cpu = time.perf_counter(), time.process_time()
         found = solve(problem, ElasticPrior(0.45), optimizer=Multigrid(), backend="cpu")
         seconds = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
-        peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return {**seconds, "cycles": found.iterations, "peak": peak}
+        return {**seconds, "cycles": found.iterations, "peak": peak_megabytes()}
 
     turn(problem_of(kind, {"volume": 24, "image": 96}[kind]))
     problem = problem_of(kind, size)
-    print(_ANSWER + "{}", flush=True)
+    answer(_ANSWER, {})
     for _ in sys.stdin:
-        print(_ANSWER + json.dumps(turn(problem)), flush=True)
+        answer(_ANSWER, turn(problem))
     return 0
 
 
-class Worker:
+class Worker(CheckoutWorker):
     """Process that solves a problem in a checkout on request.
 
     Parameters
@@ -100,41 +95,12 @@ class Worker:
     """
 
     def __init__(self, checkout: Path, kind: str, size: int, threads: int) -> None:
-        environment = {
-            **os.environ,
-            "PYTHONPATH": str(checkout),
-            "NAPARI_HMRF_COMPILE": "here",
-            "NUMBA_NUM_THREADS": str(threads),
-        }
-        self._process = subprocess.Popen(
-            [sys.executable, __file__, "--worker", kind, str(size)],
-            cwd=checkout,
-            env=environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self._answer()
+        script, number = Path(__file__).resolve(), str(threads)
+        super().__init__(checkout, script, (kind, str(size)), _ANSWER, NUMBA_NUM_THREADS=number)
 
     def solve(self) -> Turn:
         """Solve the problem."""
-        assert self._process.stdin is not None
-        print(file=self._process.stdin, flush=True)
-        return self._answer()
-
-    def end(self) -> None:
-        """End the process."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait()
-
-    def _answer(self) -> Turn:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            if line.startswith(_ANSWER):
-                told: Turn = json.loads(line.removeprefix(_ANSWER))
-                return told
-        raise SystemExit(f"a worker ended without an answer: exit code {self._process.wait()}")
+        return self.ask({})
 
 
 def compare(kind: str, size: int, checkouts: list[Path], turns: int, threads: int) -> str:
@@ -142,11 +108,7 @@ def compare(kind: str, size: int, checkouts: list[Path], turns: int, threads: in
     # Both processes measure their first solves before they take turns.
     workers = [Worker(checkout, kind, size, threads) for checkout in checkouts]
     first = [[worker.solve(), worker.solve()] for worker in workers]
-    told: list[list[Turn]] = [[] for _ in workers]
-    for number in range(turns):
-        order = range(len(workers)) if number % 2 == 0 else reversed(range(len(workers)))
-        for each in order:
-            told[each].append(workers[each].solve())
+    told = in_turn(workers, turns, Worker.solve)
     for worker in workers:
         worker.end()
     lines = [f"{kind} of {size}, {threads} threads:"]
@@ -160,7 +122,7 @@ def compare(kind: str, size: int, checkouts: list[Path], turns: int, threads: in
         again = ", ".join(f"{one[way] / two[way]:.2f} ({way})" for way in times)
         lines.append(
             f"  {name}: {both}; {own[0]['cycles']:.0f} cycles; first / second solve {again}; "
-            f"{own[-1]['peak'] / 2**30:.2f} GiB"
+            f"{own[-1]['peak'] / 2**10:.2f} GiB"
         )
     if len(workers) > 1:
         for way in ("wall", "cpu"):
