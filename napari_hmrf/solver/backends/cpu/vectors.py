@@ -33,30 +33,52 @@ def row_product(a: Any, b: Any, row: int) -> float:
 
 
 @inline
-def span(inverse, spans, i):
-    """Store the start and stop column of the moving sites of row i in `spans`."""
-    first, past = int64(0), int64(0)
-    for j in range(inverse.shape[2] - 4):
+def span(inverse, first, out):
+    """Store the start and stop column of the moving sites of a row in `out`.
+
+    `inverse` contains the row from column `first`, counted without the border.
+    """
+    begin, past = int64(0), int64(0)
+    for j in range(inverse.shape[1]):
         for k in range(len(inverse)):
-            if inverse[k, i + 2, j + 2] > float32(0):
+            if inverse[k, j] > float32(0):
                 if past == 0:
-                    first = j
-                past = j + 1
-    spans[i, 0] = first
-    spans[i, 1] = past
+                    begin = first + j
+                past = first + j + 1
+    out[0] = begin
+    out[1] = past
+
+
+@inline
+def hold_line(inverse, held, pins):
+    """Compute `hold` for one component of a row."""
+    for j in range(len(inverse)):
+        diagonal, here = inverse[j], held[j]
+        moves = diagonal > float32(0) and not here
+        inverse[j] = float32(1) / diagonal if moves else float32(0)
+        pins[j] = float32(1) if here else float32(0)
+
+
+@inline
+def spring_line(inverse, pins, weight, most, strength):
+    """Compute `spring` for one component of a row."""
+    for j in range(len(inverse)):
+        diagonal = inverse[j]
+        pins[j] = min(pins[j], most)
+        weight[j] = strength * pins[j] * diagonal
+        whole = diagonal + weight[j]
+        inverse[j] = float32(1) / whole if whole > float32(0) else float32(0)
 
 
 @parallel
 def hold(inverse, held, pins, spans):
     """Replace a diagonal with its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0."""
-    for i in prange(inverse.shape[1] - 4):
+    past = inverse.shape[2] - 2
+    for n in prange(inverse.shape[1] - 4):
+        i = n + 2
         for k in range(len(inverse)):
-            for j in range(2, inverse.shape[2] - 2):
-                diagonal, here = inverse[k, i + 2, j], held[k, i + 2, j]
-                moves = diagonal > float32(0) and not here
-                inverse[k, i + 2, j] = float32(1) / diagonal if moves else float32(0)
-                pins[k, i + 2, j] = float32(1) if here else float32(0)
-        span(inverse, spans, i)
+            hold_line(inverse[k, i, 2:past], held[k, i, 2:past], pins[k, i, 2:past])
+        span(inverse[:, i, 2:past], 0, spans[n])
 
 
 @parallel
@@ -65,15 +87,13 @@ def spring(inverse, pins, most, strength, weight, spans):
 
     The strength of a spring is ``strength * min(pins, most) * diagonal``.
     """
-    for i in prange(inverse.shape[1] - 4):
+    past = inverse.shape[2] - 2
+    for n in prange(inverse.shape[1] - 4):
+        i = n + 2
         for k in range(len(inverse)):
-            for j in range(2, inverse.shape[2] - 2):
-                diagonal = inverse[k, i + 2, j]
-                pins[k, i + 2, j] = min(pins[k, i + 2, j], most)
-                weight[k, i + 2, j] = strength * pins[k, i + 2, j] * diagonal
-                whole = diagonal + weight[k, i + 2, j]
-                inverse[k, i + 2, j] = float32(1) / whole if whole > float32(0) else float32(0)
-        span(inverse, spans, i)
+            lines = inverse[k, i, 2:past], pins[k, i, 2:past], weight[k, i, 2:past]
+            spring_line(lines[0], lines[1], lines[2], most, strength)
+        span(inverse[:, i, 2:past], 0, spans[n])
 
 
 @parallel

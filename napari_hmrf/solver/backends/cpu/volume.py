@@ -30,6 +30,7 @@ from napari_hmrf.solver.backends.cpu.compiled import (
 )
 from napari_hmrf.solver.backends.cpu.forces import part
 from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
+from napari_hmrf.solver.backends.cpu.vectors import hold_line, span, spring_line
 
 # Smallest number of planes per thread; with fewer planes, too many planes would be computed twice.
 _FEW_PLANES = 8
@@ -717,55 +718,37 @@ def diagonal(lame, share, shape, at, spans, out):
 # Constraints
 
 
-@inline
-def _moving_span(inverse, at, first, last, span):
-    """Store the start and stop column of the moving sites of a row in `span`."""
-    begin, past = int64(0), int64(0)
-    for x in range(first, last):
-        for k in range(3):
-            if inverse[k, at + x] > float32(0):
-                if past == 0:
-                    begin = x - 2
-                past = x - 1
-    span[0] = begin
-    span[1] = past
-
-
 @parallel
 def hold(inverse, held, of_held, pins, at, tissue, spans):
-    """Replace a diagonal with its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0.
+    """Compute `vectors.hold` within the spans of the tissue.
 
-    `of_held` is the table of rows of `held`, and `tissue` contains the spans of the tissue. Store
-    the columns with components that move in `spans`.
+    `of_held` is the table of rows of `held`. Store the columns with components that move in
+    `spans`.
     """
     for n in prange(len(at) - 4):
+        z = n + 2
         for y in range(2, at.shape[1] - 2):
-            first, last = tissue[n + 2, y, 0] + 2, tissue[n + 2, y, 1] + 2
-            i, j = at[n + 2, y], of_held[n + 2, y]
+            first, count = tissue[z, y, 0], tissue[z, y, 1] - tissue[z, y, 0]
+            i, j = at[z, y] + first + 2, of_held[z, y] + first + 2
+            past = i + count
             for k in range(3):
-                for x in range(first, last):
-                    here, whole = held[k, j + x], inverse[k, i + x]
-                    moves = whole > float32(0) and not here
-                    inverse[k, i + x] = float32(1) / whole if moves else float32(0)
-                    pins[k, i + x] = float32(1) if here else float32(0)
-            _moving_span(inverse, i, first, last, spans[n + 2, y])
+                hold_line(inverse[k, i:past], held[k, j : j + count], pins[k, i:past])
+            span(inverse[:, i:past], first, spans[z, y])
 
 
 @parallel
 def spring(inverse, pins, weight, most, strength, at, tissue, spans):
-    """Set the springs of a coarser level; see `vectors.spring`."""
+    """Compute `vectors.spring` within the spans of the tissue."""
     for n in prange(len(at) - 4):
+        z = n + 2
         for y in range(2, at.shape[1] - 2):
-            first, last = tissue[n + 2, y, 0] + 2, tissue[n + 2, y, 1] + 2
-            i = at[n + 2, y]
+            first, count = tissue[z, y, 0], tissue[z, y, 1] - tissue[z, y, 0]
+            i = at[z, y] + first + 2
+            past = i + count
             for k in range(3):
-                for x in range(i + first, i + last):
-                    diagonal = inverse[k, x]
-                    pins[k, x] = min(pins[k, x], most)
-                    weight[k, x] = strength * pins[k, x] * diagonal
-                    whole = diagonal + weight[k, x]
-                    inverse[k, x] = float32(1) / whole if whole > float32(0) else float32(0)
-            _moving_span(inverse, i, first, last, spans[n + 2, y])
+                lines = inverse[k, i:past], pins[k, i:past], weight[k, i:past]
+                spring_line(lines[0], lines[1], lines[2], most, strength)
+            span(inverse[:, i:past], first, spans[z, y])
 
 
 # Layout

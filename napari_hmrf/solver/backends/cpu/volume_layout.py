@@ -54,6 +54,17 @@ class Layout:
     shape: tuple[int, ...]
 
     @classmethod
+    @lru_cache(maxsize=32)
+    def whole(cls, planes: tuple[int, ...]) -> Self:
+        """Return the layout of planes with the given shape; all columns count as tissue."""
+        depth, height, width = planes
+        starts = width * np.arange(depth * height, dtype=np.int64).reshape(depth, height)
+        stored, tissue = np.zeros((2, depth, height, 2), dtype=np.int64)
+        stored[..., 1] = width
+        tissue[PAD:-PAD, PAD:-PAD, 1] = width - 2 * PAD
+        return cls(planes, starts, stored, tissue, planes)
+
+    @classmethod
     def of_tissue(cls, lame: Values, whole: bool) -> Self:
         """Return the layout of a level with the given elements.
 
@@ -64,15 +75,18 @@ class Layout:
         whole : bool
             True to store all sites.
         """
-        planes, tissue = lame.shape[1:], _tissue_spans(lame)
+        planes = lame.shape[1:]
+        if whole:
+            return cls.whole(planes)
+        tissue = _tissue_spans(lame)
         begin, past = (each + PAD for each in np.moveaxis(tissue, -1, 0))
         begin, past = _joined(begin - 1, past + 1, tissue[..., 1] > tissue[..., 0], (-1, 0, 1))
         stored = np.stack((begin, past), axis=-1)
         lengths = past - begin
         total = int(lengths.sum())
         most = _FULL * math.prod(size - PAD for size in planes)
-        if whole or not _FEW <= total <= most:
-            return cls(planes, *_whole(planes), _all_columns(planes), planes)
+        if not _FEW <= total <= most:
+            return cls.whole(planes)
         starts = (np.cumsum(lengths) - lengths.ravel()).reshape(lengths.shape) - begin
         lines = max(1, -(-total // _LINE)) + 2 * PAD
         return cls(planes, starts + PAD * _LINE, stored, tissue, (lines, _LINE))
@@ -83,8 +97,12 @@ class Layout:
         return self.shape == self.planes
 
     def matches(self, other: Layout) -> bool:
-        """Return whether another layout has the same places."""
-        return self.shape == other.shape and np.array_equal(self.starts, other.starts)
+        """Return whether another layout has the same places and the same spans of tissue."""
+        return (
+            self.shape == other.shape
+            and np.array_equal(self.starts, other.starts)
+            and np.array_equal(self.tissue, other.tissue)
+        )
 
     def vector(self, components: int = 3, dtype: Any = np.float32) -> Values:
         """Return a vector of zeros."""
@@ -94,8 +112,7 @@ class Layout:
         """Return planes in this layout; the planes themselves if all sites are stored."""
         if self.is_whole:
             return values
-        out = self.vector(len(values), values.dtype)
-        starts, _ = _whole(self.planes)
+        out, starts = self.vector(len(values), values.dtype), Layout.whole(self.planes).starts
         volume.copy_rows(flat(values), starts, flat(out), self.starts, self.stored)
         return out
 
@@ -104,7 +121,7 @@ class Layout:
         if self.is_whole:
             return vector
         out = np.zeros((len(vector), *self.planes), dtype=vector.dtype)
-        starts, _ = _whole(self.planes)
+        starts = Layout.whole(self.planes).starts
         volume.copy_rows(flat(vector), self.starts, flat(out), starts, self.stored)
         return out
 
@@ -116,44 +133,25 @@ def flat(vector: Values) -> Values:
 
 def whole_starts(planes: tuple[int, ...]) -> Table:
     """Return the table of rows of planes with the given shape."""
-    return _whole(planes)[0]
+    return Layout.whole(planes).starts
 
 
-def restrict(
-    fine: Values, coarse: Values, of_fine: Layout | None = None, of_coarse: Layout | None = None
-) -> None:
-    """Apply the transpose of `interpolate`; without layouts, both arrays are planes."""
-    starts, stored = _whole(fine.shape[1:]) if of_fine is None else (of_fine.starts, of_fine.stored)
-    if of_coarse is None:
-        spans, table = _all_columns(coarse.shape[1:]), whole_starts(coarse.shape[1:])
-    else:
-        spans, table = of_coarse.tissue, of_coarse.starts
-    volume.restrict(flat(fine), starts, stored, flat(coarse), table, spans)
+def restrict(fine: Values, of_fine: Layout, coarse: Values, of_coarse: Layout) -> None:
+    """Apply the transpose of `volume.interpolate`."""
+    places = of_coarse.starts, of_coarse.tissue
+    volume.restrict(flat(fine), of_fine.starts, of_fine.stored, flat(coarse), *places)
 
 
-def interpolate(coarse: Values, fine: Values, inverse: Values) -> None:
+def restrict_planes(fine: Values, coarse: Values) -> None:
+    """Apply `restrict` to planes."""
+    restrict(fine, Layout.whole(fine.shape[1:]), coarse, Layout.whole(coarse.shape[1:]))
+
+
+def interpolate_planes(coarse: Values, fine: Values, inverse: Values) -> None:
     """Add the interpolated coarse correction to the components that move; all arrays are planes."""
-    starts, spans = whole_starts(fine.shape[1:]), _all_columns(fine.shape[1:])
-    of_coarse = whole_starts(coarse.shape[1:])
-    volume.interpolate(flat(coarse), of_coarse, flat(fine), starts, flat(inverse), spans)
-
-
-@lru_cache(maxsize=32)
-def _whole(planes: tuple[int, ...]) -> tuple[Table, Table]:
-    """Return the table of rows of planes, and the columns of each row."""
-    depth, height, width = planes
-    starts = width * np.arange(depth * height, dtype=np.int64).reshape(depth, height)
-    stored = np.zeros((depth, height, 2), dtype=np.int64)
-    stored[..., 1] = width
-    return starts, stored
-
-
-@lru_cache(maxsize=32)
-def _all_columns(planes: tuple[int, ...]) -> Table:
-    """Return spans of all columns of the grid; spans of border rows are empty."""
-    spans = np.zeros((*planes[:-1], 2), dtype=np.int64)
-    spans[PAD:-PAD, PAD:-PAD, 1] = planes[-1] - 2 * PAD
-    return spans
+    layout, starts = Layout.whole(fine.shape[1:]), whole_starts(coarse.shape[1:])
+    arrays = flat(coarse), starts, flat(fine), layout.starts, flat(inverse)
+    volume.interpolate(*arrays, layout.tissue)
 
 
 def _tissue_spans(lame: Values) -> Table:

@@ -85,10 +85,10 @@ class VolumeLevel(CpuLevel):
         """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
     def _restrict(self, forces: Vector, coarse: Self, out: Vector) -> None:
-        volume_layout.restrict(forces, out)
+        volume_layout.restrict_planes(forces, out)
 
     def _interpolate(self, coarse: Self) -> None:
-        volume_layout.interpolate(coarse.correction, self.correction, self.inverse)
+        volume_layout.interpolate_planes(coarse.correction, self.correction, self.inverse)
 
 
 class CpuVolumeLevel(VolumeLevel):
@@ -130,19 +130,6 @@ class CpuVolumeLevel(VolumeLevel):
         self._at_once = max(1, int(BATCH_SECONDS / (_SITE_SECONDS * math.prod(grid))))
         self.checkpoint: Checkpoint = _never_cancel
         self.share = np.float32(1)
-
-    def use_layout(self, layout: Layout) -> bool:
-        """Replace the layout with one with the same places; return False if it has others."""
-        if not self.layout.matches(layout):
-            return False
-        if not np.array_equal(self.layout.tissue, layout.tissue):
-            arrays = self.inverse, self.load, self.weight, self.data, self.mixed
-            for array in arrays:
-                if array is not None:
-                    array.fill(0)
-            self.clear()
-        self.layout = layout
-        return True
 
     def vector(self, values: Vector | None = None) -> Vector:
         """Return a zero vector, or one with the given values: planes, or already a vector."""
@@ -245,7 +232,7 @@ class CpuVolumeLevel(VolumeLevel):
         self._restrict(self._other, coarse, coarse.load)
 
     def _restrict(self, forces: Vector, coarse: Self, out: Vector) -> None:
-        volume_layout.restrict(forces, out, self.layout, coarse.layout)
+        volume_layout.restrict(forces, self.layout, out, coarse.layout)
 
     def _interpolate(self, coarse: Self) -> None:
         vectors = self._with_tables(coarse.correction, coarse, self.correction)
@@ -360,10 +347,10 @@ class CpuVolumeModel(HostModel):
                 fine, lame = lame, padded(len(lame), grid)
                 volume.coarsen(fine, lame)
             layout = Layout.of_tissue(lame, whole)
+            if number < len(self.levels) and not self.levels[number].layout.matches(layout):
+                del self.levels[number:]  # free their memory before new levels are allocated
             if number == len(self.levels):
                 self.levels.append(CpuVolumeLevel(grid, layout, number == 0, has_data))
-            elif not self.levels[number].use_layout(layout):
-                self.levels[number] = CpuVolumeLevel(grid, layout, number == 0, has_data)
             level = self.levels[number]
             level.lame, level.checkpoint = layout.packed(lame), self._checkpoint
         if self._rest.shape != self.levels[0].inverse.shape:
