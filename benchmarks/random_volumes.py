@@ -19,7 +19,7 @@ from volume_oracle import direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.errors import ConvergenceError, ProblemError
-from napari_hmrf.solver.backends.cpu import volume_layout
+from napari_hmrf.solver.backends.cpu import layout
 from napari_hmrf.solver.backends.direct.factors import Factors
 
 TOLERANCE = 0.01
@@ -63,7 +63,7 @@ def judged(seed: int, paper: bool = False) -> tuple[str, str]:
             if seed % 2:
                 as_large.enter_context(patch.object(Factors, "fit", staticmethod(lambda *_: False)))
             if seed % 4 > 1:
-                as_large.enter_context(patch.object(volume_layout, "_FEW", 0))
+                as_large.enter_context(patch.dict(layout._FEW, {3: 0}))
             found = solve(problem, prior, optimizer=Multigrid(TOLERANCE), backend="cpu")
     except ProblemError:
         return "have no unique solution", ""

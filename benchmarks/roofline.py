@@ -16,8 +16,8 @@ pixels, with Poisson's ratio 0.45. For each kernel on the finest level, the tabl
 - the distance: time divided by the larger limit.
 
 With NUMBA_NUM_THREADS=1, times are those of the processor, so that other programs hardly matter.
-Kernels that skip void are counted per site of tissue, the other kernels per site of the grid. The
-last row contains all work outside these kernels: coarser levels, set-up, and checks.
+Kernels skip void, so they are counted per site of tissue. The last row contains all work outside
+these kernels: coarser levels, set-up, and checks.
 """
 
 from __future__ import annotations
@@ -63,45 +63,40 @@ class Kernel(NamedTuple):
         Loops of the kernel, and how often each runs for a site.
     size : float
         Bytes read and written for each site.
-    skips : bool
-        True if the kernel skips void.
     """
 
     module: ModuleType
     name: str
     loops: tuple[tuple[float, Any], ...]
     size: float
-    skips: bool
 
 
 _FORCES = ((3, hexahedra._faces), (1, hexahedra._elements), (3, hexahedra._gather))
 _PULLS = ((1, forces._pulls), (1, forces.row_force))
-_START = ((2, elastic._start_row), (1, elastic._smooth_row))
+_START = ((1, elastic._start_row), (1, elastic._smooth_row))
 _ADVANCE = ((3, volume._advance_line), (3, volume._subtract_line), (3, volume._square_line))
 _RESTRICT = ((27 / 4, volume._add_line), (3 / 8, volume._sum_pairs))
 _INTERPOLATE = ((3 / 2, volume._mean_line), (3 / 2, volume._add_between))
 VOLUME = (
-    Kernel(volume, "smooth", (*_FORCES, (3, volume._smooth_line)), 64, True),
-    Kernel(volume, "rest", (*_FORCES, (3, volume._rest_line)), 52, True),
-    Kernel(volume, "start", ((3, volume.start),), 36, True),
-    Kernel(volume, "restrict", _RESTRICT, 13.5, True),
-    Kernel(volume, "interpolate", _INTERPOLATE, 37.5, True),
-    Kernel(volume, "advance", _ADVANCE, 96, True),
-    Kernel(vectors, "lean", ((1, vectors.lean),), 12, True),
-    Kernel(vectors, "weigh", ((3, vectors.row_product),), 24, True),
-    Kernel(vectors, "product", ((3, vectors.row_product),), 24, True),
+    Kernel(volume, "smooth", (*_FORCES, (3, volume._smooth_line)), 64),
+    Kernel(volume, "rest", (*_FORCES, (3, volume._rest_line)), 52),
+    Kernel(volume, "start", ((3, volume.start),), 36),
+    Kernel(volume, "restrict", _RESTRICT, 13.5),
+    Kernel(volume, "interpolate", _INTERPOLATE, 37.5),
+    Kernel(volume, "advance", _ADVANCE, 96),
+    Kernel(vectors, "lean", ((1, vectors.lean),), 12),
+    Kernel(vectors, "weigh", ((3, vectors.row_product),), 24),
+    Kernel(vectors, "product", ((3, vectors.row_product),), 24),
 )
 IMAGE = (
-    Kernel(
-        elastic, "begin", (*_PULLS, (2, elastic._start_row), (1, elastic._smooth_row)), 32, True
-    ),
-    Kernel(elastic, "smooth", (*_PULLS, (1, elastic._smooth_row)), 48, True),
-    Kernel(elastic, "leave", (*_PULLS, (1, elastic._rest_row)), 34, True),
-    Kernel(elastic, "apply", (*_PULLS, (1, elastic._apply_row)), 32, True),
-    Kernel(vectors, "interpolate", ((1, vectors.interpolate),), 26, False),
-    Kernel(vectors, "advance", ((2, vectors.advance), (2, vectors.row_product)), 48, False),
-    Kernel(vectors, "lean", ((2, vectors.lean),), 24, False),
-    Kernel(vectors, "weigh", ((2, vectors.row_product),), 16, False),
+    Kernel(elastic, "begin", (*_PULLS, *_START), 32),
+    Kernel(elastic, "smooth", (*_PULLS, (1, elastic._smooth_row)), 48),
+    Kernel(elastic, "leave", (*_PULLS, (1, elastic._rest_row)), 34),
+    Kernel(elastic, "apply", (*_PULLS, (1, elastic._apply_row)), 32),
+    Kernel(elastic, "interpolate", ((1, vectors.interpolate_row),), 26),
+    Kernel(vectors, "advance", ((2, vectors.advance), (2, vectors.row_product)), 48),
+    Kernel(vectors, "lean", ((2, vectors.lean),), 24),
+    Kernel(vectors, "weigh", ((2, vectors.row_product),), 16),
 )
 
 
@@ -258,7 +253,7 @@ def measure(kernels: tuple[Kernel, ...], problem: Problem, solves: int) -> str:
         rest = whole - sum(timer.seconds for timer in timers)
         least["rest of the solve"] = min(least["rest of the solve"], rest)
         copied, computed = map(max, zip((copied, computed), limits(), strict=True))
-    sites = {True: int(problem.tissue.sum()), False: problem.tissue.size}
+    sites = int(problem.tissue.sum())
     size = " x ".join(map(str, problem.shape))
     found = f"{size} sites, {100 * problem.tissue.mean():.0f} % tissue, {cycles} cycles"
     speeds = f"copied: {copied:.1f} GB/s; multiply-adds: {computed:.0f} GFLOP/s"
@@ -282,7 +277,7 @@ def measure(kernels: tuple[Kernel, ...], problem: Problem, solves: int) -> str:
     whole = sum(least.values())
     for kernel, timer in zip(kernels, timers, strict=True):
         count = sum(times * operations(loop) for times, loop in kernel.loops)
-        each = 1e9 * least[kernel.name] / max(timer.calls, 1) / sites[kernel.skips]
+        each = 1e9 * least[kernel.name] / max(timer.calls, 1) / sites
         memory, arithmetic = kernel.size / copied, count / computed
         cells = (
             f"{kernel.name}",

@@ -234,7 +234,7 @@ class CpuBackend:
             return volume_model.the_model(material, self._checkpoint)
         from napari_hmrf.solver.backends.cpu.elastic_model import the_model  # heavy: numba
 
-        return the_model(material)
+        return the_model(material, whole=False)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Return the model of the paper's cliques with all its levels."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from numba import float32, float64, prange
 
-from napari_hmrf.solver.backends.cpu.compiled import parallel
+from napari_hmrf.solver.backends.cpu.compiled import disjoint, parallel
+from napari_hmrf.solver.backends.cpu.forces import pair
 
 
 @parallel
@@ -52,20 +53,31 @@ def coarsen(fine, coarse):
                 coarse[k, i + 2, j + 2] = float32(0.25) * (a + b)
 
 
+@disjoint
+def _diagonal_row(above, here, shape, out):
+    """Compute a row of `diagonal`; all rows begin one site before its first site."""
+    first_above, shear_above = above
+    first_here, shear_here = here
+    out_row, out_col = out
+    for k in range(len(out_row) - 1):
+        j = k + 1
+        first = (first_here[j] + first_here[k]) + (first_above[j] + first_above[k])
+        shear = (shear_here[j] + shear_here[k]) + (shear_above[j] + shear_above[k])
+        both, own = first + shear + shear, shape[5] * first + shear + shear
+        row, col = shape[0] * both + shape[1] * shear, shape[1] * both + shape[0] * shear
+        out_row[j] = row + shape[3] * own + shape[4] * shear
+        out_col[j] = col + shape[4] * own + shape[3] * shear
+
+
 @parallel
-def diagonal(lame, shape, out):
-    """Compute the diagonal of the stiffness matrix."""
-    for n in prange(lame.shape[1] - 4):
+def diagonal(lame, at, tissue, shape, out):
+    """Compute the diagonal of the stiffness matrix in the columns `tissue` of each row.
+
+    `lame` and `out` have shape (2, N), and `at` is their table of rows (`layout`).
+    """
+    for n in prange(len(at) - 4):
         i = n + 2
-        for k in range(lame.shape[2] - 4):
-            j = k + 2
-            first = (lame[0, i, j] + lame[0, i, j - 1]) + (
-                lame[0, i - 1, j] + lame[0, i - 1, j - 1]
-            )
-            shear = (lame[1, i, j] + lame[1, i, j - 1]) + (
-                lame[1, i - 1, j] + lame[1, i - 1, j - 1]
-            )
-            both, own = first + shear + shear, shape[5] * first + shear + shear
-            row, col = shape[0] * both + shape[1] * shear, shape[1] * both + shape[0] * shear
-            out[0, i, j] = row + shape[3] * own + shape[4] * shear
-            out[1, i, j] = col + shape[4] * own + shape[3] * shear
+        begin, past = tissue[i, 0] + 1, tissue[i, 1] + 2
+        above = pair(lame, at[i - 1] + begin, at[i - 1] + past)
+        here = pair(lame, at[i] + begin, at[i] + past)
+        _diagonal_row(above, here, shape, pair(out, at[i] + begin, at[i] + past))

@@ -120,24 +120,27 @@ def add(d, data, scale, inverse, out, row_totals):
 
 
 @shared
-def filtered(first, second, inverse, weight, mixed, i, j):
-    """Return T^T r = r - W (D + W)^-1 r for a force r at a site of an image."""
-    x = inverse[0, i, j] * first + mixed[1, i, j] * second
-    y = mixed[1, i, j] * first + inverse[1, i, j] * second
+def filtered(first, second, inverse, weight, mixed, j):
+    """Return T^T r = r - W (D + W)^-1 r for a force r at site j of a row of an image.
+
+    The other arguments are pairs of rows.
+    """
+    x = inverse[0][j] * first + mixed[1][j] * second
+    y = mixed[1][j] * first + inverse[1][j] * second
     return (
-        first - (weight[0, i, j] * x + mixed[0, i, j] * y),
-        second - (mixed[0, i, j] * x + weight[1, i, j] * y),
+        first - (weight[0][j] * x + mixed[0][j] * y),
+        second - (mixed[0][j] * x + weight[1][j] * y),
     )
 
 
 @shared
-def relaxed(first, second, inverse, weight, mixed, i, j):
-    """Return T u = u - (D + W)^-1 W u for an interpolated correction u at a site of an image."""
-    x = weight[0, i, j] * first + mixed[0, i, j] * second
-    y = mixed[0, i, j] * first + weight[1, i, j] * second
+def relaxed(first, second, inverse, weight, mixed, j):
+    """Return T u = u - (D + W)^-1 W u for an interpolated correction u; see `filtered`."""
+    x = weight[0][j] * first + mixed[0][j] * second
+    y = mixed[0][j] * first + weight[1][j] * second
     return (
-        first - (inverse[0, i, j] * x + mixed[1, i, j] * y),
-        second - (mixed[1, i, j] * x + inverse[1, i, j] * y),
+        first - (inverse[0][j] * x + mixed[1][j] * y),
+        second - (mixed[1][j] * x + inverse[1][j] * y),
     )
 
 

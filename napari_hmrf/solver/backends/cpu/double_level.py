@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import volume
+from napari_hmrf.solver.backends.cpu.layout import flat
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
-from napari_hmrf.solver.backends.cpu.volume_layout import flat
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class DoubleLevel(CpuLevel):
 
     def __init__(self, level: Any, share: np.float64, shape: Float64Array) -> None:
         rounded = level.vector()
-        super().__init__(level.grid, iter((level.inverse, *[rounded] * 3)))
+        super().__init__(level.grid, iter((level.inverse, *[rounded] * 3)), level.layout)
         self._memory = None
         self._level, self._tissue = level, (flat(level.lame), share)
         self._about = 0.0, shape, level.moving

@@ -1,7 +1,8 @@
 """Compiled loops in double precision: residual, energy and forces of elastic tissue.
 
-Arrays and threads are used as in `backends.cpu.elastic`, but displacement and load have double
-precision. These loops evaluate the convergence criterion.
+Arrays and threads are used as in `backends.cpu.elastic`, but displacement, load, Lame parameters
+and data are planes in double precision, and `where` contains the table of their rows. These loops
+evaluate the convergence criterion.
 """
 
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -17,135 +18,168 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     parallel,
     shared,
 )
-from napari_hmrf.solver.backends.cpu.forces import (
-    left_of,
-    moduli_of,
-    part,
-    reach,
-    row_force,
-    rows_of,
-)
-from napari_hmrf.solver.backends.cpu.vectors import row_largest, row_product
+from napari_hmrf.solver.backends.cpu.forces import left_of, pair, part, place, row_force, rows_of
+from napari_hmrf.solver.backends.cpu.vectors import line_largest, line_product
 
 
 @shared
-def _with_data(row, col, d, data, i, j):
-    """Add the force W d of the data term to the force (row, col) at a site."""
-    x, y = d[0, i, j], d[1, i, j]
-    row += data[0, i, j] * x + data[2, i, j] * y
-    col += data[2, i, j] * x + data[1, i, j] * y
+def _with_data(row, col, d, data, j, at):
+    """Add the force W d of the data term to the force (row, col) at a site.
+
+    `j` is the index of the site in the rows `d`, and `at` its index in `data`.
+    """
+    x, y = d[0][j], d[1][j]
+    row += data[0, at] * x + data[2, at] * y
+    col += data[2, at] * x + data[1, at] * y
     return row, col
 
 
 @disjoint_callee
-def _balance_row(d, load, given, tissue, data, i, span, carry, share, out_row, out_col):
-    lame, inverse, shape = tissue
-    pull_row, pull_col = load[0, i], load[1, i]
-    rows, moduli = rows_of(d, i), moduli_of(lame, i)
-    start, past = max(span[0], 0), span[1]
-    left = left_of(rows, moduli, shape, start + 1)
-    for k in range(past - start):
-        j = start + k + 2
-        row, col, left = row_force(rows, moduli, shape, carry, left, j)
+def _balance_row(rows, load, given, lame, inverse, data, here, shape, carry, share, out):
+    pull_row, pull_col = load
+    out_row, out_col = out
+    left = left_of(rows, lame, shape, 0)
+    for k in range(len(rows[0]) - 2):
+        j = k + 1
+        row, col, left = row_force(rows, lame, shape, carry, left, j)
         if data is not None:
-            row, col = _with_data(row, col, d, data, i, j)
+            row, col = _with_data(row, col, (rows[0], rows[2]), data, j, here + j)
         row, col = given * pull_row[j] - row, given * pull_col[j] - col
         row, col = float32(share * row), float32(share * col)
-        out_row[j] = row if inverse[0, i, j] > float32(0) else row - row
-        out_col[j] = col if inverse[1, i, j] > float32(0) else col - col
+        out_row[j] = row if inverse[0][j] > float32(0) else row - row
+        out_col[j] = col if inverse[1][j] > float32(0) else col - col
 
 
 @callee
 def _balance_part(
-    d, load, given, tissue, data, spans, share, out, row_most, row_squares, first, last
+    d, load, given, tissue, data, where, of_out, share, out, row_most, row_squares, first, last
 ):
-    carry, unused = np.zeros_like(d[:, 0]), np.zeros_like(out[:, 0])
+    lame, inverse, shape = tissue
+    carry, unused = np.zeros((2, where[2]), d.dtype), np.zeros((2, where[2]), out.dtype)
     for i in range(max(first - 1, 0), last):
-        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (unused[0], unused[1])
-        span = reach(spans, i)
-        _balance_row(d, load, given, tissue, data, i + 2, span, carry, share, row, col)
+        column, here, below, count = place(where, i)
+        past, until, there = here + count, column + count, of_out[i + 2] + column
+        own = pair(out, there, there + count) if i >= first else pair(unused, column, until)
+        rows, carried = rows_of(d, here, below, count), pair(carry, column, until)
+        about = pair(lame, here, past), pair(inverse, there, there + count), data, here, shape
+        _balance_row(rows, pair(load, here, past), given, *about, carried, share, own)
         if i >= first:
-            row_most[i] = row_largest(out, i + 2)
-            row_squares[i] = row_product(out, out, i + 2)
+            most = max(line_largest(own[0][1:-1]), line_largest(own[1][1:-1]))
+            # The largest bit pattern of a positive number is that of NaN.
+            row_most[i] = np.int32(most).view(np.float32)
+            row_squares[i] = line_product(own[0][1:-1], own[0][1:-1]) + line_product(
+                own[1][1:-1], own[1][1:-1]
+            )
 
 
 @parallel
 def balance(
-    d, load, given, lame, inverse, data, shape, spans, share, out, row_most, row_squares, count
+    d,
+    load,
+    given,
+    lame,
+    data,
+    where,
+    inverse,
+    of_out,
+    shape,
+    share,
+    out,
+    row_most,
+    row_squares,
+    count,
 ):
     """Write ``share * (given * load - A d)`` to `out` in float32, or 0 at fixed components.
 
-    `data` contains the tensors of the data term, which are part of A, or is None.
+    `data` contains the tensors of the data term, which are part of A, or is None. `of_out` is the
+    table of rows of `out` and `inverse`.
 
     On return, `row_most` contains the largest absolute value of each row, and `row_squares` the sum
     of its squares.
     """
     for number in prange(count):
-        first, last = part(number, count, len(spans))
+        first, last = part(number, count, len(where[1]))
         tissue = lame, inverse, shape
         _balance_part(
-            d, load, given, tissue, data, spans, share, out, row_most, row_squares, first, last
+            d,
+            load,
+            given,
+            tissue,
+            data,
+            where,
+            of_out,
+            share,
+            out,
+            row_most,
+            row_squares,
+            first,
+            last,
         )
 
 
 @contracted_reduction
-def _work_row(d, lame, data, shape, i, carry):
+def _work_row(rows, lame, data, here, shape, carry):
     """Return the contributions of one row to d . A d and ||A d||^2."""
-    rows, moduli = rows_of(d, i), moduli_of(lame, i)
+    d = rows[0], rows[2]
     product, square = 0.0, 0.0
-    left = left_of(rows, moduli, shape, 1)
-    for k in range(d.shape[2] - 4):
-        j = k + 2
-        row, col, left = row_force(rows, moduli, shape, carry, left, j)
+    left = left_of(rows, lame, shape, 0)
+    for k in range(len(rows[0]) - 2):
+        j = k + 1
+        row, col, left = row_force(rows, lame, shape, carry, left, j)
         if data is not None:
-            row, col = _with_data(row, col, d, data, i, j)
-        product += d[0, i, j] * row + d[1, i, j] * col
+            row, col = _with_data(row, col, d, data, j, here + j)
+        product += d[0][j] * row + d[1][j] * col
         square += row * row + col * col
     return product, square
 
 
 @callee
-def _work_part(d, lame, data, shape, row_products, row_squares, first, last):
-    carry = np.zeros_like(d[:, 0])
+def _work_part(d, lame, data, shape, where, row_products, row_squares, first, last):
+    carry = np.zeros((2, where[2]), d.dtype)
     for i in range(max(first - 1, 0), last):
-        product, square = _work_row(d, lame, data, shape, i + 2, carry)
+        column, here, below, count = place(where, i)
+        rows, moduli = rows_of(d, here, below, count), pair(lame, here, here + count)
+        carried = pair(carry, column, column + count)
+        product, square = _work_row(rows, moduli, data, here, shape, carried)
         if i >= first:
             row_products[i], row_squares[i] = product, square
 
 
 @parallel
-def work(d, lame, data, shape, row_products, row_squares, count):
+def work(d, lame, data, shape, where, row_products, row_squares, count):
     """Compute the contributions of each row to d . A d and ||A d||^2.
 
     `data` contains the tensors of the data term, which are part of A, or is None.
     """
     for number in prange(count):
         first, last = part(number, count, len(row_products))
-        _work_part(d, lame, data, shape, row_products, row_squares, first, last)
+        _work_part(d, lame, data, shape, where, row_products, row_squares, first, last)
 
 
 @disjoint_callee
-def _pull_row(d, lame, shape, i, carry, out_row, out_col):
-    rows, moduli = rows_of(d, i), moduli_of(lame, i)
-    left = left_of(rows, moduli, shape, 1)
-    for k in range(d.shape[2] - 4):
-        j = k + 2
-        row, col, left = row_force(rows, moduli, shape, carry, left, j)
-        out_row[j] = -row
-        out_col[j] = -col
+def _pull_row(rows, lame, shape, carry, out):
+    out_row, out_col = out
+    left = left_of(rows, lame, shape, 0)
+    for k in range(len(out_row) - 2):
+        row, col, left = row_force(rows, lame, shape, carry, left, k + 1)
+        out_row[k + 1] = -row
+        out_col[k + 1] = -col
 
 
 @callee
-def _pull_part(d, lame, shape, out, first, last):
-    carry, unused = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
+def _pull_part(d, lame, shape, where, out, first, last):
+    carry, unused = np.zeros((2, where[2]), d.dtype), np.zeros((2, where[2]), d.dtype)
     for i in range(max(first - 1, 0), last):
-        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (unused[0], unused[1])
-        _pull_row(d, lame, shape, i + 2, carry, row, col)
+        column, here, below, count = place(where, i)
+        past, until = here + count, column + count
+        own = pair(out, here, past) if i >= first else pair(unused, column, until)
+        rows, moduli = rows_of(d, here, below, count), pair(lame, here, past)
+        _pull_row(rows, moduli, shape, pair(carry, column, until), own)
 
 
 @parallel
-def pull(d, lame, shape, out, count):
+def pull(d, lame, shape, where, out, count):
     """Write -A d to `out`, including its values at prescribed components."""
     for number in prange(count):
-        first, last = part(number, count, d.shape[1] - 4)
-        _pull_part(d, lame, shape, out, first, last)
+        first, last = part(number, count, len(where[1]))
+        _pull_part(d, lame, shape, where, out, first, last)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.cpu import finite_strain, finite_tangents, tangents, vectors
+from napari_hmrf.solver.backends.cpu import finite_strain, finite_tangents, tangents
 from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
 from napari_hmrf.solver.backends.cpu.forces import parts
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
@@ -71,10 +71,10 @@ class TangentLevel(SmallLevel):
         tangents.diagonal(self.cycled, self.inverse)
         self.weight = None if springs is None else springs.astype(np.float32)
         if self.weight is None:
-            vectors.hold(self.inverse, held, self.pins, self.spans)
+            self._hold(held, self.inverse, self.spans)
             return
         np.add(self.inverse, self.weight, out=self.inverse, where=self.inverse > 0)
-        vectors.hold(self.inverse, held, self.pins, self.spans)
+        self._hold(held, self.inverse, self.spans)
         self.pins += self.weight * self.inverse
 
     def hold_as(self, finer: TangentLevel) -> None:

@@ -17,7 +17,6 @@ from napari_hmrf.solver.backends.cpu import (
     bernstein,
     brick_tangents,
     finite_bricks,
-    vectors,
     volume,
 )
 from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
@@ -75,7 +74,7 @@ class BrickLevel(VolumeLevel):
         self.weight = None if springs is None else springs.astype(np.float32)
         if self.weight is not None:
             np.add(self.inverse, self.weight, out=self.inverse, where=self.inverse > 0)
-        vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
+        self._hold(held, self.inverse, self.spans)
         if self.weight is not None:
             np.add(self.pins, self.weight * self.inverse, out=self.pins)
 

@@ -67,12 +67,15 @@ def force(d, lame, shape, i, j):
 
 
 @inline
-def left_over(row, col, d_row, d_col, load, weights, i, j):
-    """Return ``load - force - springs * weight * d`` at site (i, j), for the force (row, col)."""
+def left_over(row, col, d, load, weights, j):
+    """Return ``load - force - springs * weight * d`` at site j of a row, for a force (row, col).
+
+    `d`, `load` and `weight` are pairs of rows.
+    """
     weight, springs = weights
-    row += springs * weight[0, i, j] * d_row
-    col += springs * weight[1, i, j] * d_col
-    return load[0, i, j] - row, load[1, i, j] - col
+    row += springs * weight[0][j] * d[0][j]
+    col += springs * weight[1][j] * d[1][j]
+    return load[0][j] - row, load[1][j] - col
 
 
 @shared
@@ -110,36 +113,57 @@ def row_force(rows, lame, shape, carry, left, j):
 
     The sites are visited in order, so that each element is computed only once. The force of an
     element on its right sites is passed to the next site in `left`, and the force on its lower
-    sites is passed to the next row in `carry`, shape (2, W + 4).
+    sites is passed to the next row in `carry`.
 
     Parameters
     ----------
-    rows : tuple of 4 ndarrays, shape (W + 4,)
+    rows : tuple of 4 ndarrays, shape (N,)
         Row component of the displacement in this row and in the next row, followed by the column
         component in both rows.
-    lame : tuple of 2 ndarrays, shape (W + 4,)
+    lame : tuple of 2 ndarrays, shape (N,)
         Lame parameters of the elements between the two rows.
+    carry : tuple of 2 ndarrays, shape (N,)
+        Forces of the elements above; overwritten with those for the next row.
     """
     r0, less0, more0, r1, less1, more1 = left
     right = left_of(rows, lame, shape, j)
     r2, less2, more2, r3, less3, more3 = right
-    row = carry[0, j] + ((less2 - less0) - (r2 + r0))
-    col = carry[1, j] + ((less3 - less1) - (r3 + r1))
-    carry[0, j] = (r2 + r0) - (more2 - more0)
-    carry[1, j] = (r3 + r1) - (more3 - more1)
+    carry_row, carry_col = carry
+    row = carry_row[j] + ((less2 - less0) - (r2 + r0))
+    col = carry_col[j] + ((less3 - less1) - (r3 + r1))
+    carry_row[j] = (r2 + r0) - (more2 - more0)
+    carry_col[j] = (r3 + r1) - (more3 - more1)
     return row, col, right
 
 
 @inline
-def rows_of(d, i):
-    """Return row i and row i + 1 of each component."""
-    return d[0, i], d[0, i + 1], d[1, i], d[1, i + 1]
+def pair(values, begin, past):
+    """Return the values of both components from index `begin` to `past` (exclusive)."""
+    return values[0, begin:past], values[1, begin:past]
 
 
 @inline
-def moduli_of(lame, i):
-    """Return the Lame parameters of the elements between rows i and i + 1."""
-    return lame[0, i], lame[1, i]
+def rows_of(d, here, below, count):
+    """Return `count` values of each component from the indices `here` and `below`."""
+    return (
+        d[0, here : here + count],
+        d[0, below : below + count],
+        d[1, here : here + count],
+        d[1, below : below + count],
+    )
+
+
+@inline
+def place(where, i):
+    """Return where the span of rows i and i + 1 lies, with one more site on both sides.
+
+    `where` consists of a table of rows (`layout`), the spans of the rows, and another number. The
+    result is the first column, the index of this column in both rows, and the number of sites.
+    """
+    at, spans, _ = where
+    begin, past = reach(spans, i)
+    first = begin + 1
+    return first, at[i + 2] + first, at[i + 3] + first, past - begin + 2
 
 
 @inline

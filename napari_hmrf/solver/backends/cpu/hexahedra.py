@@ -201,7 +201,7 @@ def block_forces(d, of_d, lame, of_lame, share, c, z, y, begin, count, f, rows, 
         Parameter mu of each element, followed by lambda unless lambda is `share` times mu
         everywhere.
     of_d, of_lame : ndarray, shape (D + 4, H + 4)
-        Index of column 0 of each padded row in `d` and `lame` (`volume_layout`).
+        Index of column 0 of each padded row in `d` and `lame` (`layout`).
     share : float
         Ratio lambda / mu, or 1 if `lame` contains lambda.
     c : ndarray

@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import data_weights, vectors
+from napari_hmrf.solver.backends.cpu.layout import Layout, Table, flat, whole_rows
 from napari_hmrf.solver.backends.cpu.point_smoother import PointSmoother
-from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
-from napari_hmrf.solver.backends.linear import Steps
+from napari_hmrf.solver.backends.cpu.transfer import PAD
+from napari_hmrf.solver.backends.linear import HeldPlanes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
@@ -31,8 +32,8 @@ Spans = npt.NDArray[np.int64]
 class CpuLevel:
     """Base class of the levels on the processor; `LinearLevel` documents the methods.
 
-    In a volume, arrays have shape (3, D + 4, H + 4, W + 4), or store only tissue (`volume_layout`),
-    and there is a span for each of its `rows`.
+    In a volume, arrays have shape (3, D + 4, H + 4, W + 4), and there is a span for each of its
+    `rows`. If the layout stores only tissue, vectors have other shapes (`layout`).
 
     Parameters
     ----------
@@ -40,6 +41,8 @@ class CpuLevel:
         Grid of the level, (H, W) or (D, H, W).
     memory : iterator, optional
         Iterator over the memory of the first vectors; by default, new memory is allocated.
+    layout : Layout, optional
+        Layout of all vectors of the level; by default, that of planes.
 
     Attributes
     ----------
@@ -83,8 +86,15 @@ class CpuLevel:
     #: Rigid bodies on the finest level.
     bodies: Bodies | None = None
 
-    def __init__(self, grid: tuple[int, ...], memory: Iterator[Vector] | None = None) -> None:
+    def __init__(
+        self,
+        grid: tuple[int, ...],
+        memory: Iterator[Vector] | None = None,
+        layout: Layout | None = None,
+    ) -> None:
         self.grid = grid
+        planes = tuple(size + 2 * PAD for size in grid)
+        self.layout = Layout.whole(planes) if layout is None else layout
         self._memory = memory
         self._spare: list[Vector] = []
         self.inverse = self.vector()
@@ -97,15 +107,35 @@ class CpuLevel:
         On entry, `inverse` is the diagonal D; on return, it is the reciprocal of D with springs.
         """
         assert self.weight is not None
-        finer._restrict(finer.pins, self, self.pins)
-        self._spring(np.float32(MOST_PINS), np.float32(SPRING))
+        self._restrict_pins(finer)
+        starts, _, tissue = self.layout.rows
+        vectors.spring(
+            flat(self.inverse),
+            flat(self.weight),
+            starts,
+            flat(self.pins),
+            self._rows_of(self.pins),
+            np.float32(MOST_PINS),
+            np.float32(SPRING),
+            tissue,
+            self.spans,
+        )
         self._couple()
 
-    def _spring(self, most: np.float32, strength: np.float32) -> None:
-        """Compute the springs from the pins; see `vectors.spring`."""
-        assert self.weight is not None
-        inverse, pins, weight = map(rows, (self.inverse, self.pins, self.weight))
-        vectors.spring(inverse, pins, most, strength, weight, self.spans)
+    def _hold(self, held: HeldPlanes, inverse: Vector, spans: Spans) -> None:
+        """Replace a diagonal with its reciprocal, or 0 where `held` is True, and set the pins."""
+        starts, _, tissue = self.layout.rows
+        held_and_pins = flat(held), self._rows_of(held), flat(self.pins), self._rows_of(self.pins)
+        vectors.hold(flat(inverse), starts, *held_and_pins, tissue, spans)
+
+    def _rows_of(self, values: npt.NDArray[Any]) -> Table:
+        """Return the table of rows of planes or of a vector."""
+        layout = self.layout
+        return (whole_rows(layout.planes) if values.shape[1:] == layout.planes else layout.rows)[0]
+
+    def _restrict_pins(self, finer: Self) -> None:
+        """Restrict the pins of the next finer level to this level."""
+        finer._restrict(finer.pins, self, self.pins)
 
     def set_data(self, data: DataTerm) -> None:
         """Set the data term of the finest level; `inverse` is the diagonal of the tissue."""
@@ -310,13 +340,14 @@ class CpuLevel:
         compute_thread.check_cancelled()
 
     def vector(self, values: Vector | None = None) -> Vector:
-        """Return a zero vector, or the given planes without a copy."""
+        """Return a zero vector, or one with the given values: planes, or already a vector."""
         if values is not None:
-            return values
+            is_planes = values.shape[1:] == self.layout.planes
+            return self.layout.packed(values) if is_planes else values
         if self._memory is not None:
             return next(self._memory)
         if not self._spare:
-            return padded(len(self.grid), self.grid)
+            return self.layout.vector()
         vector = self._spare.pop()
         vector.fill(0)
         return vector
@@ -330,8 +361,8 @@ class CpuLevel:
         self._spare += vectors
 
     def planes(self, vector: Vector) -> Vector:
-        """Return the vector itself, because it already consists of planes."""
-        return vector
+        """Return a vector as planes."""
+        return self.layout.unpacked(vector)
 
     def product(self, a: Vector, b: Vector) -> float:
         """Return the scalar product of two vectors."""

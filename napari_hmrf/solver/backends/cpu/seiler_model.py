@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors
+from napari_hmrf.solver.backends.cpu import kernels, seiler
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, all_sites, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
@@ -85,7 +85,7 @@ class CpuSeilerLevel(CpuLevel):
         self.inverse[...] = self._diagonal
         # Sites without cliques are also fixed.
         alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
-        vectors.hold(rows(self.inverse), rows(held | alone), rows(self.pins), self.spans)
+        self._hold(held | alone, self.inverse, self.spans)
         self._clear_vectors()
 
     def hold_as(self, finer: CpuSeilerLevel) -> None:

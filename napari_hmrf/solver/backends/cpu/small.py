@@ -13,7 +13,7 @@ import numpy as np
 from numba import float32
 
 from napari_hmrf.solver.backends.cpu import forces, small_cycle
-from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint_callee, strict
+from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint_callee, shared, strict
 from napari_hmrf.solver.backends.cpu.data_weights import filtered, relaxed
 
 #: Number of model planes per level: the two Lame parameters.
@@ -96,15 +96,26 @@ def _smooth_data(d, load, own, inverse, weight, shape, out, scale, ahead, back):
         out[1, _FIRST, j] = d[1, _FIRST, j] + col
 
 
+@shared
+def _blocks(inverse, weight, own):
+    """Return the arguments of `filtered` for the level as one long row."""
+    return (
+        (inverse[0, _FIRST], inverse[1, _FIRST]),
+        (weight[0, _FIRST], weight[1, _FIRST]),
+        (own[2, _FIRST], own[3, _FIRST]),
+    )
+
+
 @disjoint_callee
 def _residual_data(d, load, own, inverse, weight, shape, out):
     """Write the filtered residual to `out`, or 0 at components that do not move."""
+    pairs = _blocks(inverse, weight, own)
     for k in range(_length(d)):
         j = _FIRST + k
         row, col = forces.rest(d, load, own, weight, shape, _FIRST, j)
         row -= own[2, _FIRST, j] * d[1, _FIRST, j]
         col -= own[2, _FIRST, j] * d[0, _FIRST, j]
-        row, col = filtered(row, col, inverse, weight, own[2:], _FIRST, j)
+        row, col = filtered(row, col, *pairs, j)
         out[0, _FIRST, j] = row if inverse[0, _FIRST, j] > float32(0) else row - row
         out[1, _FIRST, j] = col if inverse[1, _FIRST, j] > float32(0) else col - col
 
@@ -114,10 +125,11 @@ def _add_coarse_data(coarse, d, spare, own, inverse, weight):
     """Add the interpolated coarse correction, filtered (`data_weights`)."""
     spare[:] = 0
     small_cycle.interpolate(coarse, spare, inverse)
+    pairs = _blocks(inverse, weight, own)
     for k in range(_length(d)):
         j = _FIRST + k
         row, col = spare[0, _FIRST, j], spare[1, _FIRST, j]
-        row, col = relaxed(row, col, inverse, weight, own[2:], _FIRST, j)
+        row, col = relaxed(row, col, *pairs, j)
         d[0, _FIRST, j] += row
         d[1, _FIRST, j] += col
 

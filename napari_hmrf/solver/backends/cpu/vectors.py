@@ -2,7 +2,8 @@
 
 All arrays have a border of void, two sites wide. `inverse` is the reciprocal of the model's
 diagonal, and 0 where a component does not move. Scalar products are returned per row. Loops that
-treat rows independently also accept volumes as views of all rows (`level.rows`).
+treat rows independently also accept volumes as views of all rows (`level.rows`), and loops that
+visit all values in any order accept each layout (`layout`).
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -20,6 +21,15 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     reduction,
     strict_callee,
 )
+
+
+@reduction
+def line_product(a: Any, b: Any) -> Any:
+    """Return the scalar product of one component of a row."""
+    total = float32(0)
+    for j in range(len(a)):
+        total += a[j] * b[j]
+    return total
 
 
 @reduction
@@ -71,29 +81,72 @@ def spring_line(inverse, pins, weight, most, strength):
 
 
 @parallel
-def hold(inverse, held, pins, spans):
-    """Replace a diagonal with its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0."""
-    past = inverse.shape[2] - 2
-    for n in prange(inverse.shape[1] - 4):
+def hold(inverse, at, held, of_held, pins, of_pins, tissue, spans):
+    """Replace a diagonal with its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0.
+
+    Each array has a table of rows (`layout`). Visit only the columns `tissue` of each row; store
+    the columns with components that move in `spans`.
+    """
+    for n in prange(len(spans)):
         i = n + 2
+        first, count = tissue[i, 0], tissue[i, 1] - tissue[i, 0]
+        own, other, third = at[i] + first + 2, of_held[i] + first + 2, of_pins[i] + first + 2
         for k in range(len(inverse)):
-            hold_line(inverse[k, i, 2:past], held[k, i, 2:past], pins[k, i, 2:past])
-        span(inverse[:, i, 2:past], 0, spans[n])
+            hold_line(
+                inverse[k, own : own + count],
+                held[k, other : other + count],
+                pins[k, third : third + count],
+            )
+        span(inverse[:, own : own + count], first, spans[n])
 
 
 @parallel
-def spring(inverse, pins, most, strength, weight, spans):
+def spring(inverse, weight, at, pins, of_pins, most, strength, tissue, spans):
     """Set the springs of a coarser level, and replace its diagonal D with 1 / (D + springs).
 
-    The strength of a spring is ``strength * min(pins, most) * diagonal``.
+    The strength of a spring is ``strength * min(pins, most) * diagonal``. `at` is the table of rows
+    of `inverse` and `weight`; see `hold`.
     """
-    past = inverse.shape[2] - 2
-    for n in prange(inverse.shape[1] - 4):
+    for n in prange(len(spans)):
         i = n + 2
+        first, count = tissue[i, 0], tissue[i, 1] - tissue[i, 0]
+        own, other = at[i] + first + 2, of_pins[i] + first + 2
         for k in range(len(inverse)):
-            lines = inverse[k, i, 2:past], pins[k, i, 2:past], weight[k, i, 2:past]
-            spring_line(lines[0], lines[1], lines[2], most, strength)
-        span(inverse[:, i, 2:past], 0, spans[n])
+            spring_line(
+                inverse[k, own : own + count],
+                pins[k, other : other + count],
+                weight[k, own : own + count],
+                most,
+                strength,
+            )
+        span(inverse[:, own : own + count], first, spans[n])
+
+
+@parallel
+def element_spans(shear, spans):
+    """Store the start and stop column of the elements of each row that are not void in `spans`.
+
+    `shear` contains the shear modulus of the elements of each padded row.
+    """
+    for i in prange(len(spans)):
+        begin, past = int64(0), int64(0)
+        for j in range(shear.shape[1]):
+            if shear[i, j] > 0:
+                if past == 0:
+                    begin = j
+                past = j + 1
+        spans[i, 0] = begin
+        spans[i, 1] = past
+
+
+@parallel
+def copy_rows(source, of_source, target, of_target, stored):
+    """Copy the columns `stored` of each row from one layout to another."""
+    for i in prange(len(stored)):
+        begin, past = stored[i, 0], stored[i, 1]
+        for k in range(len(source)):
+            for j in range(begin, past):
+                target[k, of_target[i] + j] = source[k, of_source[i] + j]
 
 
 @parallel
@@ -111,44 +164,60 @@ def smooth_first(load, inverse, step, d, scale):
 
 @disjoint
 def restrict_row(above, here, below, coarse):
-    """Compute one row of `restrict` for one component from three fine rows."""
+    """Compute one row of `restrict` for one component from three fine rows.
+
+    The fine rows begin one site before the first coarse site.
+    """
     half = float32(0.5)
-    for j in range(len(coarse) - 4):
-        left = here[2 * j + 1] + half * (above[2 * j + 1] + below[2 * j + 1])
-        middle = here[2 * j + 2] + half * (above[2 * j + 2] + below[2 * j + 2])
-        right = here[2 * j + 3] + half * (above[2 * j + 3] + below[2 * j + 3])
-        coarse[j + 2] = middle + half * (left + right)
+    for j in range(len(coarse)):
+        left = here[2 * j] + half * (above[2 * j] + below[2 * j])
+        middle = here[2 * j + 1] + half * (above[2 * j + 1] + below[2 * j + 1])
+        right = here[2 * j + 2] + half * (above[2 * j + 2] + below[2 * j + 2])
+        coarse[j] = middle + half * (left + right)
 
 
 @parallel
 def restrict(fine, coarse):
     """Apply the transpose of `interpolate`; coarse site i coincides with fine site 2 i."""
+    past = coarse.shape[2] - 2
     for i in prange(coarse.shape[1] - 4):
         for component in range(len(coarse)):
             restrict_row(
-                fine[component, 2 * i + 1],
-                fine[component, 2 * i + 2],
-                fine[component, 2 * i + 3],
-                coarse[component, i + 2],
+                fine[component, 2 * i + 1, 1:],
+                fine[component, 2 * i + 2, 1:],
+                fine[component, 2 * i + 3, 1:],
+                coarse[component, i + 2, 2:past],
             )
+
+
+@disjoint
+def interpolate_row(near, far, inverse, fine):
+    """Compute one row of `interpolate` for one component; all rows begin at a coarse site.
+
+    `near` and `far` are the coarse rows around the fine row.
+    """
+    for j in range(len(fine) // 2):
+        here = float32(0.5) * (near[j] + far[j])
+        after = float32(0.25) * (near[j + 1] + far[j + 1])
+        between = float32(0.5) * here + after
+        fine[2 * j] += here if inverse[2 * j] > float32(0) else float32(0)
+        fine[2 * j + 1] += between if inverse[2 * j + 1] > float32(0) else float32(0)
 
 
 @parallel
 def interpolate(coarse, fine, inverse):
     """Add the bilinearly interpolated coarse correction to the components that move."""
+    past = fine.shape[2] - 2 + fine.shape[2] % 2  # the last pair may extend into the border
     for i in prange(fine.shape[1] - 4):
         near = i // 2 + 2
         far = near + i % 2
         for component in range(2):
-            for j in range((fine.shape[2] - 3) // 2):
-                here = coarse[component, near, j + 2] + coarse[component, far, j + 2]
-                after = coarse[component, near, j + 3] + coarse[component, far, j + 3]
-                here *= float32(0.5)
-                between = float32(0.5) * here + float32(0.25) * after
-                moves = inverse[component, i + 2, 2 * j + 2] > float32(0)
-                fine[component, i + 2, 2 * j + 2] += here if moves else float32(0)
-                moves = inverse[component, i + 2, 2 * j + 3] > float32(0)
-                fine[component, i + 2, 2 * j + 3] += between if moves else float32(0)
+            interpolate_row(
+                coarse[component, near, 2:],
+                coarse[component, far, 2:],
+                inverse[component, i + 2, 2:past],
+                fine[component, i + 2, 2:past],
+            )
 
 
 @parallel
@@ -184,17 +253,24 @@ def product(a, b, row_totals):
 
 
 @strict_callee
-def row_largest(a: Any, row: int) -> Any:
-    """Return the largest absolute value of one row, or NaN if the row contains NaN.
+def line_largest(a: Any) -> Any:
+    """Return the bits of the largest absolute value of one component of a row, or those of NaN.
 
     Without the sign bit, floating-point numbers are ordered like their bits as integers, and
     integer comparisons vectorize.
     """
+    bits, most = a.view(np.int32), int32(0)
+    for j in range(len(bits)):
+        most = max(most, bits[j] & int32(0x7FFFFFFF))
+    return most
+
+
+@strict_callee
+def row_largest(a: Any, row: int) -> Any:
+    """Return the largest absolute value of one row, or NaN if the row contains NaN."""
     most = int32(0)
     for component in range(len(a)):
-        bits = a[component, row].view(np.int32)
-        for j in range(len(bits)):
-            most = max(most, bits[j] & int32(0x7FFFFFFF))
+        most = max(most, line_largest(a[component, row]))
     return np.int32(most).view(np.float32)
 
 

@@ -1,7 +1,7 @@
 """Compiled loops for elastic volumes: the multigrid operations on their levels.
 
 Arrays have shape (C, N). They contain padded rows, one after another, and a table with the index of
-column 0 of each row (`volume_layout`). An element has the index of its first site, and
+column 0 of each row (`layout`). An element has the index of its first site, and
 `backends.cpu.hexahedra` documents its parameters. A component that is prescribed,
 or that does not belong to an element, has an inverse diagonal of 0, so its correction stays 0.
 `weight` is the diagonal of the springs W of a coarse level. It is multiplied by `springs`, which is
@@ -18,7 +18,7 @@ tissue, so the output must already be 0 outside the spans.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, float64, get_num_threads, int64, prange
+from numba import float32, float64, get_num_threads, prange
 
 from napari_hmrf.solver.backends.cpu.compiled import (
     callee,
@@ -30,7 +30,6 @@ from napari_hmrf.solver.backends.cpu.compiled import (
 )
 from napari_hmrf.solver.backends.cpu.forces import part
 from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
-from napari_hmrf.solver.backends.cpu.vectors import hold_line, span, spring_line
 
 # Smallest number of planes per thread; with fewer planes, too many planes would be computed twice.
 _FEW_PLANES = 8
@@ -713,69 +712,3 @@ def diagonal(lame, share, shape, at, spans, out):
                 _diagonal_line(*mu, slide, line)
                 first = lame[last, one:], lame[last, two:], lame[last, three:], lame[last, four:]
                 _diagonal_line(*first, stretch, line)
-
-
-# Constraints
-
-
-@parallel
-def hold(inverse, held, of_held, pins, at, tissue, spans):
-    """Compute `vectors.hold` within the spans of the tissue.
-
-    `of_held` is the table of rows of `held`. Store the columns with components that move in
-    `spans`.
-    """
-    for n in prange(len(at) - 4):
-        z = n + 2
-        for y in range(2, at.shape[1] - 2):
-            first, count = tissue[z, y, 0], tissue[z, y, 1] - tissue[z, y, 0]
-            i, j = at[z, y] + first + 2, of_held[z, y] + first + 2
-            past = i + count
-            for k in range(3):
-                hold_line(inverse[k, i:past], held[k, j : j + count], pins[k, i:past])
-            span(inverse[:, i:past], first, spans[z, y])
-
-
-@parallel
-def spring(inverse, pins, weight, most, strength, at, tissue, spans):
-    """Compute `vectors.spring` within the spans of the tissue."""
-    for n in prange(len(at) - 4):
-        z = n + 2
-        for y in range(2, at.shape[1] - 2):
-            first, count = tissue[z, y, 0], tissue[z, y, 1] - tissue[z, y, 0]
-            i = at[z, y] + first + 2
-            past = i + count
-            for k in range(3):
-                lines = inverse[k, i:past], pins[k, i:past], weight[k, i:past]
-                spring_line(lines[0], lines[1], lines[2], most, strength)
-            span(inverse[:, i:past], first, spans[z, y])
-
-
-# Layout
-
-
-@parallel
-def element_spans(lame, spans):
-    """Store the start and stop column of the elements of each row that are not void in `spans`."""
-    for z in prange(lame.shape[1]):
-        for y in range(lame.shape[2]):
-            begin, past = int64(0), int64(0)
-            for x in range(lame.shape[3]):
-                if lame[0, z, y, x] > 0:
-                    if past == 0:
-                        begin = x
-                    past = x + 1
-            spans[z, y, 0] = begin
-            spans[z, y, 1] = past
-
-
-@parallel
-def copy_rows(source, of_source, target, of_target, stored):
-    """Copy the columns `stored` of each row from one layout to another."""
-    for z in prange(len(stored)):
-        for y in range(stored.shape[1]):
-            begin, past = stored[z, y, 0], stored[z, y, 1]
-            i, j = of_source[z, y], of_target[z, y]
-            for k in range(len(source)):
-                for x in range(begin, past):
-                    target[k, j + x] = source[k, i + x]

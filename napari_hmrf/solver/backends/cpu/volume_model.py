@@ -10,17 +10,17 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
-from napari_hmrf.solver.backends.cpu import hexahedra, volume, volume_layout
+from napari_hmrf.solver.backends.cpu import hexahedra, volume, volume_transfer
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
-from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
-from napari_hmrf.solver.backends.cpu.volume_layout import (
+from napari_hmrf.solver.backends.cpu.layout import (
     Layout,
     Table,
     Values,
     flat,
     whole_starts,
 )
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
+from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of
@@ -50,6 +50,8 @@ class VolumeLevel(CpuLevel):
         Grid of the level, (D, H, W).
     finest : bool
         True for the finest level, which has no springs at first.
+    layout : Layout, optional
+        Layout of all vectors of the level; by default, that of planes.
 
     Attributes
     ----------
@@ -61,8 +63,8 @@ class VolumeLevel(CpuLevel):
 
     sums_up = True
 
-    def __init__(self, grid: tuple[int, ...], finest: bool) -> None:
-        super().__init__(grid)
+    def __init__(self, grid: tuple[int, ...], finest: bool, layout: Layout | None = None) -> None:
+        super().__init__(grid, layout=layout)
         self.weight = None if finest else self.vector()
         depth, height = (size + 2 * PAD for size in grid[:2])
         self.reach: npt.NDArray[np.int64] = np.zeros((depth, height, 2), dtype=np.int64)
@@ -85,10 +87,10 @@ class VolumeLevel(CpuLevel):
         """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
 
     def _restrict(self, forces: Vector, coarse: Self, out: Vector) -> None:
-        volume_layout.restrict_planes(forces, out)
+        volume_transfer.restrict_planes(forces, out)
 
     def _interpolate(self, coarse: Self) -> None:
-        volume_layout.interpolate_planes(coarse.correction, self.correction, self.inverse)
+        volume_transfer.interpolate_planes(coarse.correction, self.correction, self.inverse)
 
 
 class CpuVolumeLevel(VolumeLevel):
@@ -118,8 +120,7 @@ class CpuVolumeLevel(VolumeLevel):
     lame: Vector
 
     def __init__(self, grid: tuple[int, ...], layout: Layout, finest: bool, has_data: bool) -> None:
-        self.layout = layout
-        super().__init__(grid, finest)
+        super().__init__(grid, finest, layout)
         self._totals: npt.NDArray[np.float64] = np.zeros(grid[0])
         if has_data:
             self.data, self.mixed = padded(6, grid), padded(6, grid)
@@ -130,16 +131,6 @@ class CpuVolumeLevel(VolumeLevel):
         self._at_once = max(1, int(BATCH_SECONDS / (_SITE_SECONDS * math.prod(grid))))
         self.checkpoint: Checkpoint = _never_cancel
         self.share = np.float32(1)
-
-    def vector(self, values: Vector | None = None) -> Vector:
-        """Return a zero vector, or one with the given values: planes, or already a vector."""
-        if values is None:
-            return self.layout.vector()
-        return self.layout.packed(values) if values.shape[1:] == self.layout.planes else values
-
-    def planes(self, vector: Vector) -> Vector:
-        """Return a vector as planes."""
-        return self.layout.unpacked(vector)
 
     @property
     def places(self) -> tuple[Table, Table, int]:
@@ -167,21 +158,13 @@ class CpuVolumeLevel(VolumeLevel):
             self.checkpoint()
         self.write_diagonal()
         self.checkpoint()
-        starts, tissue, _ = self.places
-        vectors = flat(self.inverse), flat(held), whole_starts(self.layout.planes), flat(self.pins)
-        volume.hold(*vectors, starts, tissue, self.reach)
+        self._hold(held, self.inverse, self.spans)
         self._hold_data()
 
     def hold_as(self, finer: CpuVolumeLevel) -> None:
         """Set the springs of sites near prescribed sites of the next finer level."""
         self.write_diagonal()
         self._set_springs(finer)
-
-    def _spring(self, most: np.float32, strength: np.float32) -> None:
-        assert self.weight is not None
-        starts, tissue, _ = self.places
-        vectors = flat(self.inverse), flat(self.pins), flat(self.weight)
-        volume.spring(*vectors, most, strength, starts, tissue, self.reach)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -232,7 +215,7 @@ class CpuVolumeLevel(VolumeLevel):
         self._restrict(self._other, coarse, coarse.load)
 
     def _restrict(self, forces: Vector, coarse: Self, out: Vector) -> None:
-        volume_layout.restrict(forces, self.layout, out, coarse.layout)
+        volume_transfer.restrict(forces, self.layout, out, coarse.layout)
 
     def _interpolate(self, coarse: Self) -> None:
         vectors = self._with_tables(coarse.correction, coarse, self.correction)
@@ -346,7 +329,7 @@ class CpuVolumeModel(HostModel):
             if number > 0:
                 fine, lame = lame, padded(len(lame), grid)
                 volume.coarsen(fine, lame)
-            layout = Layout.of_tissue(lame, whole)
+            layout = Layout.of_tissue(lame[0], whole)
             if number < len(self.levels) and not self.levels[number].layout.matches(layout):
                 del self.levels[number:]  # free their memory before new levels are allocated
             if number == len(self.levels):

@@ -9,8 +9,8 @@ from napari_hmrf.solver.backends.cpu import (
     seiler_model,
     vectors,
     volume,
-    volume_layout,
     volume_seiler,
+    volume_transfer,
 )
 from napari_hmrf.solver.backends.cpu.level import (
     Spans,
@@ -38,7 +38,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         """Compute the stiffness as the mean of the finer level's tissue around each site."""
         tissue = finer.vector()
         tissue[0], tissue[1] = finer.stiffness[0], finer.stiffness[0] > 0
-        volume_layout.restrict_planes(tissue, self.load)
+        volume_transfer.restrict_planes(tissue, self.load)
         total, share, _ = inside(self.load)
         m, inverse = inside(self.stiffness)
         np.divide(total, share, out=m, where=total > 0)
@@ -96,10 +96,10 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         self._restrict(self._other, coarse, coarse.load)
 
     def _restrict(self, forces: Vector, coarse: CpuSeilerLevel, out: Vector) -> None:
-        volume_layout.restrict_planes(forces, out)
+        volume_transfer.restrict_planes(forces, out)
 
     def _interpolate(self, coarse: CpuSeilerLevel) -> None:
-        volume_layout.interpolate_planes(coarse.correction, self.correction, self.inverse)
+        volume_transfer.interpolate_planes(coarse.correction, self.correction, self.inverse)
 
     def _clear_vectors(self) -> None:
         """Clear the corrections, because kernels write only within the spans."""
