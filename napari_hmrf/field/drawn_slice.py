@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 
 def pixel_drawn(matrix: Array, drawn: list[int], world: Array) -> Array:
-    """Return the pixel that napari draws at a world position.
+    """Return the pixels that napari draws at world positions.
 
     Parameters
     ----------
@@ -25,21 +25,21 @@ def pixel_drawn(matrix: Array, drawn: list[int], world: Array) -> Array:
         Homogeneous transform from pixels to world coordinates.
     drawn : list of int
         Displayed axes.
-    world : ndarray, shape (D,)
-        World position.
+    world : ndarray, shape (..., D)
+        World positions.
 
     Returns
     -------
-    ndarray, shape (D,)
-        Position in pixels, which is a whole number along axes that are not displayed.
+    ndarray, shape (..., D)
+        Positions in pixels, which are whole numbers along axes that are not displayed.
     """
     inverse, others = np.linalg.inv(matrix), _others(matrix, drawn)
-    pixel = np.empty(len(world))
+    pixel = np.empty(world.shape)
     # The matrix is singular if a volume is displayed edge-on, hence the pseudo-inverse.
     seen = np.linalg.pinv(matrix[np.ix_(drawn, drawn)])
-    pixel[drawn] = seen @ (world - matrix[:-1, -1])[drawn]
-    across = inverse[np.ix_(others, others)] @ world[others] + inverse[others, -1]
-    pixel[others] = np.round(across)
+    pixel[..., drawn] = (world - matrix[:-1, -1])[..., drawn] @ seen.T
+    across = world[..., others] @ inverse[np.ix_(others, others)].T + inverse[others, -1]
+    pixel[..., others] = np.round(across)
     return pixel
 
 

@@ -101,9 +101,7 @@ def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = 
     if not above:
         return None
     targets, view = tuple(places) or _sample_places(viewer, image), View.of(viewer.dims)
-    return next(
-        (each for each in above if all(_has_pixel_at(each, at, view) for at in targets)), None
-    )
+    return next((each for each in above if _has_pixels_at(each, targets, view)), None)
 
 
 def uncover(viewer: Any, image: Any) -> list[Any]:
@@ -121,7 +119,7 @@ def in_middle(viewer: Any, image: Any) -> bool:
     place, shown = list(viewer.dims.point), viewer.dims.displayed
     for axis, at in zip(shown, camera_of(viewer).center[-len(shown) :], strict=True):
         place[axis] = at
-    return _has_pixel_at(image, place, View.of(viewer.dims))
+    return _has_pixels_at(image, [place], View.of(viewer.dims))
 
 
 def _sample_places(viewer: Any, image: Any) -> list[tuple[float, ...]]:
@@ -141,10 +139,10 @@ def _is_opaque(layer: Any) -> bool:
     return hides and layer.opacity == 1 and not (layer.rgb and layer.data.shape[-1] == 4)
 
 
-def _has_pixel_at(layer: Any, place: Sequence[float], view: View) -> bool:
-    """Return whether a layer has a pixel at a point in world coordinates."""
-    if layer.ndim > len(place):
+def _has_pixels_at(layer: Any, places: Sequence[Sequence[float]], view: View) -> bool:
+    """Return whether a layer has a pixel at all given points in world coordinates."""
+    if layer.ndim > len(places[0]):
         return False
-    pixel = np.rint(view.pixel(layer, place))
+    pixels = np.rint(view.pixel(layer, places))
     extents = np.array(full_resolution(layer).shape[: layer.ndim])
-    return bool(((pixel >= 0) & (pixel < extents)).all())
+    return bool(((pixels >= 0) & (pixels < extents)).all())

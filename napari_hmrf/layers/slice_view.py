@@ -64,8 +64,8 @@ class View:
         return tuple((start * factor, step * factor) for (start, step), factor in sliders)
 
     def pixel(self, layer: Any, position: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return the pixel of a layer or frame that is displayed at a world position."""
-        world = np.nan_to_num(np.asarray(position)[-layer.ndim :] * self.factors(layer))
+        """Return the pixels of a layer or frame at world positions of shape (..., axes)."""
+        world = np.nan_to_num(np.asarray(position)[..., -layer.ndim :] * self.factors(layer))
         return pixel_drawn(matrix_of(layer), self._drawn(layer), world)
 
     def point_at(self, layer: Any, pixel: npt.ArrayLike) -> dict[int, float]:
