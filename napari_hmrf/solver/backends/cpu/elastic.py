@@ -1,6 +1,6 @@
 """Compiled loops for elastic tissue: the multigrid operations in single precision.
 
-Arrays have shape (C, N). They contain padded rows, one after another, and a table with the index of
+Arrays have shape (C, N) and contain padded rows, one after another. A table contains the index of
 column 0 of each row (`layout`). A component that is prescribed, or that does not belong to an
 element, has an inverse diagonal of 0, so its correction stays 0. `weight` is the diagonal of the
 springs W of a coarse level. It is multiplied by `springs`, which is 0 on the finest level and 1 on
@@ -59,6 +59,10 @@ def apply_part(d, lame, inverse, data, shape, where, out, row_totals, first, las
     carry, unused = np.zeros((2, where[2]), d.dtype), np.zeros((2, where[2]), d.dtype)
     for i in range(max(first - 1, 0), last):
         column, here, below, count = place(where, i)
+        if i >= first:
+            row_totals[i] = 0
+        if count == 0:
+            continue
         past = here + count
         rows = rows_of(d, here, below, count)
         row, col = pair(out, here, past) if i >= first else pair(unused, column, column + count)
@@ -122,6 +126,8 @@ def _smooth_part(d, tissue, weights, mixed, where, out, pace, first, last):
     carry, unused = np.zeros((2, where[2]), d.dtype), np.zeros((2, where[2]), d.dtype)
     for i in range(max(first - 1, 0), last):
         column, here, below, count = place(where, i)
+        if count == 0:
+            continue
         past = here + count
         result = pair(out, here, past) if i >= first else pair(unused, column, column + count)
         about = _tissue_row(tissue, weights, here, past)
@@ -177,12 +183,13 @@ def _begin_part(tissue, weights, mixed, where, out, start, pace, first, last):
     for i in range(top, last):
         _start(load, inverse, mixed, start, where, i + 1, under)
         column, here, _, count = place(where, i)
-        past, until = here + count, column + count
-        result = pair(out, here, past) if i >= first else pair(unused, column, until)
-        d, d_under = pair(above, column, until), pair(under, column, until)
-        rows, carried = (d[0], d_under[0], d[1], d_under[1]), pair(carry, column, until)
-        about = _tissue_row(tissue, weights, here, past)
-        _smooth_row(rows, *about, mixed, here, shape, carried, pace, result)
+        if count > 0:
+            past, until = here + count, column + count
+            result = pair(out, here, past) if i >= first else pair(unused, column, until)
+            d, d_under = pair(above, column, until), pair(under, column, until)
+            rows, carried = (d[0], d_under[0], d[1], d_under[1]), pair(carry, column, until)
+            about = _tissue_row(tissue, weights, here, past)
+            _smooth_row(rows, *about, mixed, here, shape, carried, pace, result)
         above, under = under, above
 
 
@@ -228,8 +235,8 @@ def _leave_part(d, tissue, weights, mixed, where, coarse, of_coarse, columns, fi
     for i in range(max(2 * first - 2, 0), 2 * last):
         row = rest[i % 3]
         row.fill(0)
-        if i < len(where[1]):
-            column, here, below, count = place(where, i)
+        column, here, below, count = place(where, i) if i < len(where[1]) else (0, 0, 0, 0)
+        if count > 0:
             until = column + count
             about = _tissue_row(tissue, weights, here, here + count)
             rows, carried = rows_of(d, here, below, count), pair(carry, column, until)
@@ -237,13 +244,13 @@ def _leave_part(d, tissue, weights, mixed, where, coarse, of_coarse, columns, fi
             _rest_row(rows, *about, mixed, here, tissue[3], carried, out)
         if i % 2 == 1 and i > 2 * first:
             begin, past = columns[i // 2 + 2, 0] + 2, columns[i // 2 + 2, 1] + 2
-            at = of_coarse[i // 2 + 2]
+            start = of_coarse[i // 2 + 2]
             for k in range(2):
                 restrict_row(
                     rest[(i - 2) % 3, k, 2 * begin - 3 :],
                     rest[(i - 1) % 3, k, 2 * begin - 3 :],
                     row[k, 2 * begin - 3 :],
-                    coarse[k, at + begin : at + past],
+                    coarse[k, start + begin : start + past],
                 )
 
 
@@ -285,11 +292,13 @@ def interpolate(coarse, of_coarse, fine, inverse, where):
             begin -= begin % 2
             near, far = i // 2 + 2, i // 2 + 2 + i % 2
             first, here = begin // 2 + 2, at[i + 2] + begin + 2
-            there = here + past - begin + (past - begin) % 2
+            pairs = (past - begin + 1) // 2
+            there = here + 2 * pairs
+            one, other = of_coarse[near] + first, of_coarse[far] + first
             for k in range(2):
                 interpolate_row(
-                    coarse[k, of_coarse[near] + first : of_coarse[near] + first + past],
-                    coarse[k, of_coarse[far] + first : of_coarse[far] + first + past],
+                    coarse[k, one : one + pairs + 1],
+                    coarse[k, other : other + pairs + 1],
                     inverse[k, here:there],
                     fine[k, here:there],
                 )

@@ -58,18 +58,19 @@ def _balance_part(
     carry, unused = np.zeros((2, where[2]), d.dtype), np.zeros((2, where[2]), out.dtype)
     for i in range(max(first - 1, 0), last):
         column, here, below, count = place(where, i)
+        if i >= first:
+            row_most[i], row_squares[i] = 0, 0
+        if count == 0:
+            continue
         past, until, there = here + count, column + count, of_out[i + 2] + column
         own = pair(out, there, there + count) if i >= first else pair(unused, column, until)
         rows, carried = rows_of(d, here, below, count), pair(carry, column, until)
         about = pair(lame, here, past), pair(inverse, there, there + count), data, here, shape
         _balance_row(rows, pair(load, here, past), given, *about, carried, share, own)
         if i >= first:
-            most = max(line_largest(own[0][1:-1]), line_largest(own[1][1:-1]))
-            # The largest bit pattern of a positive number is that of NaN.
+            most = max(line_largest(own[0]), line_largest(own[1]))
             row_most[i] = np.int32(most).view(np.float32)
-            row_squares[i] = line_product(own[0][1:-1], own[0][1:-1]) + line_product(
-                own[1][1:-1], own[1][1:-1]
-            )
+            row_squares[i] = line_product(own[0], own[0]) + line_product(own[1], own[1])
 
 
 @parallel

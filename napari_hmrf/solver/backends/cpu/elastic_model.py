@@ -246,7 +246,7 @@ class CpuElasticModel(HostModel):
         return SmallLevels(grids, int(planes), level, cycle).levels
 
     def fits(self, material: ElasticMaterial, whole: bool) -> bool:
-        """Return whether `assemble` accepts a material, and `whole` is as in this model."""
+        """Return whether `assemble` can reuse this model for a material and a layout."""
         same = material.m.shape == self.material.m.shape and whole == self._whole
         return same and (material.data is None) == (self.material.data is None)
 

@@ -1,6 +1,6 @@
 """Forces of elastic tissue at a site, for the compiled loops in both precisions.
 
-All arrays have a border of void, two sites wide. An element has the index of its first site
+Planes have a border of void, two sites wide. An element has the index of its first site
 (smallest row and column). Its Lame parameters are 0 if one of its sites is void. Forces are
 computed from differences between displacements within an element; `solver.priors.elements`
 documents the equations and the names.
@@ -155,15 +155,28 @@ def rows_of(d, here, below, count):
 
 @inline
 def place(where, i):
-    """Return where the span of rows i and i + 1 lies, with one more site on both sides.
+    """Return the columns and indices that a kernel reads in rows i and i + 1.
 
-    `where` consists of a table of rows (`layout`), the spans of the rows, and another number. The
-    result is the first column, the index of this column in both rows, and the number of sites.
+    They are those of the combined span of moving sites, and of one more site on both sides. If the
+    span is empty, the row may not store them, and the kernel must skip it.
+
+    Parameters
+    ----------
+    where : tuple
+        Table of rows (`layout`), spans of the rows, and width of a padded row.
+
+    Returns
+    -------
+    column, here, below : int
+        First column, and its index in both rows.
+    count : int
+        Number of columns; 0 if the span is empty.
     """
     at, spans, _ = where
     begin, past = reach(spans, i)
-    first = begin + 1
-    return first, at[i + 2] + first, at[i + 3] + first, past - begin + 2
+    column = begin + 1
+    count = past - begin + 2 if past > begin else 0
+    return column, at[i + 2] + column, at[i + 3] + column, count
 
 
 @inline

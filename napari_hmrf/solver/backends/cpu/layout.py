@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -24,9 +24,12 @@ Values = npt.NDArray[Any]
 
 # Number of values per line of a vector, for loops that visit all values in any order.
 _LINE = 512
-# Smallest number of sites, by number of axes, and largest fraction of the grid with its border of
-# one site, that are stored without void. The sites of a smaller level remain in a fast cache.
-_FEW, _FULL = {2: 16384, 3: 4096}, 0.85
+# Smallest number of stored sites, by number of axes, for which void is left out. The sites of a
+# smaller level remain in a fast cache.
+_FEW = {2: 16384, 3: 4096}
+# Largest number of stored sites, as a fraction of the grid with a border of one site, for which
+# void is left out.
+_FULL = 0.85
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +139,9 @@ class Layout:
         return out
 
 
-@lru_cache(maxsize=1)
+@cache
 def _load_loops() -> None:
-    """Compile or load the loop that small problems, such as trial problems, do not use."""
+    """Compile or load the loop of packing, so that trial problems prepare it, too."""
     line = np.zeros((1, 1), dtype=np.float32)
     table = np.zeros(1, dtype=np.int64)
     vectors.copy_rows(line, table, line.copy(), table, np.zeros((1, 2), dtype=np.int64))

@@ -1,6 +1,6 @@
 """Compiled loops over vectors, for multigrid and Krylov iterations of any model.
 
-All arrays have a border of void, two sites wide. `inverse` is the reciprocal of the model's
+Planes have a border of void, two sites wide. `inverse` is the reciprocal of the model's
 diagonal, and 0 where a component does not move. Scalar products are returned per row. Loops that
 treat rows independently also accept volumes as views of all rows (`level.rows`), and loops that
 visit all values in any order accept each layout (`layout`).
