@@ -5,8 +5,10 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from functools import cache
 from itertools import count
 
+import napari
 import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401 - loads the linear algebra whose threads are limited below
@@ -15,6 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from napari_hmrf.solver.backends.compile_cache import loader
 from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.ui.viewer_dock import Dock
+from tests.support import compiled_loops
 from tests.support.compile_once import compile_most, compile_once
 from tests.support.docks import dock_in, quick
 from tests.support.idle import AtRest
@@ -27,6 +31,7 @@ from tests.support.napari_caches import (
     freeze_once,
     read_manifests_once,
 )
+from tests.support.opened import KEY, count_new, opened, summary
 from tests.support.pulling import pull
 from tests.support.timeouts import LONG_MS
 
@@ -54,9 +59,13 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     numba.set_num_threads(1)
     compute_thread.submit(lambda: numba.set_num_threads(1)).result()
 
+count_new(Dock, "docks")
+
 _NO_DISPLAY = sys.platform == "linux" and not (
     os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
 )
+#: Shared docks that the current test, or any test, has borrowed: True for the dock in a frame.
+_lent, _built = set(), set()
 _WINDOWS = {"make_napari_viewer", "make_napari_viewer_proxy"}
 #: Files with the slowest tests, which start first in a parallel run.
 _LONG = {
@@ -67,6 +76,33 @@ _LONG = {
 if _NO_DISPLAY:
     # Qt would end the process without a display, but single widgets do not need a display.
     os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
+
+def pytest_sessionstart(session):
+    """Fetch the loops that a checkout with equal sources has compiled, before any worker starts."""
+    if not hasattr(session.config, "workerinput"):
+        compiled_loops.fetch()
+
+
+def pytest_sessionfinish(session):
+    """Delete the shared docks before Qt ends; share the loops that all workers have compiled."""
+    for is_framed in _built:
+        _shared(is_framed).discard()
+    if hasattr(session.config, "workerinput"):
+        session.config.workeroutput[KEY] = dict(opened)
+    else:
+        compiled_loops.share()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    """Add the docks and windows of a worker."""
+    opened.update(getattr(node, "workeroutput", {}).get(KEY, {}))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Print how many docks and windows the tests opened."""
+    terminalreporter.write_line(summary())
 
 
 def pytest_collection_modifyitems(items):
@@ -93,6 +129,30 @@ def pytest_runtestloop(session):
         compile_most(backwards=worker["workerid"] != "gw0")
 
 
+@cache
+def _shared(is_framed):
+    """Return the lender of a dock that all tests of this process share."""
+    from tests.support.shared_dock import SharedDock
+
+    return SharedDock(is_framed)
+
+
+def _shared_dock(is_framed):
+    """Borrow a shared dock until the end of the test; return its frame."""
+    _lent.add(is_framed)
+    _built.add(is_framed)
+    return _shared(is_framed).lend()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item):
+    """Clean borrowed docks after all fixtures of the test have been torn down."""
+    result = yield
+    while _lent:
+        _shared(_lent.pop()).take_back()
+    return result
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
     """Freeze existing objects before a window is opened, to shorten garbage collection.
@@ -101,6 +161,7 @@ def pytest_runtest_setup(item):
     loops and objects of the tests again.
     """
     if _WINDOWS & set(item.fixturenames):
+        count_new(napari.Viewer, "windows")
         read_manifests_once()
         draw_letters_once()
         check_widgets_once()
@@ -128,14 +189,8 @@ def _no_memory(settings_folders):
 
 @pytest.fixture
 def widget(qtbot):
-    """Return the dock beside a viewer without a window, with fast settings."""
-    from napari.components import ViewerModel
-
-    from napari_hmrf.ui.soft_tissue import SoftTissue
-
-    found = SoftTissue(ViewerModel())
-    qtbot.addWidget(found.native)
-    return quick(found)
+    """Return the shared dock beside a viewer without a window, with fast settings."""
+    return quick(_shared_dock(is_framed=False).open())
 
 
 @pytest.fixture
@@ -275,22 +330,16 @@ def open_window(unstyled, make_napari_viewer, chequered, qtbot, at_rest):
 
 @pytest.fixture
 def frame(qtbot):
-    """Return a viewer without a window, with a frame for docks beside it."""
-    from tests.support.windowless import Frame
-
-    return Frame(qtbot)
+    """Return a viewer without a window, with a frame that the shared dock opens in."""
+    return _shared_dock(is_framed=True)
 
 
 @pytest.fixture
-def open_beside(qtbot, chequered, at_rest):
+def open_beside(frame, chequered, at_rest):
     """Return a function that opens the dock beside an image in a viewer without a window."""
-    from tests.support.windowless import Frame, Touch
-
-    frames = []  # Frames must live as long as the test.
+    from tests.support.windowless import Touch
 
     def opened(data=None, **place):
-        frame = Frame(qtbot)
-        frames.append(frame)
         frame.viewer.add_image(chequered if data is None else data, name="MR", **place)
         widget = frame.open()
         at_rest(thread=False)

@@ -13,10 +13,13 @@ from napari.utils.interactions import (
 )
 from napari.utils.key_bindings import KeymapHandler
 from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QVBoxLayout, QWidget
 
+from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.person import CTRL, PLAIN, SHIFT
+from tests.support.timeouts import LONG_MS
 
 #: Screen pixels per image pixel, as in a window of the usual size.
 _ZOOM = 8.0
@@ -119,30 +122,60 @@ class Touch:
 class Frame:
     """Viewer without a canvas, with a frame to which docks are added.
 
-    Parameters
+    Attributes
     ----------
-    qtbot : pytestqt.qtbot.QtBot
-        Closes the frame after the test.
+    viewer : ViewerModel
+    ready : SoftTissue or None
+        Dock that the next call of `open` returns instead of a new dock.
     """
 
-    def __init__(self, qtbot):
-        self.viewer = ViewerModel()
-        self._qtbot = qtbot
+    def __init__(self):
+        self.viewer, self.ready = ViewerModel(), None
         self._around = QWidget()
         self._around.setLayout(QVBoxLayout())
-        qtbot.addWidget(self._around)
+        self._docks = []
+        parts = self.viewer.dims, camera_of(self.viewer), self.viewer.cursor
+        self._home = [(part, part.model_dump()) for part in parts]
 
     def open(self):
-        """Add a new dock to the frame."""
+        """Add a dock to the frame."""
+        dock, self.ready = self.ready, None
+        if dock is None:
+            dock = SoftTissue(self.viewer)
+            self._docks.append(dock)
+            self._around.layout().addWidget(dock.native)
+        return dock
+
+    def open_loose(self):
+        """Build a dock outside the frame, as a script does."""
         dock = SoftTissue(self.viewer)
-        self._around.layout().addWidget(dock.native)
+        self._docks.append(dock)
         return dock
 
     def show(self):
         """Show the frame, so that its controls are visible to the mouse."""
-        with self._qtbot.waitExposed(self._around):
-            self._around.show()
+        self._around.show()
+        assert QTest.qWaitForWindowExposed(self._around, LONG_MS)
 
     def close(self, dock):
         """Remove a dock, as napari does with a closed dock."""
         dock.native.setParent(None)
+
+    def reset(self, dock):
+        """Hide the frame, close all docks but one, and remove the layers of the viewer."""
+        self._around.hide()
+        for other in self._docks:
+            if other is not dock and not other.away:
+                self.close(other)
+        self._docks = [dock]
+        self.viewer.layers.clear()
+        for part, values in self._home:
+            part.update(values)
+
+    def delete(self):
+        """Close all docks, and delete the frame."""
+        for dock in self._docks:
+            if not dock.away:
+                self.close(dock)
+            dock.native.deleteLater()
+        self._around.deleteLater()

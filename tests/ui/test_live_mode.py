@@ -392,7 +392,7 @@ def test_a_press_of_deform_during_a_solve_does_not_restore_an_older_result(
 
 
 def test_two_viewers_have_independent_live_modes(qtbot, small_sample, settle, run):
-    frames, docks = [Frame(qtbot) for _ in range(2)], []
+    frames, docks = [Frame() for _ in range(2)], []
     for frame in frames:
         small_sample(frame.viewer)
         dock = frame.open()

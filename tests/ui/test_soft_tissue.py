@@ -995,7 +995,7 @@ def test_closing_the_dock_during_a_solve_adds_no_layer(
 
 
 def test_two_docks_solve_one_after_the_other(qtbot, small_sample, wait_for):
-    frames = [Frame(qtbot), Frame(qtbot)]
+    frames = [Frame(), Frame()]
     widgets = []
     for frame in frames:
         widget = frame.open()

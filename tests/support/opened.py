@@ -1,0 +1,27 @@
+"""Number of docks built and windows opened in a run of the tests, printed at its end."""
+
+from collections import Counter
+from functools import cache, wraps
+
+#: Docks and windows of this process; the process that prints also adds those of its workers.
+opened: Counter[str] = Counter()
+#: Name under which a worker sends its numbers.
+KEY = "napari_hmrf_opened"
+
+
+@cache
+def count_new(kind, name):
+    """Count the objects of a class that are created from now on."""
+    create = kind.__init__
+
+    @wraps(create)
+    def counted(self, *args, **kwargs):
+        opened[name] += 1
+        create(self, *args, **kwargs)
+
+    kind.__init__ = counted
+
+
+def summary():
+    """Return the sentence that is printed at the end of a run."""
+    return f"{opened['docks']} docks built, {opened['windows']} windows opened"
