@@ -24,7 +24,9 @@ from napari_hmrf import (
     ProblemError,
     SeilerPrior,
 )
+from napari_hmrf.contributions import phantom_layers
 from napari_hmrf.layers.metadata import METADATA, metadata_of
+from napari_hmrf.samples.phantoms import PHANTOM_NAMES, sample
 from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import build_problem
@@ -333,6 +335,39 @@ def test_a_preset_replaces_all_stiffnesses_and_shows_its_unit(widget, small_samp
         # Values of different units must not be mixed.
         assert by_label[9].stiffness == preset.materials[0].stiffness, preset
         assert preset.unit in head(widget._form.tissue.table, 2), preset
+
+
+def test_stiffness_has_a_unit_only_if_the_unit_is_known(widget):
+    viewer_of(widget).add_image(np.full((30, 40), 200, np.uint8), name="MR")
+    widget.make_layers()
+    table = widget._form.tissue.table
+    assert head(table, 2) == "Stiffness\n(x normal)"
+    widget.take_materials(next(each for each in PRESETS if each.unit == "kPa"))
+    assert head(table, 2) == "Stiffness\n(kPa)"
+    widget.take_materials(next(each for each in PRESETS if "Seiler" in each.name))
+    assert head(table, 2) == "Stiffness\n(relative)", (
+        "the paper's 20, 10 and 40 are ratios without a unit"
+    )
+    for name in PHANTOM_NAMES:
+        _, (_, tissue, _), _ = phantom_layers(sample(name))
+        assert "unit" not in tissue["metadata"][METADATA]
+
+
+def test_dark_surroundings_are_void_unless_the_option_is_off(widget, run):
+    viewer = viewer_of(widget)
+    picture = np.zeros((30, 40), np.uint8)
+    picture[8:22, 10:30] = 200
+    viewer.add_image(picture, name="CT")
+    widget.drawing = Drawing((Arrow((15, 20), (0, 2), 3.0),))
+    np.testing.assert_array_equal(run(widget).solution.tissue, picture > 0)
+    Screen(widget).press("New tissue layer")
+    viewer.layers["Tissue"].data[2:4, 2:4] = widget.materials[1].label
+    counted = run(widget).solution.tissue
+    assert counted[2:4, 2:4].all(), "painted dark pixels are void"
+    assert counted[8:22, 10:30].all()
+    assert not counted[5, 15]
+    Screen(widget).tick("Ignore dark background", False)
+    assert run(widget).solution.tissue.all()
 
 
 def test_new_layers_to_paint_on_have_the_place_of_the_image_and_the_brush_active(widget, run):

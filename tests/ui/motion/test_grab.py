@@ -631,6 +631,16 @@ def test_a_drag_may_start_at_any_edge_of_the_image(pulling_beside, settle):
         widget.clear()
 
 
+def test_the_edge_of_the_tissue_is_fixed_unless_the_option_is_off(pulling_beside, settle):
+    _, widget = pulling_beside
+    widget.drawing = Drawing((Arrow((32, 40), (0, 4), 4.0), Arrow((10, 10), (0, 0), 2.0)))
+    settle(widget)
+    assert np.abs(widget.solution.displacement[32, -1]).max() < 1e-6
+    Screen(widget).tick("Fix outer edge", False)
+    settle(widget)
+    assert widget.solution.displacement[32, -1, 1] > 1
+
+
 def test_air_cannot_be_pulled_and_does_not_fold(open_beside, settle):
     rows, cols = np.indices((96, 96))
     noise = np.random.default_rng(0).integers(0, 6, (96, 96))
