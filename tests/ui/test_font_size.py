@@ -7,14 +7,16 @@ from qtpy.QtWidgets import QAbstractButton, QComboBox, QLabel, QScrollArea, QTab
 
 from tests.support.docks import quick
 from tests.support.screen import Screen
+from tests.support.windowless import Frame
 
 #: Height of a window on a small screen, in pixels.
 _HEIGHT = 700
 
 
 @pytest.fixture
-def dock(frame, small_sample, at_rest):
-    """Return a dock with all sections open, as narrow as possible, on a small screen."""
+def dock(qtbot, small_sample, at_rest):
+    """Return a new dock with all sections open, as narrow as possible, on a small screen."""
+    frame = Frame(qtbot)
     small_sample(frame.viewer)
     made = quick(frame.open())
     frame.show()
@@ -47,7 +49,9 @@ def is_cut(part):
 
 
 @pytest.mark.parametrize("by", ["application", "napari"])
-def test_no_text_is_cut_with_a_large_font(dock, at_rest, by):
+def test_texts_grow_and_none_is_cut_with_a_large_font(dock, at_rest, by):
+    tables = dock.native.findChildren(QTableView)
+    rows = [table.rowHeight(0) for table in tables]
     dock._form.footer.warn("Tissue folds.", "folds")
     dock._form.footer.offer("Take large motion", "Solve without folds")
     enlarge(dock, at_rest, by)
@@ -61,13 +65,6 @@ def test_no_text_is_cut_with_a_large_font(dock, at_rest, by):
     save = Screen(dock).button("Save study")
     window = dock.native.window()
     assert window.rect().contains(save.mapTo(window, QPoint(0, save.height() - 1)))
-
-
-@pytest.mark.parametrize("by", ["application", "napari"])
-def test_tools_and_tables_have_the_font_size_of_the_fields(dock, at_rest, by):
-    tables = dock.native.findChildren(QTableView)
-    rows = [table.rowHeight(0) for table in tables]
-    enlarge(dock, at_rest, by)
     size = dock.fields.radius.native.font().pointSizeF()
     for each in (*dock.native.findChildren(QToolButton), *tables):
         if each.isVisible():

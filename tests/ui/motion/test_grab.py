@@ -95,6 +95,10 @@ def test_marks_have_a_dark_outline_and_fade_while_the_mouse_is_outside_the_canva
     assert opacities() == pytest.approx([0.2, 0.2]), "new layers of marks do not fade"
     viewer.mouse_over_canvas = True
     assert opacities() == [1, 1]
+    mesh, one = drawn_node(viewer, by_name(viewer, "Motion")), np.zeros((3, 4), np.float32)
+    assert mesh._build_color_transform(one) is mesh._build_color_transform(one + 1), (
+        "each drag compiles the program of the arrows again"
+    )
     person.key(Qt.Key.Key_Escape)
     person.key(Qt.Key.Key_G)
     settle(widget)
