@@ -337,12 +337,11 @@ def test_a_press_of_deform_during_a_solve_does_not_restore_an_older_result(
 # Painting with a mouse
 
 
-def test_two_viewers_have_independent_docks(qtbot, small_sample, settle, run):
-    frames, docks = [Frame(qtbot) for _ in range(2)], []
-    for frame in frames:
-        small_sample(frame.viewer)
-        docks.append(quick(frame.open()))
-    one, other = docks
+def test_two_viewers_have_independent_docks(widget, qtbot, small_sample, settle, run):
+    frame = Frame(qtbot)
+    one, other = widget, quick(frame.open())
+    for dock in (one, other):
+        small_sample(viewer_of(dock))
     one.deform()
     run(other)
     settle(one)

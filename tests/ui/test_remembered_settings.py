@@ -29,7 +29,7 @@ def opened_sections(dock):
     return [each.text() for each in sections if each.isExpanded()]
 
 
-def test_a_later_session_restores_only_the_device_and_the_open_sections(new_dock):
+def test_a_later_session_restores_device_and_sections_and_a_later_dock_all_settings(new_dock):
     first = new_dock()
     assert opened_sections(first) == []
     for title in ("Advanced", "Tissue and stiffness"):
@@ -49,14 +49,9 @@ def test_a_later_session_restores_only_the_device_and_the_open_sections(new_dock
     third = new_dock()
     assert opened_sections(third) == ["Tissue and stiffness"]
     assert third.settings.device == "auto", "an invalid stored device was not ignored"
-
-
-def test_a_dock_opened_again_restores_its_settings(new_dock):
-    first = new_dock()
-    first.model = "elastic"
-    first.plane = "strain"
-    first.poisson = 0.3
-    first.settings = replace(first.settings, accuracy=1e-4)
-    again = new_dock(first._viewer)
+    third.plane = "strain"
+    third.poisson = 0.3
+    third.settings = replace(third.settings, accuracy=1e-4)
+    again = new_dock(third._viewer)
     assert (again.model, again.plane, again.poisson) == ("elastic", "strain", 0.3)
     assert again.settings == SolverDetails(accuracy=1e-4)

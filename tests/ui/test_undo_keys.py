@@ -52,22 +52,6 @@ def test_paint_and_typed_numbers_are_undone_in_reverse_order_and_reported(pointe
     assert not screen.button("Redo").isEnabled(), "redo is possible after a new edit"
 
 
-def test_paint_from_before_the_dock_is_undone_after_later_edits(qtbot, small_sample, at_rest):
-    frame = Frame(qtbot)
-    viewer = frame.viewer
-    _, tissue, _ = small_sample(viewer)
-    clean = tissue.data.copy()
-    tissue.paint((5, 5), 3)
-    dock = quick(frame.open())
-    at_rest()
-    viewer.layers.selection.active = tissue
-    tissue.paint((12, 12), 3)
-    dock.undo()
-    assert (tissue.data != clean).any()
-    dock.undo()
-    assert (tissue.data == clean).all()
-
-
 def test_undo_keys_of_a_deleted_owner_are_released():
     class Owner:
         def interrupt(self):
@@ -82,16 +66,27 @@ def test_undo_keys_of_a_deleted_owner_are_released():
     assert not viewer.keymap
 
 
-def test_undo_keys_remain_bound_while_one_of_two_docks_is_open(qtbot, small_sample):
+def test_undo_keys_and_earlier_paint_belong_to_all_docks_that_are_open(
+    qtbot, small_sample, at_rest
+):
     frame = Frame(qtbot)
     viewer = frame.viewer
-    small_sample(viewer)
+    _, tissue, _ = small_sample(viewer)
+    clean = tissue.data.copy()
+    tissue.paint((5, 5), 3)
     first, second = quick(frame.open()), quick(frame.open())
+    at_rest()
+    viewer.layers.selection.active = tissue
+    tissue.paint((12, 12), 3)
+    first.undo()
+    assert (tissue.data != clean).any()
+    first.undo()
+    assert (tissue.data == clean).all(), "paint from before the dock was not undone"
     keys = {each for each in viewer.keymap if str(each) in ("Ctrl+Z", "Ctrl+Shift+Z")}
     assert len(keys) == 2
     frame.close(second)
     assert keys <= viewer.keymap.keys(), "the keys of the open dock were released"
-    tissue, boundary = first.tissue, first.boundary
+    boundary = first.boundary
     Screen(first).click_row("gel")
     assert tissue.keymap
     viewer.layers.selection.active = boundary
