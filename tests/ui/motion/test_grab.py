@@ -580,29 +580,6 @@ def test_keys_of_tools_work_after_a_choice_from_a_menu(pulling, settle):
     assert widget.tool == "move"
 
 
-def test_an_edit_of_a_table_updates_the_result_and_is_an_undo_step(open_beside, settle):
-    person, widget = open_beside()
-    viewer = person.viewer
-    viewer.layers.clear()
-    PluginManager.instance().discover()  # A window discovers plugins at its start.
-    viewer.open_sample("napari-hmrf", "mass-effect")
-    seen = []
-    widget.deformation_changed.connect(seen.append)
-    assert widget.start()
-    settle(widget)
-    before = seen[-1].ground.stiffness.max()
-    rows = widget.materials
-    widget.materials = (*rows[:-1], Material(rows[-1].label, "scar", 2 * before))
-    settle(widget)
-    assert seen[-1].ground.stiffness.max() == 2 * before
-    widget.drawing = Drawing((Arrow((60, 100), (2, 0), 8.0),))
-    widget.undo()
-    widget.undo()
-    assert widget.materials == rows, "tables and drawings have separate undo orders"
-    settle(widget)
-    assert seen[-1].ground.stiffness.max() == before
-
-
 def test_the_drawing_is_scaled_with_a_new_unit_of_the_image(pulling_beside, settle):
     person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
